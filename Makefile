@@ -58,7 +58,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/promise.py
 	$(BIN)/python benchmarks/temperature.py
-	$(BIN)/python benchmarks/adaptation.py
+	$(BIN)/python benchmarks/update.py
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py

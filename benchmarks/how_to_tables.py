@@ -1,7 +1,5 @@
 """Figures on the pages of `docs/how_to`."""
 
-from statistics import median
-
 from page_tables import Row, both, data, table
 
 
@@ -146,40 +144,11 @@ def temperature() -> list[str]:
     return table(("", *keys), rows)
 
 
-def lives() -> list[str]:
-    """Errors of truths over 200 cycles, with a model that adapts and with one that stays as it is."""
-    found: dict[str, list[dict]] = {}
-    for part, prefix in (("life", ""), ("unseen", "three others: ")):
-        for row in data("adaptation")[part]:
-            found.setdefault(prefix + row["scenario"], []).append(row)
-
-    def errors(rows: list[dict], key: str) -> str:
-        values = [row[key][0] for row in rows]
-        return f"{median(values):.2f}, {max(values):.2f}"
-
-    def ratios(rows: list[dict], key: str) -> str:
-        values = [row[key] for row in rows]
-        return f"{median(values):.2f}, {max(values):.2f}"
-
-    head = ("", "adapting", "frozen", "their ratio", "over the life", "in the worst cycle")
-    return table(
-        head,
-        (
-            (
-                scenario,
-                *(errors(rows, f"{kind}_end") for kind in ("adaptive", "frozen")),
-                *(ratios(rows, key) for key in ("end_ratio", "life_ratio", "worst_cycle_ratio")),
-            )
-            for scenario, rows in found.items()
-        ),
-    )
-
-
 def updates() -> list[str]:
     """Errors of aged models on a new path: as they were, updated, and identified from new records."""
     head = ("truth", "old model", "updated by one loop", "and a minor loop", "identified anew")
     keys = ("old", "one loop", "loop and minor loop", "anew")
-    rows = data("adaptation")["update"]
+    rows = data("update")
     return table(head, ((row["truth"], *(f"{row[key][0]:.2f}, {row[key][1]:.2f}" for key in keys)) for row in rows))
 
 

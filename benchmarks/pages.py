@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from statistics import median
 
-from how_to_tables import coupled, creep, firmware, fleet, lives, loop, temperature, updates
+from how_to_tables import coupled, creep, firmware, fleet, loop, temperature, updates
 from page_tables import LINEAR, OURS, ROOT, Row, both, data, held_out, table, worst
 from strangers.command import table as strangers_table
 
@@ -438,7 +438,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "docs/explanation/safety.md": {"faults": faults},
     "docs/explanation/trust.md": {"promise": promise, "zeros": zeros},
     "docs/how_to/identify.md": {"temperature": temperature},
-    "docs/how_to/keep_true.md": {"lives": lives, "updates": updates},
+    "docs/how_to/keep_true.md": {"updates": updates},
     "docs/reference/decision_rules.md": {"rules": rules},
 }
 

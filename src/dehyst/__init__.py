@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         RecordError,
         RigError,
     )
-    from dehyst.adaptation import AdaptiveCompensator, update
     from dehyst.baselines import compare
     from dehyst.calibration import calibrate
     from dehyst.control import (
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     )
     from dehyst.exports import export, export_fmu, export_wasm
 
-    # The function has the name of its module, which mypy takes for another definition.
+    # A function has the name of its module, which mypy takes for another definition; of `update` too.
     from dehyst.identification import (  # type: ignore[no-redef]
         Fit,
         Outcome,
@@ -69,14 +68,13 @@ if TYPE_CHECKING:
         Transformer,
     )
     from dehyst.records import Record, read, write_record
-    from dehyst.trust import check, insight
+    from dehyst.trust import check, insight, update  # type: ignore[no-redef]
 
 # Each public name and the room it is imported from when it is first used: a control loop loads no identification.
 _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
-        "adaptation": "AdaptiveCompensator update",
         "baselines": "compare",
         "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
         "wave_table",
@@ -86,14 +84,14 @@ _ROOM_OF = {
         "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
         "Spring Stage State Thermal Transformer",
         "records": "Record read write_record",
-        "trust": "check insight",
+        "trust": "check insight update",
     }.items()
     for name in names.split()
 }
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "AdaptiveCompensator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
+__all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
 __all__ += ["DehystError", "DisplacementCreep", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError"]
 __all__ += ["MaxwellSlip", "MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record"]
 __all__ += ["RecordError", "RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage"]

@@ -64,7 +64,9 @@ def spanned(
     values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError
 ) -> tuple[Array, float, float]:
     """Return the array that `vector` returns, its smallest and its largest value; both are NaN if it is empty."""
-    array = readings(values, what, unit, error=error)
+    array = _doubles(values, what, unit, error)
+    if array.ndim != 1:
+        raise error(argument=what, got=f"an array of shape {array.shape}", need="one dimension")
     if not array.size:
         return array, math.nan, math.nan
     low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
@@ -72,14 +74,6 @@ def spanned(
         bad = np.flatnonzero(~np.isfinite(array))
         raise error(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
     return array, low, high
-
-
-def readings(values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> Array:
-    """Return `values` as `vector` does, but NaN and infinity are allowed, where nothing was measured."""
-    array = _doubles(values, what, unit, error)
-    if array.ndim != 1:
-        raise error(argument=what, got=f"an array of shape {array.shape}", need="one dimension")
-    return array
 
 
 def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:

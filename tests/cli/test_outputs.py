@@ -117,8 +117,6 @@ def call(operation, name, target):
         values["trajectory"] = Path("absent-path")
     if operation.name == "compensate" and name == "table":
         values["trajectory"] = Path("scan.csv")
-    if operation.name == "run" and name == "updated":
-        values["adapt"] = True
     return operation.command(values)[1:]
 
 

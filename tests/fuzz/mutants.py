@@ -33,7 +33,7 @@ from pathlib import Path
 import pytest
 
 ROOMS = ("core", "identification", "control", "records", "instruments")
-TESTS = ("contracts", "model", "adaptation", "trust", "virtual", "calibration", "operations", "cli")
+TESTS = ("contracts", "model", "trust", "virtual", "calibration", "operations", "cli")
 # By the folder of the source.
 CORE_TESTS = {
     "core/src/bank/": ("tests/control/test_bank.py",),

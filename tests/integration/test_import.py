@@ -30,7 +30,7 @@ def test_import_loads_nothing_heavier_than_numpy():
 
 
 def test_no_room_loads_a_heavy_library_before_it_is_used():
-    rooms = ("calibration", "trust", "report", "fleet", "operations.registry", "workbench.server", "adaptation")
+    rooms = ("calibration", "trust", "report", "fleet", "operations.registry", "workbench.server")
     assert not loaded_by(f"import {', '.join(f'dehyst.{room}' for room in rooms)}") & HEAVY
 
 

@@ -22,7 +22,6 @@ GENERATORS = ("sphinx", "furo", "myst_parser", "numpydoc", "sphinx_gallery", "sp
 # Pages whose code runs here; that of the others runs in the tests of what they are about.
 RUN_HERE = (
     "tutorials/first_stage.md",
-    "tutorials/month_in_use.md",
     "how_to/creep.md",
     "how_to/keep_true.md",
     "how_to/check.md",

@@ -155,7 +155,6 @@ VALUES = {
     "epics": "--epics PIEZO",
     "ageing": "gain=-7,seconds=60",
     "path": "--path way.csv",
-    "adapt": "--adapt",
     "updated": "--updated updated.json",
     "memory": 3,
     "zero_drifts": False,
@@ -209,7 +208,6 @@ _BASE = {
     "columns:join": "--columns displacement=extra_um",
     "columns:rate": "--columns 'voltage=2:V, displacement=3:um'",
 }
-_FEW = "--cycles 2"
 _UNTIMED = "--columns 'names=-|-|displacement:um|-|-|-'"
 _TWO = "v=voltage_V:displacement_um, w=monitor_V:back_um"
 _OF_AXES = {
@@ -315,24 +313,11 @@ CASES = {
         ),
     ],
     "run": [
-        Case(f"sim://model.json --model model.json --path texts/commas.txt {_FEW}", only=("columns:decimal",)),
+        Case("sim://model.json --model model.json --path texts/commas.txt", only=("columns:decimal",)),
         Case(
-            f"sim://model.json --model model.json --path record.csv {_FEW}",
-            _BASE
-            | {
-                "columns:rate": _UNTIMED,
-                "memory": "--adapt",
-                "zero_drifts": "--adapt",
-                "updated": "--adapt",
-                "force": "-o out.csv",
-            },
-            {
-                "model": "--model other.json",
-                "path": "--path way.csv",
-                "cycles": "--cycles 3",
-                "slew_rate": "--slew-rate 700",
-            },
-            dict.fromkeys(("memory", "zero_drifts"), "of what is learnt after some repetitions: tests/adaptation"),
+            "sim://model.json --model model.json --path record.csv",
+            _BASE | {"columns:rate": _UNTIMED, "force": "-o out.csv"},
+            {"model": "--model other.json", "path": "--path way.csv", "slew_rate": "--slew-rate 700"},
         ),
     ],
     "insight": [

@@ -4,21 +4,18 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator AdaptiveCompensator Bank ClampWarning Command Compensator Creep DehystError DisplacementCreep
+            Actuator Bank ClampWarning Command Compensator Creep DehystError DisplacementCreep
             Dynamics FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion
             Outcome Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage
             StageCompensator StageFit State Structure Thermal Trace Transformer VoltageLimits __version__ calibrate
             check compare export export_fmu export_wasm identify identify_stage insight read shortest_homing update
             wave_table write_record
         """,
-        "adaptation": """
-            AdaptiveCompensator AdaptiveSnapshot AdaptiveStageCompensator Update update update_stage
-        """,
         "baselines": """
             BASELINES AbstractBaseline ModelComparison Training compare fit_with_delay
         """,
         "calibration": """
-            Calibration PathRun Plan TrackedPath calibrate
+            Calibration Plan TrackedPath calibrate
         """,
         "cli": """
             main
@@ -62,8 +59,8 @@ FACES = {
             ReaderContract RigCandidate RigContract TargetCandidate TargetContract
         """,
         "trust": """
-            Change CheckHistory Insight Recheck check
-            check_stage insight judge stage_insight
+            Change CheckHistory Insight Recheck Update check
+            check_stage insight judge stage_insight update update_stage
         """,
         "virtual": """
             AgeingActuator AgeingCourse BoucWenActuator PlayActuator PreisachActuator VirtualBench

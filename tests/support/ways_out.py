@@ -19,7 +19,6 @@ import xarray
 from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
-from dehyst.adaptation import AdaptiveStageCompensator
 from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, plan_voltage, wave_table
 from dehyst.instruments.base import TICK
@@ -262,10 +261,6 @@ class Life:
         self.hold_against("stage: trajectory", commands[0].voltage, present, self.period)
         stepped = np.array([loop.step(row) for row in wanted])
         self.hold_against("stage: step", stepped[:, 0], present, self.period)
-        loop = AdaptiveStageCompensator(stage, period=self.period, slew_rate=slews)
-        sensed = wanted + self.rng.normal(0, 0.3 * np.ptp(wanted), wanted.shape)
-        stepped = np.array([loop.step(*pair) for pair in zip(wanted, sensed, strict=True)])
-        self.hold_against("stage: adaptive step", stepped[:, 0], present, self.period)
 
     def stage_home(self):
         stage = Stage((self.actuator, replace(self.actuator, name="y")), np.array([[1, 0.1], [-0.05, 1]]), ("x", "y"))

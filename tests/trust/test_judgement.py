@@ -6,7 +6,6 @@ import numpy as np
 import plain_records
 import pytest
 
-import dehyst
 from dehyst.control import Compensator, PossibleStart, StartError, plan_path
 from dehyst.model import Validity, promise
 from dehyst.trust import insight, judge, judge_planned
@@ -85,18 +84,3 @@ def test_a_planned_path_is_judged_from_its_start(home, begins):
     assert (found.start > 1e-9) == (not home)
     assert found.as_dict()["begins"] == begins
     assert found.bounds == pytest.approx((np.hypot(1e-8, found.start), 5e-8 + found.start))
-
-
-def test_what_a_rig_shows_before_a_path_is_in_its_judgement():
-    """The offset of its sensor instead of what a homing leaves open, and a temperature that may drift."""
-    actuator = replace(plain_records.plant(6), limits=(-40.0, 260.0), thermal=dehyst.Thermal(-1e-3, 2e-9))
-    actuator = actuator.with_identification(expected_rms=1e-8, expected_largest=5e-8)
-    wanted = plain_records.STROKE * (0.5 - 0.3 * np.cos(np.linspace(0, 2 * np.pi, 200)))
-    path = plan_path(Compensator(actuator), wanted, time=np.arange(200.0), home=True)
-    found = judge_planned(actuator, path, seen=-3e-8)
-    assert (found.begins, found.start, found.largest) == ("seen", pytest.approx(3e-8), 5e-8)
-    warm = judge_planned(actuator, path, seen=0.0, drift=2.0)
-    cost = 2 * (1e-3 * actuator.stroke + 2e-9)
-    assert warm.parts["temperature"] == pytest.approx(cost)
-    assert warm.bounds == pytest.approx((1e-8 + 0.5 * cost, 5e-8 + cost), rel=1e-3)
-    assert len(warm.untested) == 1 and not found.untested

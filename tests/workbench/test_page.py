@@ -355,51 +355,6 @@ def test_the_stop_ends_a_wave_and_its_samples_are_kept(owner, bench_with_model):
     assert np.abs(record.voltage).max() <= 100 + 1e-6
 
 
-@pytest.mark.slow
-def test_a_path_is_followed_while_the_rig_ages_and_the_model_adapts(person, bench, loops):
-    person.drop(loops)
-    person.sees("1 ready")
-    person.identify(structure="maxwell_slip")
-    person.step("Path")
-    person.page.get_by_label("Draw points").check()
-    person.sees("The path can be followed", within="#path")
-    person.write_voltage()
-    model = str(bench.folder / "models" / "loops.json")
-    ageing = '{"ageing": "gain=-7,width=25,seconds=30"}'
-    with emulator("--actuator", model, "--limits", "0", "100", "--speed", "5", "--options", ageing) as address:
-        person.connect(address, LIMITS, 5000)
-        person.arm(LIMITS, 5000)
-        newest = person.page.locator("#rig-play option").last.get_attribute("value")
-        person.page.locator("#rig-play select").select_option(newest)
-        person.fill("Repetitions", 8, within="#rig-play")
-        person.click("button", "Follow the path", within="#rig-play")
-        person.sees("repetition 2", within="#rig-bar")
-        person.sees("Drift of the weights", within="#rig-run")
-        person.sees("of the last repetition", within="#rig-result")
-        assert colours(person.page.locator("#rig-run .figure").last) > 3
-        person.click("button", "Disconnect")
-        person.page.locator("#rig-bar").wait_for(state="hidden")
-    person.step("Model")
-    person.sees("Adapted in 8 repetitions", within="#model")
-    assert "dehyst run pi://" in (bench.folder / "commands.sh").read_text()
-    # The rig is another than at the beginning: the first model is no longer true, and is updated.
-    person.page.locator("#model .model-choice").select_option(label="loops")
-    person.step("Trust")
-    person.page.locator("#check select").select_option(label=newest_of(bench.folder, "followed"))
-    person.click("button", "Check the model")
-    person.sees("The gain has fallen", within="#check-result")
-    person.click("button", "Update the model")
-    person.page.locator("#trust .model-choice option", has_text="loops-updated").wait_for(state="attached")
-    person.step("Model")
-    person.sees("Updated from", within="#model")
-
-
-def newest_of(folder, words):
-    """Name of the newest record whose name has these words."""
-    records = [one for one in (folder / "records").glob("*.csv") if words in one.name]
-    return max(records, key=lambda one: one.stat().st_mtime).stem
-
-
 def test_the_tutorial_shows_all_its_pictures():
     text = (places.DOCS / "tutorials" / "workbench.md").read_text()
     assert re.findall(r"\(workbench/(\w+)\.png\)", text) == list(PICTURES)

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from observed_rig import LIMITS, SLEW, ObservedController, held, on_disk, triangle
 
-from dehyst import Actuator, MaxwellSlip, Spring, read
+from dehyst import read
 from dehyst.calibration.plan import Plan, entries
 from dehyst.instruments import open_rig
-from dehyst.records import write_columns
 
 
 @pytest.fixture
@@ -438,29 +437,3 @@ def test_a_record_is_that_of_the_voltage(simulated, tmp_path):
     simulated.until(lambda: simulated.state.get("result"))
     wanted = np.loadtxt(file, delimiter=",", skiprows=1)[:, 1]
     assert np.abs(read(tmp_path / "wave.h5").voltage - wanted).max() < 1e-9
-
-
-@pytest.mark.slow
-def test_a_path_is_followed_again_and_again_and_the_model_adapts(simulated, tmp_path):
-    model = Actuator(MaxwellSlip(np.linspace(0.2e-6, 8e-6, 8), np.full(8, 1e6)), Spring([0, 8e-6], [0, 100]))
-    model.save(tmp_path / "model.json")
-    low, high = model.reach
-    wanted = 1e6 * (low + (high - low) * (0.5 - 0.4 * np.cos(2 * np.pi * np.arange(200) / 200)))
-    write_columns(tmp_path / "path.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": wanted})
-    files = {name: str(tmp_path / f"{name}.{kind}") for name, kind in (("output", "csv"), ("updated", "json"))}
-    given = {**RIG, "model": str(tmp_path / "model.json"), "path": str(tmp_path / "path.csv"), "cycles": 4, **files}
-    assert "not armed" in refused(simulated, do="run", given=given)
-    simulated.arm()
-    assert "has no effect" in refused(simulated, do="run", given=given)
-    assert simulated.state["status"] == "armed"
-    simulated.send(do="run", given={**given, "adapt": True})
-    simulated.until(lambda: simulated.state.get("result"))
-    assert simulated.state["result"]["kind"] == "run"
-    assert "--adapt" in simulated.state["result"]["command"]
-    cycles = simulated.state["known"]["cycles"]
-    assert [set(one) >= {"gain_percent", "width_percent", "largest_percent"} for one in cycles] == [True] * 4
-    steps = {one["step"] for one in simulated.messages if one["kind"] == "live"}
-    assert {"homing", "repetition 1", "repetition 4"} <= steps
-    assert Actuator.load(files["updated"]) != model
-    assert len(read(files["output"])) == 800
-    assert simulated.state["status"] == "armed"

@@ -1,8 +1,7 @@
 """Calibration: the complete experiment on an instrument, from its first voltage to a verified model."""
 
 from dehyst.calibration.experiment import Calibration, calibrate
-from dehyst.calibration.path_run import PathRun
 from dehyst.calibration.plan import Plan
 from dehyst.calibration.tracking import TrackedPath
 
-__all__ = ["Calibration", "PathRun", "Plan", "TrackedPath", "calibrate"]
+__all__ = ["Calibration", "Plan", "TrackedPath", "calibrate"]

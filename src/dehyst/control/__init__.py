@@ -9,7 +9,7 @@ from dehyst.control.planning.path import HomedPath, plan_path, plan_voltage
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import StateBounds, first_known_by_displacement, least_width, time_dependence
 from dehyst.control.planning.wave_table import WaveTable, wave_table
-from dehyst.control.stage_compensator import StageCompensator, restore_all, unchanged_by_errors
+from dehyst.control.stage_compensator import StageCompensator
 from dehyst.control.trajectory import Command
 
 __all__ = [

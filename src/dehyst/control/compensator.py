@@ -478,10 +478,10 @@ class Compensator(ReadOnly):
     def follow_sensor(self, measured: float, *, rate: float = 0.01, gain: float = 0.2, offset: float = 0.0) -> int:
         """Learn gain and offset of the displacement from a sensor, between two steps.
 
-        This is what `dehyst_loop_follow` does on a microcontroller, bit for bit; `AdaptiveCompensator` learns more. A
-        sample counts if the actuator has moved by two breakaway elongations and a fiftieth of its range since the last
-        one. Nothing is learnt from a sample with a clamped voltage, a value that is NaN or has not changed, or as long
-        as the sensor does not follow the displacement. The result is in `scaling`. For actuators without delay.
+        This is what `dehyst_loop_follow` does on a microcontroller, bit for bit. A sample counts if the actuator has
+        moved by two breakaway elongations and a fiftieth of its range since the last one. Nothing is learnt from a
+        sample with a clamped voltage, a value that is NaN or has not changed, or as long as the sensor does not
+        follow the displacement. The result is in `scaling`. For actuators without delay.
 
         Parameters
         ----------

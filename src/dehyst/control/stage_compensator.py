@@ -154,7 +154,7 @@ class StageCompensator(ReadOnly):
         Raises and warns as `step`; after an error the memory is unchanged.
         """
         wanted = self.stage.columns(displacement, "displacement", "m")
-        with unchanged_by_errors(self.compensators):
+        with _unchanged_by_errors(self.compensators):
             return np.array([self.step(row) for row in wanted]).reshape(wanted.shape)
 
     def offer(self, displacement: ArrayLike) -> Array:
@@ -205,7 +205,7 @@ class StageCompensator(ReadOnly):
         Raise `ModelError` as `Compensator.commit`: no memory changes.
         """
         values = self._values(voltage, "voltage")
-        with unchanged_by_errors(self.compensators):
+        with _unchanged_by_errors(self.compensators):
             for one, value in zip(self.compensators, values, strict=True):
                 one.commit(value)
 
@@ -225,7 +225,7 @@ class StageCompensator(ReadOnly):
         Raise `ModelError` if a state does not fit: the memory is unchanged.
         """
         given = for_each(states, len(self.compensators), "states")
-        with unchanged_by_errors(self.compensators):
+        with _unchanged_by_errors(self.compensators):
             for one, state in zip(self.compensators, given, strict=True):
                 one.reset(state)
 
@@ -238,7 +238,12 @@ class StageCompensator(ReadOnly):
 
         Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
         """
-        restore_all(self.compensators, snapshots)
+        given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
+        if given != len(self.compensators):
+            raise ModelError(argument="snapshots", got=str(given), need=f"{len(self.compensators)}, one an axis")
+        with _unchanged_by_errors(self.compensators):
+            for one, snapshot in zip(self.compensators, snapshots, strict=True):
+                one.restore(snapshot)
 
     def trajectory(
         self,
@@ -377,7 +382,7 @@ def _released(
 
 
 @contextmanager
-def unchanged_by_errors(loops: Sequence[Any]) -> Iterator[None]:
+def _unchanged_by_errors(loops: Sequence[Compensator]) -> Iterator[None]:
     """Restore the memory of all `loops` if an error occurs in the block."""
     before = [one.snapshot() for one in loops]
     try:
@@ -386,16 +391,6 @@ def unchanged_by_errors(loops: Sequence[Any]) -> Iterator[None]:
         for one, snapshot in zip(loops, before, strict=True):
             one.restore(snapshot)
         raise
-
-
-def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
-    """Continue each of the `loops` of several axes from its snapshot; after a `ModelError` the memory is unchanged."""
-    given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
-    if given != len(loops):
-        raise ModelError(argument="snapshots", got=str(given), need=f"{len(loops)}, one an axis")
-    with unchanged_by_errors(loops):
-        for one, snapshot in zip(loops, snapshots, strict=True):
-            one.restore(snapshot)
 
 
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dehyst.adaptation import Update, update_stage
-from dehyst.adaptation import update as update_one
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
+from dehyst.trust import Update, update_stage
+from dehyst.trust import update as update_one
 
 
 @operation(update_one)

@@ -1,26 +1,30 @@
 """Trust: what records determine of a model, the error to expect on a path, and whether the model still holds."""
 
 from dehyst.trust.assessment import insight
-from dehyst.trust.changes import IDENTIFY, Change
+from dehyst.trust.changes import Change
 from dehyst.trust.history import DECISION, CheckHistory, ControlChart
 from dehyst.trust.identifiability import SHARP
 from dehyst.trust.insight_result import Insight
-from dehyst.trust.judgement import Judgement, judge, judge_planned
+from dehyst.trust.judgement import judge, judge_planned
 from dehyst.trust.precision import NOISE_BIAS
 from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
 from dehyst.trust.recheck import Recheck, check
 from dehyst.trust.stage_assessment import StageInsight, check_stage, stage_insight
 from dehyst.trust.start import start_of
 from dehyst.trust.turn_plane import Turn, TurnPlane, turn_plane
+from dehyst.trust.update import Update, update, update_stage
 
 __all__ = [
     "Change",
     "CheckHistory",
     "Insight",
     "Recheck",
+    "Update",
     "check",
     "check_stage",
     "insight",
     "judge",
     "stage_insight",
+    "update",
+    "update_stage",
 ]

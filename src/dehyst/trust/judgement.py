@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ _IN_PROMISE = 0.05
 # The start of a path as text; a known start of another name has its name.
 _BEGINS = {
     "": "",
-    "seen": "",
     "homed": ", from a homed start",
     "unknown": ", from an unknown start",
     "top": ", from the top, after a rise",
@@ -50,8 +49,7 @@ class Judgement:
     validated : bool
         Whether the errors come from validation records.
     begins : str
-        The start of the path: "homed", "unknown", or the name of a known start; empty without a path. "seen": a sensor
-        shows how far the actuator is off the model; `start` is that, and what may change of it along the path.
+        The start of the path: "homed", "unknown", or the name of a known start; empty without a path.
     """
 
     rms: float | None
@@ -75,12 +73,10 @@ class Judgement:
             return ""
         rms, largest = (100 * error / stroke for error in self.bounds)
         # A homing leaves a little open always: what is small beside the promise is not mentioned.
-        open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins in ("homed", "seen") else 0.0)
-        cause = "the offset that the sensor shows" if self.begins == "seen" else "the start"
-        share = f"; {cause} causes up to {100 * self.start / stroke:.2g} %" if open_ else ""
+        open_ = self.start > (_IN_PROMISE * (self.largest or 0.0) if self.begins == "homed" else 0.0)
+        share = f"; the start causes up to {100 * self.start / stroke:.2g} %" if open_ else ""
         begins = _BEGINS.get(self.begins, f", from the start {self.begins}")
-        apart = "" if self.begins == "seen" else f", {APART}"
-        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{begins}{apart}{share}"
+        return f"to be missed by {rms:.2g} % RMS and {largest:.2g} % at most of the stroke{begins}, {APART}{share}"
 
     def lines(self, stroke: float) -> list[str]:
         """Return the promise of a path in a line; no line if it is not known."""
@@ -142,41 +138,12 @@ def judge(
     return Judgement(rms, largest, parts, opened, untested, known.validated, begins)
 
 
-def judge_planned(
-    actuator: Actuator,
-    path: HomedPath,
-    *,
-    drift: float = 0.0,
-    seen: float | None = None,
-    measured: tuple[float, float] = (0.0, 0.0),
-) -> Judgement:
-    """Judge the error to expect on a planned path, from its start: that after its homing, if there is one.
-
-    `drift`: by which its temperature may be another one [K]. `seen`: displacement that a sensor showed at the start,
-    minus that of the model [m]; default: what the start leaves open. `measured`: RMS and largest error [m] to which
-    those of earlier repetitions have come; no less is promised.
-    """
-    judged = judge(
+def judge_planned(actuator: Actuator, path: HomedPath) -> Judgement:
+    """Judge the error to expect on a planned path, from its start: that after its homing, if there is one."""
+    return judge(
         actuator,
         path=path.left_open,
         promised=path.promise,
         missed=(path.expected - path.displacement)[path.first :] / per_metre(path.units),
         begins=path.start.name if path.homing is None else "homed",
     )
-    if seen is not None:
-        # What a temperature that is not known may do is in the promise. What the start leaves open changes: it fades.
-        more = max(abs(seen) - judged.parts.get("temperature", 0.0), 0.0)
-        fades = float(np.ptp(path.error.difference)) / per_metre(path.units)
-        judged = replace(judged, start=more + fades, begins="seen")
-    if judged.bounds is None:
-        return judged
-    if actuator.thermal is not None and drift:
-        stroke = actuator.stroke
-        cost = drift * actuator.thermal.per_kelvin(stroke)
-        parts = {**judged.parts, "temperature": judged.parts.get("temperature", 0.0) + cost}
-        words = f"The temperature may drift by {drift:.2g} K along it, which adds up to {100 * cost / stroke:.2g} %."
-        # Half of a range bounds the standard deviation in it.
-        rms, largest = (judged.rms or 0.0) + 0.5 * cost, (judged.largest or 0.0) + cost
-        judged = replace(judged, rms=rms, largest=largest, parts=parts, untested=(*judged.untested, words))
-    rms = max(judged.rms or 0.0, float(np.sqrt(max(measured[0] ** 2 - judged.start**2, 0.0))))
-    return replace(judged, rms=rms, largest=max(judged.largest or 0.0, measured[1] - judged.start))

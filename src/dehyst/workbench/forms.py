@@ -108,7 +108,7 @@ FORMS: dict[str, Form] = {
         "goal": {"label": "Goal", "unit": "%", "value": "1", "above": 0},
     },
     "arm": _LIMITS,
-    "play": {"voltage": {"label": "Voltage"}, "cycles": {"label": "Repetitions", "value": "20", "least": 1}},
+    "play": {"voltage": {"label": "Voltage"}},
 }
 # Kinds of exports: title, text and, of a file, its suffix.
 _EXPORTS = {

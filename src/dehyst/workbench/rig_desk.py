@@ -8,7 +8,6 @@ import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from dehyst._errors import DehystError, LinkError
@@ -41,7 +40,6 @@ _UNCONNECTED = frozenset({"none", "connecting", "lost"})
 _BUSY = frozenset({"playing", "calibrating"})
 _LONGEST_ADDRESS = 500
 # Repetitions of a path: each is shown.
-_MOST_CYCLES = 500
 
 
 class RigRequestError(DehystError, ValueError):
@@ -128,7 +126,6 @@ class RigDesk:
             "plan": self._plan,
             "calibrate": self._calibrate,
             "play": self._play,
-            "run": self._run,
         }
         if what == "stop":
             await self._stop()
@@ -253,21 +250,6 @@ class RigDesk:
         place = self._folder.new(places.CALIBRATIONS, str(body.get("name") or "rig"))
         bounds = {name: [value] for name, value in self._bounds.items()}
         return self._operation("calibrate", {**bounds, **_plan_of(body), "output": place}, place)
-
-    def _run(self, body: Mapping[str, Any]) -> dict[str, Any]:
-        """Follow the path of a voltage; `body` has its model and path, cycles, and whether to adapt."""
-        cycles = number_of(body.get("cycles", 1), "cycles")
-        if cycles != int(cycles) or not 1 <= cycles <= _MOST_CYCLES:
-            raise RigRequestError(f"cycles: got {cycles:g}, need a whole number, 1 to {_MOST_CYCLES}")
-        given = {name: body[name] for name in ("model", "path", "columns") if body.get(name)}
-        stem = f"{Path(str(body.get('path'))).stem}-followed"
-        outputs = {"output": self._folder.new(places.RECORDS, stem, ".csv")}
-        if body.get("adapt") is True:
-            outputs["updated"] = self._folder.new(
-                places.MODELS, f"{Path(str(body.get('model'))).stem}-adapted", ".json"
-            )
-        asked = {**given, **self._bounds, "cycles": int(cycles), "adapt": "updated" in outputs, **outputs}
-        return self._operation("run", asked, *outputs.values())
 
     def _operation(self, name: str, asked: Mapping[str, Any], *made: str) -> dict[str, Any]:
         """Return the message that performs an operation, which makes these files or folders."""

@@ -351,21 +351,14 @@ class Workbench:
         await self.session.close()
 
     def _finished(self, place: str, asked: Mapping[str, Any]) -> None:
-        """List what the rig left: a record, an adapted model, or the model of a calibration."""
+        """List what the rig left: a record, or the model of a calibration."""
         if place.startswith(f"{places.RECORDS}/"):
             # A journal beside its file is that of a listed record.
             if all(record.source != place for record in self.session.records.values()):
-                # What followed a path with a model tests that model.
-                self.session.add_record(place, Path(place).name, trains="model" not in asked)
+                self.session.add_record(place, Path(place).name)
             return
         with suppress(DehystError):
-            if place.startswith(f"{places.MODELS}/"):
-                cycles = self.rig.state["known"]["cycles"]
-                # Where nothing was learnt, the model is the old one.
-                if any(one["used"] for one in cycles):
-                    self.session.add_adapted(place, asked["model"], cycles)
-            else:
-                self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
+            self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
 
     async def news(self, socket: WebSocket) -> None:
         """Send the news to a page, and listen to its heartbeat."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -214,16 +214,6 @@ class WorkbenchSession:
         self.models[entry.id] = entry
         self.touch()
         return entry
-
-    def add_adapted(self, file: str, before: str, cycles: Sequence[Mapping[str, Any]]) -> ModelEntry:
-        """List the model that the one in the file `before` became in repetitions of a path on a rig."""
-        model = next((one for one in self.models.values() if one.file == before), None)
-        if model is None:
-            raise SessionError(f"{before}: its model is no longer listed")
-        *_, last = cycles
-        errors = last["largest_percent"], last["rms_percent"]
-        verdict = model.measured(errors, last["stroke_m"], "the last repetition of a path on the rig")
-        return self._derive(model, file, f"Adapted in {len(cycles)} repetitions of a path.", {"": verdict})
 
     def _derive(self, model: ModelEntry, file: str, origin: str, verdicts: Mapping[str, dict[str, Any]]) -> ModelEntry:
         """List a model that another one became, with the verdict of each axis."""

@@ -2,16 +2,15 @@
 import { DECLARED } from "./declared.js";
 import { h, table } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { Form, card, facts, fold, list, tick } from "./forms.js";
+import { Form, card, facts, fold, list } from "./forms.js";
 import { duration, length, limitsFrom, percent, range, short, whole } from "./numbers.js";
 import { canMove, statusOf } from "./rig_bar.js";
-import { button, modelOf, problem, redraw, rig as request, watch } from "./server.js";
+import { button, problem, redraw, rig as request, watch } from "./server.js";
 import { isOpen } from "./steps.js";
 
 const [connecting, planning, arming] = ["connect", "plan", "arm"].map((id) => new Form(id, DECLARED.forms[id]));
 const playing = new Form("play", DECLARED.forms.play, redraw);
 const LIMITS = Object.keys(arming.fields);
-let adapts = true;
 
 const limits = (form) => ({ limits: limitsFrom(form.values.low, form.values.high), slew: form.value("slew") });
 const act = (text, work, properties) => button(text, "rig", work, { class: "main", ...properties });
@@ -35,10 +34,8 @@ export function rigView({ rig, voltages }) {
       ),
       h("div.stage.rig-stage", { "data-moving": String(moving) },
         !here && journey,
-        h("div#rig-result", rig.result && resultBlock(rig.result, rig.known?.cycles)),
-        h("ul#rig-promise.remarks", (rig.known?.promise ?? []).map((one) => h("li", one))),
+        h("div#rig-result", rig.result && resultBlock(rig.result)),
         h("div#rig-live", { hidden: live.count === 0 }, live.view()),
-        h("div#rig-run.figures", rig.known?.cycles?.length > 0 && run.view(rig.known.cycles)),
         h("div#rig-plan", rig.plan && planTable(rig.plan)),
         h("ul#rig-words.remarks", (rig.words ?? []).map((one) => h("li", one))),
       ),
@@ -101,28 +98,13 @@ function armCard({ identity, limits: ends, slew, safe }) {
   );
 }
 
-// A voltage is played once, or its path is followed again and again by its model, which may adapt.
 function playCard(voltages) {
   const words = ({ name, samples, seconds }) => `${name}: ${whole(samples)} samples, ${duration(seconds)}`;
   playing.offer("voltage", voltages.map((one) => [one.id, words(one)]));
   const { voltage } = playing.values;
-  const { path, model } = voltages.find((one) => one.id === voltage);
-  const follow = () => request("run", { voltage, cycles: playing.value("cycles"), adapt: adapts });
-  const onchange = (event) => {
-    adapts = event.target.checked;
-  };
-  const leader = modelOf(model);
-  return card("4. Play a voltage, or follow its path", { id: "rig-play", key: "play" },
+  return card("4. Play a voltage", { id: "rig-play", key: "play" },
     playing.field("voltage"),
     act("Play", () => request("play", { voltage })),
-    path &&
-      leader &&
-      !leader.coupling && [
-        h("p.muted", `Or follow its path again and again with ${leader.name}, and measure the error:`),
-        playing.field("cycles"),
-        tick("Adapt the model after each repetition", { type: "checkbox", id: "adapt", checked: adapts, onchange }),
-        h("p", act("Follow the path", follow)),
-      ],
   );
 }
 
@@ -144,19 +126,13 @@ function planTable({ steps, seconds: all }) {
   ];
 }
 
-function resultBlock({ kind, good, samples, compensated, nominal, warnings, command }, cycles = []) {
-  const [first, last] = [cycles[0], cycles.at(-1)].map((one) => percent(one?.largest_percent));
+function resultBlock({ kind, good, samples, compensated, nominal, warnings, command }) {
   const gain = percent(nominal?.largest_percent);
   const { done, error, rest } = {
     calibrate: {
       done: "Calibrated",
       error: percent(compensated?.largest_percent),
       rest: `of the stroke is the largest error on the measured path; ${gain} by a straight gain`,
-    },
-    run: {
-      done: "Followed",
-      error: last,
-      rest: `of the stroke is the largest error of the last repetition; ${first} in the first`,
     },
     record: { done: `Recorded ${whole(samples ?? 0)} samples` },
   }[kind];
@@ -167,35 +143,6 @@ function resultBlock({ kind, good, samples, compensated, nominal, warnings, comm
     command && fold("The same in a terminal", h("pre", command)),
   );
 }
-
-// Errors of the repetitions of a path, and what the weights of the model have learnt.
-class RunFigures {
-  constructor() {
-    this.error = new Figure({ title: "Error of each repetition", help: false });
-    this.drift = new Figure({ title: "Drift of the weights", help: false });
-  }
-
-  view(cycles) {
-    if (this.drawn !== cycles) this.draw(cycles);
-    this.drawn = cycles;
-    return [this.error.element, this.drift.element];
-  }
-
-  draw(cycles) {
-    const x = cycles.map((_, k) => k + 1);
-    const curve = ([name, colour, key]) => ({ name, colour, x, y: cycles.map((one) => one[key]), rising: true });
-    const axes = (label) => ({ x: { label: "Repetition", counted: true }, y: { label, unit: "%" } });
-    const errors = [["largest", "simulated", "largest_percent"], ["RMS", "measured", "rms_percent"]];
-    this.error.set({ ...axes("Error (% of the stroke)"), series: errors.map(curve) });
-    const { offset_um: offset } = cycles.at(-1);
-    this.drift.element.hidden = offset === undefined;
-    if (offset === undefined) return;
-    const changes = [["gain", "simulated", "gain_percent"], ["width of the loop", "measured", "width_percent"]];
-    const notes = [[null, `offset of the sensor ${length(offset)}`]];
-    this.drift.set({ ...axes("Change (%)"), series: changes.map(curve), notes });
-  }
-}
-const run = new RunFigures();
 
 const ROOM = 30_000; // samples that are kept
 const STRIP = 20; // seconds of the strips

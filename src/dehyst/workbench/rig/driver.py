@@ -59,7 +59,6 @@ class RigDriver:
             "plan": self._plan,
             "play": self._play,
             "calibrate": self._operate,
-            "run": self._operate,
             "disarm": self._disarm,
             "disconnect": self._disconnect,
         }
@@ -195,9 +194,8 @@ class RigDriver:
         self._show("armed", result=result, words=[])
 
     def _operate(self, request: Request) -> None:
-        """Calibrate, or follow a path."""
-        working = self._working("calibrating" if request["do"] == "calibrate" else "playing")
-        result = performed(RigRun(self._armed(), working, self._outlet.state), request)
+        """Calibrate."""
+        result = performed(RigRun(self._armed(), self._working("calibrating"), self._outlet.state), request)
         self._show("armed", result=result, words=[])
 
     def _armed(self) -> AbstractRig:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, minimize, nnls
 
-from dehyst.adaptation.active_set import StepwiseProgram
+from dehyst.trust.active_set import StepwiseProgram
 
 
 def program(seed, size, rows):

@@ -5,9 +5,9 @@ Along a path of the displacement y,
     tau(v) = c + sum_g factor_g column_g(y),
 
 where a column is the voltage that a group of neighbouring elements, a group of spring segments, a creep branch or a
-smooth element holds in the initial model. Columns depend on the path and on thresholds, not on factors: factors may
-change at any sample and the memory stays. A group without stiffness gets a column of the mean stiffness and the factor
-0. Creep in displacement and the effect of temperature come after all of this: y is the displacement without them.
+smooth element holds in the initial model. Columns depend on the path and on thresholds, not on factors. A group
+without stiffness gets a column of the mean stiffness and the factor 0. Creep in displacement and the effect of
+temperature come after all of this: y is the displacement without them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import EMPTY, slip_elongations, smooth_elongations, strains
+from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.identification import Grid
 from dehyst.model import (
@@ -34,9 +34,7 @@ from dehyst.model import (
 )
 
 # Groups of elements along their thresholds, of grades along the stroke and of the spring's segments.
-_ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 20
-# Fewer groups of graded elements: each has several grades.
-_GRADED = 10
+_ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 40
 # Least slope of an outermost branch, as a part of the least one of the model.
 _FLOOR = 0.5
 
@@ -58,12 +56,13 @@ class Weights:
     cuts: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
 
     @classmethod
-    def of(cls, actuator: Actuator, elements: int = 0, grades: int = _GRADES, segments: int = _SEGMENTS) -> Weights:
-        """Group the weights of an actuator; `elements`, `grades` and `segments`: largest number of groups of each."""
+    def of(cls, actuator: Actuator) -> Weights:
+        """Group the weights of an actuator."""
         stiffness = actuator.slip.stiffness
-        count = stiffness.shape[1] if stiffness.ndim == 2 else 1
-        most = elements or (_ELEMENTS if count == 1 else _GRADED)
-        return cls(actuator, (_cuts(len(stiffness), most), _cuts(count, grades), _cuts(_springs(actuator), segments)))
+        grades = stiffness.shape[1] if stiffness.ndim == 2 else 1
+        counts = (len(stiffness), _ELEMENTS), (grades, _GRADES), (actuator.spring.slopes.size, _SEGMENTS)
+        elements, across, segments = (_cuts(count, groups) for count, groups in counts)
+        return cls(actuator, (elements, across, segments))
 
     @cached_property
     def parts(self) -> tuple[Array, Array, Array]:
@@ -154,21 +153,6 @@ class Weights:
         kept = float(self.actuator.spring.voltage[0]) + self.anchors @ (self.initial - factors)
         return float(kept.min()), float(kept.max())
 
-    def ratios(self, factors: Array) -> tuple[float, float]:
-        """Return the mean slope of the spring and the friction of all elements, relative to the initial model."""
-        given, lengths = self.actuator, np.diff(self.actuator.spring.displacement)
-        branches = 0 if given.creep is None else len(given.creep)
-        smooth = np.zeros(0) if given.smooth is None else given.smooth.length
-        sums = []
-        for values in (self.initial, factors):
-            kappa, slopes, internal = (
-                unit * values[place] for unit, place in zip(self._units, self.places, strict=True)
-            )
-            held = float(kappa.mean(axis=1) @ given.slip.breakaway + internal[branches:] @ smooth)
-            sums.append((float(slopes @ lengths), held))
-        (slope, friction), (slope_now, friction_now) = sums
-        return slope_now / slope, friction_now / friction if friction else 1.0
-
     def prior(self, sizes: Array, ridge: float, alike: float) -> Array:
         """Return the quadratic form (m, m) of the prior: changes are small, and similar in neighbouring groups.
 
@@ -243,37 +227,3 @@ class Weights:
             creep=None if creep is None else Creep(creep.time_constants, internal[:branches]),
             smooth=None if smooth is None else SmoothSlip(smooth.length, smooth.closing, internal[branches:]),
         )
-
-
-def _springs(actuator: Actuator) -> int:
-    return actuator.spring.displacement.size - 1
-
-
-class Tracker:
-    """The memory of an actuator along a measured displacement, from an initial `state`."""
-
-    def __init__(self, weights: Weights, state: State) -> None:
-        self._actuator = weights.actuator
-        whole = self._actuator.model.complete_state(state)
-        self.state = State(whole.displacement, whole.carts, whole.creep, (), whole.smooth)
-
-    def follow(self, path: Array, seconds: float | None) -> tuple[Array, Array]:
-        """Follow displacements (n,) [m] with steps of `seconds` [s].
-
-        Return the carts (n, N) [m], and the strains and elongations (n, J + L) [m].
-        """
-        actuator, before = self._actuator, self.state
-        y = np.concatenate([[before.displacement], path])
-        elongations, carts = slip_elongations(actuator.slip.breakaway, before.carts, y)
-        internal, creep, smooth = [np.zeros((path.size, 0))], before.creep, before.smooth
-        if actuator.creep is not None:
-            tables = actuator.creep.tables(np.array([0.0, seconds or 0.0]))
-            rows = strains(y, np.array([0, 1, y.size]), *tables, creep)
-            internal.append(rows[1:])
-            creep = rows[-1]
-        if actuator.smooth is not None:
-            rows = smooth_elongations(actuator.smooth.length, actuator.smooth.closing, y, smooth)
-            internal.append(rows[1:])
-            smooth = rows[-1]
-        self.state = State.unchecked(float(y[-1]), carts, creep, EMPTY, smooth, EMPTY)
-        return path[:, None] - elongations[1:], np.hstack(internal)

@@ -14,15 +14,15 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst._views.fields import json_values
-from dehyst.adaptation.active_set import StepwiseProgram
-from dehyst.adaptation.weights import Weights
 from dehyst.identification import Trace, compare, errors_of, prepare_for
 from dehyst.model import Actuator, Promise, Stage, Validity, by_axis
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
-from dehyst.trust import IDENTIFY, Change, Recheck, check, check_stage
+from dehyst.trust.active_set import StepwiseProgram
+from dehyst.trust.changes import IDENTIFY, Change
+from dehyst.trust.recheck import Recheck, check
+from dehyst.trust.stage_assessment import check_stage
+from dehyst.trust.weights import Weights
 
-# Groups of weights: more than in a loop, for time does not matter here.
-_ELEMENTS, _GRADES, _SEGMENTS = 20, 4, 40
 # Likeness of neighbours that is tried, as a part of what the record says, and smallness of all changes beside it: a
 # strong likeness leaves a common change of all elements, and one of the spring.
 _STRENGTHS, _SMALL = np.geomspace(1e-5, 1e2, 15), 1e-4
@@ -241,7 +241,7 @@ class _Rows:
     """The rows of a record in the weights of a model, less its constants, drift and creep before it, and their sums."""
 
     def __init__(self, actuator: Actuator, record: Record, recheck: Recheck, datum: float) -> None:
-        self.weights, self.recheck, self.record = Weights.of(actuator, _ELEMENTS, _GRADES, _SEGMENTS), recheck, record
+        self.weights, self.recheck, self.record = Weights.of(actuator), recheck, record
         self.prepared, self.datum = prepare_for(actuator, record), datum
         drifts = self.prepared.can_drift and actuator.creep is None
         self.compared = compare(actuator, self.prepared, recheck.stroke, datum=self.datum, drifting=drifts)
