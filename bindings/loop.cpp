@@ -82,14 +82,6 @@ struct Loop {
     }
     // Checksums of the model, from block: of all numbers, and of what the memory depends on.
     std::tuple<unsigned long, unsigned long> ids() const { return {model.id, model.shape}; }
-    // Go on where a loop of another model is; both need their `shape`, from block.
-    void take_over(const Loop &from) {
-        demand_idle(), from.demand_free();
-        dehyst_loop next = from.loop;
-        demand(dehyst_loop_exchange(&from.model, &model, &next));
-        loop = next, memory = from.memory;
-        std::copy(from.reported, from.reported + 2, reported);
-    }
 
     double *carts() { return memory.data() + (loop.half ? core.rho.size() : 0); }
     double *strains() { return memory.data() + 2 * core.rho.size(); }
@@ -386,7 +378,6 @@ void bind_loop(nb::module_ &m) {
         .def("moved", &Loop::moved)
         .def("block", &Loop::block)
         .def("ids", &Loop::ids)
-        .def("take_over", &Loop::take_over)
         .def("save", &Loop::save)
         .def("restore", &Loop::restore);
 }

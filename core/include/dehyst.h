@@ -148,22 +148,17 @@ dehyst_status dehyst_follow_begin(const dehyst_model *model, const dehyst_loop *
  *         asks for more. Once or twice is noise; always is a sensor in other units (micrometres), or too narrow a bound */
 int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehyst_real *memory, dehyst_follow *follow,
                        dehyst_real reading);
-/* Go on with another model of the same shape, for instance with adapted weights, between two periods. What the loop
- * remembers stays, and what is on offer is withdrawn. The next voltages follow the new model as fast as its slew rate
- * allows.
- *
- * Models have one shape if they agree in all that the memory depends on: numbers of elements, branches and taps,
- * breakaway elongations, coefficients of creep, smooth elements, amplifier and period; the frequency of a mass must be the
- * same too. Stiffnesses, grades, spring, transformer, damping and limits may differ.
- * @return DEHYST_ERR_MODEL if the shapes differ: then nothing has changed, and the loop is still one of `from` */
-dehyst_status dehyst_loop_exchange(const dehyst_model *from, const dehyst_model *to, dehyst_loop *loop);
 /* Write a snapshot, which any processor restores bit for bit; nothing that is on offer is kept.
  * @param bytes [DEHYST_SNAPSHOT(...)] the result
  * @return their number, or 0 if `size` is less */
 unsigned long dehyst_loop_save(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
                                unsigned char *bytes, unsigned long size);
-/* Go on from a snapshot of a model of the same shape, see dehyst_loop_exchange, for instance after a reset. It is
- * checked as a whole; if it is refused, nothing changes. */
+/* Go on from a snapshot of a model of the same shape, for instance after a reset, or with weights of today. It is checked as
+ * a whole; if it is refused, nothing changes. The next voltages follow the model as fast as its slew rate allows.
+ *
+ * Models have one shape if they agree in all that the memory depends on: numbers of elements, branches and taps,
+ * breakaway elongations, coefficients of creep, smooth elements, amplifier and period; the frequency of a mass must be the
+ * same too. Stiffnesses, grades, spring, transformer, damping and limits may differ. */
 dehyst_status dehyst_loop_restore(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
                                   const unsigned char *bytes, unsigned long size);
 

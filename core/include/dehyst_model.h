@@ -229,7 +229,7 @@ struct dehyst_model {
     dehyst_real period; /* [s]; 0: the model does not depend on time */
     int ahead;          /* samples by which a displacement is to be given before its time */
     unsigned long id;    /* checksum of all but limits and start */
-    unsigned long shape; /* checksum of what the memory of a loop depends on: snapshots and exchanges ask for it */
+    unsigned long shape; /* checksum of what the memory of a loop depends on: snapshots ask for it */
 };
 
 /* Check creep behind the elements and compute `at_rest` and `at_once`. */

@@ -421,15 +421,6 @@ dehyst_real dehyst_loop_step(const dehyst_model *model, dehyst_loop *loop, dehys
     return v;
 }
 
-dehyst_status dehyst_loop_exchange(const dehyst_model *from, const dehyst_model *to, dehyst_loop *loop)
-{
-    if (from->shape != to->shape || dehyst_memory_size(from) != dehyst_memory_size(to)) return DEHYST_ERR_MODEL;
-    /* The share of w that follows y depends on the spring. */
-    if (to->actuator.inertia) loop->input = loop->w - to->actuator.share * loop->y;
-    loop->offer = DEHYST_NOTHING;
-    return DEHYST_OK;
-}
-
 void dehyst_loop_run(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, const dehyst_real *u,
                      dehyst_real *v, long n)
 {

@@ -297,9 +297,9 @@ static void load(const unsigned char *bytes, unsigned long size, dehyst_real *ta
     demand(dehyst_model_load(bytes, size, tables, count, model) == DEHYST_OK, "a block", (long)count);
 }
 
-/* Exchange models of other stiffnesses while a loop runs: the voltages are those of a loop that goes on from a snapshot,
- * and change no faster than the slew rate. A model of another breakaway elongation is refused. */
-static void exchange_while_running(bench *b, unsigned char *bytes, unsigned long size)
+/* A loop that goes on from the snapshot of a model of other stiffnesses changes its voltage no faster than the slew rate. A
+ * snapshot of another breakaway elongation is refused. */
+static void go_on_with_another_model(bench *b, unsigned char *bytes, unsigned long size)
 {
     unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
     dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
@@ -307,6 +307,7 @@ static void exchange_while_running(bench *b, unsigned char *bytes, unsigned long
     dehyst_model stranger, loaded;
     const dehyst_model *now = &b->model, *next = &loaded;
     dehyst_loop loop, other;
+    unsigned long count;
     int i, k;
     change(bytes, size, 0);
     load(bytes, size, tables, &stranger);
@@ -316,20 +317,18 @@ static void exchange_while_running(bench *b, unsigned char *bytes, unsigned long
     load(bytes, size, tables + size, &loaded);
     demand(loaded.id != now->id && loaded.shape == now->shape, "the id or the shape", 0);
     demand(dehyst_loop_begin(now, &loop, memory) == DEHYST_OK, "begin", 0);
-    demand(dehyst_loop_exchange(now, &stranger, &loop) == DEHYST_ERR_MODEL, "another shape is accepted", 0);
+    count = dehyst_loop_save(now, &loop, memory, kept, sizeof kept);
+    dehyst_loop_begin(&stranger, &other, fresh);
+    demand(dehyst_loop_restore(&stranger, &other, fresh, kept, count) != DEHYST_OK, "another shape is accepted", 0);
     last = loop.sent;
     for (k = 0; k < STEPS; k++) {
         const dehyst_model *before = now;
-        const unsigned long count = dehyst_loop_save(now, &loop, memory, kept, sizeof kept);
-        dehyst_loop_offer(now, &loop, memory, (dehyst_real)between(-0.2, 1.2));
-        demand(dehyst_loop_exchange(now, next, &loop) == DEHYST_OK, "an exchange", k);
+        count = dehyst_loop_save(now, &loop, memory, kept, sizeof kept);
         now = next;
         next = before;
-        dehyst_loop_begin(now, &other, fresh);
-        demand(dehyst_loop_restore(now, &other, fresh, kept, count) == DEHYST_OK, "a snapshot", k);
+        demand(dehyst_loop_restore(now, &loop, memory, kept, count) == DEHYST_OK, "a snapshot", k);
         for (i = 0; i < k % 5; i++) {
-            const dehyst_real u = (dehyst_real)between(-0.2, 1.2), v = dehyst_loop_step(now, &loop, memory, u);
-            demand(v == dehyst_loop_step(now, &other, fresh, u), "other bits after an exchange", k);
+            const dehyst_real v = dehyst_loop_step(now, &loop, memory, (dehyst_real)between(-0.2, 1.2));
             demand(fabs((double)(v - last)) <= (double)now->change * (1 + 1e-6), "faster than the slew rate", k);
             last = v;
         }
@@ -387,7 +386,7 @@ int main(int count, char **word)
         load_what_was_saved(b, bytes, size);
         for (k = 0; k < 20; k++) refuse_what_was_broken(bytes, size, broken);
         go_on_from_snapshots(b);
-        exchange_while_running(b, bytes, size);
+        go_on_with_another_model(b, bytes, size);
         follow_a_sensor(b);
         free(broken);
         free(bytes);

@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-from dataclasses import replace
 
 import compiled_exports
 import golden_core
@@ -80,59 +79,6 @@ def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
     loop.reset(loop.actuator.turned(0.5 * sum(loop.reach), rising=False))
     assert loop.model_block() != block
     assert loop.model_ids() == numbers != compiled_exports.KINDS["creep"]().model_ids()
-
-
-EXCHANGING = """
-#include "dehyst_model.h"
-static const unsigned char block[] = {BLOCK};
-static dehyst_real tables[MODEL_ROOM];
-static dehyst_model loaded;
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [at_night("slewing"), "all", at_night("moving")])
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_models_exchanged_in_a_running_loop_give_pythons_bits(tmp_path, kind):
-    """The exported one and a loaded one, in turn."""
-    compiled_exports.need("gcc")
-    samples, every = 10**6 if kind == "slewing" else 10**5, 1000
-    loop = compiled_exports.KINDS[kind]()
-    actuator = loop.actuator
-    slip, spring = actuator.slip, actuator.spring
-    other = replace(
-        actuator,
-        slip=replace(slip, stiffness=0.9 * slip.stiffness),
-        spring=replace(spring, voltage=1.1 * spring.voltage),
-    )
-    changed = loop.clone()
-    changed.exchange(other)
-    folder = compiled_exports.written(tmp_path / "export", loop)
-    head = EXCHANGING.replace("BLOCK", ", ".join(map(str, changed.model_block())))
-    program = compiled_exports.DRIVER.replace("int main", f"{head}\nint main", 1)
-    program = program.replace(
-        "if (piezo_begin(&p) != DEHYST_OK) return 1;",
-        """const dehyst_model *now = piezo_exported(), *next = &loaded;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    if (dehyst_model_load(block, sizeof block, tables, MODEL_ROOM, &loaded) != DEHYST_OK) return 2;""",
-    )
-    program = program.replace("piezo_step(&p, ", "dehyst_loop_step(now, &p.loop, p.memory, ")
-    program = program.replace(
-        "if (t % EVERY == 0) put(bits);",
-        """if (t % EVERY) continue;
-        put(bits);
-        if (dehyst_loop_exchange(now, next, &p.loop) != DEHYST_OK) return 3;
-        now = next;
-        next = now == &loaded ? piezo_exported() : &loaded;""",
-    )
-    lines = compiled_exports.driven(folder, loop, samples, every=every, program=program)
-    wanted = compiled_exports.wishes(loop, samples)
-    parts = np.split(wanted, np.arange(1, samples, every))
-    sent = []
-    for part, following in zip(parts, [other, actuator] * len(parts), strict=False):
-        sent.append(loop.run(part))
-        loop.exchange(following)
-    assert lines == compiled_exports.told(np.concatenate(sent), loop.clamps, every=every)
 
 
 @pytest.mark.parametrize("kind", ["plain", "behind"])

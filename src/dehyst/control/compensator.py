@@ -25,7 +25,7 @@ from dehyst.control.limits import (
     unit_hint,
     warn_of_run,
 )
-from dehyst.control.loop import ReadOnly, Snapshot, differences, make_loop, memory_of, preview_filter, set_memory
+from dehyst.control.loop import ReadOnly, Snapshot, make_loop, memory_of, preview_filter, set_memory
 from dehyst.control.trajectory import Command, follow, of_axis
 from dehyst.model import (
     ANYWAY,
@@ -424,40 +424,16 @@ class Compensator(ReadOnly):
     def restore(self, snapshot: Snapshot) -> bool:
         """Continue from a `snapshot`; return whether its model is exactly this one, not only one of the same shape.
 
-        Raise `ModelError` if it belongs to an actuator of another shape (see `exchange`), another period or preview, or
-        is damaged: the loop is unchanged.
+        Actuators have the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
+        resonance and lag agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The next
+        voltages follow this model as fast as the slew rate allows. Raise `ModelError` if the snapshot belongs to an
+        actuator of another shape, another period or preview, or is damaged: the loop is unchanged.
         """
         if not isinstance(snapshot, Snapshot):
             got = type(snapshot).__name__
             raise ModelError(argument="snapshot", got=got, need="a Snapshot", hint="Snapshot.load reads a file")
         snapshot.resume(self._loop, self.actuator, self.bounds, self._key)
         return snapshot.model == f"{self.model_ids()[0]:08x}"
-
-    def exchange(self, actuator: Actuator) -> None:
-        """Continue with another model, `actuator`, of the same device, e.g. with adapted weights; the memory stays.
-
-        Limits, slew rate and preview stay. Models of the same shape may be exchanged at any sample. They have the same
-        shape if breakaway elongations, time constants of creep, lengths of smooth elements, resonance and lag agree,
-        and with `preview` also the number of samples ahead. Stiffnesses, spring and transformer may differ. The next
-        voltages follow the new model as fast as the slew rate allows. A pending offer is withdrawn.
-
-        Raise `ModelError` if the shape differs: the loop is unchanged.
-        """
-        if not isinstance(actuator, Actuator):
-            raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
-        differing = differences(self.actuator, actuator)
-        if not differing:
-            new = Compensator(**self._options() | {"actuator": actuator, "state": self.initial_state})
-            if new._key == self._key:
-                new._loop.take_over(self._loop)
-                keep(self, __dict__=vars(new))
-                return
-            differing = ["samples that the preview needs"]
-        raise ModelError(
-            f"its {', '.join(differing)} differ from those of the model in use",
-            argument="actuator",
-            hint="make another Compensator of it",
-        )
 
     def scale(self, gain: float, offset: float = 0.0) -> None:
         """Set a `gain` and an `offset` [m, or `units`] of the displacement between two steps.

@@ -19,14 +19,6 @@ from dehyst.model import Actuator, State
 from dehyst.model import serialization as files
 
 FORMAT = "dehyst-loop"
-# What the memory of a loop depends on, beside breakaway elongations and amplifier: words, part, and its number.
-_SHAPE = (
-    ("creep time constants", "creep", "time_constants"),
-    ("time constants of displacement creep", "displacement_creep", "time_constants"),
-    ("lengths of smooth elements", "smooth", "length"),
-    ("closing of smooth elements", "smooth", "closing"),
-    ("resonance frequency", "dynamics", "frequency"),
-)
 # Range of the core's counts on every machine.
 _MOST = 2**31
 # A delay this close to a whole number of steps is that number.
@@ -162,19 +154,6 @@ class Snapshot(files.JsonFile):
         except ModelError:
             set_memory(loop, *before)
             raise
-
-
-def differences(one: Actuator, other: Actuator) -> list[str]:
-    """Return the differences of two actuators that affect the memory of a loop; empty if both have the same shape."""
-    rows = [
-        ("breakaway elongations", one.slip.breakaway, other.slip.breakaway),
-        *(
-            (words, getattr(getattr(one, part), name, ()), getattr(getattr(other, part), name, ()))
-            for words, part, name in _SHAPE
-        ),
-        ("amplifier lag", one.lag, other.lag),
-    ]
-    return [words for words, before, after in rows if not np.array_equal(before, after)]
 
 
 def memory_of(loop: Loop) -> tuple[CoreState, Array, tuple[int, int, int]]:

@@ -37,8 +37,7 @@ void piezo_hold(piezo *p);
 dehyst_real piezo_simulate(piezo *p, dehyst_real voltage);
 /* Return the displacement of the actuator, from all voltages that were sent. */
 dehyst_real piezo_displacement(const piezo *p);
-/* Return the exported model. With another one of its shape, see dehyst_loop_exchange, call dehyst_loop_step(model, &p->loop,
- * p->memory, displacement) in place of piezo_step, and so on. */
+/* Return the exported model, for the functions of dehyst.h. */
 const dehyst_model *piezo_exported(void);
 /* Write a snapshot, to go on from it after a reset. */
 void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT]);
