@@ -71,7 +71,6 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/workbench.py
 	$(BIN)/python benchmarks/workbench_rehearsal.py
-	$(BIN)/python benchmarks/fleet.py
 	$(BIN)/python benchmarks/figures.py
 	$(BIN)/python benchmarks/pages.py
 	$(BIN)/python benchmarks/architecture.py

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from statistics import median
 
-from how_to_tables import coupled, creep, firmware, fleet, loop, temperature, updates
+from how_to_tables import coupled, creep, firmware, loop, temperature, updates
 from page_tables import LINEAR, OURS, ROOT, Row, both, data, held_out, table, worst
 from strangers.command import table as strangers_table
 
@@ -240,48 +240,6 @@ def calibrations() -> list[str]:
     return table((what, "seconds", "constant ratio, largest %", "compensated, largest %", "RMS %"), rows)
 
 
-def cluster() -> list[str]:
-    """Rate, memory and processor time of a large fleet on a scheduler's workers, and what deaths of processes do."""
-    found = data("fleet")["scale"]
-    run, million, deaths = found["many"], found["million"], found["deaths"]
-    count, cpu = run["records"], million["cpu_ms_a_record"]
-    marks = [min(run["samples"], key=lambda one: abs(one["records"] - part * count)) for part in (0.1, 0.5, 1)]
-    rows = (
-        [
-            words,
-            *(f"{mark[part]['MB']:.0f}" for mark in marks),
-            f"{cpu[part]:.1f}",
-            f"{100 * cpu[part] / sum(cpu.values()):.0f}",
-        ]
-        for part, words in (("scheduler", "scheduler"), ("client", "client"), ("workers", "three workers, the largest"))
-    )
-    same = "each row once, and the same" if deaths["exactly_once"] else "ROWS DIFFER"
-    profiled, quiet, held = found["few"], found["quiet"], found["client_kB_a_record"]
-    return [
-        *table(
-            ("", *(f"MB after {one['records']:,} records" for one in marks), "ms of CPU a record", "share, %"), rows
-        ),
-        "",
-        f"{count:,} records in {run['wall_s'] / 60:.0f} minutes, {count / run['wall_s']:.1f} a second, each once in a "
-        f"table of {run['table_MB']:.1f} MB. A worker has {run['worker_MB']:.0f} MB at most, much of it by Dask's "
-        f"profiler: {profiled['records']:,} records take {profiled['worker_MB']:.0f} MB with it and "
-        f"{quiet['worker_MB']:.0f} MB without it. The first row of these is there after {quiet['first_row_s']:.0f} s.",
-        "",
-        f"Of {deaths['rows']:,} of the records: one of three workers is killed for good after "
-        f"{deaths['worker_killed_after']:,}, the scheduler after {deaths['done_before_the_end']:,}. The client ends "
-        f"{deaths['noticed_s']:.1f} s later with status {deaths['client_status']}; `--resume` on another cluster "
-        f"completes the table: {same}.",
-        "",
-        "A million such records, extrapolated linearly:",
-        "",
-        f"- one scheduler and one client serve {million['records_a_second_at_most']:.0f} records a second at most, or "
-        f"{million['workers_at_most']:.0f} workers with such short tasks;",
-        f"- memory of the scheduler {million['scheduler_MB']:,.0f} MB, of the client {million['client_MB']:,.0f} MB, "
-        f"with {held['index']:.1f} kB of index and, at the end, {held['rows']:.1f} kB of row for each record;",
-        f"- a table of {million['table_GB']:.1f} GB.",
-    ]
-
-
 def faults() -> list[str]:
     found = data("faults").values()
     head = ("fault", "message", "exit status", "ended after", "voltage", "samples from the device, on disk")
@@ -428,9 +386,8 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "paper/paper.md": {"benchmarks": readme, "costs": costs},
     "docs/benchmarks.md": {
         one.__name__: one
-        for one in (accuracy, baselines, strangers, paper, speed, steps, banks, saturation, calibrations, cluster)
+        for one in (accuracy, baselines, strangers, paper, speed, steps, banks, saturation, calibrations)
     },
-    "docs/how_to/fleet.md": {"fleet": fleet},
     "docs/how_to/coupled_axes.md": {"coupled": coupled},
     "docs/how_to/creep.md": {"creep": creep},
     "docs/how_to/firmware.md": {"firmware": firmware},

@@ -23,7 +23,6 @@ ORDER = (
     "compare_models",
     "measured_stage",
     "published_equation",
-    "production_line",
     "control_loop",
     "saturating_limits",
     "scan_wave_table",

@@ -46,10 +46,10 @@ VERSION = 1
 OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
-# HTML, SVG, FMU, WebAssembly, and a table of a fleet, whose metadata are at the end of the file.
+# HTML, SVG, FMU and WebAssembly.
 _GENERATED = re.compile(
     rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst |<\?xml.{0,1500}?<dc:title>dehyst '
-    rb'|PK\x03\x04.{0,1500}?generationTool="dehyst |\x00asm.{0,16}dehyst\.about|PAR1.*dehyst-fleet',
+    rb'|PK\x03\x04.{0,1500}?generationTool="dehyst |\x00asm.{0,16}dehyst\.about',
     re.DOTALL,
 )
 _BINARY = (b"<", b"PK", b"\0", b"PAR1", b"\x89")
@@ -257,7 +257,7 @@ def _kind(content: bytes) -> str | None:
     head = content[:_HEAD]
     if match := _FORMAT.match(head):
         return (match[1] or match[2]).decode()
-    if _GENERATED.match(content if head.startswith(b"PAR1") else head):
+    if _GENERATED.match(head):
         return "dehyst"
     if head.startswith(b"PK\3\4"):
         name = head[_ZIP_NAME : _ZIP_NAME + int.from_bytes(head[_ZIP_LENGTH], "little")].decode(errors="replace")

@@ -62,7 +62,6 @@ def test_options_are_few():
         (["simulation"], "simulate"),
         (["identify", "--optins", "3", "loops.csv"], "--options"),
         (["identify", "--reports", "r.html", "loops.csv"], "--report"),
-        (["fleet", "identfy"], "identify"),
     ],
 )
 def test_a_slip_of_the_pen_gets_a_suggestion(arguments, suggestion):

@@ -353,9 +353,6 @@ def test_the_commands_that_are_printed_for_an_unknown_decimal_sign_work(far):
         assert done.stdout
     path = read_table("out.csv").column("displacement")
     assert path[-1] == pytest.approx(-115.039e-6, abs=1e-9)
-    quick = ("--jobs", "1", *rare(elements=5))
-    done = run("fleet", "identify", "records", "-o", "fleet.parquet", *quick, "--columns", "decimal=comma")
-    assert done.exit_code == 0, done.stderr
 
 
 def test_the_advice_for_a_bad_cell_and_for_a_rate_that_is_a_word(far):

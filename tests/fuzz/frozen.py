@@ -1,7 +1,7 @@
 """Results that a change of structure must not move: write them once, and compare after each step.
 
 Models along paths, compensators and snapshots, identifications by all methods, norms and structures, a coupled stage,
-exports, a fleet, the paper's tables and a report's numbers. Everything is seeded. Arrays are equal bit by bit, or their
+exports, the paper's tables and a report's numbers. Everything is seeded. Arrays are equal bit by bit, or their
 largest difference is printed as a part of their range; more than 1e-9 is an error.
 
     python tests/fuzz/frozen.py write FILE.npz [--only PREFIX ...]
@@ -178,27 +178,6 @@ def exports() -> Iterator[tuple[str, Any]]:
                 yield f"{kind} fmu", " ".join(sorted(fmu.namelist()))
 
 
-def fleet() -> Iterator[tuple[str, Any]]:
-    """The table of a small fleet."""
-    import fleet_records
-    from click.testing import CliRunner
-    from pyarrow import parquet
-
-    from dehyst.cli import main
-
-    with tempfile.TemporaryDirectory() as folder:
-        fleet_records.write_parquet(Path(folder) / "data.parquet", 6)
-        out = str(Path(folder) / "table.parquet")
-        done = CliRunner().invoke(main, ["fleet", "identify", str(Path(folder) / "data.parquet"), "-o", out])
-        yield "status", str(done.exit_code)
-        table = parquet.read_table(out).to_pylist()
-    rows = sorted(table, key=lambda row: str(row.get("serial")) + str(row.get("session")))
-    for number, row in enumerate(rows):
-        costs = {"cpu_s", "wall_s", "memory_MB"}
-        floats = [value for key, value in sorted(row.items()) if isinstance(value, float) and key not in costs]
-        yield f"row {number}", np.array(floats)
-
-
 def paper() -> Iterator[tuple[str, Any]]:
     """The tables of the paper's experiment."""
     from dehyst.studies.paper import run
@@ -224,7 +203,6 @@ GROUPS: dict[str, Callable[[], Iterator[tuple[str, Any]]]] = {
     "trust": trust,
     "stage": stage,
     "exports": exports,
-    "fleet": fleet,
     "paper": paper,
     "report": report,
 }

@@ -6,7 +6,7 @@ import transients as suite
 
 import dehyst
 from dehyst import Record
-from dehyst.fleet.drift import widths
+from dehyst.fleet import loop_width
 from dehyst.identification.preprocessing.cleaning import cycle_time, rest_at_ends
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
@@ -83,4 +83,4 @@ def test_noise_of_the_sensor_does_not_narrow_the_loop(name, noise, shape):
     true = np.interp(100, voltage[down][::-1], y[down][::-1]) - np.interp(100, voltage[up], y[up])
     noisy = y + np.random.default_rng(1).normal(0, noise * np.ptp(y), y.size)
     fit = dehyst.identify(Record(1e-3 * np.arange(y.size), voltage, noisy))
-    assert widths(fit.actuator, (0.0, 200.0), 1.0)[1] == pytest.approx(true, rel=10 * noise)
+    assert loop_width(fit.actuator) == pytest.approx(true, rel=10 * noise)

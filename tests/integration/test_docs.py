@@ -145,3 +145,25 @@ def test_the_calibration_in_python_runs(tmp_path, monkeypatch):
 def test_what_they_refer_to_is_there(page):
     for target in re.findall(r"\]\(([^)#]+)\)", (DOCS / page).read_text()):
         assert target.startswith("http") or ((DOCS / page).parent / target).exists(), target
+
+
+def test_the_table_of_a_fleet_shows_what_is_odd_and_what_drifts(tmp_path, monkeypatch):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(0)
+    numbers = {"promise_percent": 0.2, "stroke_um": 10.0, "loop_width_um": 1.5, "noise_nm": 2.0}
+    spread = {"promise_percent": 0.1, "stroke_um": 0.001, "loop_width_um": 0.005, "noise_nm": 0.05}
+    names = [f"S{k:02}/{session}.csv" for k in range(40) for session in (1, 2)]
+    table = pandas.DataFrame({"record": names, "reason": "", "model": "{}"})
+    for name, value in numbers.items():
+        table[name] = value * (1 + spread[name] * random.uniform(-1, 1, len(names)))
+    table.loc[names.index("S03/1.csv"), "noise_nm"] = 9.0
+    table.loc[names.index("S05/2.csv"), "stroke_um"] *= 0.96
+    table.loc[names.index("S07/1.csv"), ["reason", *numbers]] = ["dead", *[np.nan] * 4]
+    table.to_parquet("fleet.parquet")
+    space, (code,) = {}, blocks("how_to/fleet.md")
+    exec(code, space)
+    assert list(space["refused"]["record"]) == ["S07/1.csv"]
+    assert "S03/1.csv" in space["odd"].index
+    assert len(space["odd"]) <= 2
+    assert list(space["drifting"].index) == ["S05"]

@@ -6,7 +6,6 @@ import shutil
 import h5py
 import numpy as np
 import places
-import pyarrow.parquet as pq
 import pytest
 from command_line import run
 
@@ -14,7 +13,6 @@ import dehyst
 from dehyst import Actuator, Compensator, FileFormatError, ModelError, Stage
 from dehyst.calibration.session import claimed
 from dehyst.control import Snapshot
-from dehyst.fleet import load
 from dehyst.records import salvage
 from dehyst.trust import CheckHistory
 from dehyst.workbench.folder import Folder
@@ -75,14 +73,6 @@ def test_the_path_of_a_scan_and_its_wave_table(tmp_path):
     old, new = (dehyst.read(folder / name) for folder, name in ((GOLDEN, "wave-table-1.csv"), (tmp_path, "t.csv")))
     assert old.voltage.tolist()[:3] == pytest.approx([7.02727272727273, 12.8837320574, 19.7765550239])
     assert new.voltage == pytest.approx(old.voltage, rel=1e-9)
-
-
-def test_the_table_of_a_fleet():
-    table = load(GOLDEN / "fleet-1.parquet")
-    assert [row["outcome"] for row in table.rows] == ["identified"] * 2
-    assert [row["stroke_um"] for row in table.rows] == [16.152, 19.3824]
-    first, second = (actuator.simulate([0, 50]).displacement[-1] for actuator in table.actuators())
-    assert (1e6 * first, second / first) == pytest.approx((6.29678760026, 1.2), rel=1e-9)
 
 
 def test_a_history_of_checks():
@@ -178,11 +168,6 @@ def test_another_version_of_folders_and_tables_is_refused(tmp_path):
         path.write_text(path.read_text().replace('"version": 1', '"version": 99'))
     with pytest.raises(FileFormatError, match=OTHER):
         CheckHistory.read(tmp_path / "history-1", "75044281c6e6e63f")
-    table = pq.read_table(GOLDEN / "fleet-1.parquet")
-    about = {b"dehyst-fleet": table.schema.metadata[b"dehyst-fleet"].replace(b"{", b'{"version": 99, ', 1)}
-    pq.write_table(table.replace_schema_metadata(about), tmp_path / "fleet.parquet")
-    with pytest.raises(FileFormatError, match=OTHER):
-        load(tmp_path / "fleet.parquet")
     folder = Folder(tmp_path / "bench")
     folder.save({"version": 99})
     with pytest.raises(FileFormatError, match=OTHER):

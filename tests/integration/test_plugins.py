@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import zlib
 
 import numpy as np
@@ -14,7 +15,6 @@ import places
 import pytest
 from command_line import DEHYST, run
 from fake_rig import FakeRig
-from fleet_records import until
 from plugged_in import describe, plugged_in, write_distribution
 
 import dehyst
@@ -97,6 +97,14 @@ def write(compensator, path, options):
 
 TARGET = Target("a line", write, ("preview",), about="Nothing but a line.")
 """
+
+
+def until(condition, seconds):
+    """Wait for a condition; return whether it holds."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.02)
+    return condition()
 
 
 def loops(top=100.0):

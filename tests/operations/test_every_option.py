@@ -12,18 +12,18 @@ import shlex
 import shutil
 from dataclasses import dataclass, field, replace
 from importlib import import_module
+from itertools import pairwise
 from unittest.mock import MagicMock
 
 import click
 import coupled_stage
-import fleet_records
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import dehyst
 import dehyst.exports
-import dehyst.fleet.run
+import dehyst.fleet
 from dehyst.cli import main
 from dehyst.cli.workbench import workbench
 from dehyst.control import Compensator
@@ -31,6 +31,7 @@ from dehyst.operations.declaration import flag
 from dehyst.operations.files import RECORD
 from dehyst.operations.registry import ENTRIES, find
 from dehyst.records import write_columns
+from dehyst.virtual import PlayActuator
 from examples import NIGHTLY
 
 AXES = "x=vx_V:x_um, y=vy_V:y_um"
@@ -158,13 +159,7 @@ VALUES = {
     "updated": "--updated updated.json",
     "memory": 3,
     "zero_drifts": False,
-    "by": "--by serial",
-    "prior": "--prior table.parquet",
-    "jobs": "--jobs 3",
-    "dask": "--dask tcp://127.0.0.1:8786",
     "resume": "--resume",
-    "threshold": "--threshold 2",
-    "over": "--over width50_um",
     "browser": "--no-browser",
     "max_size": "--max-size 3",
     "excite shape": "triangle",
@@ -178,7 +173,8 @@ VALUES = {
     "calibrate axes": "--axes 1,2",
     "rig axes": "--axes 2",
     "rig fault": "--fault drop",
-    "fleet time_limit": "--time-limit 60",
+    "fleet scheduler": "--scheduler tcp://host:8786",
+    "fleet output": "-o other.parquet",
 }
 # What these do is to refuse: more than they allow.
 BOUNDS = {"columns:max_size": "max_size", "speed": "speed", "limits": "limits"}
@@ -427,19 +423,7 @@ CASES = {
             },
         ),
     ],
-    "fleet identify": [
-        Case("texts -o out2.parquet --options FEW", only=("columns:decimal",)),
-        Case("fleet.parquet --by serial,session -o out2.parquet --options FEW", only=("columns:decimal",)),
-        Case(
-            "records -o out.parquet --options FEW",
-            values={"by": "--by serial,session", "output": "-o other.parquet"},
-            exempt={"structure": "auto, which is slow, refuses elements"},
-            foreign="out.parquet",
-        ),
-    ],
-    "fleet report": [
-        Case("table.parquet -o out.html", values={"by": "--by session --over serial"}, foreign="out.html")
-    ],
+    "fleet": [Case("records -o out.parquet", foreign="out.parquet")],
     "rig serve": [
         Case("--seconds 0", caught=_BENCHES, exempt=_RIG),
         Case("--axes 2", values={"axes": "--axes 3"}, caught=_BENCHES, exempt=_RIG | {"ageing": "within the stage"}),
@@ -509,11 +493,11 @@ def operation_of(command):
 def bench(tmp_path_factory):
     """A folder with what commands read."""
     folder = tmp_path_factory.mktemp("bench")
-    t, v, y = fleet_records.columns(0, drift=0.02, samples=40)
+    t, v, y = measured(0, drift=0.02)
     y = np.interp(t - 2e-3, t, y)
     columns = {"time_s": t, "voltage_V": v, "displacement_um": y}
     write_columns(folder / "record.csv", columns | {"monitor_V": 1.1 * v + 0.1, "back_um": 1.2 * y, "clock_s": 2 * t})
-    _, _, again = fleet_records.columns(1, samples=40)
+    _, _, again = measured(1)
     write_columns(folder / "again.csv", {"time_s": t, "voltage_V": v, "displacement_um": again + 0.3})
     write_columns(folder / "more.csv", {"time_s": t, "extra_um": 0.9 * y, "extra_V": 0.9 * v})
     fit = dehyst.identify(dehyst.Record(t, v, 1e-6 * y, "record"), structure="maxwell_slip", elements=6)
@@ -543,25 +527,33 @@ def bench(tmp_path_factory):
     with contextlib.chdir(folder):
         words = shlex.split(f"scan raster {_SCANS['raster']} -o scan.csv")
         assert CliRunner().invoke(main, words).exit_code == 0
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dehyst.fleet.run, "run_tasks", inline)
-        fleet = fleet_records.write_parquet(
-            folder / "fleet.parquet", 12, lambda k: {"samples": 20, "gain": 1.3 if k == 7 else 1.0 - 0.02 * (k == 3)}
-        )
-        dehyst.fleet.identify_fleet(fleet, folder / "table.parquet", by=("serial", "session"))
-        (folder / "records").mkdir()
-        shutil.copy(folder / "record.csv", folder / "records" / "S7_2.csv")
-        options = dehyst.fleet.FleetOptions(elements=5)
-        dehyst.fleet.identify_fleet(folder / "records", folder / "out.parquet", options=options)
+    (folder / "records").mkdir()
+    shutil.copy(folder / "record.csv", folder / "records")
     dehyst.exports.export(Compensator(fit.actuator), folder / "earlier", measure=False)
     replace(fit.actuator, limits=(5.0, 80.0)).save(folder / "other.json")
     return folder
 
 
-def inline(head, tasks, *, jobs, scheduler):
-    """Run tasks in this process."""
-    click.echo(f"computed by {scheduler}, {jobs}, {head['time_limit']}")
-    yield from fleet_records.inline(head, tasks, jobs=jobs, scheduler=scheduler)
+def measured(seed, drift=0.0, samples=40):
+    """Time [s], voltage [V] and displacement [um] of a record."""
+    turns = np.array([0, 100, 0, 100, 0, 60, 0, 30, 0, 100, 40, 100, 0])
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, samples // 2 + 1) / (samples // 2))
+    v = np.concatenate([[0.0], *(a + (b - a) * rise for a, b in pairwise(turns))])
+    t = np.arange(v.size) / 1000
+    y = 1e6 * PlayActuator(stroke=10e-6, highest=100.0, plays=50, noise=2e-9, seed=seed, width=0.5).play(v)
+    return t, v, y + drift * np.ptp(y) * t / t[-1]
+
+
+@contextlib.contextmanager
+def connected(scheduler):
+    """Stand for the workers of a fleet."""
+    click.echo(f"computed by {scheduler}")
+    yield None
+
+
+def in_this_process(_, paths, read):
+    """Yield the rows of a fleet."""
+    yield from (dehyst.fleet.row_of(read, name, path) for name, path in paths.items())
 
 
 def described(value):
@@ -588,20 +580,13 @@ def watched(patch, target):
     patch.setattr(import_module(module), name, seen)
 
 
-def content(path):
-    """Return what a file holds, without the seconds that something took."""
-    if path.suffix != ".parquet" or path.read_bytes() == b"foreign\n":
-        return path.read_bytes()
-    fleet, measured = dehyst.fleet.load(path), ("cpu_s", "wall_s", "memory_MB")
-    return fleet.by, [{name: row[name] for name in row if name not in measured} for row in fleet.rows]
-
-
 class Walk:
     """Commands that run in a copy of the bench, each once."""
 
     def __init__(self, bench, folder, monkeypatch):
         self.bench, self.folder, self.patch, self.known = bench, folder, monkeypatch, {}
-        monkeypatch.setattr(dehyst.fleet.run, "run_tasks", inline)
+        monkeypatch.setattr(dehyst.fleet, "_connected", connected)
+        monkeypatch.setattr(dehyst.fleet, "_computed", in_this_process)
 
     def outcome(self, words, caught=(), foreign=None):
         """Return status, text and files of a command."""
@@ -619,7 +604,7 @@ class Walk:
             done = CliRunner().invoke(main, words)
         assert done.exception is None or isinstance(done.exception, SystemExit), (words, done.exception)
         files = {
-            str(path.relative_to(self.folder)): content(path)
+            str(path.relative_to(self.folder)): path.read_bytes()
             for path in self.folder.rglob("*")
             if path.is_file() and before.get(path) != path.stat().st_mtime_ns
         }

@@ -29,7 +29,7 @@ FACES = {
             TARGETS Exported SourceOnlyWarning Target Written export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
-            Dataset Fleet drifts_of findings_of identify_fleet load open_dataset
+            FleetTable identify_fleet
         """,
         "identification": """
             Check Deadline Fit Outcome Readiness RecordErrors StageFit Structure Trace Verdict identify

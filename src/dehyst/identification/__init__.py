@@ -25,7 +25,6 @@ from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, write_traces
-from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline, Method
 from dehyst.identification.solvers.highs import linear_programs
 from dehyst.identification.solvers.least_squares import triangle_of

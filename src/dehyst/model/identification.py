@@ -101,7 +101,7 @@ class Identification:
     Attributes
     ----------
     method, norm : str
-        As in `dehyst.identify`; method "fleet" for the prior of a fleet; empty if not known.
+        As in `dehyst.identify`; empty if not known.
     slope_floor : float
         Least allowed slope of the spring, as a part of the mean slope of the widest loop.
     shared_datum : bool

@@ -30,16 +30,18 @@ class OperationError(DehystError, ValueError):
 
 
 class Role(Enum):
-    """Role of a path in an operation: read, written, or a folder of several outputs."""
+    """Role of a path in an operation: read, written, a folder of several outputs, or an output that is continued."""
 
     INPUT = "input"
     OUTPUT = "output"
     FOLDER = "folder"
+    CONTINUED = "continued"
 
 
 Input = Annotated[Path, Role.INPUT]
 Output = Annotated[Path, Role.OUTPUT]
 Folder = Annotated[Path, Role.FOLDER]
+Continued = Annotated[Path, Role.CONTINUED]
 Values = Mapping[str, Any]
 
 
@@ -272,7 +274,7 @@ def documented(thing: Any) -> dict[str, str]:
 class Operation:
     """A function from files to files, with the declaration of its parameters.
 
-    `name`: words of its command, such as "fleet identify". `summary`, `help`: first and further sentences of its help.
+    `name`: words of its command, such as "rig serve". `summary`, `help`: first and further sentences of its help.
     `details`: whether its result has more lines than the answer. `returns`: whether it has a JSON result.
     """
 
@@ -296,7 +298,7 @@ class Operation:
     @property
     def writes(self) -> bool:
         """Whether the operation writes files."""
-        return any(one.kind.role in (Role.OUTPUT, Role.FOLDER) for one in self.parameters)
+        return any(one.kind.role in (Role.OUTPUT, Role.FOLDER, Role.CONTINUED) for one in self.parameters)
 
     @property
     def defaults(self) -> dict[str, Any]:

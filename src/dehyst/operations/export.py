@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
+from dehyst._io import demand_alike
 from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
 from dehyst.exports.model_header import ExportedStart
@@ -97,6 +98,8 @@ def export(
         raise OperationError(argument="directory", got=str(directory), need=need)
     if target.files is not None:
         demand_outputs([model], target.files(directory))
+        for path in target.files(directory):
+            demand_alike(path)
     known = AxesModel.read(run, model)
     bounds: list[Any] = limits_of(known.axes, limits)
     begins, remarks = starts_of(known, start, bounds, AS_FOUND)

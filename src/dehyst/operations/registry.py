@@ -30,8 +30,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
         "identify": Entry("identify:identify", "Fit a model to recorded loops"),
         "insight": Entry("assess:insight", "How far to trust a model, and what to record next"),
         "compare": Entry("compare:compare", "Compare with other published models on your records"),
-        "fleet identify": Entry("fleet:identify", "Identify thousands of records at once"),
-        "fleet report": Entry("fleet:report", "Outliers, refused records and ageing of a fleet"),
+        "fleet": Entry("fleet:fleet", "Identify many records at once, in one table"),
     },
     "Compensate and check": {
         "scan": Entry("waves:scan", "Write the path of a scan to follow"),

@@ -148,10 +148,12 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
     _demand_order(operation, values)
     run.command, run.force = shlex.join(operation.command(values)), force
     with protecting(force=force):
-        outputs = list(operation.paths(values, Role.OUTPUT))
+        outputs = list(operation.paths(values, Role.OUTPUT, Role.CONTINUED))
         if force and not outputs and not any(operation.paths({**operation.defaults, **values}, Role.FOLDER)):
             raise OperationError("has no effect without an output", argument="force", hint="leave it out")
         demand_outputs(operation.paths(values, Role.INPUT), outputs)
+        for output in operation.paths(values, Role.OUTPUT):
+            demand_alike(output)
         result: Result = operation.function(run, **values)
         return result
 
@@ -171,7 +173,7 @@ def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
-    """Raise an error for outputs that are inputs, share a name, lack a folder, or would replace a file of another kind.
+    """Raise an error for outputs that are inputs, share a name or lack a folder.
 
     Raises
     ------
@@ -185,7 +187,6 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
             raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
         if any(_same(output, path) for path in before):
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
-        demand_alike(output)
         if output.is_dir():
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if not Path(os.path.realpath(output)).parent.is_dir():

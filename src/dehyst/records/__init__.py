@@ -1,8 +1,7 @@
 """Records: measurements of an actuator, and their files."""
 
-from dehyst.records.files import read, read_table, record_of, time_of, write_columns, write_record
-from dehyst.records.formats.columns import Column, Table, listed, without_groups
-from dehyst.records.formats.containers import arrow_columns, is_readable, vectors
+from dehyst.records.files import read, read_table, time_of, write_columns, write_record
+from dehyst.records.formats.columns import Column, Table
 from dehyst.records.formats.file_content import MOST, Allowance
 from dehyst.records.formats.reader_process import LOADERS
 from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
@@ -24,7 +23,6 @@ from dehyst.records.signals import (
     turning_points,
     white_noise,
 )
-from dehyst.records.tables import Choice
 from dehyst.records.transients import settled, transients
 
 __all__ = ["LOADERS", "Allowance", "Column", "Record", "read", "read_table", "write_columns", "write_record"]

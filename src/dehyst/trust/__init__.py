@@ -2,7 +2,7 @@
 
 from dehyst.trust.assessment import insight
 from dehyst.trust.changes import Change
-from dehyst.trust.history import DECISION, CheckHistory, ControlChart
+from dehyst.trust.history import CheckHistory, ControlChart
 from dehyst.trust.identifiability import SHARP
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.judgement import judge, judge_planned

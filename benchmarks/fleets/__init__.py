@@ -1,1 +1,0 @@
-"""A synthetic fleet: its records, and its truth."""

@@ -1,0 +1,312 @@
+"""Many records identified at once by Dask: one table with one row a record, continued where it ends."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from dehyst._errors import DehystError, FileFormatError, LinkError, MissingExtraError, library
+from dehyst._io import PathLike, path_of, protecting, reading_errors, write_atomically
+from dehyst._text import counted
+from dehyst._threads import one_thread
+from dehyst._types import Progress
+from dehyst.identification import identify
+from dehyst.model import Actuator, step_response
+from dehyst.records import LOADERS, Record
+from dehyst.records import read as read_record
+
+__all__ = ["FleetTable", "identify_fleet"]
+
+# The columns of the table, in their order.
+TEXTS = ("record", "reason", "model")
+NUMBERS = ("promise_percent", "stroke_um", "loop_width_um", "lag_ms", "creep_percent", "noise_nm")
+COLUMNS = (TEXTS[0], *NUMBERS, *TEXTS[1:])
+# Seconds to wait for a scheduler with a worker; least seconds between two writes of the table, and how many times the
+# duration of a write.
+_PATIENCE, _OFTEN, _SELDOM = 30, 5.0, 20.0
+# Dask's own threshold of 64 kB makes a record take half as much processor time again, and nobody looks at profiles.
+_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 27,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
+    "distributed.worker.profile.enabled": False,
+}
+_Row = dict[str, Any]
+
+
+class FleetTable(NamedTuple):
+    """A table that was written: its `path`, and how many records it has.
+
+    `records`: rows. `computed`: rows of this run; the others were there already. `refused`: rows with a reason.
+    """
+
+    path: Path
+    records: int
+    computed: int
+    refused: int
+
+
+def identify_fleet(
+    records: PathLike | Sequence[PathLike],
+    output: PathLike,
+    *,
+    scheduler: str | None = None,
+    read: Callable[[Path], Record] = read_record,
+    again: bool = False,
+    progress: Progress | None = None,
+) -> FleetTable:
+    """Identify each record with all defaults of `dehyst.identify`, and write one table with one row a record.
+
+    Records whose names are in the table already keep their rows; only the others are computed. The table is written
+    again every few seconds, and whole, so that a run that was stopped or killed is continued by the same call.
+
+    Parameters
+    ----------
+    records : path or sequence of paths
+        A folder, in which each file that `dehyst.read` opens is a record, or files. The name of a record is its path
+        within the folder, or as it is given.
+    output : path
+        The table, .parquet. Columns: record, promise_percent [% of the stroke], stroke_um, loop_width_um (at the
+        middle of the voltages), lag_ms, creep_percent (after a sudden rise, of the rise), noise_nm, reason (empty if
+        the model may be used), model (JSON, for `dehyst.Actuator.from_dict`). What is not known is null.
+    scheduler : str, optional
+        Address of a Dask scheduler, as "tcp://host:8786", whose workers see the same files. By default the run has a
+        process for each processor.
+    read : callable, optional
+        Function of a path that returns the record.
+    again : bool
+        Whether to compute all records, and replace a table that is there.
+    progress : callable, optional
+        Called with a line of text.
+
+    Returns
+    -------
+    FleetTable
+
+    Raises
+    ------
+    FileFormatError
+        If there are no records, two have one name, or the output is no such table.
+    MissingExtraError
+        If a library of the extra `fleet` is not installed.
+    RigError
+        If no scheduler answers, the connection to it is lost, or a worker lacks a library that reads a file.
+
+    Notes
+    -----
+    A script that calls this without a scheduler must do so below ``if __name__ == "__main__":``, because each process
+    imports it.
+    """
+    target, report = path_of(output, "output"), progress or (lambda _: None)
+    if target.suffix.lower() != ".parquet":
+        raise FileFormatError(argument="output", got=f"{target}", need="a name that ends in .parquet")
+    paths = _named(records, target)
+    rows = {row["record"]: row for row in ([] if again else _rows_of(target))}
+    missing = {name: path for name, path in paths.items() if name not in rows}
+    if missing:
+        total = counted(len(rows) + len(missing), "record")
+        report(f"{len(rows)} of {total}")
+        with _writing(target, rows) as keep, _connected(scheduler) as client:
+            for row in _computed(client, missing, read):
+                keep(row)
+                report(f"{len(rows)} of {total}")
+        report("")
+    refused = sum(bool(row["reason"]) for row in rows.values())
+    return FleetTable(target, len(rows), len(missing), refused)
+
+
+def _named(records: PathLike | Sequence[PathLike], output: Path) -> dict[str, Path]:
+    """Return the absolute paths of the records by name."""
+    if isinstance(records, str | os.PathLike) and path_of(records, "records").is_dir():
+        folder = path_of(records, "records")
+        found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in LOADERS and not path.is_dir())
+        inside = [(path.relative_to(folder), path) for path in found]
+        named = [(name, path) for name, path in inside if not any(part.startswith(".") for part in name.parts)]
+    else:
+        files = [records] if isinstance(records, str | os.PathLike) else records
+        named = [(path, path) for path in (path_of(one, "records") for one in files)]
+    # A table in the folder of its records is no record.
+    paths = [(_text(name), path.absolute()) for name, path in named if path.absolute() != output.absolute()]
+    if not paths:
+        raise FileFormatError(argument="records", got=f"no record in {records}", need="a folder with files, or files")
+    names = dict(paths)
+    if len(names) < len(paths):
+        twice = next(name for k, (name, _) in enumerate(paths) if name in dict(paths[:k]))
+        raise FileFormatError(argument="records", got=f"{twice} twice", need="different files")
+    return names
+
+
+def _text(name: Path) -> str:
+    """Return a name as text, with an escape for each byte that is not UTF-8."""
+    return name.as_posix().encode(errors="backslashreplace").decode()
+
+
+def _distributed() -> Any:
+    return library("distributed", "A fleet", "fleet")
+
+
+def _parquet() -> Any:
+    return library("pyarrow.parquet", "A fleet", "fleet")
+
+
+def _computed(client: Any, paths: Mapping[str, Path], read: Callable[[Path], Record]) -> Iterator[_Row]:
+    """Yield the row of each record as soon as it is there."""
+    distributed = _distributed()
+    futures = client.map(partial(row_of, read), list(paths), list(paths.values()), pure=False)
+    names = dict(zip(futures, paths, strict=True))
+    # Each result is dropped with its future.
+    del futures
+    for future in distributed.as_completed(list(names)):
+        name = names.pop(future)
+        if future.status == "finished":
+            yield dict(future.result())
+        elif future.status != "error":
+            raise CancelledError
+        elif isinstance(error := future.exception(), distributed.KilledWorker):
+            yield _row(name, reason="its process died several times; is there memory enough?")
+        else:
+            raise LinkError(
+                f"a worker of Dask failed ({type(error).__name__}: {error}); do scheduler and workers have this "
+                "dehyst, and the libraries that read the files?"
+            ) from error
+
+
+def row_of(read: Callable[[Path], Record], name: str, path: Path) -> _Row:
+    """Return the row of a record; only a library that is missing is an error."""
+    known: _Row = {}
+    try:
+        with one_thread():
+            record = read(path)
+            known |= {"stroke_um": 1e6 * record.stroke, "noise_nm": 1e9 * record.noise}
+            fit = identify(record, throw=False)
+            if fit.actuator is None:
+                return _row(name, **known, reason=fit.outcome.value)
+            known |= _described(fit.actuator)
+            if fit.expectation is not None:
+                known["promise_percent"] = fit.expectation.largest_percent
+            reason = "" if fit.good else fit.outcome.value if not fit.outcome.good else str(fit.expectation)
+            return _row(name, **known, reason=reason)
+    except MissingExtraError:
+        raise
+    except DehystError as error:
+        return _row(name, **known, reason=str(error))
+    except Exception as error:  # nothing in one record stops the others
+        return _row(name, **known, reason=f"unexpected {type(error).__name__}: {error}")
+
+
+def _row(name: str, *, reason: str, **known: Any) -> _Row:
+    return {**dict.fromkeys(COLUMNS), **known, "record": name, "reason": reason}
+
+
+def _described(actuator: Actuator) -> _Row:
+    """Return the numbers of a model, and the model."""
+    return {
+        "loop_width_um": 1e6 * loop_width(actuator),
+        "lag_ms": 1e3 * (actuator.delay + actuator.lag),
+        "creep_percent": 100 * float(step_response(actuator)[1][-1]),
+        "model": json.dumps(actuator.as_dict()),
+    }
+
+
+def loop_width(actuator: Actuator) -> float:
+    """Return falling minus rising displacement [m] at the middle of the voltages, on a major loop without creep."""
+    low, high = actuator.voltage_range
+    fast = replace(actuator.quasistatic().before_creep, creep=None, state=None)
+    begin = fast.turned(fast.knots[0], rising=False, extrapolate=True)
+    middle = 0.5 * (low + high)
+    y = fast.simulate([low, middle, high, middle], state=begin, extrapolate=True).displacement
+    return float(y[3] - y[1])
+
+
+def _rows_of(path: Path) -> list[_Row]:
+    """Return the rows of a table; none if there is no file."""
+    if not path.exists():
+        return []
+    with reading_errors(path, "Parquet"):
+        table = _parquet().read_table(path)
+    if tuple(table.column_names) != COLUMNS:
+        raise FileFormatError(f"{path}: is no table of a fleet; give another name, or remove the file")
+    return list(table.to_pylist())
+
+
+@contextmanager
+def _writing(path: Path, rows: dict[str, _Row]) -> Iterator[Callable[[_Row], None]]:
+    """Yield a function that keeps a row; the table is written now and then, and at the end in any case."""
+    _parquet()
+    written, took = time.monotonic(), 0.0
+
+    def write() -> None:
+        nonlocal written, took
+        began = time.monotonic()
+        _write(path, [rows[name] for name in sorted(rows)])
+        written = time.monotonic()
+        took = written - began
+
+    def keep(row: _Row) -> None:
+        rows[row["record"]] = row
+        if time.monotonic() - written > max(_OFTEN, _SELDOM * took):
+            write()
+
+    try:
+        yield keep
+    finally:
+        write()
+
+
+def _write(path: Path, rows: list[_Row]) -> None:
+    parquet, arrow = _parquet(), library("pyarrow", "A fleet", "fleet")
+    kinds = {name: arrow.float64() if name in NUMBERS else arrow.string() for name in COLUMNS}
+    content = io.BytesIO()
+    parquet.write_table(arrow.Table.from_pylist(rows, schema=arrow.schema(kinds)), content, compression="zstd")
+    # A command protects files of others; this table was read as one of a fleet.
+    with protecting(force=True):
+        write_atomically(path, content.getvalue())
+
+
+def dask_setup(_worker: Any) -> None:
+    """Prepare a local worker, which preloads this module: only the client handles Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _connected(scheduler: str | None) -> Iterator[Any]:
+    """Yield a client of a scheduler, by default of one with local processes, which end with it."""
+    from dask import config
+
+    distributed = _distributed()
+    try:
+        with config.set(_SETTINGS), ExitStack() as opened:
+            # It logs how it lost its scheduler, beside the error that says so.
+            log = logging.getLogger("distributed.client")
+            opened.callback(log.setLevel, log.level)
+            log.setLevel(logging.CRITICAL)
+            address: Any = scheduler
+            if scheduler is None:
+                local = distributed.LocalCluster(threads_per_worker=1, dashboard_address=None, preload=__name__)
+                address = opened.enter_context(local)
+            try:
+                client = opened.enter_context(distributed.Client(address, timeout=_PATIENCE))
+                client.wait_for_workers(1, timeout=_PATIENCE)
+            except (OSError, TimeoutError, ValueError) as error:
+                raise LinkError(
+                    argument="scheduler",
+                    got=f"no answer of {scheduler} ({type(error).__name__}: {error})",
+                    need="a Dask scheduler with a worker",
+                    hint="start 'dask scheduler' and 'dask worker ADDRESS' first",
+                ) from error
+            yield client
+    except DehystError:
+        raise
+    # What Dask raises while its scheduler goes depends on what it did then.
+    except (OSError, CancelledError) as error:
+        raise LinkError("the connection to Dask is lost; the same command continues the table") from error

@@ -1,0 +1,193 @@
+"""Many records identified at once: the rows of the table, and a run that is continued."""
+
+import json
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import dehyst
+import dehyst.fleet
+from dehyst import FileFormatError, Record
+from dehyst.fleet import NUMBERS, identify_fleet
+from dehyst.virtual import PlayActuator
+
+parquet = pytest.importorskip("pyarrow.parquet")
+distributed = pytest.importorskip("distributed", reason="needs Dask: pip install 'dehyst[fleet]'")
+
+# The last record waits for a file.
+PROGRAM = """
+import sys, time
+import dehyst.fleet
+
+dehyst.fleet._OFTEN = 0.0
+
+def read(path):
+    while path.name == "4.csv" and not path.with_name("go").exists():
+        time.sleep(0.02)
+    raise ValueError(path.name)
+
+if __name__ == "__main__":
+    print(dehyst.fleet.identify_fleet(sys.argv[1], sys.argv[2], read=read).computed)
+"""
+
+
+def record(seed, stroke=10e-6, samples=60):
+    """Two cycles through 0 to 100 V, two smaller ones and two that hang from the top."""
+    turns = np.array([0, 100, 0, 100, 0, 60, 0, 30, 0, 100, 40, 100, 0])
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, samples // 2 + 1) / (samples // 2))
+    v = np.concatenate([[0.0], *(a + (b - a) * rise for a, b in pairwise(turns))])
+    truth = PlayActuator(stroke=stroke, highest=100.0, plays=50, noise=2e-9, seed=seed, width=0.5)
+    return Record(np.arange(v.size) / 1000, v, truth.play(v))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Records of two actuators, one of noise, and what is no record."""
+    made = tmp_path_factory.mktemp("records")
+    (made / "A").mkdir()
+    (made / ".hidden").mkdir()
+    one = record(0)
+    dehyst.write_record(made / "A" / "1.csv", one)
+    dehyst.write_record(made / "A" / "2.csv", record(1, stroke=8e-6))
+    dead = np.random.default_rng(0).normal(0, 2e-9, len(one))
+    dehyst.write_record(made / "dead.csv", Record(one.time, one.voltage, dead))
+    dehyst.write_record(made / ".hidden" / "3.csv", one)
+    (made / "bad.csv").write_text("hello\nworld\n")
+    (made / "notes.txt.bak").write_text("no record")
+    return made
+
+
+@contextmanager
+def connected(_):
+    yield None
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Compute in this process; return the names that were computed."""
+    names = []
+
+    def computed(_, paths, read):
+        for name, path in paths.items():
+            names.append(name)
+            yield dehyst.fleet.row_of(read, name, path)
+
+    monkeypatch.setattr(dehyst.fleet, "_connected", connected)
+    monkeypatch.setattr(dehyst.fleet, "_computed", computed)
+    return names
+
+
+def rows(path):
+    return {row["record"]: row for row in parquet.read_table(path).to_pylist()}
+
+
+def test_each_record_has_a_row_with_its_numbers_or_a_reason(folder, tmp_path, in_this_process):
+    found = identify_fleet(folder, tmp_path / "t.parquet")
+    table = rows(found.path)
+    assert list(table) == ["A/1.csv", "A/2.csv", "bad.csv", "dead.csv"]
+    assert found[1:] == (4, 4, 2)
+    one, two = table["A/1.csv"], table["A/2.csv"]
+    assert (one["reason"], two["reason"]) == ("", "")
+    assert two["stroke_um"] / one["stroke_um"] == pytest.approx(0.8, rel=2e-3)
+    assert two["loop_width_um"] / one["loop_width_um"] == pytest.approx(0.8, rel=0.01)
+    assert one["noise_nm"] == pytest.approx(2.0, rel=0.3)
+    fit = dehyst.identify(dehyst.read(folder / "A" / "1.csv"))
+    assert one["promise_percent"] == fit.expectation.largest_percent
+    assert dehyst.Actuator.from_dict(json.loads(one["model"])).voltage() == fit.actuator.voltage()
+    assert [table["bad.csv"][name] for name in (*NUMBERS, "model")] == [None] * 7
+    assert table["bad.csv"]["reason"] and table["dead.csv"]["reason"]
+    assert table["dead.csv"]["noise_nm"] == pytest.approx(2.0, rel=0.3)
+
+
+def test_only_records_without_a_row_are_computed(folder, tmp_path, in_this_process):
+    output, files = tmp_path / "t.parquet", [folder / "bad.csv", folder / "dead.csv"]
+    identify_fleet(files[0], output)
+    before, in_this_process[:] = rows(output), []
+    assert identify_fleet(files, output)[1:] == (2, 1, 2)
+    assert in_this_process == [files[1].as_posix()]
+    assert rows(output)[files[0].as_posix()] == before[files[0].as_posix()]
+    assert identify_fleet(files, output)[1:] == (2, 0, 2)
+    assert identify_fleet(files, output, again=True)[1:] == (2, 2, 2)
+
+
+def test_rows_are_kept_if_the_run_ends_early(folder, tmp_path, in_this_process):
+    output = tmp_path / "t.parquet"
+
+    def read(path):
+        if path.name == "dead.csv":
+            raise KeyboardInterrupt
+        return dehyst.read(path)
+
+    with pytest.raises(KeyboardInterrupt):
+        identify_fleet([folder / "bad.csv", folder / "dead.csv"], output, read=read)
+    assert [row["record"] for row in rows(output).values()] == [(folder / "bad.csv").as_posix()]
+
+
+def test_a_program_error_in_one_record_is_a_row(folder, tmp_path, in_this_process):
+    def read(path):
+        raise ZeroDivisionError(path.name)
+
+    found = identify_fleet(folder / "bad.csv", tmp_path / "t.parquet", read=read)
+    assert found.refused == 1
+
+
+@pytest.mark.parametrize("records", [[], "nowhere", ["a.csv", "a.csv"]])
+def test_no_records_or_one_name_twice_are_refused(records, tmp_path):
+    (tmp_path / "nowhere").mkdir()
+    given = tmp_path / records if isinstance(records, str) else records
+    with pytest.raises(FileFormatError):
+        identify_fleet(given, tmp_path / "t.parquet")
+    assert not (tmp_path / "t.parquet").exists()
+
+
+def test_another_file_is_no_table(folder, tmp_path):
+    output = tmp_path / "t.parquet"
+    output.write_text("else")
+    with pytest.raises(FileFormatError):
+        identify_fleet(folder, output)
+    with pytest.raises(FileFormatError):
+        identify_fleet(folder, tmp_path / "t.csv")
+    assert output.read_text() == "else"
+
+
+def test_workers_of_a_scheduler_compute_the_rows(folder, tmp_path, in_this_process, monkeypatch):
+    identify_fleet(folder, tmp_path / "here.parquet")
+    monkeypatch.undo()
+    given = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(protocol="tcp", **given) as cluster:
+        identify_fleet(folder, tmp_path / "there.parquet", scheduler=cluster.scheduler_address)
+    assert rows(tmp_path / "there.parquet") == rows(tmp_path / "here.parquet")
+
+
+def test_no_scheduler_answers(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(dehyst.fleet, "_PATIENCE", 1)
+    with pytest.raises(OSError, match="Dask scheduler"):
+        identify_fleet(folder, tmp_path / "t.parquet", scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_a_killed_run_is_continued(tmp_path):
+    output, records = tmp_path / "t.parquet", tmp_path / "records"
+    records.mkdir()
+    for k in range(5):
+        (records / f"{k}.csv").write_text("")
+    (tmp_path / "program.py").write_text(PROGRAM)
+    command = [sys.executable, tmp_path / "program.py", records, output]
+    with subprocess.Popen(command) as process:
+        end = time.monotonic() + 120
+        while not output.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        process.kill()
+    before = rows(output)
+    assert 0 < len(before) < 5
+    (records / "go").touch()
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    assert int(done.stdout) == 5 - len(before)
+    after = rows(output)
+    assert [row["reason"] for row in after.values()] == [f"unexpected ValueError: {k}.csv" for k in range(5)]
+    assert before.items() <= after.items()
