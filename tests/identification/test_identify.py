@@ -276,7 +276,7 @@ def test_a_wider_program_that_fails_raises_or_is_told(monkeypatch):
 
 REFUSED = [
     ({"method": "magic"}, "method: got 'magic', need"),
-    ({"norm": "l3"}, "norm: got 'l3', need one of"),
+    ({"norm": "l3"}, "norm: got 'l3', need 'l1' or 'l2'"),
     ({"method": "antisymmetric", "branch": "up"}, "branch: got 'up', need 'descending' or 'ascending'"),
     ({"elements": 5, "breakaway": [1e-6]}, "got both elements and breakaway"),
     ({"breakaway": [1e-6], "method": "breakpoints"}, "breakaway: method 'breakpoints' needs the uniform grid"),

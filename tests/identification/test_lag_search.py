@@ -1,10 +1,12 @@
 """What lags is found beside what creeps: neither is taken for the other, nor for a drift."""
 
 import itertools
+import sys
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import plain_records
 import pytest
 import structured_records as wide
 
@@ -148,3 +150,16 @@ def test_a_drift_is_kept_only_if_it_predicts(record, real):
     frame = replace(wide.frame([record()]), can_drift=(0,))
     assert frame.drifting == (0,)
     assert drift_and_creep(frame) == (real, True)
+
+
+def test_a_delay_is_found_in_every_so_many_th_sample_too(monkeypatch):
+    rng = np.random.default_rng(0)
+    made = plain_records.loops(plain_records.plant(12), plain_records.THREE_LOOPS, samples=400)
+    late = np.interp(made.time - 0.03, made.time, made.displacement)
+    record = dehyst.Record(made.time, made.voltage, late + 1e-9 * rng.normal(size=len(made)), "late")
+    fine = dehyst.identify(record, elements=12).options["delay_s"]
+    monkeypatch.setattr(sys.modules["dehyst.identification.run"], "_SEARCH_CYCLE", 200)
+    coarse = dehyst.identify(record, elements=12).options["delay_s"]
+    assert fine == pytest.approx(0.03, abs=0.1 / 200)
+    assert coarse == pytest.approx(0.03, abs=0.3 / 200)
+    assert coarse != fine

@@ -100,8 +100,8 @@ def test_a_held_out_error_is_that_of_a_fit_without_its_block():
     for k in range(3):
         spoilt = np.where(fold == k, 1000.0, 0.0)
         other = replace(whole, rows=replace(whole.rows, voltage=whole.rows.voltage + spoilt))
-        found = replace(other, rows=other.rows.chosen(fold != k), source=None).fit("l2")
-        out = replace(whole, rows=whole.rows.chosen(fold == k), source=None)
+        found = replace(other, rows=other.rows.chosen(fold != k)).fit("l2")
+        out = replace(whole, rows=whole.rows.chosen(fold == k))
         np.testing.assert_allclose(errors[fold == k], out.residual(found) / out.slope(found), rtol=1e-6, atol=1e-15)
     found = whole.fit("l2", weights)
     assert errors.std() > (whole.residual(found) / whole.slope(found)).std()

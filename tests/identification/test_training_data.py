@@ -56,21 +56,17 @@ def test_a_record_goes_on_from_its_lead():
     """What a piece moves along its path is what it would have moved had the lead not been cut off."""
     plant = wide.plant(wide.STRUCTURES["all"])
     record = plant.record()
-
-    def moved_along(grid, piece, lead):
-        return np.vstack(list(internal_states(grid, piece, lead, 97)))
-
-    whole = moved_along(plant.grid, record, None)
+    whole = internal_states(plant.grid, record, None)
     cut = 200
     lead, piece = record.slice(0, cut), record.slice(cut, len(record))
     moved, fades = plant.grid.moved, plant.grid.time_constants.size
-    led, alone = moved_along(plant.grid, piece, lead), moved_along(plant.grid, piece, None)
+    led, alone = internal_states(plant.grid, piece, lead), internal_states(plant.grid, piece, None)
     assert led.shape == (len(piece), moved + fades)
     np.testing.assert_allclose(led, whole[cut:], rtol=0, atol=1e-12)
     assert np.abs(led - alone)[:, :moved].max() > 0.01 * plain_records.STROKE
     # Apart from it in time, a lead says nothing.
     late = replace(piece, time=piece.time + 1.0)
-    np.testing.assert_allclose(moved_along(plant.grid, late, lead), alone, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(internal_states(plant.grid, late, lead), alone, rtol=0, atol=1e-12)
 
 
 def test_the_lead_of_a_transient_counts_in_the_fit():

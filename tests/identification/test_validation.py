@@ -266,3 +266,23 @@ def test_a_lead_without_a_cycle_tells_what_it_can():
     state, offset = state_after(plant.actuator, short, plain_records.STROKE)
     assert state.displacement == short.displacement[-1]
     assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)
+
+
+def wide_record(actuator, volts):
+    """A noisy record of sines that grow and shrink, begun away from rest."""
+    time = np.arange(2400) / 200.0
+    size = np.interp(time, [0, 3, 6, 9, 12], [0.6, 1.0, 1.0, 0.5, 0.9])
+    voltage = 0.5 * volts * (1 - size * np.cos(2 * np.pi * time))
+    y = actuator.simulate(voltage, time=time).displacement + 1e-9 * np.random.default_rng(0).normal(size=time.size)
+    return prepare(dehyst.Record(time, voltage + 0.3, y, "wide"))
+
+
+def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
+    plain = plain_records.plant(12)
+    actuator = dehyst.Actuator(plain.slip, plain.spring, creep=Creep([0.03, 2.0], [4e5, 6e5]))
+    record = wide_record(actuator, 0.9 * plain_records.VOLTS)
+    compared = compare(actuator, record, plain_records.STROKE, datum=0.0, drifting=True)
+    assert compared.source.count > 1
+    last = compared.source.count - 1
+    few = replace(compared, found=replace(compared.found, offsets={last: compared.found.offsets[last]}))
+    assert few.offsets == [compared.offsets[last]] * compared.source.count

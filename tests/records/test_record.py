@@ -450,3 +450,16 @@ def test_a_lone_one_is_refused_with_its_row(column):
     columns[column][77] = 1e200
     with pytest.raises(RecordError, match=rf"{column}\[77\] = 1e\+200 . is no {column}"):
         Record(time, **columns)
+
+
+def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():
+    y = np.arange(100.0)
+    record = Record(np.arange(100.0), y, y)
+    y[3] = -1
+    assert record.voltage[3] == 3
+    assert np.shares_memory(record.slice(10, 50).voltage, record.voltage)
+    view = y.view()
+    view.flags.writeable = False
+    other = Record(np.arange(100.0), view, view)
+    y[4] = -1
+    assert other.voltage[4] == 4

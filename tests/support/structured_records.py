@@ -110,7 +110,7 @@ def _transformer(grid, rng):
 
 
 def moved_along(grid, piece, lead):
-    """What `dehyst.identification.preprocessing.regressors.internal_states` yields, in one piece."""
+    """What `dehyst.identification.preprocessing.regressors.internal_states` returns, by the parts of a model."""
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
     time, y = piece.time, piece.displacement

@@ -31,6 +31,7 @@ from dehyst.identification.structure_selection import simplest
 from dehyst.identification.structured_fit import StructuredFit
 from dehyst.identification.temperature import TemperatureEffect, temperature_effect
 from dehyst.identification.training_data import TrainingData
+from dehyst.identification.validation import MOST_ROWS
 from dehyst.model import Actuator, Outcome
 from dehyst.records import Record
 
@@ -151,8 +152,8 @@ def identify(
         training = [effect.at_reference(one, datum) for one, datum in zip(training, effect.datums, strict=True)]
         held_out = [effect.at_reference(one) for one in held_out]
     report("checking the records")
-    # Maxwell-slip takes every sample as it is; other structures take means of neighbouring samples.
-    most = 1.0 if structure == "maxwell_slip" else sum(map(len, training)) / ENOUGH
+    # Other structures than Maxwell-slip take means of neighbouring samples; of long records Maxwell-slip does, too.
+    most = sum(map(len, training)) / (MOST_ROWS if structure == "maxwell_slip" else ENOUGH)
 
     def prepared(record: Record, ringing: bool) -> Prepared:
         found = prepare(record, ringing=ringing).with_block(most)

@@ -45,16 +45,13 @@ class StructuredFit:
     def solve(cls, frame: TrainingData, structure: Structure, norm: Norm) -> StructuredFit:
         """Solve the program of all rows."""
         regression = frame.regression(structure)
-        if regression.whole:
-            weighted = fold_sums.FoldSums(regression, fold_sums.weighted_alike(regression).inverse_slopes)
-            found = regression.fit(norm, weighted.weights, like=fold_sums.nearly_least_absolute(weighted))
-        else:
-            found = regression.fit_weighted(norm)
+        weighted = fold_sums.FoldSums(regression, fold_sums.weighted_alike(regression).inverse_slopes)
+        found = regression.fit(norm, weighted.weights, like=fold_sums.nearly_least_absolute(weighted))
         return cls(frame, structure, norm, regression, found)
 
     @classmethod
     def solve_quickly(cls, frame: TrainingData, structure: Structure) -> StructuredFit:
-        """Solve the program by least squares, of the rows that fit in memory."""
+        """Solve the program by least squares."""
         regression = frame.regression(structure)
         return cls(frame, structure, "l2", regression, fold_sums.least_squares_of_sums(regression))
 

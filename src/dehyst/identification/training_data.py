@@ -130,7 +130,7 @@ class TrainingData:
         return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
 
     def regression(self, structure: Structure, most: int = _MOST_ROWS) -> Regression:
-        """Return the regression of all records under a structure, about `most` rows in memory."""
+        """Return the regression of all records under a structure, of about `most` rows."""
         strained, drifting = (self.strained, ()) if structure.creep else ((), self.drifting)
         return replace(self._rows_of(structure, most), strained=strained, drifting=drifting)
 
@@ -141,12 +141,10 @@ class TrainingData:
         return self.on_grid(grid, most, smoothing=structure.smoothing, drifts=drifts)
 
     def on_grid(self, grid: Grid, most: int, *, smoothing: float = 0.0, drifts: bool = True) -> Regression:
-        """Return the regression of all records on a grid, about `most` rows in memory."""
+        """Return the regression of all records on a grid, of about `most` rows."""
         source = self._source(grid, drifts)
         ranges = source.numbered() if grid.reaches_beyond else ()
-        return Regression(
-            source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges, source=source
-        )
+        return Regression(source.thinned(most), grid, self.floor, self.datum, smoothing=smoothing, ranges=ranges)
 
     def _source(self, grid: Grid, drifts: bool) -> RowSource:
         """Return all rows of all records on a grid."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,13 +25,8 @@ from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, DisplacementCreep, Identification, State
 from dehyst.records import Record, largest, rms, turning_points
 
-# Rows in memory: more are gone through in blocks. Of a longer record so many suffice for what is not found by that.
-MOST_ROWS, _FEW_ROWS = 200_000, 20_000
-# Samples played at a time, and kept for pictures.
-_AT_A_TIME = 1 << 20
-_MOST_DRAWN = 1 << 20
-# Elongations of all elements are made for each of these samples.
-_STOPS_AT_A_TIME = 32_768
+# Rows of a program: of a longer record they are means of samples, or some of its samples, evenly.
+MOST_ROWS = 200_000
 # Samples that the carts at a start are fitted to, and how many of them after all elements are in a known state.
 _START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
 # Least slope of a branch, of the mean one: a weight must not grow without bound.
@@ -57,7 +52,7 @@ class RecordComparison:
     whole : list of Piece
         The pieces with all their samples, measured, voltages delayed: those that are played.
     regression : Regression
-        Its rows (of a long record some, evenly), with its datum and drift.
+        Its rows, with its datum and drift.
     found : Coefficients
         The model's, with this record's constants and drift [V].
     base : float
@@ -120,14 +115,14 @@ class RecordComparison:
         for number, own in enumerate(self.epochs):
             for epoch in own:
                 begin, span = (self.state_before(actuator, number, epoch), next(left)), slice(epoch.start, epoch.stop)
-                runs = self.play(actuator, number, span, begin, self.given.block * (epoch.stop - epoch.start))
+                runs = self.play(actuator, number, span, begin)
                 parts.append((number, epoch, tuple(map(joined, zip(*runs, strict=True)))))
         return parts
 
     def play(
-        self, actuator: Actuator, number: int, span: slice, begin: tuple[State, float], size: int
+        self, actuator: Actuator, number: int, span: slice, begin: tuple[State, float]
     ) -> Iterator[tuple[Array, ...]]:
-        """Time, voltage, measured, simulated, and simulated with the drift left in, `size` samples at a time.
+        """Time, voltage, measured, simulated, and simulated with the drift left in, of each run of samples that count.
 
         Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
         [V]. In excluded stretches, the measured displacement drives the model.
@@ -142,7 +137,7 @@ class RecordComparison:
         model = replace(model, lag=0.0) if actuator.lag else model
         # Without a drift both are the same motion.
         states = [state.shifted(self.datum)] * (2 if self.drift else 1)
-        for start, stop, counted in _runs(piece, first, last, size):
+        for start, stop, counted in _runs(piece, first, last):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(actuator.needs_time and start > first)
             run, own = slice(start - again, stop), slice(start, stop)
@@ -183,12 +178,7 @@ class RecordComparison:
             some = np.linspace(0, path.size - 1, _START_SAMPLES).astype(np.intp)
             places = np.union1d(some, turning_points(path, 1e-3 * float(np.ptp(path))))
         places, y = first + places, path[places] + self.datum
-        states = np.concatenate(
-            [
-                block[places[(places >= k) & (places < k + len(block))] - k]
-                for k, block in zip(count(0, _STOPS_AT_A_TIME), self.source.states(number, _STOPS_AT_A_TIME))
-            ]
-        )
+        states = self.source.states[number][places]
         tau, voltage, (creep, smooth, fades) = actuator.transformer, piece.voltage[places], self._split(states)
         held, most = voltage if tau is None else tau(voltage), np.zeros(fades.shape[1])
         if actuator.creep is not None:
@@ -223,10 +213,9 @@ class RecordComparison:
         rho = actuator.slip.breakaway
         y = self.pieces[number].path.displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
-        for start in range(0, y.size, _STOPS_AT_A_TIME):
-            _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y[start : start + _STOPS_AT_A_TIME]))
+        _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        creep, smooth, left = self._split(self.source.state_at(number, epoch.start))
+        creep, smooth, left = self._split(self.source.states[number][epoch.start])
         if actuator.creep is not None and begun.size:
             c = actuator.creep.stiffness
             creep = creep + np.divide(begun * left, c, out=np.zeros_like(left), where=c > 0)
@@ -291,7 +280,7 @@ def compare(
         )
     spring, model = actuator.spring, Coefficients.from_actuator(actuator)
     regression = Regression(
-        source.thinned(MOST_ROWS if len(source) <= MOST_ROWS else _FEW_ROWS),
+        source.thinned(MOST_ROWS),
         grid,
         min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min())),
         np.zeros(1),
@@ -300,7 +289,7 @@ def compare(
     )
     if datum is None:
         datum = find_datum(regression, 0, stroke, given=model)
-    regression = replace(regression, datum=np.array([datum]), source=None if regression.strained else source)
+    regression = replace(regression, datum=np.array([datum]))
     found, samples = regression.fit_nuisances(model), [one.path for one in measured]
     return RecordComparison(record, stroke, source, samples, whole, regression, found, float(spring.voltage[0]), creep)
 
@@ -336,7 +325,7 @@ def compare_all(
     tuple of RecordComparison, float, float
         One for each record, the range of the widest loop [m], and the least allowed slope of the spring [V/m].
     """
-    prepared = [prepare_for(actuator, record) for record in as_list(records)]
+    prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification or Identification()
     spans = [high - low for low, high in (item.span() for item in prepared)]
     stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
@@ -420,17 +409,16 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     `role`: "training" or "validation".
     """
     found, regression, record = compared.found, compared.regression, compared.given
-    # Every step-th sample is kept for pictures. Errors are steady, then with the drift left in.
-    step = max(1, sum(len(piece.path) for piece in compared.pieces) // _MOST_DRAWN)
+    # Errors are steady, then with the drift left in.
     starts, drawn, samples, worst, squares = [], [], 0, [0.0, 0.0], [0.0, 0.0]
     for number, (_, piece, _) in enumerate(compared.pieces):
         first = _first_sample(piece, actuator.delay)
         start = compared.start_of(actuator, number, first)
         starts.append(compared.on_model_axis(start[0], float(piece.time[first])))
-        runs = compared.play(actuator, number, slice(first, len(piece)), start, _AT_A_TIME)
+        runs = compared.play(actuator, number, slice(first, len(piece)), start)
         for played in compared.with_creep(runs, starts[-1]):
             columns = counted_of(played, piece)
-            drawn.append([column[-samples % step :: step].copy() for column in columns[:4]])
+            drawn.append(columns[:4])
             samples += columns[0].size
             for k, simulated in enumerate(columns[3:]):
                 error = columns[2] - simulated
@@ -477,14 +465,13 @@ def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:
     return tuple(column[kept] for column in played)
 
 
-def _runs(piece: Record, first: int, last: int, size: int) -> Iterator[tuple[int, int, bool]]:
-    """Yield the first and one after the last sample of runs of at most `size`, and whether their samples count."""
+def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool]]:
+    """Yield the first and one after the last sample of runs of one kind, and whether their samples count."""
     edges = [first, last]
     if piece.counted is not None:
         edges[1:1] = [k for k in (np.flatnonzero(np.diff(piece.counted)) + 1).tolist() if first < k < last]
-    for begin, end in pairwise(edges):
-        for start in range(begin, end, size):
-            yield start, min(start + size, end), piece.counted is None or bool(piece.counted[start])
+    for start, stop in pairwise(edges):
+        yield start, stop, piece.counted is None or bool(piece.counted[start])
 
 
 def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:

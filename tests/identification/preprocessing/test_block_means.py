@@ -1,6 +1,7 @@
 """Records sampled far faster than they move, as means of neighbouring samples."""
 
 import numpy as np
+import plain_records
 import pytest
 
 from dehyst import Actuator, Record, identify
@@ -74,3 +75,14 @@ def test_a_fast_recording_gives_the_model_of_a_slow_one():
         assert fit.errors[0].samples > 0.99 * 20 * rate
     assert found[10_000].rms < 0.0015 * STROKE
     assert found[10_000].rms < 1.2 * found[200].rms + 2e-4 * STROKE
+
+
+@pytest.mark.parametrize(
+    ("cycle", "most", "step"), [(10**9, 10**9, 1), (100, 10**9, 4), (10**9, 1000, 1), (100, 100, 4)]
+)
+def test_coarser_records_are_every_so_many_th_sample_of_a_beginning(cycle, most, step):
+    prepared = prepare(plain_records.loops(plain_records.plant(12), (0, *[1, 0] * 6), samples=200))
+    few, third = prepared.coarser(cycle, most), prepared.record.cycles()[2].stop
+    stop = min(len(prepared.record), max(most * step, third))
+    np.testing.assert_array_equal(few.record.voltage, prepared.record.voltage[:stop:step])
+    assert [len(piece) for piece in few.pieces] == [len(few.record)]

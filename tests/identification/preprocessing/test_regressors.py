@@ -1,11 +1,14 @@
 """Which samples count: the rule of the running range, on actuators whose carts stand anywhere at the start."""
 
+from dataclasses import replace
+
 import numpy as np
 import plain_records
 import pytest
+import structured_records as wide
 
 from dehyst import Record
-from dehyst.identification.preprocessing.regressors import collect, epochs
+from dehyst.identification.preprocessing.regressors import collect, epochs, internal_states
 from dehyst.identification.regression.coefficients import Coefficients
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.structure import Grid
@@ -173,3 +176,17 @@ def test_thinned_rows_are_every_so_many_th(most):
     for name in rows.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(few, name), getattr(rows, name)[::step])
     assert min(most, len(rows)) <= len(few) <= max(2 * most, 2)
+
+
+@pytest.mark.parametrize("name", ["plain", "creep", "smooth", "all"])
+@pytest.mark.parametrize("cut", [0, 200])
+def test_internal_states_are_those_of_the_models_parts_along_lead_and_path(name, cut):
+    plant = wide.plant(wide.STRUCTURES[name], path=wide.wandering(6, hold=8))
+    record = plant.record()
+    # Uneven steps of time, too.
+    time = record.time + np.where(np.arange(len(record)) % 50 > 40, 1e-3, 0.0)
+    record = replace(record, time=time)
+    lead, piece = (record.slice(0, cut), record.slice(cut, len(record))) if cut else (None, record)
+    whole, found = wide.moved_along(plant.grid, piece, lead), internal_states(plant.grid, piece, lead)
+    assert found.shape == whole.shape
+    np.testing.assert_allclose(found, whole, rtol=1e-9, atol=1e-15)

@@ -240,4 +240,4 @@ def test_without_a_movable_element_the_rest_is_found(structure):
 
 def test_too_few_rows_are_refused():
     with pytest.raises(IdentifyError, match=r"got 0 rows for \d+ unknowns"):
-        replace(rows_of("all"), rows=rows_of("all").rows.chosen(slice(0)), source=None).fit("l2")
+        replace(rows_of("all"), rows=rows_of("all").rows.chosen(slice(0))).fit("l2")

@@ -16,7 +16,7 @@ from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import highs, least_absolute
 from dehyst.identification.solvers.highs import LinearSolution
 from dehyst.identification.solvers.least_absolute import interior
-from dehyst.identification.solvers.problem import Blocks, Problem
+from dehyst.identification.solvers.problem import Problem
 from dehyst.identification.solvers.program import solve
 from dehyst.identification.structure import Grid
 from examples import at_night, examples
@@ -120,22 +120,6 @@ def test_a_gap_over_all_rows_is_never_below_the_true_one():
     assert found.gap * np.abs(b).sum() >= true - 1e-9
 
 
-def test_rows_in_any_number_of_blocks_give_the_same_optimum():
-    a, b, _ = table("collinear", 5, 6000, 6)
-
-    def cut():
-        for start in range(0, b.size, 701):
-            yield a[start : start + 701], b[start : start + 701]
-
-    frame = Problem(a[:0], b[:0], 0, np.zeros((0, 6)), np.zeros(0))
-    blocks = Blocks.whole(a, b), Blocks(b.size, cut)
-    one, many = (least_absolute.least_absolute(some, frame) for some in blocks)
-    assert one.optimal
-    assert many.optimal
-    sums = [np.abs(b - a @ answer.x).sum() for answer in (one, many)]
-    assert sums[0] == pytest.approx(sums[1], rel=1e-6)
-
-
 def test_more_wrong_signs_than_there_is_room_for_still_end_in_the_optimum(monkeypatch):
     a, b, _ = table("random", 8, 6000, 6)
     best = least(a, b, 0)
@@ -157,13 +141,13 @@ def of_a_noisy_epoch(seed, rows=9000, noisy=700):
 def test_an_epoch_that_is_missed_by_far_keeps_its_share_of_the_rows(seed):
     """Were none of its rows in the program, nothing there would hold its constant against the sum of the others."""
     free, a, b = of_a_noisy_epoch(seed)
-    rows, frame = np.hstack([free, a]), Problem(np.zeros((0, 14)), b[:0], 2, np.zeros((0, 14)), np.zeros(0))
-    blocks = Blocks.whole(rows, b)
-    sample, unit = least_absolute._sample(blocks, frame, 6)
-    x = least_absolute.least_absolute(Blocks.whole(sample.rows, sample.goal), frame).x
-    divided, _ = least_absolute._divide_rows(blocks, frame, x, least_absolute._SignDoubt(sample), 2000)
+    rows = np.hstack([free, a])
+    problem = Problem(rows, b, 2, np.zeros((0, 14)), np.zeros(0))
+    sample = least_absolute._thinned(problem, 6)
+    x = least_absolute.least_absolute(sample).x
+    divided, _ = least_absolute._divide_rows(problem, x, least_absolute._SignDoubt(sample), 2000)
     assert (divided.places >= 9000 - 700).sum() > 0.15 * 700
-    found = least_absolute.least_absolute_deviations(divided.problem, divided.pull, unit)
+    found = least_absolute.least_absolute_deviations(divided.problem, divided.pull, float(np.abs(b).sum()))
     assert found.optimal, found.status
     whole = solve(free, a, b, norm="l1")
     assert whole.optimal, whole.status

@@ -70,8 +70,6 @@ _TURN = 2e-3
 _HOLD = 8
 # Parts of a cycle in a parabola's window, most samples.
 _PART_OF_CYCLE, _WIDEST = 16, 12
-# Samples processed at a time.
-_BLOCK = 1 << 19
 
 
 def disturbs(noise: float, stroke: float) -> bool:
@@ -177,7 +175,6 @@ def _holds(v: Array, least: float) -> NDArray[np.intp]:
     # The range of a window, because its ends are equal at a turn; within noise nothing moves.
     still_range = max(0.1 * least, 6 * white_noise(v))
     windows = np.lib.stride_tricks.sliding_window_view(v, _HOLD + 1)
-    parts = [np.ptp(windows[start : start + _BLOCK], axis=1) < still_range for start in range(0, len(windows), _BLOCK)]
-    ahead = np.concatenate(parts)
+    ahead = np.ptp(windows, axis=1) < still_range
     still = np.concatenate([ahead, np.full(_HOLD, ahead[-1])]) | np.concatenate([np.full(_HOLD, ahead[0]), ahead])
     return np.flatnonzero(still[1:] != still[:-1]) + 1

@@ -6,8 +6,9 @@ other cart stands still: it adds kappa y and a constant. Such an interval is an 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,8 +22,6 @@ from dehyst.model import Creep, clock
 from dehyst.records import Record, white_noise
 
 _SHORTEST_EPOCH = 16
-# Samples whose elongations are in memory at a time, those of a lead, and those whose voltages are compared.
-_BLOCK, _LEAD_BLOCK, _AT_A_TIME = 8_192, 32_768, 1 << 19
 
 
 @dataclass(frozen=True)
@@ -68,9 +67,7 @@ def _grows(v: Array, tolerance: float) -> Mask:
     """Return the samples of runs near the running maximum that raise it by more than the tolerance."""
     highest = np.maximum.accumulate(v)
     near = np.zeros(len(v) + 2, dtype=bool)
-    for begin in range(0, len(v), _AT_A_TIME):
-        span = slice(begin, begin + _AT_A_TIME)
-        near[1:-1][span] = v[span] >= highest[span] - tolerance
+    near[1:-1] = v >= highest - tolerance
     starts, stops_ = np.flatnonzero(~near[:-1] & near[1:]), np.flatnonzero(near[:-1] & ~near[1:])
     grown = np.zeros(len(v), dtype=bool)
     for start, stop in zip(starts, stops_, strict=True):
@@ -134,7 +131,7 @@ class NumberedEpoch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RowSource:
-    """The samples that count, in blocks: they need not be in memory all at once.
+    """Pieces of records, and their epochs: of these samples the rows are made.
 
     `epochs`: of each piece. `leads`: samples left out before each record, by its number; empty: none.
     """
@@ -177,57 +174,43 @@ class RowSource:
         return tuple(NumberedEpoch(number, *place) for number, place in enumerate(places))
 
     def thinned(self, most: int) -> Rows:
-        """Return about `most` of the rows, evenly, in memory."""
-        parts = list(self.blocks(max(1, len(self) // most)))
-        if not parts:
-            empty, states = np.zeros(0), np.zeros((0, self.grid.moved + self.grid.time_constants.size))
-            none, numbers = np.zeros((0, self.grid.breakaway.size)), empty.astype(np.intp)
-            return Rows(none, none > 0, empty, empty, empty, numbers, numbers, empty, states)
+        """Return about `most` of the rows, evenly."""
+        step, before, place = max(1, len(self) // most), 0, 0
+        empty, numbers = np.zeros(0), np.zeros(0, dtype=np.intp)
+        none = np.zeros((0, self.grid.breakaway.size))
+        internal = np.zeros((0, self.grid.moved + self.grid.time_constants.size))
+        parts = [Rows(none, none > 0, empty, empty, empty, numbers, numbers, empty, internal)]
+        rho = self.grid.breakaway
+        for piece, spans, states in zip(self.pieces, self.epochs, self.states, strict=True):
+            path = piece.path
+            elongations, _ = slip_elongations(
+                rho, np.full(rho.size, path.displacement[0]), np.ascontiguousarray(path.displacement)
+            )
+            for k, epoch in enumerate(spans, before):
+                at = np.arange(epoch.start + -place % step, epoch.stop, step)
+                place += epoch.stop - epoch.start
+                at = at if path.counted is None else at[path.counted[at]]
+                y, elongation, known = path.displacement[at], elongations[at], 2 * rho <= epoch.reach
+                rows = Rows(
+                    elongation=np.where(known, elongation, y[:, None] - epoch.middle),
+                    stuck=~known | (np.abs(elongation) < rho * (1 - 1e-9)),
+                    displacement=y,
+                    voltage=path.voltage[at],
+                    drift=piece.drift[at],
+                    record=np.full(at.size, piece.record),
+                    epoch=np.full(at.size, k),
+                    time=path.time[at],
+                    moved=states[at],
+                )
+                parts.append(rows)
+            before += len(spans)
         return Rows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])})
 
-    def blocks(self, step: int = 1) -> Iterator[Rows]:
-        """Yield all rows, or every step-th, some thousands at a time."""
-        rho, before, place = self.grid.breakaway, 0, 0
-        for number, (piece, spans) in enumerate(zip(self.pieces, self.epochs, strict=True)):
-            path, counted = piece.path, piece.path.counted
-            carts, stop = np.full(rho.size, path.displacement[0]), spans[-1].stop if spans else 0
-            for begin, states in zip(range(0, stop, _BLOCK), self.states(number, _BLOCK), strict=False):
-                block = np.ascontiguousarray(path.displacement[begin : begin + _BLOCK])
-                elongations, carts = slip_elongations(rho, carts, block)
-                for k, epoch in enumerate(spans, before):
-                    first, last = max(epoch.start, begin), min(epoch.stop, begin + block.size)
-                    if first >= last:
-                        continue
-                    at = np.arange(first + -place % step, last, step)
-                    place += last - first
-                    at = at if counted is None else at[counted[at]]
-                    if not at.size:
-                        continue
-                    y, elongation, known = path.displacement[at], elongations[at - begin], 2 * rho <= epoch.reach
-                    yield Rows(
-                        elongation=np.where(known, elongation, y[:, None] - epoch.middle),
-                        stuck=~known | (np.abs(elongation) < rho * (1 - 1e-9)),
-                        displacement=y,
-                        voltage=path.voltage[at],
-                        drift=piece.drift[at],
-                        record=np.full(at.size, piece.record),
-                        epoch=np.full(at.size, k),
-                        time=path.time[at],
-                        moved=states[at - begin],
-                    )
-            before += len(spans)
-
-    def state_at(self, number: int, sample: int) -> Array:
-        """Return the internal states of a piece besides carts at a sample (2 J + L,)."""
-        for begin, block in zip(range(0, sample + 1, _BLOCK), self.states(number, _BLOCK), strict=False):
-            if sample < begin + len(block):
-                return np.asarray(block[sample - begin])
-        raise IndexError(sample)
-
-    def states(self, number: int, size: int) -> Iterator[Array]:
-        """Yield the internal states of a piece besides carts, `size` samples at a time."""
-        piece = self.pieces[number]
-        return internal_states(self.grid, piece.path, self.leads[piece.record] if self.leads else None, size)
+    @cached_property
+    def states(self) -> list[Array]:
+        """Internal states besides carts at every sample of each piece, see `internal_states`."""
+        leads = self.leads or [None] * (1 + max((piece.record for piece in self.pieces), default=0))
+        return [internal_states(self.grid, piece.path, leads[piece.record]) for piece in self.pieces]
 
 
 def collect(
@@ -246,8 +229,8 @@ def collect(
     return source.thinned(max(1, len(source))), source.epochs
 
 
-def internal_states(grid: Grid, path: Record, lead: Record | None, size: int) -> Iterator[Array]:
-    """Yield the internal states of a path besides carts, (size, 2 J + L) at a time except the last.
+def internal_states(grid: Grid, path: Record, lead: Record | None) -> Array:
+    """Return the internal states of a path besides carts (n, 2 J + L).
 
     Columns: creep strains (n, J) [m], smooth elongations (n, L) [m], decay of strains since the start (n, J). They are
     at rest at the path's first sample or, if the path continues a `lead` (samples left out before), at the lead's first
@@ -256,14 +239,10 @@ def internal_states(grid: Grid, path: Record, lead: Record | None, size: int) ->
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     begin, last = path.time[0], None
     if lead is not None and lead.time[-1] < begin <= lead.time[-1] + 1.5 * lead.sample_time:
-        for start in range(0, len(lead), _LEAD_BLOCK):
-            span = slice(start, start + _LEAD_BLOCK)
-            _, last = _advanced(grid, creep, last, lead.time[span], lead.displacement[span])
+        _, last = _advanced(grid, creep, None, lead.time, lead.displacement)
         begin = lead.time[0]
-    for start in range(0, len(path), size):
-        time = path.time[start : start + size]
-        internal, last = _advanced(grid, creep, last, time, path.displacement[start : start + size])
-        yield np.hstack([internal, np.exp(-(time[:, None] - begin) / grid.time_constants)])
+    internal, _ = _advanced(grid, creep, last, path.time, path.displacement)
+    return np.hstack([internal, np.exp(-(path.time[:, None] - begin) / grid.time_constants)])
 
 
 # The last processed sample: its time [s], displacement [m], strains and elongations (J + L,) [m].

@@ -14,13 +14,11 @@ With one segment, no tau, no creep and no smooth elements this is Yeh's Maxwell-
 
 With graded elements the right-hand side must increase by the floor at least on every outermost branch; those of these
 inequalities that would be violated go into the program.
-
-Of long records the rows are made again for each pass, block after block, and never exist all at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.identification.preprocessing.regressors import NumberedEpoch, Rows, RowSource
+from dehyst.identification.preprocessing.regressors import NumberedEpoch, Rows
 from dehyst.identification.regression.coefficients import Coefficients, bounds, regularization_rows, ties, violated
-from dehyst.identification.solvers.program import Norm, Solution, Table, solve, solve_blocks
+from dehyst.identification.solvers.program import Norm, Solution, Table, solve
 from dehyst.identification.structure import Grid
 from dehyst.model import parts_in_segments, segment_of
 from dehyst.records import rms
@@ -64,14 +62,8 @@ class Regression:
         Records whose creep branches may not be at rest as they begin.
     smoothing : float
         How much alike neighbours are held, see `regularization`; 0: not at all.
-    lasting : (S J,) bool array, optional
-        Starts of creep that are not forgotten before the first sample that counts; default: read from the rows.
     ranges : tuple of NumberedEpoch
         Epochs whose ranges tie the constants of a record to one another.
-    source : RowSource, optional
-        All rows, of which `rows` are some, evenly; default: these are all.
-    epochs : (E,) int array, optional
-        Epochs that get a constant; default: those of the rows.
     """
 
     rows: Rows
@@ -81,22 +73,14 @@ class Regression:
     drifting: tuple[int, ...] = ()
     strained: tuple[int, ...] = ()
     smoothing: float = 0.0
-    lasting: Mask | None = None
     ranges: tuple[NumberedEpoch, ...] = ()
-    source: RowSource | None = None
-    epochs: NDArray[np.intp] | None = None
 
     def __len__(self) -> int:
-        return len(self.rows if self.source is None else self.source)
-
-    @property
-    def whole(self) -> bool:
-        """Whether all rows are in memory."""
-        return len(self.rows) == len(self)
+        return len(self.rows)
 
     def thinned(self, most: int) -> Regression:
         """Return the regression on about `most` evenly spaced rows."""
-        return replace(self, rows=self.rows.thinned(most), source=None)
+        return replace(self, rows=self.rows.thinned(most))
 
     @property
     def mean_slope(self) -> float:
@@ -106,7 +90,7 @@ class Regression:
     @cached_property
     def numbers(self) -> NDArray[np.intp]:
         """Epochs that get a constant (E,)."""
-        return np.unique(self.rows.epoch) if self.epochs is None else self.epochs
+        return np.unique(self.rows.epoch)
 
     @cached_property
     def axis(self) -> Array:
@@ -152,8 +136,7 @@ class Regression:
         blocks = [fades * (self.rows.record == q)[:, None] for q in self.strained]
         columns = np.hstack([np.zeros((len(fades), 0)), *blocks])
         # What was forgotten before the first sample that counts is no column.
-        lasting = columns.max(axis=0, initial=0.0) >= _FORGOTTEN if self.lasting is None else self.lasting
-        return np.where(lasting, columns, 0.0)
+        return np.where(columns.max(axis=0, initial=0.0) >= _FORGOTTEN, columns, 0.0)
 
     @cached_property
     def _tau_parts(self) -> Array:
@@ -210,37 +193,8 @@ class Regression:
 
     def fit_weighted(self, norm: Norm) -> Coefficients:
         """Fit all rows, weighted by the inverse slope of a least-squares fit of equal weights."""
-        if self.source is not None and not self.whole:
-            return self._fit_in_blocks(self.source, norm, self._fit_in_blocks(self.source, "l2", None))
         like = self.fit("l2")
         return self.fit(norm, 1 / self.slope(like), like=like)
-
-    def _fit_in_blocks(self, source: RowSource, norm: Norm, before: Coefficients | None) -> Coefficients:
-        """Fit all rows, weighted by the inverse slope of a model that was found before."""
-        every = replace(self, epochs=np.arange(source.count))
-        usual = 1.0 if before is None else float(before.slopes.min()) / self.mean_slope
-        alike = self.regularization(norm, len(source), source.count + len(self.drifting), usual)
-        count, like = len(source) + len(alike[3]), every.table()
-
-        def tables() -> Iterator[Table]:
-            for one in every._blocks(source):
-                yield *one.table(), one._relative_weights(before)
-            if len(alike[3]):
-                yield alike
-
-        return every.solved_with(lambda limits: solve_blocks(count, tables, like, norm=norm, constraints=limits))
-
-    def _blocks(self, source: RowSource) -> Iterator[Regression]:
-        """Yield the same regression on all rows, block after block."""
-        lasting = np.asarray(self.start_columns.any(axis=0))
-        for rows in source.blocks():
-            yield replace(self, rows=rows, lasting=lasting, source=None)
-
-    def _relative_weights(self, model: Coefficients | None) -> Array:
-        """Return inverse slopes of a model at the rows (n,), of the order of one; all one without a model."""
-        if model is None:
-            return np.ones(len(self.rows))
-        return np.asarray(float(model.slopes.min()) / self.slope(model))
 
     def regularization(self, norm: Norm, count: int, free: int, weight: float) -> Table:
         """Return rows that hold neighbours alike, as a block of a table of `count` others: see `regularization_rows`.
@@ -375,18 +329,7 @@ class Regression:
         )
 
     def fit_nuisances(self, found: Coefficients) -> Coefficients:
-        """Fit only the constants, drifts and starts of all rows, for a model that is given; no starts in blocks."""
-        if (source := self.source) is not None and not self.whole:
-            every = replace(self, epochs=np.arange(source.count))
-
-            def columns(one: Regression) -> tuple[Array, Array, Array]:
-                return one.nuisances(), np.zeros((len(one.rows), 0)), -one.model(found)
-
-            def tables() -> Iterator[Table]:
-                for one in every._blocks(source):
-                    yield *columns(one), one._relative_weights(found)
-
-            return every._with_nuisances(found, solve_blocks(len(source), tables, columns(every), norm="l2"))
+        """Fit only the constants, drifts and starts, for a model that is given."""
         fades = self.start_columns
         starts = np.hstack([fades, -fades])
         stiffness = np.tile(found.internal[: self.grid.time_constants.size], len(self.strained))

@@ -10,16 +10,15 @@ scaled to a unit diagonal and gets a ridge that grows until its factor exists, a
 leaves too wide a gap, HiGHS solves the dual, max b'y + l'm, A'y + C'm + t <= 0 (= 0 for free coefficients),
 abs(y) <= 1, m >= 0, whose row duals are x.
 
-Any number of rows is read in blocks, of which a few are in memory (`least_absolute`). A sample of the rows gives a
-first answer. Residuals far from zero there rarely change their sign: these rows enter the program only by t. With these
-signs as their duals, a dual point of the small program is one of the whole program, whatever the signs are. So the
-duality gap over all rows certifies each answer, and rows with a wrong sign return to the program until that gap is
-closed.
+Of many rows, a sample gives a first answer (`least_absolute`). Residuals far from zero there rarely change their sign:
+these rows enter the program only by t. With these signs as their duals, a dual point of the small program is one of the
+whole program, whatever the signs are. So the duality gap over all rows certifies each answer, and rows with a wrong
+sign return to the program until that gap is closed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -33,7 +32,6 @@ from dehyst.identification.solvers.problem import (
     OPTIMAL,
     TINY,
     Answer,
-    Blocks,
     Problem,
     corrector_target,
     reach,
@@ -306,28 +304,32 @@ _UNSEEN = 1e-10
 _HEAVY, _MOST_HEAVY = 20.0, 10
 
 
-def least_absolute(blocks: Blocks, frame: Problem) -> Answer:
-    """Minimise the sum of absolute residuals of all rows; `frame` has the limits but no rows."""
-    n, q = blocks.count, frame.unknowns
+def least_absolute(problem: Problem) -> Answer:
+    """Minimise the sum of absolute residuals."""
+    n, q = problem.rows.shape
     size = min(max(int(n ** (2 / 3) * q ** (1 / 3)), 20 * q), _SAMPLED_NUMBERS // max(q, 1))
     if n <= max(2 * size, _WHOLE * q):
-        return _solve_all_rows(blocks, frame)
-    sample, unit = _sample(blocks, frame, -(-n // size))
-    first = least_absolute(Blocks.whole(sample.rows, sample.goal), frame)
+        return _solve_all_rows(problem)
+    sample, unit = _thinned(problem, -(-n // size)), _size_of_targets(problem)
+    first = least_absolute(sample)
     if not first.optimal:
-        return _solve_all_rows(blocks, frame) if n * q <= _MOST_NUMBERS else first
+        return _solve_all_rows(problem) if n * q <= _MOST_NUMBERS else first
     x, step = first.x, int((n / size) ** 0.5)
     if n > _LEAP * size:
         # After so small a sample too many signs would be in doubt.
-        thinned = Blocks(len(range(0, n, step)), lambda: _thinned(blocks, step))
-        middle = _solve_reduced(thinned, frame, sample, x, unit / step)
+        middle = _solve_reduced(_thinned(problem, step), sample, x, unit / step)
         x = middle.x if middle.optimal else x
-    return _solve_reduced(blocks, frame, sample, x, unit)
+    return _solve_reduced(problem, sample, x, unit)
 
 
-def _solve_all_rows(blocks: Blocks, frame: Problem) -> Answer:
-    problem, unit = _sample(blocks, frame, 1)
-    pull = np.zeros(problem.unknowns)
+def _size_of_targets(problem: Problem) -> float:
+    """Return the sum of absolute targets."""
+    return max(float(np.abs(problem.goal).sum()), TINY)
+
+
+def _solve_all_rows(problem: Problem) -> Answer:
+    """Solve the program without a reduction."""
+    pull, unit = np.zeros(problem.unknowns), _size_of_targets(problem)
     solution = least_absolute_deviations(problem, pull, unit)
     if not solution.optimal:
         return problem.failed(solution.status)
@@ -336,43 +338,24 @@ def _solve_all_rows(blocks: Blocks, frame: Problem) -> Answer:
     return problem.answer(solution.x, (primal - value + lacking) / max(unit, primal), solution.status)
 
 
-def _sample(blocks: Blocks, frame: Problem, step: int) -> tuple[Problem, float]:
-    """Return every step-th row, thinned by `_thinned`, and the sum of absolute targets of all."""
-    unit = TINY
-
-    def seen() -> Iterator[tuple[Array, Array]]:
-        nonlocal unit
-        for rows, goal in blocks.read():
-            unit += float(np.abs(goal).sum())
-            yield rows, goal
-
-    parts = list(_thinned(Blocks(blocks.count, seen), step))
-    rows, goal = parts[0] if len(parts) == 1 else (np.concatenate(column) for column in zip(*parts, strict=True))
-    return replace(frame, rows=rows, goal=goal), unit
-
-
-def _thinned(blocks: Blocks, step: int) -> Iterator[tuple[Array, Array]]:
-    """Yield every step-th row of blocks, and all heavy ones at a step-th of their weight.
+def _thinned(problem: Problem, step: int) -> Problem:
+    """Return every step-th row, and all heavy ones at a step-th of their weight.
 
     A few heavy rows may matter as much as all others: they must neither be missed by chance nor represent others.
     """
-    place, usual = 0, 0.0
-    for rows, goal in blocks.read():
-        if step == 1:
-            yield rows, goal
-            continue
-        # The median over rows of their largest number.
-        usual = usual or max(float(np.median(np.abs(rows[:: len(rows) // 4096 + 1]).max(axis=1))), TINY)
-        every = np.zeros(goal.size, dtype=bool)
-        every[-place % step :: step] = True
-        place += goal.size
-        heavy = np.maximum(rows.max(axis=1), -rows.min(axis=1)) > _HEAVY * usual
-        few = np.count_nonzero(heavy) <= max(_MOST_HEAVY * rows.shape[1], goal.size // step)
-        if heavy.any() and few:
-            every &= ~heavy
-            yield np.concatenate([rows[every], rows[heavy] / step]), np.concatenate([goal[every], goal[heavy] / step])
-        elif every.any():
-            yield rows[every], goal[every]
+    if step == 1:
+        return problem
+    rows, goal = problem.rows, problem.goal
+    # The median over rows of their largest number.
+    usual = max(float(np.median(np.abs(rows[:: len(rows) // 4096 + 1]).max(axis=1))), TINY)
+    every = np.zeros(goal.size, dtype=bool)
+    every[::step] = True
+    heavy = np.maximum(rows.max(axis=1), -rows.min(axis=1)) > _HEAVY * usual
+    if not heavy.any() or np.count_nonzero(heavy) > max(_MOST_HEAVY * rows.shape[1], goal.size // step):
+        return replace(problem, rows=rows[every], goal=goal[every])
+    every &= ~heavy
+    some, targets = (np.concatenate([column[every], column[heavy] / step]) for column in (rows, goal))
+    return replace(problem, rows=some, goal=targets)
 
 
 class _Divided(NamedTuple):
@@ -399,24 +382,25 @@ class _WrongSigns(NamedTuple):
     signs: Array
 
 
-def _solve_reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, unit: float) -> Answer:
-    n, most = blocks.count, _MOST_NUMBERS // frame.unknowns
-    doubt, room = _SignDoubt(sample), min(2 * sample.goal.size, _SAMPLED_NUMBERS // (2 * frame.unknowns))
-    divided, centre = _divide_rows(blocks, frame, x, doubt, room)
+def _solve_reduced(problem: Problem, sample: Problem, x: Array, unit: float) -> Answer:
+    """Solve the program on few rows, whose signs are in doubt next to `x` (q,); `unit` as above."""
+    n, most = problem.goal.size, _MOST_NUMBERS // problem.unknowns
+    doubt, room = _SignDoubt(sample), min(2 * sample.goal.size, _SAMPLED_NUMBERS // (2 * problem.unknowns))
+    divided, centre = _divide_rows(problem, x, doubt, room)
     if centre <= _GAP_EXACT * unit:
         # Zeros are a dual point: the objective cannot fall, and signs of rounding errors have no meaning.
         return Answer(x, f"optimal (a sample of {sample.goal.size} of {n} rows meets all)", True, centre / unit)
     # If more than half of the rows are in the program, all of them may be, if memory permits.
-    best = frame.failed("no round of the reduction gave an answer")
+    best = problem.failed("no round of the reduction gave an answer")
     for k in range(1, _ROUNDS + 1):
         solution = least_absolute_deviations(divided.problem, divided.pull, unit)
-        primal, wrong = _check_signs(blocks, divided, solution.x, most) if solution.optimal else (np.inf, None)
+        primal, wrong = _check_signs(problem, divided, solution.x, most) if solution.optimal else (np.inf, None)
         if wrong is not None:
             value, lacking = dual_value(divided.problem, divided.pull, solution, solution.x)
             gap = primal - value - divided.value + lacking
             if not gap / unit > best.gap:
                 method = f"{solution.status}, on {divided.places.size} of {n} rows in round {k}"
-                best = frame.answer(solution.x, gap / max(unit, primal), method)
+                best = problem.answer(solution.x, gap / max(unit, primal), method)
             if gap <= max(_GAP_CLOSED * primal, _GAP_EXACT * unit) or not wrong.places.size:
                 break
             many = divided.places.size + wrong.places.size
@@ -435,8 +419,8 @@ def _solve_reduced(blocks: Blocks, frame: Problem, sample: Problem, x: Array, un
             break
         if n <= min(most, 2 * room):
             break
-        divided, centre = _divide_rows(blocks, frame, x, doubt, room)
-    return best if best.optimal or n > most else _solve_all_rows(blocks, frame)
+        divided, centre = _divide_rows(problem, x, doubt, room)
+    return best if best.optimal or n > most else _solve_all_rows(problem)
 
 
 class _SignDoubt:
@@ -468,23 +452,15 @@ class _SignDoubt:
         return cuts
 
 
-def _divide_rows(blocks: Blocks, frame: Problem, x: Array, doubt: _SignDoubt, room: int) -> tuple[_Divided, float]:
+def _divide_rows(problem: Problem, x: Array, doubt: _SignDoubt, room: int) -> tuple[_Divided, float]:
     """Keep about `room` rows whose sign is most in doubt, add up the others; also the sum of absolute residuals."""
-    parts: list[tuple[Array, Array, NDArray[np.intp]]] = []
-    pull, value, primal, place, left = np.zeros(frame.unknowns), 0.0, 0.0, 0, room + room // 2
-    cuts = doubt.cuts(x, room / blocks.count)
-    for rows, goal in blocks.read():
-        residual = goal - rows @ x
-        kept = np.flatnonzero(doubt.score(rows, residual) <= cuts[_groups(rows, frame.free)])[:left]
-        signs = np.where(residual >= 0, 1.0, -1.0)
-        signs[kept] = 0.0
-        primal += float(np.abs(residual).sum())
-        pull += signs @ rows
-        value += float(signs @ goal)
-        parts.append((rows[kept], goal[kept], kept + place))
-        place, left = place + goal.size, left - kept.size
-    some, goals, places = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _Divided(replace(frame, rows=some, goal=goals), places, x, pull, value), primal
+    rows, goal = problem.rows, problem.goal
+    cuts, residual = doubt.cuts(x, room / goal.size), goal - rows @ x
+    kept = np.flatnonzero(doubt.score(rows, residual) <= cuts[_groups(rows, problem.free)])[: room + room // 2]
+    signs = np.where(residual >= 0, 1.0, -1.0)
+    signs[kept] = 0.0
+    few = replace(problem, rows=rows[kept], goal=goal[kept])
+    return _Divided(few, kept, x, signs @ rows, float(signs @ goal)), float(np.abs(residual).sum())
 
 
 def _groups(rows: Array, free: int) -> NDArray[np.intp]:
@@ -493,18 +469,13 @@ def _groups(rows: Array, free: int) -> NDArray[np.intp]:
     return np.asarray(nonzero.argmax(axis=1))
 
 
-def _check_signs(blocks: Blocks, divided: _Divided, x: Array, most: int) -> tuple[float, _WrongSigns]:
+def _check_signs(problem: Problem, divided: _Divided, x: Array, most: int) -> tuple[float, _WrongSigns]:
     """Return the sum of absolute residuals of all rows, and at most `most` + 1 rows with wrong signs."""
-    primal, place, room, parts = 0.0, 0, most + 1, []
-    for rows, goal in blocks.read():
-        residual, signs = goal - rows @ x, np.where(goal - rows @ divided.signs_of >= 0, 1.0, -1.0)
-        primal += float(np.abs(residual).sum())
-        kept = slice(*np.searchsorted(divided.places, [place, place + goal.size]))
-        signs[divided.places[kept] - place] = 0.0
-        wrong = np.flatnonzero(residual * signs < 0)[:room]
-        parts.append((rows[wrong], goal[wrong], wrong + place, signs[wrong]))
-        place, room = place + goal.size, room - wrong.size
-    return primal, _WrongSigns(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    rows, goal = problem.rows, problem.goal
+    residual, signs = goal - rows @ x, np.where(goal - rows @ divided.signs_of >= 0, 1.0, -1.0)
+    signs[divided.places] = 0.0
+    wrong = np.flatnonzero(residual * signs < 0)[: most + 1]
+    return float(np.abs(residual).sum()), _WrongSigns(rows[wrong], goal[wrong], wrong, signs[wrong])
 
 
 def _with_rows(divided: _Divided, more: _WrongSigns) -> _Divided:

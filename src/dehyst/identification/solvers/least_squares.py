@@ -27,7 +27,6 @@ from dehyst.identification.solvers.problem import (
     OPTIMAL,
     TINY,
     Answer,
-    Blocks,
     Problem,
     corrector_target,
     reach,
@@ -64,14 +63,6 @@ def least_squares(problem: Problem) -> Answer:
         if answer is not None and answer.gap < 1e-3 * OPTIMAL:
             return answer
     return _of_triangle(triangle_of(np.column_stack([problem.rows, problem.goal])), problem)
-
-
-def least_squares_of_blocks(blocks: Blocks, frame: Problem) -> Answer:
-    """Minimise the sum of squares of all rows; `frame` has the limits but no rows."""
-    triangle = np.zeros((0, frame.unknowns + 1))
-    for rows, goal in blocks.read():
-        triangle = triangle_of(np.vstack([triangle, np.column_stack([rows, goal])]))
-    return _of_triangle(triangle, frame)
 
 
 def _by_gram(problem: Problem) -> Answer | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,19 +62,6 @@ class Answer:
     status: str
     optimal: bool
     gap: float
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Rows and targets (k, q) and (k,), `count` in all, that `read` yields block after block, any number of times."""
-
-    count: int
-    read: Callable[[], Iterator[tuple[Array, Array]]]
-
-    @classmethod
-    def whole(cls, rows: Array, goal: Array) -> Blocks:
-        """Return rows in memory, in one block."""
-        return cls(goal.size, lambda: iter([(rows, goal)]))
 
 
 def spread(values: NDArray[Any], places: NDArray[np.intp], size: int) -> NDArray[Any]:

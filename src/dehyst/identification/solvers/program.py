@@ -7,7 +7,6 @@ L1 is `least_absolute`, L2 is `least_squares`. Each answer comes with its dualit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,8 +16,8 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification.solvers import highs
 from dehyst.identification.solvers.least_absolute import least_absolute
-from dehyst.identification.solvers.least_squares import ActiveSet, least_squares, least_squares_of_blocks
-from dehyst.identification.solvers.problem import Answer, Blocks, Problem
+from dehyst.identification.solvers.least_squares import ActiveSet, least_squares
+from dehyst.identification.solvers.problem import Answer, Problem
 
 Norm = Literal["l1", "l2"]
 NORMS: tuple[Norm, ...] = ("l1", "l2")
@@ -30,7 +29,7 @@ Table = tuple[Array, Array, Array, Array]
 class Solution:
     """The solution of the program.
 
-    `free`, `nonnegative`: a and x. `residual` (n,): F a + P x - b, not weighted; empty where rows were read in blocks.
+    `free`, `nonnegative`: a and x. `residual` (n,): F a + P x - b, not weighted.
     `gap`: primal minus dual objective, relative to the larger of the primal one and that of a = x = 0; not negative
     except by rounding. `active_set`: of a least-squares program solved from sums: the start of one nearby.
     `inequalities` (m, q) and (m,): those that the program came to need.
@@ -70,43 +69,9 @@ def solve(
     w = np.ones(len(target)) if weights is None else weights / weights.max()
     scale, unit = _scales(columns, target)
     rows, goal = columns / scale * w[:, None], target / unit * w
-    frame = Problem(rows, goal, p, *_scaled_limits(constraints, p, scale, unit))
-    answer = _answer(Blocks.whole(rows, goal), frame, norm)
+    answer = _answer(Problem(rows, goal, p, *_scaled_limits(constraints, p, scale, unit)), norm)
     x = answer.x / scale * unit
     return Solution(x[:p], x[p:], columns @ x - target, answer.optimal, answer.status, answer.gap)
-
-
-def solve_blocks(
-    count: int,
-    tables: Callable[[], Iterator[Table]],
-    like: tuple[Array, Array, Array],
-    *,
-    norm: Norm = "l1",
-    constraints: tuple[Array, Array] | None = None,
-) -> Solution:
-    """Solve the program of rows of which only a block is in memory at a time.
-
-    `count`: number of rows. `tables`: yields them in blocks, any number of times. `like`: some of the rows, which
-    define the scales: free columns, those not negative, target. `constraints` (c, q) and (c,): as for `solve`.
-
-    Returns
-    -------
-    Solution
-        Without residuals; the gap covers all rows.
-    """
-    p, columns = like[0].shape[1], np.hstack(like[:2])
-    scale, unit = _scales(columns, like[2])
-
-    def read() -> Iterator[tuple[Array, Array]]:
-        for free, nonnegative, target, weights in tables():
-            rows = np.hstack([free, nonnegative])
-            rows *= weights[:, None] / scale
-            yield rows, target / unit * weights
-
-    frame = Problem(columns[:0], np.zeros(0), p, *_scaled_limits(constraints, p, scale, unit))
-    answer = _answer(Blocks(count, read), frame, norm)
-    x = answer.x / scale * unit
-    return Solution(x[:p], x[p:], np.zeros(0), answer.optimal, answer.status, answer.gap)
 
 
 def _scales(columns: Array, target: Array) -> tuple[Array, float]:
@@ -140,12 +105,10 @@ def _scaled_limits(
     return whole / size[:, None], lower / size / unit
 
 
-def _answer(blocks: Blocks, frame: Problem, norm: Norm) -> Answer:
-    """Solve a scaled program; `frame` has the limits, and all rows if they are in memory."""
-    q, above = frame.unknowns, np.full(frame.lower.size, np.inf)
-    bounds = np.where(np.arange(q) < frame.free, -np.inf, 0.0), np.full(q, np.inf)
-    if above.size and not highs.minimum(np.zeros(q), bounds, frame.matrix, (frame.lower, above)).optimal:
-        return frame.failed("no coefficients that are not negative keep the inequalities")
-    if norm == "l1":
-        return least_absolute(blocks, frame)
-    return least_squares(frame) if frame.goal.size else least_squares_of_blocks(blocks, frame)
+def _answer(problem: Problem, norm: Norm) -> Answer:
+    """Solve a scaled program."""
+    q, above = problem.unknowns, np.full(problem.lower.size, np.inf)
+    bounds = np.where(np.arange(q) < problem.free, -np.inf, 0.0), np.full(q, np.inf)
+    if above.size and not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above)).optimal:
+        return problem.failed("no coefficients that are not negative keep the inequalities")
+    return least_absolute(problem) if norm == "l1" else least_squares(problem)
