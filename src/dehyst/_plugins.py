@@ -1,7 +1,6 @@
-"""Registries with one row a member, to which other distributions add theirs by entry points.
+"""A registry with one row a member, to which other distributions add theirs by entry points.
 
-The group ``dehyst.readers`` adds file formats, ``dehyst.rigs`` instruments, ``dehyst.baselines`` rival models and
-``dehyst.targets`` kinds of exports. The name of an entry point is the name of the row.
+The group ``dehyst.baselines`` adds rival models. The name of an entry point is the name of the row.
 """
 
 from __future__ import annotations

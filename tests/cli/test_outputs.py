@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from command_line import run
 
-from dehyst import Compensator, FileFormatError, Record, write_record
+from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip, Record, Spring, write_record
 from dehyst._io import demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
 from dehyst.cli import main
 from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
@@ -274,3 +274,14 @@ def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
     assert done.exit_code == 2
     assert "-: is no name" in done.stderr
     assert not (tmp_path / "-").exists()
+
+
+def test_a_suffix_that_is_no_export_is_no_folder(tmp_path):
+    model = tmp_path / "model.json"
+    Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
+    status, _, err = run("export", model, tmp_path / "stage.mm", "--no-measure")
+    assert (status, ".wasm or .fmu" in err) == (2, True)
+    assert not (tmp_path / "stage.mm").exists()
+    (tmp_path / "stage.mm").mkdir()
+    for name in ("stage.mm", "piezo-1.5"):
+        assert run("export", model, tmp_path / name, "--no-measure")[0] == 0

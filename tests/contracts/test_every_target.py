@@ -7,7 +7,7 @@ import node_programs
 import numpy as np
 import pytest
 
-from dehyst.exports import TARGETS
+from dehyst.exports.targets import TARGETS
 from dehyst.testing import TargetCandidate, TargetContract
 
 PROGRAM = r"""
@@ -53,7 +53,7 @@ TARGETS_HERE = [
 
 
 def test_every_target_is_here():
-    assert {one.suffix for one in TARGETS_HERE} == set(TARGETS.own)
+    assert {one.suffix for one in TARGETS_HERE} == set(TARGETS)
 
 
 class TestEveryTarget(TargetContract):

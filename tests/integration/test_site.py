@@ -34,7 +34,6 @@ RUN_ELSEWHERE = (
     "how_to/control.md",
     "how_to/fleet.md",
     "how_to/instruments.md",
-    "how_to/plugins.md",
     "how_to/python.md",
     "how_to/simulink.md",
     "tutorials/first_calibration.md",

@@ -26,7 +26,7 @@ FACES = {
             plan_voltage shortest_homing wave_table
         """,
         "exports": """
-            TARGETS Exported SourceOnlyWarning Target Written export export_fmu export_wasm sizes wasm_module
+            Exported SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
         """,
         "fleet": """
             FleetTable identify_fleet
@@ -36,7 +36,7 @@ FACES = {
             identify_stage initial_state state_after
         """,
         "instruments": """
-            HIGHEST_RATE SCHEMES AbstractRig DeviceError LinkError Reading RigError Samples Scheme SensorError
+            HIGHEST_RATE AbstractRig DeviceError LinkError Reading RigError Samples SensorError
             host_timed open_rig
         """,
         "model": """
@@ -44,7 +44,7 @@ FACES = {
             Physical Promise SmoothSlip Spring Stage State Thermal Transformer Validity promise simulated
         """,
         "records": """
-            LOADERS Allowance Column Record read read_table write_columns write_record
+            Record read read_table write_columns write_record
         """,
         "report": """
             write_calibration write_check_history write_comparison write_insight write_record_page write_report

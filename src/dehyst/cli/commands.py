@@ -7,7 +7,7 @@ import shlex
 import signal
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
@@ -35,13 +35,6 @@ dehyst compensate model.json path.csv -o v.csv  the voltages for a path
 dehyst --help                                   all commands, in the order of work"""
 # Commands of this room, beside the operations: where they are, under which heading, and in a few words.
 _OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records or an instrument")}
-# Tables that plug-ins extend: the group of their entry points, where the table is, and what a row is.
-_TABLES = {
-    "readers": ("dehyst.records", "LOADERS", "reader of"),
-    "rigs": ("dehyst.instruments", "SCHEMES", "rig"),
-    "baselines": ("dehyst.baselines", "BASELINES", "baseline"),
-    "targets": ("dehyst.exports", "TARGETS", "export to"),
-}
 # What an option of a reader is in --columns.
 _KEYS = {
     "time": "time=NAME",
@@ -338,31 +331,17 @@ class Commands(click.Group):
                 sys.exit(_INTERRUPTED)
 
 
-def _plugin_lines() -> Iterator[str]:
-    """Yield a line for each plug-in: what it adds, its distribution, and why it cannot be used, if so."""
-    from importlib.metadata import entry_points
-
-    for group, (module, table, noun) in _TABLES.items():
-        if not entry_points(group=f"dehyst.{group}"):
-            continue
-        with warnings.catch_warnings(action="ignore"):
-            plugins = getattr(import_module(module), table).plugins
-        for name, by, fault in plugins:
-            yield fault or f"{noun} {name} of {' and '.join(by)}"
-
-
 @click.group(
     cls=Commands,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
-@click.option("--version", is_flag=True, help="Show the version and all plug-ins, and exit.")
+@click.option("--version", is_flag=True, help="Show the version and exit.")
 @click.pass_context
 def main(context: click.Context, version: bool) -> None:
     """Take the hysteresis out of piezoelectric actuators."""
     if version:
-        for line in (f"dehyst, version {__version__}", *_plugin_lines()):
-            echo(line)
+        echo(f"dehyst, version {__version__}")
         context.exit()
     if context.invoked_subcommand is None:
         for line in _FIRST_STEPS.split("\n"):

@@ -1,20 +1,18 @@
 """Rigs: instruments that drive an actuator. Each driver serves one kind of instrument and imports no other driver."""
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
-from dehyst.instruments.addresses import SCHEMES, Scheme, open_rig
+from dehyst.instruments.addresses import SCHEMES, open_rig
 from dehyst.instruments.base import BY_HAND, HIGHEST_RATE, AbstractRig, VoltageNote, host_timed, played_rate
 from dehyst.instruments.samples import Reading, Samples
 
 __all__ = [
     "HIGHEST_RATE",
-    "SCHEMES",
     "AbstractRig",
     "DeviceError",
     "LinkError",
     "Reading",
     "RigError",
     "Samples",
-    "Scheme",
     "SensorError",
     "host_timed",
     "open_rig",

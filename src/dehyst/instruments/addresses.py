@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError, Terminated
-from dehyst._plugins import Registry
 from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes
 
 _Options: TypeAlias = dict[str, Any]
@@ -36,7 +35,6 @@ def open_rig(
         ``jena://192.168.0.5`` or ``jena:///dev/ttyUSB0``: an NV200/D of piezosystem jena; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
-        ``NAME://...``: an instrument that a plug-in adds.
     axes : sequence of str, optional
         Names of the axes of a controller, unless they are in the address; default: its only axis. Those of a rig of
         your own must be the ones that it has; default: these.
@@ -52,7 +50,7 @@ def open_rig(
         raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'].form}")
     if scheme is not None:
         given = {**options, "axes": axes} if scheme.several else dict(options)
-        return _checked(_made(f"{word}://{rest}", scheme.open, rest, given), options)
+        return _checked(scheme.open(rest, given), options)
     forms = f"{', '.join(one.form for one in SCHEMES.values())} or path/to/my_rig.py:make"
     if separator:
         raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {forms}")
@@ -171,22 +169,13 @@ class Scheme(NamedTuple):
     several: bool = False
 
 
-def _of_plugin(name: str, scheme: Scheme) -> Scheme:
-    if not isinstance(scheme, Scheme):
-        raise TypeError(f"got a {type(scheme).__name__}, need a dehyst.instruments.Scheme")
-    if not name.isascii() or not name.isalnum() or name != name.lower():
-        raise ValueError(f"got the name {name!r}, need small letters and digits: it is what comes before ://")
-    return scheme
-
-
-_OWN = {
+SCHEMES = {
     "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
     "epics": Scheme("epics://PREFIX", _epics),
     "sim": Scheme("sim://play (or creep, preisach, boucwen, /path/to/model.json)", _sim),
     "jena": Scheme("jena://host (or /dev/ttyUSB0)", _jena),
     "ni": Scheme("ni://Dev1/ao0,ai0?gain=10&scale=5", _ni),
 }
-SCHEMES: Registry[Scheme] = Registry("rigs", _OWN, _of_plugin)
 
 
 def _custom(path: Path, name: str, options: _Options) -> AbstractRig:

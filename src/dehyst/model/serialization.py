@@ -144,8 +144,8 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     found["lag"] = number(data["lag_s"], "lag_s")
     found["load_stiffness"] = _or_none(number, data["load_stiffness_N_per_m"], "load_stiffness_N_per_m")
     if data["identification"] is not None:
-        known = _part(data, "identification", set(Identification.keys()))
-        found["identification"] = Identification.from_dict(known)
+        entries = _part(data, "identification", set(Identification.keys()))
+        found["identification"] = Identification.from_dict(entries)
     if data["limits"] is not None:
         known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()
         limits = _part(data, "limits", known or set(_LIMITS[:1]))

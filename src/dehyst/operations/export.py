@@ -35,7 +35,7 @@ def _suffix(given: Values) -> str:
 
 def _of(option: str) -> Only:
     """Return the condition that the target supports an option."""
-    takers = " or ".join(target.words for target in TARGETS.own.values() if option in target.options)
+    takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
     return Only(lambda given: option in TARGETS[_suffix(given)].options, f"on anything but {takers}")
 
 

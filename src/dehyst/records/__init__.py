@@ -25,4 +25,4 @@ from dehyst.records.signals import (
 )
 from dehyst.records.transients import settled, transients
 
-__all__ = ["LOADERS", "Allowance", "Column", "Record", "read", "read_table", "write_columns", "write_record"]
+__all__ = ["Record", "read", "read_table", "write_columns", "write_record"]

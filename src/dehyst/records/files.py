@@ -68,7 +68,7 @@ def read(
     ----------
     path : path
         .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms .npz or .npy. A named pipe is read once;
-        without a suffix its first bytes determine the format. Plug-ins add other suffixes.
+        without a suffix its first bytes determine the format.
     time, voltage, displacement : str, optional
         Columns, as "NAME" or "NAME:UNIT"; a "?" at the end marks a guess, which the record keeps in
         ``meta["guesses"]``.

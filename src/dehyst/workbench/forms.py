@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from dehyst.exports import TARGETS
 from dehyst.instruments import SCHEMES
 from dehyst.waveforms.named import OPTIONS, SCANS
 
@@ -111,7 +110,7 @@ FORMS: dict[str, Form] = {
     "play": {"voltage": {"label": "Voltage"}},
 }
 # Kinds of exports: title, text and, of a file, its suffix.
-_EXPORTS = {
+EXPORTS = {
     "c": ("C99", "Sources, numbers and a test for firmware; the same code as Python runs.", ""),
     "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 3.0).", ".fmu"),
     "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
@@ -126,24 +125,10 @@ _MANY = {
 _FIRST = {"lines": "16", "revolutions": "5", "ratio": "3 2", "dwell": "0.2"}
 
 
-def exports() -> dict[str, tuple[str, str, str]]:
-    """Return the kinds of exports, those of plug-ins too: title, text and, of a file, its suffix."""
-    added = (suffix for suffix in TARGETS if suffix not in TARGETS.own)
-    return {**_EXPORTS, **{suffix: (TARGETS[suffix].words, TARGETS[suffix].about, suffix) for suffix in added}}
-
-
 def rig_address() -> re.Pattern[str]:
-    """Return what an address is that a page may open: none that names a file to be run or read, but by a plug-in."""
+    """Return what an address is that a page may open: none that names a file to be run or read."""
     kinds = "|".join(name for name in SCHEMES if name != "sim")
     return re.compile(rf"({kinds})://[^\s]+|sim://[a-z]+")
-
-
-def connect_form() -> Form:
-    """Return the fields of a rig's connection, whose hint names the addresses of plug-ins too."""
-    form = FORMS["connect"]
-    added = [SCHEMES[name].form for name in SCHEMES if name not in SCHEMES.own]
-    hint = "; ".join([form["address"]["hint"], *added])
-    return {**form, "address": {**form["address"], "hint": hint}}
 
 
 def scan_form() -> Form:

@@ -174,9 +174,9 @@ def _declared(examples: Mapping[str, Any]) -> str:
     """Return a module with the records to try, the fields of all forms, and the kinds of scans and exports."""
     declared = {
         "examples": examples,
-        "forms": {**forms.FORMS, "connect": forms.connect_form(), "scan": forms.scan_form()},
+        "forms": {**forms.FORMS, "scan": forms.scan_form()},
         "scans": forms.scan_kinds(),
-        "exports": forms.exports(),
+        "exports": forms.EXPORTS,
     }
     return f"export const DECLARED = {json.dumps(declared)};\n"
 

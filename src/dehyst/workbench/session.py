@@ -21,7 +21,7 @@ from dehyst.workbench import folder as places
 from dehyst.workbench.data import written_path
 from dehyst.workbench.entries import ModelEntry, RecordEntry, VoltageEntry
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.forms import exports, in_page
+from dehyst.workbench.forms import EXPORTS, in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
 from dehyst.workbench.reading import form_of
 
@@ -326,20 +326,20 @@ class WorkbenchSession:
         return self.jobs.start("compensate", entry.id, steps, done)
 
     def export(self, key: str, kind: str, request: Mapping[str, Any]) -> str:
-        """Export a model as `kind`: c, fmu, wasm, wave_table or the suffix of a plug-in; return the job."""
+        """Export a model as `kind`: c, fmu, wasm or wave_table; return the job."""
         model = self.model(key, ready=True)
         name = Path(model.file).stem
         if kind == "wave_table":
             table = self.folder.new(places.EXPORTS, f"{name}-cycle", ".csv")
             file = self.folder.new(places.VOLTAGES, f"{name}-cycle", ".csv")
             steps = self._path_steps(model, request, file, table=table)
-        elif kind in (kinds := exports()):
-            suffix = kinds[kind][-1]
+        elif kind in EXPORTS:
+            suffix = EXPORTS[kind][-1]
             target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
             version = {"fmu": "3.0"} if kind == "fmu" else {}
             steps = [Step("export", {"model": model.file, "directory": target, **version})]
         else:
-            raise SessionError(f"kind: got {kind!r}, need {', '.join(kinds)}")
+            raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
         return self.jobs.start("export", model.id, steps, lambda _: None)
 
     def cancel(self, job: str) -> None:

@@ -1,4 +1,4 @@
-"""The readable formats; those of plug-ins, or with a library in C, are read in a child process, which may crash.
+"""The readable formats; those with a library in C are read in a child process, which may crash.
 
 One helper process imports the libraries once, and forks a child with bounds of memory and time for each file. No child
 outlives the process that asked.
@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import fields
 from importlib import import_module
 from importlib.util import find_spec
 from math import ceil
@@ -28,7 +28,6 @@ import numpy as np
 
 from dehyst import _errors
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
-from dehyst._plugins import Registry
 from dehyst.records import hdf5
 from dehyst.records.formats import containers, vendor_files
 from dehyst.records.formats.columns import TEXT, Column
@@ -59,31 +58,7 @@ def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
     return containers.restored(columns, b"".join(first).decode(errors="replace"))
 
 
-def _of_plugin(suffix: str, reader: Callable[[bytes, Allowance], list[Column]]) -> Format:
-    """Return the format of a plug-in's reader, whose columns are checked."""
-    if not suffix.startswith(".") or "." in suffix[1:] or suffix != suffix.lower():
-        raise ValueError(f"got the name {suffix!r}, need a suffix in lower case, such as '.daq'")
-    if not callable(reader):
-        raise TypeError(f"got a {type(reader).__name__}, need a function of bytes and an Allowance")
-
-    def checked(data: bytes, allowance: Allowance) -> list[Column]:
-        columns = list(reader(data, allowance))
-        if not all(isinstance(one, Column) and np.ndim(one.data) == 1 for one in columns):
-            raise TypeError(f"its reader returned {str(columns)[:100]}, need Columns of one dimension")
-        for one in columns:
-            if not isinstance(one.name, str) or not isinstance(one.unit, str):
-                raise TypeError(f"its reader returned the name {one.name!r} with the unit {one.unit!r}, need text")
-        return [
-            replace(one, data=np.empty(0), fault=containers.COMPLEX)
-            if np.iscomplexobj(one.data)
-            else replace(one, data=np.ma.filled(np.ma.asarray(one.data, dtype=np.float64), np.nan))
-            for one in columns
-        ]
-
-    return Format(checked)
-
-
-_OWN = {
+LOADERS = {
     **dict.fromkeys((*TEXT, ".lvm", ".asc"), Format(_read_text)),
     ".xlsx": Format(vendor_files.read_xlsx, "openpyxl"),
     ".mat": Format(containers.read_mat, "scipy.io"),
@@ -94,7 +69,6 @@ _OWN = {
     ".npy": Format(containers.read_npy),
     ".npz": Format(containers.read_npz),
 }
-LOADERS: Registry[Format] = Registry("readers", _OWN, _of_plugin)
 # CPU time for a file [s], the bytes that add another second, and how many times longer it may take on a busy computer.
 _SECONDS, _A_SECOND, _BUSY = 5, 5_000_000, 10
 # How often the helper looks whether the process that asked is still there [s].
@@ -117,7 +91,7 @@ class Loaded(NamedTuple):
 
 
 def load(content: Content) -> Loaded:
-    """Read a file's columns, in a child process if its format is of a library or a plug-in; raise FileFormatError.
+    """Read a file's columns, in a child process if its format is of a library; raise FileFormatError.
 
     Raise `MissingExtraError` if the library is not installed.
     """
@@ -127,8 +101,7 @@ def load(content: Content) -> Loaded:
         if sys.modules.get(module, ...) is None or find_spec(package) is None:
             name = LOADERS[content.suffix].name or content.suffix
             raise MissingExtraError.of(package, "files", f"Reading {name} files")
-    foreign = module or content.suffix not in LOADERS.own
-    if foreign and sys.executable and not getattr(sys, "frozen", False):
+    if module and sys.executable and not getattr(sys, "frozen", False):
         with _LOCK:
             return _HELPER.load(content)
     return _load_here(content)
@@ -251,10 +224,8 @@ def _crash_message(content: Content, status: int) -> str:
     if word in ("SIGXCPU", "SIGKILL"):
         seconds = _seconds(content)
         how = f"did not finish it in {seconds} s of CPU time, or {_BUSY * seconds} s in all, or was killed"
-    who, advice = "library", "the file is damaged: take it from a copy, or export the measurement again"
-    if content.suffix not in LOADERS.own:
-        who, advice = "plug-in", "try another file, and report it to the plug-in's author"
-    return f"{content.path}: not a readable {content.suffix} file: its {who} {how}; {advice}"
+    advice = "the file is damaged: take it from a copy, or export the measurement again"
+    return f"{content.path}: not a readable {content.suffix} file: its library {how}; {advice}"
 
 
 def _seconds(content: Content) -> int:
@@ -280,7 +251,7 @@ def serve() -> None:
 
 def _answer_in_child(content: Content, answers: BinaryIO) -> int | None:
     """Answer in a forked child; return the status with which it ended if it did not answer, else None."""
-    if module := _library(content):  # Once, not in each child, as are plug-ins.
+    if module := _library(content):  # Once, not in each child.
         with suppress(ImportError):
             import_module(module)
     asker, end = os.getppid(), time.monotonic() + _BUSY * _seconds(content)
@@ -331,9 +302,7 @@ def _answer(content: Content, answers: BinaryIO) -> None:
     try:
         columns, stored = _load_here(content)
     except DehystError as error:
-        # A plug-in may raise an error of its own class.
-        name = next(one.__name__ for one in type(error).__mro__ if hasattr(_errors, one.__name__))
-        answers.write(json.dumps({"error": name, "fields": vars(error)}).encode() + b"\n")
+        answers.write(json.dumps({"error": type(error).__name__, "fields": vars(error)}).encode() + b"\n")
     else:
         names = [field.name for field in fields(Column) if field.name != "data"]
         heads = [[column.data.size, {name: getattr(column, name) for name in names}] for column in columns]
