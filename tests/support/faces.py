@@ -55,8 +55,7 @@ FACES = {
             Paper
         """,
         "testing": """
-            BaselineCandidate BaselineContract FakeInstrument ModelCandidate ModelContract ReaderCandidate
-            ReaderContract RigCandidate RigContract TargetCandidate TargetContract
+            BaselineCandidate BaselineContract FakeInstrument ModelCandidate ModelContract RigCandidate RigContract
         """,
         "trust": """
             Change CheckHistory Insight Recheck Update check

@@ -4,7 +4,6 @@ from dehyst.exports.firmware import Exported, export
 from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
 from dehyst.exports.footprint import sizes
 from dehyst.exports.naming import shipped
-from dehyst.exports.targets import TARGETS
 from dehyst.exports.wasm import export_wasm, wasm_module
 
 __all__ = [

@@ -7,9 +7,7 @@ The suites are classes for pytest: a subclass gives a candidate, and runs as any
 
 from dehyst.testing.instrument import FakeInstrument
 from dehyst.testing.models import BaselineCandidate, BaselineContract, ModelCandidate, ModelContract
-from dehyst.testing.readers import ReaderCandidate, ReaderContract
 from dehyst.testing.rigs import RigCandidate, RigContract
-from dehyst.testing.targets import TargetCandidate, TargetContract
 
 __all__ = [
     "BaselineCandidate",
@@ -17,10 +15,6 @@ __all__ = [
     "FakeInstrument",
     "ModelCandidate",
     "ModelContract",
-    "ReaderCandidate",
-    "ReaderContract",
     "RigCandidate",
     "RigContract",
-    "TargetCandidate",
-    "TargetContract",
 ]
