@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from dehyst import DehystError, FileFormatError, Record, read
-from dehyst.records import LOADERS, Allowance, read_table
+from dehyst.records import LOADERS, read_table
+from dehyst.records.formats.file_content import Allowance
 
 RECORD = Record(file_specimens.T, file_specimens.V, file_specimens.Y)
 NAMES = [
