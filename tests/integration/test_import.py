@@ -5,7 +5,6 @@ import inspect
 import json
 import subprocess
 import sys
-from enum import Enum
 
 import numpy as np
 import pytest
@@ -63,11 +62,6 @@ def test_names_are_few_sorted_and_real():
     assert dir(dehyst) == dehyst.__all__
 
 
-def test_a_name_that_one_looks_for_names_what_loads():
-    with pytest.raises(AttributeError, match=r"Actuator\.load.*dehyst\.read"):
-        _ = dehyst.load
-
-
 def test_every_name_of_the_face_has_a_room():
     """The table that loads a name, the list of names, and what a type checker reads are one."""
     face = ast.parse(inspect.getsource(dehyst))
@@ -85,37 +79,6 @@ def test_every_name_of_the_face_has_a_room():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'identification_of'"):
         _ = dehyst.identification_of
-
-
-def public_things():
-    """Every public function, class, method and property reachable through `dehyst.__all__`, with its full name."""
-    for name in dehyst.__all__:
-        thing = getattr(dehyst, name)
-        if not (inspect.isclass(thing) or inspect.isfunction(thing)):
-            continue
-        yield name, thing
-        for attribute, member in vars(thing).items() if inspect.isclass(thing) else ():
-            function = getattr(member, "func", getattr(member, "__func__", member))
-            if not attribute.startswith("_") and (inspect.isfunction(function) or isinstance(function, property)):
-                yield f"{name}.{attribute}", function
-
-
-@pytest.mark.parametrize(
-    ("name", "thing"), list(public_things()), ids=lambda value: value if isinstance(value, str) else ""
-)
-def test_has_a_docstring(name, thing):
-    text = thing.__doc__
-    assert text, f"{name} has no docstring"
-    assert len(text.split()) >= 3, f"{name}: {text!r} says too little"
-    # A dataclass without a docstring is given its own signature.
-    assert not text.startswith(f"{name}("), f"{name} has no docstring but its signature"
-
-
-def test_outcomes_are_sentences():
-    assert issubclass(dehyst.Outcome, Enum)
-    for outcome in dehyst.Outcome:
-        assert outcome.value[0].isupper()
-        assert outcome.value.endswith(".")
 
 
 def test_the_version_is_the_distributions():

@@ -39,10 +39,6 @@ def test_its_code_runs(tmp_path, monkeypatch, capsys):
     assert names["compensator"].clamps == (0, 0)
 
 
-def test_it_is_short():
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
-
-
 @pytest.mark.parametrize("kind", PARTS)
 def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, monkeypatch, capsys):
     fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.Outcome.WIDER, errors=())
