@@ -59,8 +59,8 @@ _HEADER = re.compile(r"\w+_\w+([,\t]\w+)*|\w+([,\t]\w+)*[,\t]\w+_\w+")
 # How the text of an export begins.
 _COMMENT = re.compile(r"[-#;%*/(!]{1,3} ?dehyst: ")
 _PROTECTS: ContextVar[bool] = ContextVar("protects", default=False)
-# Types of data that are no file, and what makes a record of them.
-_TABLES = {"DataFrame": "from_dataframe", "Dataset": "from_xarray", "ndarray": "from_arrays"}
+# Types of data that are no file.
+_ARRAYS = ("DataFrame", "ndarray")
 # A model has some hundred numbers, a calibration's results some ten thousand.
 _MOST_JSON = 100_000_000
 
@@ -171,8 +171,8 @@ def path_of(value: object, what: str = "path") -> Path:
     if isinstance(name, str) and "\0" not in name:
         return Path(name)
     kind, need = type(value).__name__, "the name of a file or a folder"
-    if kind in _TABLES:
-        hint = f"make a record of it with dehyst.Record.{_TABLES[kind]}"
+    if kind in _ARRAYS:
+        hint = "make a record of its columns with dehyst.Record.from_arrays"
         raise FileFormatError(argument=what, got=kind, need=need, hint=hint)
     raise FileFormatError(argument=what, got=repr(value), need=f"{need}, as 'loops.csv' or a pathlib.Path")
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
+from inspect import isroutine
 from math import inf, nan
 from numbers import Integral, Real
 from typing import Any
@@ -24,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import DehystError, IdentifyError, ModelError
 from dehyst._types import Array
-from dehyst._units import plain
 
 # Names of the axes of a record or a stage that names none.
 DEFAULT_AXES = ("x", "y", "z")
@@ -33,6 +33,7 @@ LEAST, MOST, MOST_ADDED = 1e-30, 1e30, 1e300
 # The core's DEHYST_FARTHEST: no displacement lies farther away.
 FARTHEST = float(np.finfo(np.float64).eps) ** -2
 _LARGEST = float(np.finfo(np.float64).max)
+_PLAIN = frozenset({float, int, bool, str, bytes, type(None), np.float64, np.float32, np.int64, np.int32, np.bool_})
 
 
 def keep(owner: object, **fields: Any) -> None:
@@ -52,19 +53,44 @@ def untimely(time: Array, samples: int) -> str:
     return f"time: got {after:.9g} s after {before:.9g} s at value {first}, need strictly increasing times"
 
 
-def vector(values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> Array:
-    """Return `values` as a contiguous one-dimensional array of finite doubles; quantities in `unit`, see `plain`.
+def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> Any:
+    """Return values unchanged; raise `error` if NumPy would strip them of a unit, of a mask or of an imaginary part."""
+    kind = type(values)
+    if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind not in "Oc"):
+        return values
+    if isinstance(values, list | tuple):
+        if not _PLAIN.issuperset(map(type, values)):
+            return [plain(value, what, error=error) for value in values]
+        return values
+    if unit := _unit_of(values) or _unit_of(getattr(values, "data", None)):
+        hint = 'give the numbers alone, as quantity.to("um").magnitude, or numpy.asarray(numbers)'
+        raise error(argument=what, got=f"a quantity in {unit}", need="plain numbers", hint=hint)
+    mask, stored = getattr(values, "mask", None), getattr(getattr(values, "dtype", None), "kind", "")
+    # That of a table or a series of pandas is a method.
+    if isinstance(mask, np.ndarray | np.bool_ | bool) and np.any(mask):
+        raise error(argument=what, got="an array with masked values", need="all of them")
+    if stored == "c":
+        raise error(argument=what, got="complex numbers", need="real ones", hint="give their real part, or magnitude")
+    return plain(np.asarray(values).tolist(), what, error=error) if stored == "O" and np.ndim(values) else values
 
-    Raise `error` if it has another number of dimensions, is not numeric, has another unit, or holds NaN or infinity.
+
+def _unit_of(values: Any) -> str:
+    """Return the unit of a quantity of pint, astropy or another library, or of an array of xarray; "" if none."""
+    attributes = (getattr(values, name, None) for name in ("units", "unit"))
+    return next((str(unit) for unit in attributes if unit is not None and not isroutine(unit)), "")
+
+
+def vector(values: ArrayLike, what: str, *, error: type[DehystError] = ModelError) -> Array:
+    """Return `values` as a contiguous one-dimensional array of finite doubles.
+
+    Raise `error` if it has another number of dimensions, is not numeric, has a unit, or holds NaN or infinity.
     """
-    return spanned(values, what, unit, error=error)[0]
+    return spanned(values, what, error=error)[0]
 
 
-def spanned(
-    values: ArrayLike, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError
-) -> tuple[Array, float, float]:
+def spanned(values: ArrayLike, what: str, *, error: type[DehystError] = ModelError) -> tuple[Array, float, float]:
     """Return the array that `vector` returns, its smallest and its largest value; both are NaN if it is empty."""
-    array = _doubles(values, what, unit, error)
+    array = _doubles(values, what, error)
     if array.ndim != 1:
         raise error(argument=what, got=f"an array of shape {array.shape}", need="one dimension")
     if not array.size:
@@ -76,9 +102,9 @@ def spanned(
     return array, low, high
 
 
-def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
+def matrix(values: ArrayLike, what: str) -> Array:
     """Return `values` as a contiguous two-dimensional array of finite doubles; raise as `vector` does."""
-    array = _doubles(values, what, unit, ModelError)
+    array = _doubles(values, what, ModelError)
     if array.ndim != 2:
         raise ModelError(argument=what, got=f"an array of shape {array.shape}", need="two dimensions")
     if not np.isfinite(array).all():
@@ -86,8 +112,8 @@ def matrix(values: ArrayLike, what: str, unit: str | None = None) -> Array:
     return array
 
 
-def _doubles(values: ArrayLike, what: str, unit: str | None, error: type[DehystError]) -> Array:
-    numbers = plain(values, what, unit, error=error)
+def _doubles(values: ArrayLike, what: str, error: type[DehystError]) -> Array:
+    numbers = plain(values, what, error=error)
     try:
         given = np.asarray(numbers)
         if given.dtype.kind not in "iuf" and given.size:
@@ -97,9 +123,9 @@ def _doubles(values: ArrayLike, what: str, unit: str | None, error: type[DehystE
         raise error(argument=what, got=type(values).__name__, need="an array of numbers") from cause
 
 
-def number(value: object, what: str, unit: str | None = None, *, error: type[DehystError] = ModelError) -> float:
-    """Return `value` as a finite float, a quantity in `unit`, see `plain`; raise `error` for anything else."""
-    bare = plain(value, what, unit, error=error)
+def number(value: object, what: str, *, error: type[DehystError] = ModelError) -> float:
+    """Return `value` as a finite float; raise `error` for anything else."""
+    bare = plain(value, what, error=error)
     if isinstance(bare, Real) and not isinstance(bare, bool):
         try:
             as_float = float(bare)

@@ -221,7 +221,7 @@ def _described(actuator: Actuator) -> _Row:
 def loop_width(actuator: Actuator) -> float:
     """Return falling minus rising displacement [m] at the middle of the voltages, on a major loop without creep."""
     low, high = actuator.voltage_range
-    fast = replace(actuator.quasistatic().before_creep, creep=None, state=None)
+    fast = replace(actuator.quasistatic().before_creep, creep=None, state=None)  # type: ignore[arg-type]
     begin = fast.turned(fast.knots[0], rising=False, extrapolate=True)
     middle = 0.5 * (low + high)
     y = fast.simulate([low, middle, high, middle], state=begin, extrapolate=True).displacement

@@ -4,7 +4,6 @@ import copy
 import pickle
 
 import numpy as np
-import pint
 import plain_records
 import pytest
 from summaries import anatomy
@@ -13,7 +12,6 @@ from dehyst import ClampWarning, Compensator, ModelError
 from dehyst.control import plan_path
 from dehyst.exports.golden_trace import golden_trace
 
-U = pint.UnitRegistry()
 ACTUATOR = plain_records.plant(6)
 PATH = np.array([2.0, 5.0, 11.0, 7.0, 3.0, 9.0])
 
@@ -57,12 +55,6 @@ def test_derivatives_are_in_the_unit_too():
     given = {"velocity": slope / 1e6, "acceleration": bend / 1e6}
     expected = metres.trajectory(path / 1e6, **given).voltage
     np.testing.assert_array_equal(micro.trajectory(path, velocity=slope, acceleration=bend).voltage, expected)
-
-
-def test_quantities_are_converted_once():
-    metres, micro = pair()
-    assert micro.step(5000 * U.nm) == pytest.approx(metres.step(5e-6), rel=1e-13)
-    np.testing.assert_allclose(micro.run(PATH * 1e3 * U.nm), metres.run(PATH / 1e6), rtol=1e-12)
 
 
 def test_a_copy_keeps_the_unit():

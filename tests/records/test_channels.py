@@ -2,13 +2,10 @@
 
 import h5py
 import numpy as np
-import pandas as pd
-import pint
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
-import xarray
 
 from dehyst import FileFormatError, RecordError
 from dehyst.identification.preprocessing.cleaning import remove_glitches
@@ -90,17 +87,6 @@ def test_what_is_no_temperature_or_load_is_kept_as_it_is(column, values):
     (one,) = Record(T, V, Y, others={column: values}).others
     assert (one.role, one.column) == ("other", column)
     assert np.array_equal(one.values, values)
-
-
-def test_quantities_are_converted():
-    units = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
-    record = Record(
-        T, V, Y, others={"temperature_C": units.Quantity(TEMPERATURE + 273.15, "K"), "load_N": LOAD * 1e3 * units.mN}
-    )
-    assert record.others[0].values == pytest.approx(TEMPERATURE)
-    assert record.others[1].values == pytest.approx(LOAD)
-    with pytest.raises(RecordError, match="load_N: got a quantity"):
-        Record(T, V, Y, others={"load_N": T * units.s})
 
 
 @pytest.mark.parametrize(
@@ -242,32 +228,10 @@ def test_a_second_file_may_have_them(tmp_path):
 # Tables
 
 
-def test_dataframe_and_back():
+def test_a_dataframe_has_all_channels():
     frame = RECORD.to_dataframe()
     assert list(frame.columns) == [*FILE, *OTHERS]
-    assert_all(Record.from_dataframe(frame))
     assert Record(T, V, Y).to_dataframe().attrs == {"name": "record"}
-    (one,) = Record.from_dataframe(pd.DataFrame({**FILE, "Force [mN]": LOAD * 1e3})).others
-    assert one.values == pytest.approx(LOAD)
-
-
-def test_xarray_and_back():
-    dataset = RECORD.to_xarray()
-    assert dataset["temperature"].attrs == {"units": "degC", "role": "temperature"}
-    assert dataset["voltage"].attrs == {"units": "V"}
-    assert_all(Record.from_xarray(dataset))
-    plain = xarray.Dataset(
-        {
-            "voltage": ("time", V),
-            "displacement": ("time", Y),
-            "temp": ("time", TEMPERATURE + 273.15, {"units": "K"}),
-            "spare": ("time", V, {"units": "V"}),
-        },
-        coords={"time": T},
-    )
-    (one,) = Record.from_xarray(plain).others
-    assert (one.name, one.role) == ("temp", "temperature")
-    assert one.values == pytest.approx(TEMPERATURE)
 
 
 # Recordings

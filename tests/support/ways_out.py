@@ -13,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas
-import pint
 import strategies
-import xarray
 from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
@@ -26,9 +24,8 @@ from dehyst.model import Creep, Dynamics, Stage
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.named import scan_of
 
-QUANTITY = pint.UnitRegistry().Quantity
 COUNTS = {"m": 1.0, "um": 1e6, "nm": 1e9}
-CARRIERS = ("list", "array", "series", "xarray", "quantity")
+CARRIERS = ("list", "array", "series")
 PARTS = (*("plain",) * 9, *("transformer", "graded") * 3, "creep", "creep", "dynamics", "lag")
 # Of each call, in 1000; those that take long are rare.
 SHARES = {
@@ -51,21 +48,18 @@ SHARES = {
 
 
 def carried(rng, path, units):
-    """A path [m] as someone may give it to a compensator in `units`: plain numbers in them, or a unit of its own."""
+    """A path [m] as someone may give it to a compensator in `units`."""
     kind, plain = str(rng.choice(CARRIERS)), path * COUNTS[units]
     if kind == "list":
         return plain.tolist()
     if kind == "series":
         return pandas.Series(plain, index=np.arange(path.size) + 7)
-    if kind == "xarray":
-        return xarray.DataArray(path * 1e9, dims="n", attrs={"units": "nm"})
-    return QUANTITY(path * 1e3, "mm") if kind == "quantity" else plain
+    return plain
 
 
 def one(rng, wanted, units):
     """A single displacement [m] likewise."""
-    kind = rng.integers(3)
-    return QUANTITY(wanted * 1e6, "um") if kind == 0 else (float, np.float64)[kind - 1](wanted * COUNTS[units])
+    return (float, np.float64)[rng.integers(2)](wanted * COUNTS[units])
 
 
 def random_actuator(rng):

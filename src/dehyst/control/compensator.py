@@ -175,7 +175,7 @@ class Compensator(ReadOnly):
         try:
             return self._loop.step(displacement)
         except TypeError:
-            return self._loop.step(number(displacement, "displacement", self.units))
+            return self._loop.step(number(displacement, "displacement"))
         except CoreError as error:
             raise _refusal(displacement) from error
 
@@ -184,7 +184,7 @@ class Compensator(ReadOnly):
         try:
             return self._loop.offer(displacement)
         except TypeError:
-            return self._loop.offer(number(displacement, "displacement", self.units))
+            return self._loop.offer(number(displacement, "displacement"))
         except CoreError as error:
             raise _refusal(displacement) from error
 
@@ -297,8 +297,8 @@ class Compensator(ReadOnly):
         """
         wanted = self.in_metres(displacement)
         rates = {
-            "velocity": None if velocity is None else self.in_metres(velocity, "velocity", "/s"),
-            "acceleration": None if acceleration is None else self.in_metres(acceleration, "acceleration", "/s**2"),
+            "velocity": None if velocity is None else self.in_metres(velocity, "velocity"),
+            "acceleration": None if acceleration is None else self.in_metres(acceleration, "acceleration"),
         }
         followed, scaled = wanted, temperature is not None or self.scaling != (1.0, 0.0)
         gain, offset = self.scaling_at(temperature, wanted.size)
@@ -351,13 +351,12 @@ class Compensator(ReadOnly):
             return sentence
         return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
-    def in_metres(self, values: ArrayLike, what: str = "displacement", per: str = "") -> Array:
-        """Return the `values` (n,) of a path, in `units` or with a unit of their own, in metres.
+    def in_metres(self, values: ArrayLike, what: str = "displacement") -> Array:
+        """Return the `values` (n,) of a path, in `units`, in metres.
 
-        `what`: name of the values in errors. `per`: "/s" for a velocity, "/s**2" for an acceleration. Raise
-        `ModelError` if a value is not finite, or has a unit that cannot be converted.
+        `what`: name of the values in errors. Raise `ModelError` if a value is not finite.
         """
-        plain = vector(values, what, f"{self.units}{per}")
+        plain = vector(values, what)
         return plain if self._per_metre == 1 else plain / self._per_metre
 
     @property
@@ -445,7 +444,7 @@ class Compensator(ReadOnly):
 
         Raise `ModelError` if the gain is not positive, or a number is not finite: gain and offset are unchanged.
         """
-        values = number(gain, "gain"), number(offset, "offset", self.units) / self._per_metre
+        values = number(gain, "gain"), number(offset, "offset") / self._per_metre
         try:
             self._loop.scale(*values)
         except CoreError as error:
@@ -481,7 +480,7 @@ class Compensator(ReadOnly):
         ModelError
             If rate or a bound is impossible.
         """
-        reading, most = float(measured) / self._per_metre, number(offset, "offset", self.units) / self._per_metre
+        reading, most = float(measured) / self._per_metre, number(offset, "offset") / self._per_metre
         try:
             return self._loop.follow(reading, number(rate, "rate"), number(gain, "gain"), most)
         except CoreError as error:

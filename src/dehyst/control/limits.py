@@ -56,7 +56,7 @@ class VoltageLimits:
 
     def within(self, voltage: float, what: str, *, error: type[DehystError] = ModelError) -> float:
         """Return a present `voltage` [V]; raise `error` if it lies outside the limits; `what` is its name."""
-        now = number(voltage, what, "V", error=error)
+        now = number(voltage, what, error=error)
         if not self.low <= now <= self.high:
             raise error(
                 f"got {now:.9g} V, but the limits are {self.low:g} to {self.high:g} V",

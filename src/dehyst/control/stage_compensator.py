@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, of_part
 from dehyst._types import Array
-from dehyst._units import plain
-from dehyst._validation import for_each, interval, keep, vector
+from dehyst._validation import for_each, interval, keep, plain, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
@@ -153,7 +152,7 @@ class StageCompensator(ReadOnly):
 
         Raises and warns as `step`; after an error the memory is unchanged.
         """
-        wanted = self.stage.columns(displacement, "displacement", "m")
+        wanted = self.stage.columns(displacement, "displacement")
         with _unchanged_by_errors(self.compensators):
             return np.array([self.step(row) for row in wanted]).reshape(wanted.shape)
 
@@ -283,7 +282,7 @@ class StageCompensator(ReadOnly):
         ModelError
             As `Compensator.trajectory`, with the name of the axis.
         """
-        wanted = self.stage.columns(displacement, "displacement", "m")
+        wanted = self.stage.columns(displacement, "displacement")
         if not len(wanted):
             raise ModelError(argument="displacement", got="no samples", need="one at least")
         axes = range(len(self.compensators))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, SensorError, Terminated
 from dehyst._types import Array
-from dehyst._units import plain
+from dehyst._validation import plain
 from dehyst.instruments.interrupts import by_signal
 
 # A voltage that is read back may differ from the sent one by this share of the range.

@@ -209,7 +209,7 @@ class Stage(JsonFile):
         ModelError
             As `Actuator.simulate`, with the name of the axis; or if the columns do not fit the axes.
         """
-        v = self.columns(voltage, "voltage", "V")
+        v = self.columns(voltage, "voltage")
         motions = self._each("simulate", v, time, temperature, states, extrapolate)
         moved = np.column_stack([one.displacement for one in motions])
         return Motion(v, apply(self.coupling, moved), tuple(one.state for one in motions))
@@ -244,7 +244,7 @@ class Stage(JsonFile):
         ModelError
             As `Actuator.compensate`, with the name of the axis; or if the columns do not fit the axes.
         """
-        y = self.columns(displacement, "displacement", "m")
+        y = self.columns(displacement, "displacement")
         motions = self._each("compensate", apply(self.decoupling, y), time, temperature, states, extrapolate)
         return Motion(np.column_stack([one.voltage for one in motions]), y, tuple(one.state for one in motions))
 
@@ -283,9 +283,9 @@ class Stage(JsonFile):
         table = temperature_columns(temperature, samples, len(self.actuators))
         return [column if one.thermal else None for one, column in zip(self.actuators, table.T, strict=True)]
 
-    def columns(self, values: ArrayLike, what: str, unit: str) -> Array:
-        """Return `values` (n, axes) in `unit` as an array; raise `ModelError` that names `what` if they are not."""
-        table = matrix(values, what, unit)
+    def columns(self, values: ArrayLike, what: str) -> Array:
+        """Return `values` (n, axes) as an array; raise `ModelError` that names `what` if they are not."""
+        table = matrix(values, what)
         if table.shape[1] != len(self.actuators):
             raise ModelError(
                 argument=what,

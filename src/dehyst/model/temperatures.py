@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._units import COLDEST, HOTTEST, plain
+from dehyst._units import COLDEST, HOTTEST
+from dehyst._validation import plain
 from dehyst.model.dynamics import Thermal
 from dehyst.records import Record
 

@@ -15,19 +15,18 @@ from numpy.typing import NDArray
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
-from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre, plain
-from dehyst._validation import DEFAULT_AXES, axis_names, keep
+from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
+from dehyst._validation import DEFAULT_AXES, axis_names, keep, plain
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
 from dehyst.records import quality, signals
-from dehyst.records.formats.columns import Column, Table, without_groups
+from dehyst.records.formats.columns import Column, Table
 from dehyst.records.signals import white_noise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
     from pandas import DataFrame
-    from xarray import Dataset
 
 __all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 
@@ -103,7 +102,7 @@ class Record:
         [s], strictly rising, n >= 2.
     voltage, displacement : (n,) or (n, axes) array_like
         Voltage [V] and displacement [m], all finite and at most 1e30; kept as read-only float64 copies (read-only
-        arrays, such as another record's, are shared). Quantities with units are converted.
+        arrays, such as another record's, are shared).
     name : str
         Used in messages.
     meta : mapping
@@ -120,8 +119,8 @@ class Record:
     Raises
     ------
     RecordError
-        If arrays have a wrong shape, unit or length, are masked or not numeric, have fewer than 2 samples, or hold NaN,
-        inf or numbers beyond 1e30; if the time does not rise; if the axes are not different names, one for each column;
+        If arrays have a wrong shape or length, have a unit, are masked or not numeric, have fewer than 2 samples, or
+        hold NaN, inf or numbers beyond 1e30; if the time does not rise; if the axes are not different names, one each;
         or if one of `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to
         1000 degC.
     """
@@ -136,8 +135,8 @@ class Record:
     others: tuple[Channel, ...] = ()
 
     def __post_init__(self) -> None:
-        for column, unit in _COLUMNS.items():
-            keep(self, **{column: self._frozen(getattr(self, column), column, unit)})
+        for column in _COLUMNS:
+            keep(self, **{column: self._frozen(getattr(self, column), column)})
         keep(self, meta=dict(self.meta), axes=self._named_axes(), others=tuple(self._further()))
         arrays = {column: getattr(self, column) for column in _COLUMNS} | {one.name: one.values for one in self.others}
         if len({len(values) for values in arrays.values()}) > 1:
@@ -161,10 +160,10 @@ class Record:
     def _error(self, words: str) -> RecordError:
         return RecordError(f"record '{self.name}': {words}")
 
-    def _frozen(self, raw: object, column: str, unit: str | None, dimensions: int = 2) -> Array:
+    def _frozen(self, raw: object, column: str, dimensions: int = 2) -> Array:
         """Return a column as a read-only array; raise for anything but numbers."""
         try:
-            bare = plain(raw, column, unit)
+            bare = plain(raw, column)
             values = bare if _is_frozen(bare) else np.array(bare, dtype=np.float64, order="C")
         except ModelError as error:
             raise self._error(str(error)) from error
@@ -180,14 +179,10 @@ class Record:
         given: Any = self.others
         for entry in given.items() if isinstance(given, Mapping) else given:
             if isinstance(entry, Channel):
-                yield entry._replace(values=self._frozen(entry.values, entry.name, None, 1))
+                yield entry._replace(values=self._frozen(entry.values, entry.name, 1))
                 continue
             column = Column(str(entry[0]), np.empty(0))
-            unit = column.parts[1]
-            if column.role == "temperature":
-                # As libraries of units name it.
-                unit = {"C": "degC", "°C": "degC", "F": "degF", "°F": "degF"}.get(unit, unit)
-            yield Channel.of(replace(column, data=self._frozen(entry[1], column.name, unit, 1)))
+            yield Channel.of(replace(column, data=self._frozen(entry[1], column.name, 1)))
 
     def _named_axes(self) -> tuple[str, ...]:
         """Return the names of the axes; raise if they or the shapes do not fit."""
@@ -255,87 +250,21 @@ class Record:
     ) -> Record:
         """Make a record from arrays whose displacement is in `units`, by default micrometres.
 
-        `time` and `voltage` (n,) [s] and [V], `displacement` (n,) in `units`: "m", "mm", "um", "nm" or "pm". Quantities
-        with units of their own are converted. `name`, `others`: as in `Record`. Raise `RecordError` if the unit is
-        unknown, the arrays do not form a record, or the stroke is over 0.1 m, which indicates another unit.
+        `time` and `voltage` (n,) [s] and [V], `displacement` (n,) in `units`: "m", "mm", "um", "nm" or "pm".
+        `name`, `others`: as in `Record`.
+
+        Raise `RecordError` if the unit is unknown, the arrays do not form a record, or the stroke is over
+        0.1 m, which indicates another unit.
         """
         counts = per_metre(units, error=RecordError)
         try:
-            lengths = np.asarray(plain(displacement, "displacement", units, error=RecordError), dtype=np.float64)
+            lengths = np.asarray(plain(displacement, "displacement", error=RecordError), dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
         record = cls(time, voltage, lengths / counts, name, others=others or ())  # type: ignore[arg-type]
         if words := quality.other_unit(record):
             raise record._error(words)
         return record
-
-    @classmethod
-    def from_dataframe(
-        cls,
-        frame: DataFrame,
-        *,
-        time: str | None = None,
-        voltage: str | None = None,
-        displacement: str | None = None,
-        voltage_scale: str | None = None,
-        displacement_scale: str | None = None,
-        name: str | None = None,
-    ) -> Record:
-        """Make a record from a pandas DataFrame, whose columns are found as in a file.
-
-        Parameters
-        ----------
-        frame : pandas.DataFrame
-            With units in the names of its columns, as from `to_dataframe`; an index with a name counts as a
-            column. Dates and durations become seconds; an unnamed index of dates or durations is the time, unless a
-            column is.
-        time, voltage, displacement, voltage_scale, displacement_scale : str, optional
-            As in `dehyst.read`: "NAME" or "NAME:UNIT"; "100 V/V", "10 um/V".
-        name : str, optional
-            Name of the record; default: from `DataFrame.attrs`, else "record".
-
-        Raises
-        ------
-        FileFormatError
-            If a column is missing or has no unit.
-        RecordError
-            If `frame` is not a DataFrame, or the columns do not form a record.
-        """
-        columns = [
-            Column(key, data, unit, foreign=foreign, kept=key in frame.attrs.get("others", ()))
-            for key, data, unit, foreign in tables.columns_of(frame)
-        ]
-        table = Table("DataFrame", "", tuple(map(without_groups, columns)))
-        chosen = (
-            table.select("time", time),
-            table.select("voltage", voltage, voltage_scale),
-            table.select("displacement", displacement, displacement_scale),
-        )
-        t, v, y = (one.values for one in chosen)
-        others, remarks = further_channels(table, [one.column for one in chosen], len(t))
-        notes = {"guesses": {one.quantity: one.guess for one in chosen if one.guess}, "remarks": remarks}
-        meta = {key: value for key, value in notes.items() if value}
-        name = name or str(frame.attrs.get("name", "record"))
-        return cls(t, v, y, name, meta, others=tuple(channel for channel, _ in others))
-
-    @classmethod
-    def from_xarray(cls, dataset: Dataset, *, name: str | None = None) -> Record:
-        """Make a record from an xarray `dataset` with the variables time, voltage and displacement.
-
-        Attributes `units` are converted: "um", "ms", "kV" and the like. Without one, values are in s, V and m. Further
-        variables with the units of a temperature or a load, or with an attribute `role`, are the record's others.
-        `name`: name of the record; default: from the attributes, else "record".
-
-        Raise `RecordError` if a variable is missing or has a wrong unit, or the variables do not form a record.
-        """
-        numbers = {column: tables.variable(dataset, column) for column in _COLUMNS}
-        others = {}
-        for key, (data, attributes) in tables.further_variables(dataset, _COLUMNS).items():
-            column = f"{key} [{attributes.get('units', '')}]"
-            if "role" in attributes or Column(column, data).role != "other":
-                others[column] = data
-        name = name or str(dataset.attrs.get("name", "record"))
-        return cls(**numbers, name=name, others=others)  # type: ignore[arg-type]
 
     def to_dataframe(self) -> DataFrame:
         """Return time_s and the channels, as voltage_V and displacement_um, as a pandas DataFrame.
@@ -344,17 +273,6 @@ class Record:
         """
         others = [one.column for one in self.others]
         return tables.frame(self.columns(), name=self.name, **({"others": others} if others else {}))
-
-    def to_xarray(self, units: str = "um") -> Dataset:
-        """Return the channels, as voltage [V] and displacement, over time [s] as an xarray Dataset with units.
-
-        `units`: of displacements. Raise `MissingExtraError` if xarray is not installed.
-        """
-        counts, variables = per_metre(units, error=RecordError), {}
-        for one in self.channels:
-            values, unit = (one.values * counts, units) if one.unit == "m" else (one.values, one.unit)
-            variables[one.name] = values, {"units": unit, **({"role": one.role} if one in self.others else {})}
-        return tables.dataset(self.time, variables, name=self.name)
 
     def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
         """Draw the record: displacement over voltage ("loop"), or both over time ("time").

@@ -92,7 +92,7 @@ class VirtualStage:
 
         `time` is needed by actuators that move in time. With `measured` the sensors' noise is added.
         """
-        v = matrix(voltage, "voltage", "V")
+        v = matrix(voltage, "voltage")
         if v.shape[1] != len(self):
             raise ModelError(argument="voltage", got=f"{v.shape[1]} columns", need=f"{len(self)}, one an axis")
         for j in range(len(self)):

@@ -34,7 +34,7 @@ def refuse_long(samples: int, rate: float) -> None:
 def voltages(values: ArrayLike, what: str) -> Array:
     """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError for anything else."""
     try:
-        array = vector(values, what, "V")
+        array = vector(values, what)
     except ModelError as error:
         raise RecordError(f"{error}; give voltages in V") from error
     if (largest := np.abs(array).max(initial=0.0)) > _MOST_VOLTS:
@@ -45,7 +45,7 @@ def voltages(values: ArrayLike, what: str) -> Array:
 
 def volts(value: object, what: str) -> float:
     """Return `value` as a finite voltage [V]; raise RecordError for anything else."""
-    return float(voltages([number(value, what, "V", error=RecordError)], what)[0])
+    return float(voltages([number(value, what, error=RecordError)], what)[0])
 
 
 def positive(value: object, what: str) -> float:

@@ -31,7 +31,7 @@ _ROUNDED: dict[str, tuple[float, float]] = {"parabola": (0.5, 1.0), "cosine": (0
 
 def length(value: object, what: str) -> float:
     """Return `value` as a displacement [m]; raise RecordError for anything else."""
-    metres = number(value, what, "m", error=RecordError)
+    metres = number(value, what, error=RecordError)
     if abs(metres) > _MOST_METRES:
         got, need = f"{metres * 1e6:g} um", f"{_MOST_METRES * 1e6:g} um at most"
         raise RecordError(argument=what, got=got, need=need, hint="check its unit")

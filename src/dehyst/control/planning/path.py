@@ -363,7 +363,7 @@ class _Plan:
             self.rows = (vector(rows, what) if self.voltage else compensator.in_metres(rows))[:, None]
         else:
             self.stage = compensator.stage
-            self.rows = self.stage.columns(rows, what, "V" if self.voltage else "m")
+            self.rows = self.stage.columns(rows, what)
         size, period = len(self.rows), compensator.period
         if not size:
             raise RecordError(argument="path", got="no samples", need="one at least")
@@ -388,9 +388,9 @@ class _Plan:
             self.time = vector(time, "time")
             if self.time.size != size or np.any(np.diff(self.time) <= 0):
                 raise ModelError(untimely(self.time, size))
-        given = (("velocity", velocity, "/s"), ("acceleration", acceleration, "/s**2"))
+        given = {"velocity": velocity, "acceleration": acceleration}
         self.rates = {
-            name: self.loops[0].in_metres(values, name, per) for name, values, per in given if values is not None
+            name: self.loops[0].in_metres(values, name) for name, values in given.items() if values is not None
         }
         if self.rates and self.single is None:
             raise ModelError(argument=min(self.rates), got="it for several axes", need="a path of one axis")

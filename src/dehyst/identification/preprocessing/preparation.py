@@ -340,7 +340,7 @@ def as_list(records: Record | Sequence[Record]) -> list[Record]:
     for item in given:
         if not isinstance(item, Record):
             raise IdentifyError(
-                f"got {type(item).__name__}, need records; read a file with dehyst.read(path), or make a record of a "
-                "table with dehyst.Record.from_dataframe"
+                f"got {type(item).__name__}, need records; read a file with dehyst.read(path), or make a record "
+                "of arrays with dehyst.Record.from_arrays"
             )
     return [item.one_axis() for item in given]
