@@ -70,7 +70,6 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/workbench.py
-	$(BIN)/python benchmarks/workbench_rehearsal.py
 	$(BIN)/python benchmarks/figures.py
 	$(BIN)/python benchmarks/pages.py
 	$(BIN)/python benchmarks/architecture.py

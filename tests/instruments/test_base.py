@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.calibration.plan import Plan, steps
-from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, VoltageNote, host_timed
+from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, host_timed
+from dehyst.instruments.base import VoltageNote
 from dehyst.instruments.interrupts import shielded
 from dehyst.instruments.samples import SensorWatch
 from dehyst.waveforms import Excitation

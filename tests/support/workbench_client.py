@@ -5,14 +5,11 @@ import pty
 import re
 import signal
 import subprocess
-import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import httpx
 from command_line import DEHYST, TIMEOUT
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 LINK = re.compile(r"(http://127\.0\.0\.1:(\d+))/\?token=(\S+)")
 # Seconds between two looks at the state.
@@ -111,19 +108,3 @@ def done(client, answer):
     key = answer.json()["job"]
     state = until(client, lambda state: entry(state, "jobs", key)["status"] != "running")
     return entry(state, "jobs", key), state
-
-
-@contextmanager
-def alive(served, client):
-    """Answer the server's messages, as an open page does: signs of life for the rig's watchdog."""
-    cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
-    url = f"ws://127.0.0.1:{served.port}/api/events"
-    with connect(url, origin=served.base, additional_headers={"Cookie": cookies}) as news:
-
-        def answer():
-            with suppress(ConnectionClosed):
-                for _ in news:
-                    news.send('{"kind": "alive"}')
-
-        threading.Thread(target=answer, daemon=True).start()
-        yield

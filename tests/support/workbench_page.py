@@ -1,9 +1,7 @@
 """What a person does on the page of a workbench, in a real browser: for tests, pictures and measurements."""
 
-import os
 import re
 import shutil
-import subprocess
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -110,26 +108,6 @@ class Visitor:
         got = waiting.value
         return got.suggested_filename, Path(got.path()).read_bytes()
 
-    def connect(self, address, limits, slew):
-        """Connect a rig."""
-        self.step("Rig")
-        for label, value in (
-            ("Address", address),
-            ("Lowest", limits[0]),
-            ("Highest", limits[1]),
-            ("Slew rate", slew),
-        ):
-            self.fill(re.compile(f"^{label}"), value, within="#rig-connect")
-        self.click("button", "Connect", within="#rig-connect")
-        self.sees("not armed", within="#rig-bar")
-
-    def arm(self, limits, slew):
-        """Type the limits again, and arm."""
-        for label, value in (("Lowest", limits[0]), ("Highest", limits[1]), ("Slew rate", slew)):
-            self.fill(re.compile(f"^{label}"), value, within="#rig-arm")
-        self.click("button", "Arm with these limits")
-        self.sees("^armed", within="#rig-bar")
-
 
 @contextmanager
 def visit(browser, served, **options):
@@ -138,20 +116,3 @@ def visit(browser, served, **options):
         yield visitor
     finally:
         visitor.close()
-
-
-@contextmanager
-def emulator(*options):
-    """Serve an emulated controller in a process of its own; yield its address."""
-    from command_line import DEHYST
-
-    process = subprocess.Popen(
-        [*DEHYST, "rig", "serve", "--port", "0", *options], stdout=subprocess.PIPE, text=True, env={**os.environ}
-    )
-    try:
-        line = process.stdout.readline()
-        yield re.search(r"pi://\S+", line)[0]
-    finally:
-        process.terminate()
-        process.wait(20)
-        process.stdout.close()

@@ -3,24 +3,22 @@
 `python tests/support/workbench_tour.py FOLDER` writes the pictures there: `make pictures` does so for the tutorial.
 """
 
-import re
 import sys
 import tempfile
 from pathlib import Path
 
 from workbench_client import served
-from workbench_page import chromium, emulator, visit
+from workbench_page import chromium, visit
 
 from dehyst.records import write_record
 from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 
 # Names of the pictures, in the order of the tutorial.
-PICTURES = ("record", "verdict", "trust", "path", "export", "plan", "live")
-LIMITS, SLEW = (0, 200), 1000
+PICTURES = ("record", "verdict", "trust", "path", "export")
 
 
-def tour(visitor, csv, address, look):
+def tour(visitor, csv, look):
     """Go through the tutorial; call `look` with the name of each picture when the page shows it."""
     visitor.drop(csv)
     visitor.sees(r"\d in .*Hz", within="#records")
@@ -28,10 +26,8 @@ def tour(visitor, csv, address, look):
     visitor.identify()
     visitor.page.locator("#model canvas").first.wait_for()
     look("verdict")
-    visitor.click("button", "How far to trust it")
     visitor.click("button", "Assess the model")
-    visitor.sees("When the state becomes known", within="#trust-insight")
-    visitor.sees("Where the records turned", within="#trust-turns")
+    visitor.sees("When the state becomes known", within="#insight")
     look("trust")
     visitor.step("Path")
     visitor.page.get_by_label("Draw points").check()
@@ -41,19 +37,6 @@ def tour(visitor, csv, address, look):
     visitor.step("Export")
     visitor.sees("commands.sh", within="#files")
     look("export")
-    visitor.connect(address, LIMITS, SLEW)
-    visitor.fill(re.compile("^Further rounds"), 0, within="#rig-calibration")
-    visitor.click("button", "Show the plan")
-    visitor.sees("major loops", within="#rig-plan")
-    look("plan")
-    visitor.arm(LIMITS, SLEW)
-    visitor.click("button", "Calibrate", within="#rig-calibration", exact=True)
-    visitor.sees("^calibrating: compensated", within="#rig-bar")
-    visitor.until("() => document.querySelector('#rig-bar progress').value > 0.5")
-    look("live")
-    visitor.sees("^armed", within="#rig-bar")
-    visitor.click("button", "Disconnect")
-    visitor.page.locator("#rig-bar").wait_for(state="hidden")
 
 
 def played(folder, browser):
@@ -61,11 +44,7 @@ def played(folder, browser):
     with tempfile.TemporaryDirectory() as place:
         loops = Path(place) / "loops.csv"
         write_record(loops, demo.record_loops(PlayActuator())[0])
-        with (
-            served(Path(place) / "my-stage") as bench,
-            emulator("--speed", "4") as address,
-            visit(browser, bench, width=1200, height=800) as visitor,
-        ):
+        with served(Path(place) / "my-stage") as bench, visit(browser, bench, width=1200, height=800) as visitor:
 
             def shot(name):
                 top = "window.scrollTo({ top: 0, behavior: 'instant' })"
@@ -74,7 +53,7 @@ def played(folder, browser):
                 visitor.page.wait_for_timeout(300)
                 visitor.page.screenshot(path=str(Path(folder) / f"{name}.png"))
 
-            tour(visitor, loops, address, shot)
+            tour(visitor, loops, shot)
             return visitor.complaints + visitor.elsewhere
 
 

@@ -20,7 +20,7 @@ import pytest
 from starlette.applications import Starlette
 from starlette.routing import Route
 from virtual_loops import record_loops
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.exceptions import InvalidHandshake, InvalidStatus
 from websockets.sync.client import connect
 from workbench_client import served, until
 
@@ -230,16 +230,10 @@ def test_a_socket_from_elsewhere_is_refused(bench, client, headers):
 def test_the_socket_of_the_page_gets_the_state(bench, client):
     url = f"ws://127.0.0.1:{bench.port}/api/events"
     with connect(url, origin=bench.base, additional_headers={"Cookie": cookie(client)}) as news:
-        message = json.loads(news.recv(timeout=10))
-        assert message["kind"] == "state"
-        for junk in ("", "{", "[]", '{"kind": "alive"}', '{"kind": 1}', "x" * 60_000):
+        assert json.loads(news.recv(timeout=10)).keys() >= {"records", "models", "jobs"}
+        for junk in ("", "{", "[]", "x" * 60_000, b"\x00"):
             news.send(junk)
         assert client.get("/api/state").status_code == 200
-        news.send(b"\x00")
-        with pytest.raises(ConnectionClosed):
-            while True:
-                news.recv(timeout=10)
-        assert news.protocol.close_rcvd.code == 1003
 
 
 def test_the_policy_lets_the_page_load_from_here_only(client):
@@ -360,7 +354,7 @@ def test_connections_that_say_nothing_are_closed_after_a_while(bench):
         assert 9.0 < time.monotonic() - began < 18.0
 
 
-def test_a_crowd_of_connections_keeps_neither_the_page_nor_the_stop_out(tmp_path):
+def test_a_crowd_of_connections_does_not_keep_the_page_out(tmp_path):
     """A server with few descriptors, and more connections than these, with and without a part of a request."""
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))
@@ -385,11 +379,10 @@ def test_a_crowd_of_connections_keeps_neither_the_page_nor_the_stop_out(tmp_path
                     crowd[-1].sendall((b"", b"GET / HTTP/1.1\r\n")[k % 2])
             for _ in range(20):
                 began = time.monotonic()
-                assert client.post("/api/rig/stop", json={}).status_code == 400
+                assert client.get("/api/state").status_code == 200
                 assert time.monotonic() - began < 5.0
             assert len(list(Path(f"/proc/{running.process.pid}/fd").iterdir())) < MOST + 60
-            news.send('{"kind": "alive"}')
-            assert json.loads(news.recv(timeout=10))["kind"] == "state"
+            assert "records" in json.loads(news.recv(timeout=10))
             for link in crowd:
                 link.close()
         running.process.terminate()
@@ -427,14 +420,6 @@ def test_a_body_that_is_no_object_is_refused(bench, client, body):
         assert "no JSON" in answer.json()["error"]
 
 
-@pytest.mark.parametrize("what", ["arm", "plan", "calibrate", "play", "stop", "disarm", "disconnect", "fly", "connect"])
-def test_a_rig_that_is_not_there_is_asked_for_nothing(client, what):
-    for body in ({}, {"limits": [0, 1], "slew": 1}, {"file": "commands.sh"}, {"address": "my_rig.py:make"}):
-        answer = client.post(f"/api/rig/{what}", json=body)
-        assert answer.status_code == 400
-        assert len(answer.json()["error"]) > 10
-
-
 @pytest.mark.parametrize("requests", [200, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_random_requests_do_no_harm(bench, client, requests):
     dice = random.Random(17)
@@ -447,7 +432,6 @@ def test_random_requests_do_no_harm(bench, client, requests):
             "api",
             "page",
             "jobs",
-            "rig",
             "r1",
             "m1",
             "v1",

@@ -1,4 +1,4 @@
-"""The page in a real browser: few clicks from a record to a voltage, keys, errors, the stop, and accessibility."""
+"""The page in a real browser: few clicks from a record to a voltage, keys, errors, and accessibility."""
 
 import json
 import re
@@ -17,26 +17,9 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 
-STEPS = ("records", "model", "trust", "path", "export", "rig")
+STEPS = ("records", "model", "path", "export")
 TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 LONGEST = 60_000
-RIG = {
-    "status": "armed",
-    "address": "sim://play",
-    "name": "a simulated stage",
-    "axis": "1",
-    "limits": [0, 100],
-    "slew": 1000,
-    "safe": 0,
-    "voltage": 12.5,
-    "displacement_um": 1.5,
-    "step": "loops",
-    "progress": 0.4,
-    "words": [],
-    "error": None,
-    "plan": None,
-    "result": None,
-}
 
 
 @pytest.fixture(scope="module")
@@ -295,15 +278,14 @@ def staged(start, workbench, journey):
         sockets.append(route)
 
         def passed_on(message):
-            if json.loads(message)["kind"] == "state":
-                last[:] = [message]
-                route.send(json.dumps(changed(message)))
+            last[:] = [message]
+            route.send(json.dumps(changed(message)))
 
         server.on_message(passed_on)
 
     def changed(message):
         news = json.loads(message)
-        change(news["state"])
+        change(news)
         return news
 
     def send(another):
@@ -319,59 +301,27 @@ def staged(start, workbench, journey):
     return page, send
 
 
-def with_rig(**about):
-    return lambda state: state.update(rig={**RIG, **about})
-
-
-def test_leaving_asks_while_something_moves(staged, workbench):
+def test_leaving_asks_while_a_job_runs(staged, workbench):
     page, send = staged
     asked = []
     page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
     page.goto(workbench.base)
     # A browser asks only on behalf of a page that was used.
-    page.click("#step-rig")
+    page.click("#step-export")
     page.reload()
     assert asked == []
     running = {"id": "j1", "kind": "identify", "subject": "m9", "status": "running", "words": "", "progress": ""}
-    moving = [with_rig(status=status) for status in ("armed", "calibrating", "playing", "stopping")]
-    for change in (*moving, lambda state: state.update(jobs=[running])):
-        send(change)
-        page.click("#step-rig")
-        page.wait_for_timeout(100)
-        page.reload()
-        assert asked == ["beforeunload"]
-        asked.clear()
+    send(lambda state: state.update(jobs=[running]))
+    page.click("#step-export")
+    page.wait_for_timeout(100)
+    page.reload()
+    assert asked == ["beforeunload"]
 
 
-def test_the_answer_to_a_stop_ends_when_a_rig_is_armed(staged, workbench):
-    page, send = staged
-    said = page.locator(".rig-answer")
-    send(with_rig(status="connected", words=["Stopped: no sign of life.", "The voltage was brought to 0 V."]))
-    page.goto(workbench.base)
-    sync_api.expect(said).to_contain_text("no sign of life")
-    send(with_rig(status="armed"))
-    sync_api.expect(said).to_be_empty()
-    send(with_rig(status="calibrating"))
-    sync_api.expect(said).to_be_empty()
-    page.route("**/stop", lambda route: route.fulfill(status=200, body="{}"))
-    page.keyboard.press("Escape")
-    sync_api.expect(said).to_contain_text("received")
-    send(with_rig(status="stopping"))
-    sync_api.expect(said).to_contain_text("received")
-    send(with_rig(status="connected", words=["Stopped: by hand."]))
-    sync_api.expect(said).to_have_text("Stopped: by hand.")
-    send(with_rig(status="armed"))
-    sync_api.expect(said).to_be_empty()
-
-
-def test_a_phone_has_room_beside_the_stop(staged, workbench):
-    page, send = staged
+def test_a_phone_has_room_for_all_steps(staged, workbench):
+    page, _ = staged
     page.set_viewport_size({"width": 400, "height": 900})
-    send(with_rig(name="MAKER OF CONTROLLERS, E-123.45, serial 0123456789, firmware 1.2.3.4 at 192.168.0.10:50000"))
     page.goto(workbench.base)
-    page.wait_for_selector("#rig-bar:not([hidden])")
-    assert page.locator("#rig-bar").bounding_box()["height"] < 130
-    assert page.locator(".stop").bounding_box()["height"] >= 60
     for step in STEPS:
         page.click(f"#step-{step}")
         sync_api.expect(page.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
@@ -393,7 +343,7 @@ def test_only_models_of_the_same_records_are_compared(staged, workbench):
     page.route(re.compile("/api/models/m9."), lambda route: route.continue_(url=re.sub("m9.", "m2", route.request.url)))
     page.goto(f"{workbench.base}/#model")
     page.locator("#verdict .outcome").wait_for()
-    for about in ({"train": [], "rig": "a stage"}, {"train": ["r77"]}):
+    for about in ({"train": []}, {"train": ["r77"]}):
         send(another(**about))
         sync_api.expect(page.locator("#model .model-choice option")).to_have_count(2)
         sync_api.expect(page.locator(".comparison")).to_be_hidden()
@@ -423,25 +373,3 @@ def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path
         assert sorted(ready.locator("h3").all_inner_texts()) == names
         assert page.locator("#identify").is_enabled()
         page.close()
-
-
-def test_escape_and_the_button_stop_a_rig_twice_over(staged, workbench):
-    (page, send), stopped = staged, []
-
-    def stop(route):
-        stopped.append((route.request.url, route.request.headers.get("x-dehyst-stop")))
-        route.fulfill(status=200, body="{}")
-
-    send(with_rig(stop={"port": workbench.port, "key": "k"}))
-    page.route("**/stop", stop)
-    page.goto(workbench.base)
-    page.wait_for_selector("#rig-bar:not([hidden])", timeout=LONGEST)
-    page.keyboard.press("Escape")
-    page.wait_for_selector(".rig-answer:not(:empty)")
-    both = {(f"{workbench.base}/stop", "k"), (f"{workbench.base}/api/rig/stop", None)}
-    assert set(stopped) == both
-    stopped.clear()
-    page.click(".stop")
-    page.wait_for_timeout(200)
-    assert set(stopped) == both
-    assert page.locator(".stop").bounding_box()["height"] >= 60

@@ -34,7 +34,7 @@ dehyst identify loops.csv -o model.json         fit a model to your loops
 dehyst compensate model.json path.csv -o v.csv  the voltages for a path
 dehyst --help                                   all commands, in the order of work"""
 # Commands of this room, beside the operations: where they are, under which heading, and in a few words.
-_OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records or an instrument")}
+_OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records")}
 # What an option of a reader is in --columns.
 _KEYS = {
     "time": "time=NAME",

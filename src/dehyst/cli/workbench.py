@@ -25,7 +25,7 @@ def workbench(
     browser: bool = True,
     max_size: float = 500.0,
 ) -> Result:
-    """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage, drive a rig.
+    """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
     Everything is kept in FOLDER, with a script of the commands that would do the same. The page is served to this
     machine only; a printed link lets one browser in, once, within a minute; in a terminal, Enter prints another.

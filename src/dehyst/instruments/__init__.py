@@ -1,8 +1,8 @@
 """Rigs: instruments that drive an actuator. Each driver serves one kind of instrument and imports no other driver."""
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
-from dehyst.instruments.addresses import SCHEMES, open_rig
-from dehyst.instruments.base import BY_HAND, HIGHEST_RATE, AbstractRig, VoltageNote, host_timed, played_rate
+from dehyst.instruments.addresses import open_rig
+from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, host_timed, played_rate
 from dehyst.instruments.samples import Reading, Samples
 
 __all__ = [

@@ -5,21 +5,20 @@ import { APART, duration, extent, length, percent, range, short, whole } from ".
 import { branches } from "./path.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
 
-export const MORE = 1.05; // by how much speeds and holds may exceed those of records without a word
+const MORE = 1.05; // by how much holds may exceed those of records without a word
 
 // A curve over time.
 export const curve = (name, colour, x, y, more) => ({ name, colour, x, y, rising: true, width: 1.8, ...more });
 
 export class PathFigures {
-  // `edited` is called with the points (s, um) after each change by the person. `turns`: the figure in which the page
-  // shows where records turned, if it has one.
-  constructor(edited, turns) {
+  // `edited` is called with the points (s, um) after each change by the person.
+  constructor(edited) {
     this.path = new Figure({ title: "Displacement", keys: HANDLE_KEYS });
     this.voltage = new Figure({ title: "Voltage", help: false });
     this.error = new Figure({ title: "Error", help: false });
-    this.turns = turns ?? new Figure({ title: "Where the voltage turns", help: false });
+    this.turns = new Figure({ title: "Where the voltage turns", help: false });
     this.handles = new PointHandles(this.path.chart, edited);
-    const all = [this.path, this.voltage, this.error, ...(turns ? [] : [this.turns])];
+    const all = [this.path, this.voltage, this.error, this.turns];
     this.element = make(h("div.figures.steady", all.map((one) => one.element)));
   }
 
@@ -72,7 +71,7 @@ export class PathFigures {
 }
 
 // The wanted displacement of a plan with its band, and what is reached if voltages are clamped.
-export function wantedCurves({ path: { time, wanted }, planned: { clamps, reached }, band }) {
+function wantedCurves({ path: { time, wanted }, planned: { clamps, reached }, band }) {
   const all = [curve("wanted", "measured", time, wanted, { around: band })];
   if (clamps.limited + clamps.slewed > 0) all.push(curve("reached", "simulated", time, reached));
   return all;
@@ -107,7 +106,7 @@ export function turnsOf(plane, time, voltage) {
 }
 
 // The plane of turning points with the branches of a path on it. Returns what `Figure.set` takes.
-export function turnsPicture({ plane, branches: all, sentence }) {
+function turnsPicture({ plane, branches: all, sentence }) {
   const dots = (some, width, hollow) => ({
     name: "your path",
     colour: "simulated",

@@ -21,8 +21,7 @@ class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
     `file_columns`: name, unit and range of the file's columns; empty if it is not a table. `options`: options with
-    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes. `trains`:
-    whether the page suggests it for training.
+    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes.
     """
 
     id: str
@@ -45,7 +44,6 @@ class RecordEntry:
     words: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     usable: bool = True
-    trains: bool = True
 
     @property
     def reading(self) -> dict[str, str]:
@@ -78,11 +76,11 @@ class RecordEntry:
 class ModelEntry:
     """A model: its records, and its results.
 
-    `rig`: instrument of a calibrated model, which has no records in the list and no `seconds`. `origin`: a sentence on
-    where another model comes from that was not identified here. `check`: the last check by a new record. `table`: one
-    entry for each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for each of several coupled
-    axes: name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and its verdict is the
-    verdict of the worst axis. `coupling`: the matrix, whether it describes the coupling completely, and each verdict.
+    `origin`: a sentence on where an updated model comes from, which has no `seconds`. `check`: the last check by a new
+    record. `table`: one entry for each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for
+    each of several coupled axes: name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and
+    its verdict is the verdict of the worst axis. `coupling`: the matrix, whether it describes the coupling completely,
+    and each verdict.
     """
 
     id: str
@@ -90,7 +88,6 @@ class ModelEntry:
     file: str
     train: list[str] = field(default_factory=list)
     validate: list[str] = field(default_factory=list)
-    rig: str = ""
     report: str = ""
     options: dict[str, Any] = field(default_factory=dict)
     status: str = "identifying"
@@ -201,8 +198,7 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
 class VoltageEntry:
     """A voltage that follows a path with a model, and remarks on it in `words`.
 
-    `largest_um`: the largest error to expect of each axis, None if it is not known. `path`: the file of the path.
-    `columns`: the option with which its displacements are read.
+    `largest_um`: the largest error to expect of each axis, None if it is not known.
     """
 
     id: str
@@ -216,8 +212,6 @@ class VoltageEntry:
     clamped: int = 0
     largest_um: list[float | None] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
-    path: str = ""
-    columns: str = ""
 
     def fill(self, result: Mapping[str, Any], file: Path) -> None:
         """Fill in the result of `compensate`."""

@@ -24,12 +24,12 @@ from dehyst._io import (
 )
 
 FORMAT = "dehyst-workbench"
-STATE, SCRIPT, LOCK, RIG_LOG = "workbench.json", "commands.sh", ".lock", "rig.log"
+STATE, SCRIPT, LOCK = "workbench.json", "commands.sh", ".lock"
 UPLOADS, RECORDS, MODELS, REPORTS = "uploads", "records", "models", "reports"
-PATHS, VOLTAGES, EXPORTS, CALIBRATIONS = "paths", "voltages", "exports", "calibrations"
-_PLACES = (UPLOADS, RECORDS, MODELS, REPORTS, PATHS, VOLTAGES, EXPORTS, CALIBRATIONS)
+PATHS, VOLTAGES, EXPORTS = "paths", "voltages", "exports"
+_PLACES = (UPLOADS, RECORDS, MODELS, REPORTS, PATHS, VOLTAGES, EXPORTS)
 _HEADER = """#!/bin/sh
-# The commands of this workbench. In a new folder with its uploads/, paths/ and records/*.h5 they give the same files.
+# The commands of this workbench. In a new folder with its uploads/ and paths/ they give the same files.
 cd "$(dirname "$0")" || exit
 mkdir -p {places}
 """
@@ -129,13 +129,7 @@ class Folder:
 
     def note(self, words: Sequence[str]) -> None:
         """Append a command to the script."""
-        self._append(shlex.join(words).replace("\n", " "))
-
-    def remark(self, words: str) -> None:
-        """Append a comment to the script."""
-        self._append(f"# {' '.join(words.split())}")
-
-    def _append(self, line: str) -> None:
+        line = shlex.join(words).replace("\n", " ")
         with self._script.open("a", encoding="utf-8") as script:
             script.write(f"{line}\n")
 

@@ -6,17 +6,11 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from dehyst.instruments import SCHEMES
 from dehyst.waveforms.named import OPTIONS, SCANS
 
 Field = dict[str, Any]
 Form = dict[str, Field]
 
-_LIMITS: Form = {
-    "low": {"label": "Lowest", "unit": "V"},
-    "high": {"label": "Highest", "unit": "V"},
-    "slew": {"label": "Slew rate", "unit": "V/s", "above": 0},
-}
 _NORMS = {"l1": "Sum of absolute errors (robust)", "l2": "Sum of squares"}
 _STRUCTURES = {
     "auto": "Automatic: select the parts by cross-validation",
@@ -90,24 +84,6 @@ FORMS: dict[str, Form] = {
         "rate": {"label": "Samples a second", "unit": "Hz", "value": "1000", "above": 0},
     },
     "check": {"record": {"label": "New record"}},
-    "connect": {
-        "address": {
-            "label": "Address",
-            "value": "sim://play",
-            "text": True,
-            "hint": "sim://play (simulated), pi://HOST:PORT, epics://PREFIX, ni://DEVICE or jena://HOST",
-        },
-        **{
-            name: {**_LIMITS[name], "value": value} for name, value in (("low", "0"), ("high", "100"), ("slew", "1000"))
-        },
-    },
-    "plan": {
-        "frequency": {"label": "Loops a second", "unit": "Hz", "value": "1", "above": 0},
-        "rounds": {"label": "Further rounds", "value": "2", "least": 0},
-        "goal": {"label": "Goal", "unit": "%", "value": "1", "above": 0},
-    },
-    "arm": _LIMITS,
-    "play": {"voltage": {"label": "Voltage"}},
 }
 # Kinds of exports: title, text and, of a file, its suffix.
 EXPORTS = {
@@ -123,12 +99,6 @@ _MANY = {
     "ratio": "two whole numbers, e.g. 3 2",
 }
 _FIRST = {"lines": "16", "revolutions": "5", "ratio": "3 2", "dwell": "0.2"}
-
-
-def rig_address() -> re.Pattern[str]:
-    """Return what an address is that a page may open: none that names a file to be run or read."""
-    kinds = "|".join(name for name in SCHEMES if name != "sim")
-    return re.compile(rf"({kinds})://[^\s]+|sim://[a-z]+")
 
 
 def scan_form() -> Form:

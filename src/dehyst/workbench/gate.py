@@ -29,11 +29,11 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
+    "Content-Security-Policy": (
+        "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'; img-src 'self' data:; "
+        "style-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; object-src 'none'"
+    ),
 }
-_POLICY = (
-    "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'{stop}; img-src 'self' data:; "
-    "style-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; object-src 'none'"
-)
 _REFUSED = 1008
 _NO_COOKIE = "the cookie of this workbench is missing"
 _USED = (
@@ -61,13 +61,11 @@ class Gate:
         At which the server listens.
     admits : callable
         Takes the token of a link, ``/?token=...``; returns whether it lets a browser in.
-    stop_port : callable
-        Returns the port of the emergency stop, to which the page may also send requests.
     """
 
-    def __init__(self, app: App, port: int, admits: Callable[[str], bool], stop_port: Callable[[], int]) -> None:
+    def __init__(self, app: App, port: int, admits: Callable[[str], bool]) -> None:
         self._app, self._key = app, secrets.token_urlsafe(32)
-        self._admits, self._stop_port = admits, stop_port
+        self._admits = admits
         self._cookie = f"dehyst-{port}"
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._origins = {f"http://{host}" for host in self._hosts}
@@ -124,13 +122,10 @@ class Gate:
         return f"{self._cookie}={self._key}; HttpOnly; SameSite=Strict; Path=/"
 
     def _with_headers(self, send: Send) -> Send:
-        policy = _POLICY.format(stop=f" http://127.0.0.1:{self._stop_port()}")
-        standard = {**_HEADERS, "Content-Security-Policy": policy}
-
         async def guarded(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
                 own = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
-                more = [(k.lower().encode(), v.encode()) for k, v in standard.items() if k.lower() not in own]
+                more = [(k.lower().encode(), v.encode()) for k, v in _HEADERS.items() if k.lower() not in own]
                 message = {**message, "headers": [*message.get("headers", ()), *more]}
             await send(message)
 

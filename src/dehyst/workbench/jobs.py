@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import json
 import signal
+import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from dehyst._errors import DehystError, LinkError
-from dehyst._process import messages, started, written
+from dehyst._errors import DehystError
 from dehyst.operations.registry import find
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import in_page
@@ -23,6 +24,8 @@ _AT_ONCE = 2
 _LISTED = 20
 # Seconds that a worker has to end after SIGTERM.
 _PATIENCE = 5.0
+# Bytes of its longest message.
+_LONGEST = 1 << 26
 Progress: TypeAlias = Callable[[str], None]
 
 
@@ -88,9 +91,8 @@ class Worker:
     """A worker process that runs operations one after another in a `folder`; the first operation starts it."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._last = folder, 0
+        self._folder = folder
         self._process: asyncio.subprocess.Process | None = None
-        self._messages: Any = None
         self._stopped = False
 
     @property
@@ -102,27 +104,39 @@ class Worker:
         """Run an operation to its end; if this task is cancelled, the process is ended too."""
         if self._stopped:
             return Finished(stopped=True)
+        request = {"do": step.operation, "with": dict(step.parameters), "force": step.force}
         try:
-            if self._process is None:
-                self._process = await started("dehyst.workbench.worker", folder=self._folder)
-                self._messages = messages(self._process)
-            self._last += 1
-            request = {"id": self._last, "do": step.operation, "with": dict(step.parameters), "force": step.force}
-            await written(self._process, request)
-            async for message in self._messages:
-                if message.get("kind") == "done" and message.get("id") == self._last:
-                    return Finished(message.get("result"), message.get("error", {}), message.get("stopped", False))
-                if "progress" in message:
-                    progress(message["progress"])
-        except LinkError as error:
+            self._process = self._process or await self._started()
+            stdin, stdout = self._process.stdin, self._process.stdout
+            assert stdin is not None and stdout is not None
+            stdin.write(json.dumps(request).encode() + b"\n")
+            while line := await stdout.readline():
+                message = json.loads(line)
+                if (done := message.get("done")) is not None:
+                    return Finished(done.get("result"), done.get("error", {}), done.get("stopped", False))
+                progress(message["progress"])
+        except OSError as error:
             self._stopped = True
-            return Finished(error=error.as_dict())
+            words = f"a process cannot be started or reached ({error.strerror}); is there memory left?"
+            return Finished(error={"message": words})
         except asyncio.CancelledError:
             await self.close()
             raise
         stopped, self._stopped = self._stopped, True
         status = await self._process.wait()
         return Finished(error={"message": f"its process ended with status {status}; see the terminal"}, stopped=stopped)
+
+    async def _started(self) -> asyncio.subprocess.Process:
+        """Start the process, in a session of its own: signals of the terminal do not reach it."""
+        return await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "dehyst.workbench.worker"),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+            cwd=self._folder,
+            start_new_session=True,
+            limit=_LONGEST,
+        )
 
     def finish(self) -> None:
         """Request its best result so far, as Ctrl-C does."""

@@ -26,7 +26,6 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocketDisconnect
 
 from dehyst._errors import DehystError
-from dehyst._io import read_json
 from dehyst.web import files
 from dehyst.workbench import folder as places
 from dehyst.workbench import forms
@@ -42,7 +41,6 @@ from dehyst.workbench.data import (
 )
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.reading import options_of
-from dehyst.workbench.rig_desk import RigDesk
 from dehyst.workbench.session import WorkbenchSession
 
 if TYPE_CHECKING:
@@ -50,8 +48,6 @@ if TYPE_CHECKING:
 
 # Seconds between two states, so that many changes at once are one message.
 _PAUSE = 0.05
-# Messages that a slow page may be behind; then live samples are left out.
-_BEHIND = 50
 
 
 class Events:
@@ -65,7 +61,7 @@ class Events:
 
     def __init__(self, state: Callable[[], Mapping[str, Any]]) -> None:
         self._state = state
-        self._pages: set[_Page] = set()
+        self._pages: set[asyncio.Event] = set()
         self._text = ""
         self._pending: asyncio.Task[None] | None = None
 
@@ -75,51 +71,28 @@ class Events:
         if self._pages and (self._pending is None or self._pending.done()):
             self._pending = asyncio.get_running_loop().create_task(self._publish())
 
-    def send(self, message: Mapping[str, Any]) -> None:
-        """Send a message that may be dropped, such as live samples."""
-        text = json.dumps(message, allow_nan=False)
-        for page in self._pages:
-            if page.news.qsize() < _BEHIND:
-                page.news.put_nowait(text)
-
     async def page(self) -> AsyncIterator[str]:
-        """Yield the messages for one page, the state first. A slow page receives only the newest state."""
-        page = _Page()
-        page.change()
-        self._pages.add(page)
+        """Yield the states for one page, the present one first. A slow page receives only the newest state."""
+        change = asyncio.Event()
+        change.set()
+        self._pages.add(change)
         try:
             while True:
-                text = await page.news.get()
-                if text is None:
-                    page.behind = False
-                    text = self._now()
-                yield text
+                await change.wait()
+                change.clear()
+                yield self._now()
         finally:
-            self._pages.discard(page)
+            self._pages.discard(change)
 
     def _now(self) -> str:
-        """Return the state as a message, made once for all pages."""
-        self._text = self._text or json.dumps({"kind": "state", "state": self._state()}, allow_nan=False)
+        """Return the state as text, made once for all pages."""
+        self._text = self._text or json.dumps(self._state(), allow_nan=False)
         return self._text
 
     async def _publish(self) -> None:
         await asyncio.sleep(_PAUSE)
-        for page in self._pages:
-            page.change()
-
-
-class _Page:
-    """One open page: its messages in their order, None where the state is to be sent."""
-
-    def __init__(self) -> None:
-        self.news: asyncio.Queue[str | None] = asyncio.Queue()
-        self.behind = False
-
-    def change(self) -> None:
-        """Note that the state is to be sent, once."""
-        if not self.behind:
-            self.behind = True
-            self.news.put_nowait(None)
+        for change in self._pages:
+            change.set()
 
 
 _PAGE = Path(__file__).with_name("page")
@@ -130,8 +103,8 @@ MEASURED = Path(__file__).resolve().parents[3] / "examples" / "measured" / "p885
 _VIRTUAL = "virtual-loops.csv"
 _MEASURED_ON = "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
 _VIRTUAL_ON = "a record of a virtual actuator"
-# Not of the page: its worker, and what only reports have.
-_APART = ("keepalive.js", "path_trial.js", "report.css")
+# What only reports have.
+_APART = ("path_trial.js", "report.css")
 
 
 class PageFiles:
@@ -201,10 +174,6 @@ _SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:"
 )
-# Code with which a WebSocket is closed that sent something else than text.
-_NO_TEXT = 1003
-# Fields of a request for the rig that a page does not choose: they belong to a voltage.
-_OF_SESSION = ("model", "path", "columns")
 # Bytes of a request that is not an upload.
 _MOST_JSON = 8_000_000
 
@@ -294,15 +263,12 @@ class Workbench:
     folder : Path
     upload_limit : float
         Largest size of an upload [bytes].
-    origins : sequence of str
-        Of the page.
     """
 
-    def __init__(self, folder: Path, upload_limit: float, origins: Sequence[str]) -> None:
+    def __init__(self, folder: Path, upload_limit: float) -> None:
         self.upload_limit = int(upload_limit)
         self.events = Events(self.state)
         self.session = WorkbenchSession(Folder(folder), self.events.changed)
-        self.rig = RigDesk(self.session.folder, self.session.touch, self.events.send, origins, self._finished)
 
     def app(self) -> Starlette:
         """Return the application."""
@@ -328,7 +294,6 @@ class Workbench:
                 "/api/models/{key}/path": self.path,
                 "/api/models/{key}/export": self.export,
                 "/api/jobs/{key}/cancel": self.cancel,
-                "/api/rig/{what}": self.drive,
             },
             "PUT": {"/api/records": self.upload, "/api/models/{key}/points": self.points},
             "DELETE": {"/api/{kind:str}/{key}": self.delete},
@@ -340,46 +305,28 @@ class Workbench:
 
     def state(self) -> dict[str, Any]:
         """Return the state that all pages show."""
-        return {**self.session.state(), "upload_limit": self.upload_limit, "rig": self.rig.state}
+        return {**self.session.state(), "upload_limit": self.upload_limit}
 
     @asynccontextmanager
     async def _life(self, _: Starlette) -> AsyncIterator[None]:
-        await self.rig.recover()
         yield
-        # First what moves.
-        await self.rig.close()
         await self.session.close()
 
-    def _finished(self, place: str, asked: Mapping[str, Any]) -> None:
-        """List what the rig left: a record, or the model of a calibration."""
-        if place.startswith(f"{places.RECORDS}/"):
-            # A journal beside its file is that of a listed record.
-            if all(record.source != place for record in self.session.records.values()):
-                self.session.add_record(place, Path(place).name)
-            return
-        with suppress(DehystError):
-            self.session.add_calibrated(place, read_json(self.session.folder.path / place / "calibration.json"))
-
     async def news(self, socket: WebSocket) -> None:
-        """Send the news to a page, and listen to its heartbeat."""
+        """Send the states to a page until it leaves; what it sends is not listened to."""
         await socket.accept()
 
         async def send() -> None:
-            async for message in self.events.page():
-                await socket.send_text(message)
+            async for text in self.events.page():
+                await socket.send_text(text)
 
         sending = asyncio.create_task(send())
         try:
-            while (message := await socket.receive())["type"] == "websocket.receive":
-                if message.get("text") is None:
-                    await socket.close(_NO_TEXT)
-                    break
-                self.rig.heard()
-        except (WebSocketDisconnect, RuntimeError):
-            pass
+            while (await socket.receive())["type"] == "websocket.receive":
+                pass
         finally:
             sending.cancel()
-            with suppress(asyncio.CancelledError, Exception):
+            with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await sending
 
     @answered
@@ -505,14 +452,6 @@ class Workbench:
     async def cancel(self, request: Request) -> Any:
         """End a job."""
         self.session.cancel(request.path_params["key"])
-
-    @answered
-    async def drive(self, request: Request) -> Any:
-        """Execute a request for the rig."""
-        body = {name: value for name, value in (await body_of(request)).items() if name not in _OF_SESSION}
-        if "voltage" in body:
-            body |= self.session.followed(str(body.pop("voltage")))
-        await self.rig.request(request.path_params["what"], body)
 
     @answered
     async def delete(self, request: Request) -> Any:

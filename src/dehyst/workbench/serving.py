@@ -159,10 +159,10 @@ def serve(
         ) from error
     with _listening(port) as listener:
         taken = listener.getsockname()[1]
-        bench = Workbench(folder, upload_limit, [f"http://{host}:{taken}" for host in (HOST, "localhost")])
+        bench = Workbench(folder, upload_limit)
         door = Door(f"http://{HOST}:{taken}", bench.session.folder.path, bench.session.folder.privacy)
         config = uvicorn.Config(
-            Gate(bench.app(), taken, door.admits, lambda: bench.rig.stop_port),
+            Gate(bench.app(), taken, door.admits),
             loop="asyncio",
             http=BoundedProtocol,
             backlog=BACKLOG,

@@ -106,17 +106,9 @@ class WorkbenchSession:
         """Return a voltage; raise SessionError if its key is unknown."""
         return _found(self.voltages, key, "voltage")
 
-    def followed(self, key: str) -> dict[str, str]:
-        """Return the files of a voltage: its own, its path, and the model, if it is still listed."""
-        entry = self.voltage(key)
-        model = self.models.get(entry.model)
-        return {"file": entry.file, "path": entry.path, "columns": entry.columns} | (
-            {} if model is None else {"model": model.file}
-        )
-
-    def add_record(self, source: str, name: str, *, trains: bool = True) -> RecordEntry:
-        """Read a file, `source` relative to the folder, as a record; `trains`: whether to suggest it for training."""
-        entry = RecordEntry(self._id("r"), Path(name).stem[:200] or "record", source, trains=trains)
+    def add_record(self, source: str, name: str) -> RecordEntry:
+        """Read a file, `source` relative to the folder, as a record."""
+        entry = RecordEntry(self._id("r"), Path(name).stem[:200] or "record", source)
         self.records[entry.id] = entry
         self.read_record(entry.id, {})
         return entry
@@ -203,38 +195,6 @@ class WorkbenchSession:
         self.jobs.start("identify", entry.id, [step], done, progress)
         return entry
 
-    def add_calibrated(self, place: str, result: Mapping[str, Any]) -> ModelEntry:
-        """List the model of a calibration in the folder `place`; `result`: content of its calibration.json."""
-        rig = f"{result['rig']}, axis {result['axis']}"
-        entry = ModelEntry(self._id("m"), Path(place).name, f"{place}/model.json", rig=rig, seconds=None)
-        entry.report, entry.origin = f"{place}/report.html", f"Calibrated on {rig}."
-        write_json(self.folder.path / entry.fit, result["fit"])
-        entry.fill(Finished(result["fit"]))
-        entry.fill_ranges(self.folder.path / entry.file)
-        self.models[entry.id] = entry
-        self.touch()
-        return entry
-
-    def _derive(self, model: ModelEntry, file: str, origin: str, verdicts: Mapping[str, dict[str, Any]]) -> ModelEntry:
-        """List a model that another one became, with the verdict of each axis."""
-        worst = max(verdicts.values(), key=lambda one: one["largest_percent"])
-        entry = replace(
-            model,
-            id=self._id("m"),
-            name=Path(file).stem,
-            file=file,
-            origin=f"{origin} Before: {model.name}. The report is that of the identification.",
-            verdict={**worst, "remarks": model.verdict["remarks"] if model.verdict else []},
-            coupling=model.coupling and {**model.coupling, "verdicts": verdicts},
-            seconds=None,
-            insight=None,
-            check=None,
-        )
-        entry.fill_ranges(self.folder.path / file)
-        self.models[entry.id] = entry
-        self.touch()
-        return entry
-
     def end(self, key: str) -> None:
         """End an identification: the first time with the best model so far, the second time at once."""
         entry = self.model(key)
@@ -250,9 +210,6 @@ class WorkbenchSession:
         entry = self.model(key, ready=True)
         known = [self.records[one] for one in entry.train if one in self.records]
         files, read = [one.file for one in known], known[0].reading if known else {}
-        if entry.rig:
-            played = (one["record"] for one in entry.table if one["role"] == "training")
-            files = [f"{Path(entry.report).parent.as_posix()}/records/{name}.h5" for name in played]
         if not files:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 
@@ -304,19 +261,36 @@ class WorkbenchSession:
                 axis: model.measured(one["held_out_percent"], one["stroke_m"], basis, one["sentences"])
                 for axis, one in parts.items()
             }
-            self._derive(model, file, f"Updated from {record.name}.", verdicts)
+            self._list_updated(model, file, record.name, verdicts)
 
         step = Step("update", {"model": model.file, "record": record.file, "output": file, **record.reading})
         return self.jobs.start("update", model.id, [step], done)
+
+    def _list_updated(self, model: ModelEntry, file: str, record: str, verdicts: Mapping[str, dict[str, Any]]) -> None:
+        """List a model that another one became by a record, with the verdict of each axis."""
+        worst = max(verdicts.values(), key=lambda one: one["largest_percent"])
+        entry = replace(
+            model,
+            id=self._id("m"),
+            name=Path(file).stem,
+            file=file,
+            origin=f"Updated from {record}. Before: {model.name}. The report is that of the identification.",
+            verdict={**worst, "remarks": model.verdict["remarks"] if model.verdict else []},
+            coupling=model.coupling and {**model.coupling, "verdicts": verdicts},
+            seconds=None,
+            insight=None,
+            check=None,
+        )
+        entry.fill_ranges(self.folder.path / file)
+        self.models[entry.id] = entry
+        self.touch()
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
         """Compute the voltage for a path with a model: `points` or `scan`; return the job."""
         model = self.model(key, ready=True)
         file = self.folder.new(places.VOLTAGES, str(request.get("name") or model.name), ".csv")
         steps = self._path_steps(model, request, file)
-        given = steps[-1].parameters
         entry = VoltageEntry(self._id("v"), Path(file).stem, file, model.id)
-        entry.path, entry.columns = given["trajectory"], given.get("columns", "")
 
         async def done(finished: Finished) -> None:
             if finished.result is not None:

@@ -1,63 +1,87 @@
 """A process that runs operations for the workbench, one after another: ``python -m dehyst.workbench.worker``.
 
-A request is ``{"id": 1, "do": OPERATION, "with": {...}, "force": false}``; its answer, of the kind "done" and with the
-same id, has a "result" and whether it is "good", an "error", or "stopped". ``{"do": "finish"}``, and SIGINT, end a
-running operation early, with its best result so far. The process ends when its input does, or by SIGTERM.
+It reads requests and writes messages, each a line with a JSON object. A request is ``{"do": OPERATION, "with": {...},
+"force": false}``. Messages are ``{"progress": WORDS}`` and, at the end of the operation, ``{"done": {...}}`` with a
+"result" and whether it is "good", an "error", or "stopped". SIGINT ends a running operation early, with its best result
+so far. The process ends when its input does, or by SIGTERM.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import sys
+import threading
 import traceback
+from collections.abc import Callable
 from queue import SimpleQueue
+from typing import Any
 
 from dehyst._errors import DehystError
-from dehyst._process import Inlet, Message, Outlet, lines_of, own_output
+from dehyst._io import finite
 from dehyst.operations.registry import find
 from dehyst.operations.run import InterruptibleRun, perform, terminable
 
+Message = dict[str, Any]
+# What the server does comes first.
 _NICE = 5
 
 
 class _WorkerRun(InterruptibleRun):
     """A run that sends its progress."""
 
-    def __init__(self, outlet: Outlet) -> None:
+    def __init__(self, send: Callable[[Message], None]) -> None:
         super().__init__()
-        self._outlet = outlet
+        self._send = send
 
     def progress(self, words: str) -> None:
         """Send what is being done."""
         if words:
-            self._outlet.progress(progress=words)
+            self._send({"progress": words})
 
 
 def main() -> None:
     """Run operations until the process is ended."""
-    # A process that drives an instrument comes first. Windows has no such number.
+    # Windows has no such number.
     if hasattr(os, "nice"):
         os.nice(_NICE)
-    outlet, requests = Outlet(own_output()), SimpleQueue[Message]()
+    output = _own_output()
+    requests: SimpleQueue[Message] = SimpleQueue()
 
-    def take(message: Message) -> None:
-        if message.get("do") == "finish":
-            os.kill(os.getpid(), signal.SIGINT)
-        else:
-            requests.put(message)
+    def send(message: Message) -> None:
+        data = json.dumps(finite(message), allow_nan=False).encode() + b"\n"
+        while data:
+            data = data[os.write(output, data) :]
 
-    Inlet(lines_of(0), take, outlet.error, lambda: os.kill(os.getpid(), signal.SIGTERM)).start()
+    threading.Thread(target=_receive, args=(requests,), daemon=True).start()
     while True:
         # Between two operations there is nothing to end.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         request = requests.get()
         try:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            answer = _answer(request, _WorkerRun(outlet))
+            answer = _answer(request, _WorkerRun(send))
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         except KeyboardInterrupt:
             answer = {"stopped": True}
-        outlet.done(request["id"], **answer)
+        send({"done": answer})
+
+
+def _own_output() -> int:
+    """Return a descriptor of standard output for messages only: the output of libraries is discarded."""
+    descriptor = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
+    return descriptor
+
+
+def _receive(requests: SimpleQueue[Message]) -> None:
+    """Queue the requests of the input, whose end ends the process."""
+    for line in sys.stdin.buffer:
+        requests.put(json.loads(line))
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _answer(request: Message, run: _WorkerRun) -> Message:

@@ -4,22 +4,16 @@ import { exportView } from "./exports.js";
 import { modelView } from "./models.js";
 import { pathView } from "./path_step.js";
 import { isSending, recordsView, sendAll } from "./records.js";
-import { rigView } from "./rig.js";
-import { buildRigBar, canMove } from "./rig_bar.js";
 import { connect, session, watch } from "./server.js";
 import { buildSteps } from "./steps.js";
-import { trustView } from "./trust.js";
 
-watch("state", ({ folder }) => {
+watch(({ folder }) => {
   byId("folder").textContent = folder ?? "\u2013";
   byId("connection").textContent = session.connected ? "Connected" : "The server does not answer; trying again";
   document.body.classList.toggle("offline", !session.connected);
   document.title = `${folder ? `${folder} \u00b7 ` : ""}dehyst workbench`;
 });
-buildRigBar();
-buildSteps({
-  records: recordsView, model: modelView, trust: trustView, path: pathView, export: exportView, rig: rigView,
-});
+buildSteps({ records: recordsView, model: modelView, path: pathView, export: exportView });
 
 const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
 const cover = (shown) => {
@@ -34,13 +28,8 @@ window.addEventListener("drop", (event) => {
   if (holdsFiles(event)) sendAll(event.dataTransfer.files);
 });
 
-const keeper = new Worker("/page/keepalive.js", { type: "module" });
-// Leaving the page ends an upload and what a rig plays.
+// Leaving the page ends an upload.
 window.addEventListener("beforeunload", (event) => {
-  const { rig, jobs } = session.state;
-  if (!canMove(rig) && !isSending() && !jobs.some((one) => one.status === "running")) return;
-  event.preventDefault();
-  keeper.postMessage(true);
-  setTimeout(() => keeper.postMessage(false));
+  if (isSending() || session.state.jobs.some((one) => one.status === "running")) event.preventDefault();
 });
 connect();

@@ -1,6 +1,7 @@
-// The fifth step: the model in other forms, all files of the folder, and the session as a script.
+// The fourth step: the model in other forms, all files of the folder, and the session as a script.
 import { DECLARED } from "./declared.js";
 import { h, table } from "./dom.js";
+import { card } from "./forms.js";
 import { bytes } from "./numbers.js";
 import { currentRequest } from "./path_step.js";
 import { announce, button, chosenModel, openJobs, problem, session, workOn } from "./server.js";
@@ -12,6 +13,7 @@ export function exportView({ files, log }, model) {
   const rows = sorted.map(({ path, kind, bytes: size }) => [fileLink(path, path), kind ?? "", bytes(size)]);
   return [
     model && exportsOf(model),
+    rigCard(),
     h("h3", "Files of this folder"),
     h("div#files.files", table("Files of this folder", ["File", "Kind", "Size"], rows)),
     script(log),
@@ -59,17 +61,29 @@ function modelLinks({ file, report }) {
   ];
 }
 
+async function copy(text) {
+  await navigator.clipboard.writeText(text);
+  announce("Copied.");
+}
+
+// Instruments are driven from a terminal alone.
+const RIG = `dehyst calibrate sim://play       # a simulated actuator
+dehyst calibrate pi://ADDRESS --limits 0 100 --slew-rate 1000`;
+const rigCard = () =>
+  card("On a rig", { id: "rig", key: "rig" },
+    h("p", "A terminal drives the actuator: it records loops, identifies a model, and measures along a path."),
+    h("pre", RIG),
+    h("p.row", button("Copy the command", "rig", () => copy(RIG))),
+    problem("rig"),
+  );
+
 function script(log) {
-  const copy = async () => {
-    await navigator.clipboard.writeText(session.state.log.join("\n"));
-    announce("The script is in the clipboard.");
-  };
   const about = { id: "script", tabindex: "0", role: "region", "aria-label": "Commands of this session" };
   return h("section", { "aria-labelledby": "script-title" },
     h("h3#script-title", "Log as script"),
     h("p.muted", "The commands that do the same in a terminal, in this order."),
     h("pre", about, log.join("\n") || "# nothing was done yet"),
-    h("p.row", button("Copy", "script", copy)),
+    h("p.row", button("Copy", "script", () => copy(session.state.log.join("\n")))),
     problem("script"),
   );
 }

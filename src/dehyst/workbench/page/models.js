@@ -3,6 +3,7 @@ import { h, table } from "./dom.js";
 import { duration, percent, range } from "./numbers.js";
 import * as server from "./server.js";
 import { goTo, isOpen, needsModel } from "./steps.js";
+import { assessment, checkCard } from "./trust.js";
 import { VERDICT_HEADS, axesBlock, fileLink, modelChoice, mounted, verdictBlock, verdictCells } from "./verdict.js";
 
 const { announce, button, problem, readyModels, redraw, session } = server;
@@ -15,7 +16,7 @@ setInterval(() => {
 }, 500);
 
 // A model that has become ready is announced, and all steps speak of it.
-server.watch("state", ({ revision, models }) => {
+server.watch(({ revision, models }) => {
   if (revision === undefined) return;
   for (const { id, seconds } of models) {
     if (began.get(id)?.seconds !== seconds) began.set(id, { seconds, at: performance.now() });
@@ -47,14 +48,15 @@ function body(model) {
     h("div#verdict", verdictBlock(model), axesBlock(model)),
     h("div.row.next",
       goTo("path", "Make a voltage"),
-      goTo("trust", "How far to trust it"),
       fileLink(model.report, "Read the report", look),
     ),
     h("p.muted", `${ranges} ${origin} `, server.removeButton("models", model)),
     problem(`models ${model.id}`),
     comparison(readyModels(), model),
+    checkCard(model),
+    assessment(model),
     problem(model.report),
-    mounted(model.report)?.element,
+    h("div#model-report", mounted(model.report)?.element),
   ];
 }
 

@@ -1,4 +1,4 @@
-// The fourth step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
+// The third step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
 import { DECLARED } from "./declared.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
@@ -281,11 +281,6 @@ export function currentRequest() {
   return { ...path, ...others, slew: slew ?? "none" };
 }
 
-// What is planned at present, for the pictures of other steps; null if there is nothing yet.
-export function currentPlan() {
-  adopt(chosenModel());
-  return view.said?.light === "amber" && !view.said.facts.length ? null : view.last;
-}
 // For measurements: how long the last plan and its pictures took (ms).
 export const lastPlan = () => view.took;
 

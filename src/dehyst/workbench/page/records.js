@@ -16,7 +16,7 @@ const roles = new Map(); // of a record on this page: "train", "validate" or "no
 const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
 const uploads = [];
-const roleOf = ({ id, usable, trains }) => roles.get(id) ?? (usable && trains ? "train" : "none");
+const roleOf = ({ id, usable }) => roles.get(id) ?? (usable ? "train" : "none");
 const colourOf = (id, axis = 0) =>
   COLOURS[(Math.max(0, session.state.records.findIndex((one) => one.id === id)) + axis) % COLOURS.length];
 

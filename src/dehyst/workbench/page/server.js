@@ -23,7 +23,6 @@ export const identify = (body) => post("/api/models", body);
 export const workOn = (id, what, body, words = "") =>
   post(`/api/models/${id}/${what}`, body).then(() => announce(words));
 export const cancelJob = (id) => post(`/api/jobs/${id}/cancel`);
-export const rig = (what, body) => post(`/api/rig/${what}`, body);
 
 export const wasmAddress = (model, period) => `/api/models/${model.id}/wasm?period=${period}`;
 export const fileAddress = (path) => `/files/${path.split("/").map(encodeURIComponent).join("/")}`;
@@ -82,30 +81,18 @@ export const voltageColumns = ({ id }, axis) =>
 export const scanColumns = (scan) =>
   getColumns(`/api/scan?of=${encodeURIComponent(JSON.stringify(scan))}`, ["time", "wanted"]);
 
-// Request a stop of the server and of the process that drives the rig; the answers to come, of either.
-export function stopRequests(emergency, patience) {
-  const signal = AbortSignal.timeout(patience);
-  const ways = [["the server", fetch("/api/rig/stop", { ...json({}), signal })]];
-  if (emergency) {
-    const headers = { "X-Dehyst-Stop": emergency.key };
-    const address = `http://127.0.0.1:${emergency.port}/stop`;
-    ways.unshift(["the rig's own process", fetch(address, { method: "POST", headers, keepalive: true, signal })]);
-  }
-  return ways;
-}
-
 // The state that the server holds, as this page last heard it. Views watch it.
-const NOTHING = { records: [], models: [], voltages: [], jobs: [], files: [], rig: { status: "none" }, log: [] };
+const NOTHING = { records: [], models: [], voltages: [], jobs: [], files: [], log: [] };
 export const session = { state: NOTHING, connected: false };
-const watchers = { state: [], live: [] };
+const watchers = [];
 
-// Call `watcher` with each new state, which may have to be drawn anew, or with each live message.
-export const watch = (kind, watcher) => watchers[kind].push(watcher);
+// Call `watcher` with each state that may have to be drawn anew.
+export const watch = (watcher) => watchers.push(watcher);
 
-function tell(kind, value) {
-  for (const watcher of watchers[kind]) {
+function tell() {
+  for (const watcher of watchers) {
     try {
-      watcher(value);
+      watcher(session.state);
     } catch (error) {
       console.error(error);
     }
@@ -117,24 +104,23 @@ let asked;
 export function redraw() {
   asked ??= setTimeout(() => {
     asked = undefined;
-    tell("state", session.state);
+    tell();
   });
 }
 
 const [FIRST_WAIT, LONGEST_WAIT] = [300, 5000]; // milliseconds
 
-// News of the server; both ends of a WebSocket.
-export const events = (location) =>
-  new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/events`);
-
 export function connect(wait = FIRST_WAIT) {
-  const socket = events(location);
+  const socket = new WebSocket(`ws://${location.host}/api/events`);
   let next = Math.min(2 * wait, LONGEST_WAIT);
   socket.onopen = () => {
     next = FIRST_WAIT;
     linked(true);
   };
-  socket.onmessage = ({ data }) => receive(socket, JSON.parse(data));
+  socket.onmessage = ({ data }) => {
+    session.state = { ...NOTHING, ...JSON.parse(data) };
+    tell();
+  };
   socket.onclose = () => {
     linked(false);
     setTimeout(connect, wait, next);
@@ -145,16 +131,6 @@ function linked(connected) {
   if (session.connected === connected) return;
   session.connected = connected;
   redraw();
-}
-
-// The rig's watchdog waits for an answer to each live message and ping: it comes before anything is drawn.
-function receive(socket, message) {
-  if (message.kind !== "state" && socket.readyState === WebSocket.OPEN) socket.send('{"kind":"alive"}');
-  if (message.kind === "live") tell("live", message);
-  if (message.kind === "state") {
-    session.state = { ...NOTHING, ...message.state };
-    tell("state", session.state);
-  }
 }
 
 const among = (items, id) => items.find((one) => one.id === id);

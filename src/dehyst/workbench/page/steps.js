@@ -1,4 +1,4 @@
-// The steps from a record to a rig, as tabs that show how far each is, and the one that is open.
+// The steps from a record to an export, as tabs that show how far each is, and the one that is open.
 import { byId, fill, h } from "./dom.js";
 import { percent } from "./numbers.js";
 import { chosenModel, readyRecords, session, watch } from "./server.js";
@@ -6,16 +6,13 @@ import { chosenModel, readyRecords, session, watch } from "./server.js";
 const counted = ({ length }, noun) => `${length} ${noun}${length === 1 ? "" : "s"}`;
 // The state of a step: done with these words, or not begun.
 const reached = (words, before) => (words ? { text: words, mark: "done" } : { text: before });
-const trustState = () => reached(chosenModel().insight?.report && "assessed", "not assessed yet");
 const pathState = ({ voltages }) => reached(voltages.length > 0 && counted(voltages, "voltage"), "no voltage yet");
 // Title and state of each step, and what it says while there is no model that it needs; a mark colours its number.
 const STEPS = {
   records: ["Records", recordsState],
   model: ["Model", modelState],
-  trust: ["Trust", trustState, "There is no model to assess yet."],
   path: ["Path and voltage", pathState, "A path needs a model that is ready."],
   export: ["Export", ({ files }) => ({ text: counted(files, "file") }), "An export needs a model."],
-  rig: ["Rig", rigState],
 };
 const IDS = Object.keys(STEPS);
 let pages = {};
@@ -26,7 +23,7 @@ export function buildSteps(views) {
   pages = views;
   byId("steps").onkeydown = byKeys;
   window.addEventListener("hashchange", () => openStep(location.hash.slice(1)));
-  watch("state", refresh);
+  watch(refresh);
   openStep(location.hash.slice(1));
 }
 
@@ -91,9 +88,4 @@ function modelState({ models }) {
   if (models.some((one) => one.status === "identifying")) return { text: "identifying\u2026", mark: "busy" };
   const model = chosenModel();
   return reached(model && `${percent(model.verdict.largest_percent)} largest error`, "none yet");
-}
-
-function rigState({ rig: { status } }) {
-  if (status === "none") return { text: "not connected" };
-  return { text: status, mark: { lost: "bad", connected: "done" }[status] ?? "busy" };
 }

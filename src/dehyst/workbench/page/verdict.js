@@ -63,21 +63,20 @@ export function modelChoice() {
   return h("p.row.model-row", h("span", "Model "), select);
 }
 
-// The parts of a report that is a file of the folder; each `copy` has elements of its own.
+// The parts of a report that is a file of the folder.
 const reports = new Map();
-export const reportOf = (path, copy = "") =>
-  server.remembered(reports, `${path} ${copy}`, async () => reportParts(await server.textOfFile(path)));
+export const reportOf = (path) =>
+  server.remembered(reports, path, async () => reportParts(await server.textOfFile(path)));
 
 // The same as soon as they are there; an error is shown in the place that is called like the file.
 const parts = new Map();
-export function mounted(path, copy = "") {
-  const key = `${path} ${copy}`;
-  if (!parts.has(key)) {
-    parts.set(key, null);
-    const arrived = (report) => parts.set(key, report) && redraw();
-    reportOf(path, copy).then(arrived, (error) => server.complain(path, error.message));
+export function mounted(path) {
+  if (!parts.has(path)) {
+    parts.set(path, null);
+    const arrived = (report) => parts.set(path, report) && redraw();
+    reportOf(path).then(arrived, (error) => server.complain(path, error.message));
   }
-  return parts.get(key);
+  return parts.get(path);
 }
 
 export const fileLink = (path, text, attributes = {}) =>
