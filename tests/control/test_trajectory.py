@@ -73,18 +73,6 @@ def test_without_clamping_it_is_the_compensation():
     assert (command.warnings, command.clamped.any()) == ((), False)
 
 
-def test_clamping_is_loud():
-    path = plain_records.path((0.5, 1.4, 0.5))
-    start = PLANT.turned(float(path[0]))
-    command = Compensator(PLANT, (0.0, HIGH)).trajectory(path, state=start)
-    count, first = int(command.clamped.sum()), int(np.flatnonzero(command.clamped)[0])
-    miss = np.abs(path - command.displacement).max() * 1e6
-    (said,) = command.warnings
-    assert said.startswith(f"CLAMPED: {count} of {path.size} voltages ({count} at the limits 0 to 150 V, 0 by the slew")
-    assert f"the first at sample {first};" in said
-    assert said.endswith(f"missed by up to {miss:.4g} um")
-
-
 def test_a_slew_rate_is_told_apart_from_the_limits():
     path = plain_records.STROKE * np.where(np.arange(50) < 25, 0.3, 0.6)
     compensator = Compensator(PLANT, (-1e3, 1e3), 1e3)
@@ -94,19 +82,6 @@ def test_a_slew_rate_is_told_apart_from_the_limits():
     np.testing.assert_allclose(np.diff(command.voltage)[24:26], 1.0, rtol=1e-9)
     # It catches up with the path and follows it again.
     assert not command.clamped[:25].any()
-
-
-def test_the_slew_rate_holds_from_the_voltage_that_was_sent_last():
-    loop = Compensator(PLANT, (LOW, HIGH), RATE, period=1e-3)
-    for _ in range(3):
-        loop.hold()
-    away = PLANT.turned(0.1 * plain_records.STROKE)
-    for options, present in (({}, loop.voltage), ({"state": away}, PLANT.voltage(away)), ({"present": 149.0}, 149.0)):
-        path = np.full(30, 0.4 * plain_records.STROKE)
-        for time in (None, np.arange(30) * 5e-3):
-            command = loop.trajectory(path, time=time, **options)
-            assert abs(command.voltage[0] - present) == pytest.approx(RATE * 1e-3, rel=1e-9)
-            assert command.clamped[0] and command.displacement[0] != path[0]
 
 
 def test_after_a_clamp_the_path_is_followed_again():

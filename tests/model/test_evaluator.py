@@ -1,7 +1,5 @@
 """The wider class: graded elements, transformer and creep. Laws, the oracle, an ODE solver, and every refusal."""
 
-from functools import partial
-
 import numpy as np
 import plain_records
 import pytest
@@ -61,35 +59,6 @@ def test_simulate_agrees_with_the_oracle(stack, motion):
     same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
 
 
-@pytest.mark.parametrize("there", [True, False])
-@pytest.mark.parametrize("back", [True, False])
-@given(motion=our.wider_motions(max_samples=300))
-def test_simulating_the_compensating_voltage_gives_the_path(there, back, motion):
-    actuator, state, time, path = motion
-    _, metres = scales(actuator, state, path)
-    sent = actuator.compensate(path, time=time, state=state, stack=there, extrapolate=True)
-    came = actuator.simulate(sent.voltage, time=time, state=state, stack=back, extrapolate=True)
-    plain_records.assert_close(came.displacement, path, 3 * metres)
-    same_state(came.state, sent.state, 3 * metres)
-
-
-@given(motion=our.wider_motions(max_samples=200), cut=st.floats(0, 1))
-def test_a_record_may_be_cut_at_any_sample(motion, cut):
-    """The part that carries on begins with the sample at which the state was reached."""
-    actuator, state, time, path = motion
-    assume(path.size)
-    k = int(cut * (path.size - 1))
-    volts, metres = scales(actuator, state, path)
-    whole = actuator.compensate(path, time=time, state=state, extrapolate=True)
-    for name, drive, allowance in (("compensate", path, volts), ("simulate", whole.voltage, 3 * metres)):
-        out = "voltage" if name == "compensate" else "displacement"
-        run = partial(getattr(actuator, name), extrapolate=True)
-        first = run(drive[: k + 1], time=time[: k + 1], state=state)
-        second = run(drive[k:], time=time[k:], state=first.state)
-        joined = np.concatenate([getattr(first, out)[:-1], getattr(second, out)])
-        plain_records.assert_close(joined, getattr(run(drive, time=time, state=state), out), allowance)
-
-
 @given(our.wider_motions({"graded": False, "transformer": True, "creep": False}, states=("turned up", "relaxed")))
 def test_beside_a_transformer_alone_the_stack_puts_down_the_memory_of_the_clips(motion):
     """The core maps voltages in place: the stack reads a sample before it writes there."""
@@ -137,20 +106,6 @@ def test_without_effect_the_wider_parts_change_nothing(motion, seed):
     plain_records.assert_close(
         wider.simulate(plain.voltage, time=time, state=state, extrapolate=True).displacement, path, metres
     )
-
-
-@given(motion=our.wider_motions(max_samples=40), more=st.floats(1e-6, 1))
-def test_more_voltage_more_displacement(motion, more):
-    actuator, state, time, path = motion
-    assume(path.size)
-    reached = actuator.compensate(path, time=time, state=state, extrapolate=True)
-    times = [0.0, 0.3]
-    now = reached.voltage[-1]
-    ends = [
-        actuator.simulate([now, v], time=times, state=reached.state, extrapolate=True).displacement[-1]
-        for v in (now, now + more * our.volts_of(Actuator(MaxwellSlip([], []), actuator.spring)))
-    ]
-    assert ends[1] > ends[0]
 
 
 @given(motion=our.wider_motions({"creep": True}, max_samples=30), parts=st.integers(2, 5))

@@ -2,19 +2,17 @@
 
 import math
 import subprocess
-from functools import partial
 
 import numpy as np
 import plain_records
 import pytest
 import reference_model
 import strategies as our
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import (
     Actuator,
-    Compensator,
     Creep,
     GradedSlip,
     MaxwellSlip,
@@ -26,7 +24,6 @@ from dehyst import (
 )
 from dehyst._native import CoreState, StepCoefficients
 from dehyst.control import StateBounds
-from examples import examples
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -195,18 +192,6 @@ def test_simulate_agrees_with_the_oracle(motion):
     plain_records.assert_close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
 
 
-@given(motion=motions(max_samples=200))
-@examples(30, nightly=200)
-def test_simulating_the_compensating_voltage_gives_the_path(motion):
-    actuator, state, path = motion
-    sent = actuator.compensate(path, state=state, extrapolate=True)
-    came = actuator.simulate(sent.voltage, state=state, extrapolate=True)
-    metres = 10 * scales(actuator, state, path)[1]
-    plain_records.assert_close(came.displacement, path, metres)
-    plain_records.assert_close(came.state.carts, sent.state.carts, metres)
-    plain_records.assert_close(came.state.smooth, sent.state.smooth, 3 * metres)
-
-
 def everything(seed, graded):
     """Return an actuator of every part, and its times and path."""
     rng = np.random.default_rng(seed)
@@ -237,40 +222,6 @@ def test_beside_every_other_part(graded, seed):
     plain_records.assert_close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
 
 
-@given(motion=motions(max_samples=60), seed=our.SEEDS)
-def test_rate_independence(motion, seed):
-    """Samples held, or added on the way from one to the next, change nothing at the samples that were there."""
-    actuator, state, path = motion
-    assume(path.size)
-    volts, metres = scales(actuator, state, path)
-    part = np.sort(np.random.default_rng(seed).uniform(0, 1, (path.size, 4)), axis=1)
-    part[:, 2:] = 1
-    previous = np.append(state.displacement, path)[:-1, None]
-    slow = np.where(part == 1, path[:, None], previous + part * (path[:, None] - previous))
-    fast, slowed = (
-        actuator.compensate(path, state=state, extrapolate=True),
-        actuator.compensate(slow.ravel(), state=state, extrapolate=True),
-    )
-    plain_records.assert_close(slowed.voltage[3::4], fast.voltage, volts)
-    plain_records.assert_close(slowed.state.smooth, fast.state.smooth, metres)
-    back = actuator.simulate(slowed.voltage, state=state, extrapolate=True)
-    plain_records.assert_close(back.displacement[3::4], path, 10 * metres)
-
-
-@given(motion=motions(max_samples=100), cut=st.floats(0, 1))
-def test_a_record_may_be_cut_anywhere(motion, cut):
-    actuator, state, path = motion
-    k = int(cut * path.size)
-    whole = actuator.compensate(path, state=state, extrapolate=True)
-    for name, drive, out in (("compensate", path, "voltage"), ("simulate", whole.voltage, "displacement")):
-        run = partial(getattr(actuator, name), extrapolate=True)
-        first = run(drive[:k], state=state)
-        joined = np.append(getattr(first, out), getattr(run(drive[k:], state=first.state), out))
-        plain_records.assert_close(
-            joined, getattr(run(drive, state=state), out), scales(actuator, state, path)[name == "simulate"]
-        )
-
-
 @given(motion=motions())
 def test_without_stiffness_they_change_nothing(motion):
     actuator, state, path = motion
@@ -287,16 +238,6 @@ def test_without_stiffness_they_change_nothing(motion):
         plain.simulate(sent, state=bare, extrapolate=True).displacement,
         metres,
     )
-
-
-@given(motion=motions(max_samples=30), more=st.floats(1e-6, 1))
-def test_more_voltage_more_displacement(motion, more):
-    actuator, state, path = motion
-    reached = actuator.compensate(path, state=state, extrapolate=True).state
-    now = actuator.voltage(reached)
-    steps = now + more * our.volts_of(actuator) * np.array([0.0, 1.0])
-    ends = [actuator.simulate([v], state=reached, extrapolate=True).displacement[0] for v in steps]
-    assert ends[1] > ends[0]
 
 
 @pytest.mark.parametrize("ratio", [1e3, 1e6, 1e9])
@@ -371,16 +312,6 @@ def test_relaxed_they_hold_nothing():
 
 def test_a_state_moves_with_its_axis():
     assert ACTUATOR.state.shifted(1e-6).smooth.tolist() == SMOOTH.length.tolist()
-
-
-def test_a_compensator_clamps_with_them():
-    wanted = 5e-6 - 6e-6 * np.cos(np.linspace(0, 20, 300))
-    command = Compensator(ACTUATOR, limits=(5.0, 90.0)).trajectory(wanted)
-    assert command.clamped.any()
-    assert not command.clamped.all()
-    plain_records.assert_close(
-        ACTUATOR.simulate(command.voltage).displacement, command.displacement, 1e-11 * np.ptp(wanted)
-    )
 
 
 @pytest.mark.parametrize(
