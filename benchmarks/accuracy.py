@@ -27,7 +27,7 @@ from dehyst.baselines import compare
 from dehyst.baselines.comparison import OURS, ModelScore, contenders
 from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.model import AbstractModel, Motion, simulated
-from dehyst.studies import demo
+from dehyst.operations import demo
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
 OUTPUT = Path(__file__).with_suffix(".json")
@@ -68,7 +68,7 @@ def entrants() -> dict:
 
 
 def virtual() -> dict:
-    found = demo.run().as_dict()
+    found = demo.journey().as_dict()
     return {key: found[key] for key in ("linear", "compensated", "paper")} | {"errors": found["fit"]["errors"]}
 
 

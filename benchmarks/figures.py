@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dehyst.studies import demo
+from dehyst.operations import demo
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -38,7 +38,7 @@ def saved(target: Path, size: tuple[float, float], draw, columns: int, **options
 
 def draw_demo(left: Axes, right: Axes) -> None:
     """Draw what is reached over what is wanted, with a piece enlarged, and the error in time."""
-    found = demo.run()
+    found = demo.journey()
     curves = (found.linear, BEFORE, "straight scale factor"), (found.compensated, AFTER, "dehyst")
     wanted = found.wanted * 1e6
     low, span = wanted.min(), np.ptp(wanted)

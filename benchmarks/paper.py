@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from dehyst.studies.paper import run
+from dehyst.paper import run
 
 
 def main() -> None:

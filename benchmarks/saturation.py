@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.studies.demo import record_loops
+from dehyst.operations.demo import record_loops
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms.standard import wanted_path
 

@@ -21,8 +21,8 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 from workbench_client import Served, served  # noqa: E402
 from workbench_page import Visitor, chromium, visit  # noqa: E402
 
+from dehyst.operations import demo  # noqa: E402
 from dehyst.records import write_record  # noqa: E402
-from dehyst.studies import demo  # noqa: E402
 from dehyst.virtual import PlayActuator  # noqa: E402
 
 RESULT = ROOT / "benchmarks" / "workbench.json"

@@ -18,7 +18,7 @@ def model() -> bytes:
     from dehyst import Compensator, identify
     from dehyst.control import PossibleStart
     from dehyst.exports import wasm_module
-    from dehyst.studies import demo
+    from dehyst.operations import demo
     from dehyst.virtual import PlayActuator
 
     record, _ = demo.record_loops(PlayActuator())

@@ -89,7 +89,7 @@ _ROOM_OF = {
     for name in names.split()
 }
 # Rooms that are attributes of the package without an import of their own.
-_ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "report", "studies", "virtual", "waveforms"}
+_ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper", "report", "virtual", "waveforms"}
 
 __all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
 __all__ += ["DehystError", "DisplacementCreep", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError"]

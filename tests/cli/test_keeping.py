@@ -18,8 +18,8 @@ from dehyst import Actuator
 from dehyst.cli import terminal
 from dehyst.identification import Deadline
 from dehyst.operations.identify import _BestSoFar as BestSoFar
+from dehyst.paper import run as paper_study
 from dehyst.records import read, write_record
-from dehyst.studies.paper import run as paper_study
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 # Trials take long here, so that a test can stop between them.

@@ -15,11 +15,11 @@ from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip, Record, 
 from dehyst._io import demand_alike, demand_own_folder, format_of, protecting, write_atomically, write_json
 from dehyst.cli import main
 from dehyst.exports import SourceOnlyWarning, export_fmu, export_wasm
+from dehyst.operations import demo
 from dehyst.operations.declaration import Role
 from dehyst.operations.registry import ENTRIES, find
 from dehyst.records import read_table, write_columns
 from dehyst.report.html import document
-from dehyst.studies import demo
 
 
 def outputs(model, folder):
@@ -223,11 +223,11 @@ def test_a_file_that_appears_while_a_command_computes_is_not_replaced(tmp_path, 
 
 @pytest.fixture(scope="module")
 def journey():
-    return demo.run()
+    return demo.journey()
 
 
 def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatch):
-    monkeypatch.setattr(demo, "run", lambda progress: journey)
+    monkeypatch.setattr(demo, "journey", lambda progress: journey)
     status, out, _ = run("demo", "-o", "d", "--json", cwd=tmp_path)
     numbers = json.loads(out)
     assert status == 0

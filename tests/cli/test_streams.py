@@ -106,8 +106,8 @@ def test_a_full_device_as_output_is_a_sentence(folder):
 
 def test_ctrl_c_is_a_sentence():
     code = (
-        "import os, signal, time, dehyst.studies.demo\n"
-        "dehyst.studies.demo.run = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
+        "import os, signal, time, dehyst.operations.demo\n"
+        "dehyst.operations.demo.journey = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
         "from dehyst.cli import main; main()"
     )
     done = subprocess.run(

@@ -180,7 +180,7 @@ def exports() -> Iterator[tuple[str, Any]]:
 
 def paper() -> Iterator[tuple[str, Any]]:
     """The tables of the paper's experiment."""
-    from dehyst.studies.paper import run
+    from dehyst.paper import run
 
     yield "tables", repr(run.run().as_dict())
 

@@ -6,8 +6,8 @@ import re
 import places
 import pytest
 
+from dehyst.operations import demo
 from dehyst.records import write_record
-from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 
 pytest.importorskip("matplotlib")

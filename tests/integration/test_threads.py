@@ -48,7 +48,7 @@ SETUP = """
 from dehyst.baselines.comparison import compare, contenders
 from dehyst.trust import insight
 from dehyst import Structure
-from dehyst.studies import demo
+from dehyst.operations import demo
 actuator = plain_records.plant(6)
 record = plain_records.loops(actuator, plain_records.DESCENDING_TOPS)
 """

@@ -5,8 +5,8 @@ import plain_records
 import pytest
 
 from dehyst import Record, RecordError
+from dehyst.operations.demo import record_loops
 from dehyst.records.quality import butterfly_of
-from dehyst.studies.demo import record_loops
 from dehyst.virtual import BoucWenActuator, PlayActuator
 
 COERCIVE = 60.0

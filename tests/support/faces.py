@@ -50,8 +50,7 @@ FACES = {
             write_calibration write_check_history write_comparison write_insight write_record_page write_report
             write_stage_report
         """,
-        "studies": "",
-        "studies.paper": """
+        "paper": """
             Paper
         """,
         "testing": """

@@ -10,8 +10,8 @@ from pathlib import Path
 from workbench_client import served
 from workbench_page import chromium, visit
 
+from dehyst.operations import demo
 from dehyst.records import write_record
-from dehyst.studies import demo
 from dehyst.virtual import PlayActuator
 
 # Names of the pictures, in the order of the tutorial.

@@ -479,7 +479,7 @@ def test_the_page_lists_all_its_scripts_and_nothing_else_is_beside_them(client):
 
 
 def test_an_installed_package_makes_the_record_to_try(tmp_path, monkeypatch):
-    monkeypatch.setattr("dehyst.studies.demo.record_loops", lambda truth: record_loops())
+    monkeypatch.setattr("dehyst.operations.demo.record_loops", lambda truth: record_loops())
     page = PageFiles(measured=tmp_path / "nowhere")
     app = httpx.ASGITransport(Starlette(routes=[Route("/page/{name}", page.file)]))
 

@@ -17,8 +17,8 @@ class Entry(NamedTuple):
 
 JOURNEY: dict[str, dict[str, Entry]] = {
     "Try it": {
-        "demo": Entry("studies:demo", "All steps on a virtual actuator"),
-        "paper": Entry("studies:paper", "Repeat the paper's experiment on a virtual actuator"),
+        "demo": Entry("demo:demo", "All steps on a virtual actuator"),
+        "paper": Entry("paper:paper", "Repeat the paper's experiment on a virtual actuator"),
     },
     "Excite and record": {
         "excite": Entry("waves:excite", "Write the voltage of an excitation to play"),

@@ -156,8 +156,8 @@ def _declared(examples: Mapping[str, Any]) -> str:
 
 def _virtual_loops() -> bytes:
     """Return loops of a virtual actuator as CSV."""
+    from dehyst.operations.demo import record_loops
     from dehyst.records import write_record
-    from dehyst.studies.demo import record_loops
     from dehyst.virtual import PlayActuator
 
     with TemporaryDirectory() as folder:

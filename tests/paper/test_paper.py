@@ -13,10 +13,10 @@ import pytest
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst._io import read_json
 from dehyst.model import Actuator
+from dehyst.paper import experiment, tables
+from dehyst.paper import run as paper
+from dehyst.paper.tables import MODELS
 from dehyst.records import read_table
-from dehyst.studies.paper import experiment, tables
-from dehyst.studies.paper import run as paper
-from dehyst.studies.paper.tables import MODELS
 
 pytestmark = pytest.mark.slow
 NUMBERS = range(3, 13)
@@ -285,7 +285,7 @@ def test_without_matplotlib_nothing_is_written(monkeypatch, result, tmp_path):
 
 
 def test_running_it_does_not_load_matplotlib():
-    code = "import sys, dehyst.studies.paper.run; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, dehyst.paper.run; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

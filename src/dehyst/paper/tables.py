@@ -11,8 +11,8 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.model import Physical
-from dehyst.studies.paper import experiment
-from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment
+from dehyst.paper import experiment
+from dehyst.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment
 
 # Sec. 4.2: T [N/V], km and ke [N/m].
 CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
@@ -102,7 +102,7 @@ def limits(found: Experiment) -> list[dict[str, Any]]:
 
 
 def floors(found: Experiment) -> dict[str, float]:
-    """Return lower bounds of the error of any model [% of the range]; see `dehyst.studies.paper.experiment`."""
+    """Return lower bounds of the error of any model [% of the range]; see `dehyst.paper.experiment`."""
     symmetric = experiment.symmetric_width_floor(found.exact)
     chords = {f"chords_{n}": experiment.chord_error(found.exact, n) for n in (10, 20, 40)}
     parabola = experiment.parabola_chord_error(PAPER["nominal"], 10)

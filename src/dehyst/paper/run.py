@@ -8,9 +8,9 @@ from typing import Any
 
 from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_atomically, write_json
 from dehyst._types import Progress
+from dehyst.paper import experiment, tables
+from dehyst.paper.experiment import Experiment
 from dehyst.records import write_columns
-from dehyst.studies.paper import experiment, tables
-from dehyst.studies.paper.experiment import Experiment
 
 # A folder with this file is one of the paper's.
 _OWN = ("results.json", "dehyst-paper")
@@ -62,8 +62,8 @@ def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) 
     before it is drawn. Raise `FileFormatError` if the folder cannot be made or written to, or holds files that are not
     of this experiment. Raise `MissingExtraError` if matplotlib is not installed.
     """
-    from dehyst.studies.paper.figures import plates
-    from dehyst.studies.paper.page import render
+    from dehyst.paper.figures import plates
+    from dehyst.paper.page import render
 
     target = make_own_folder(folder, *_OWN)
     drawn, written = list(plates(result.asymmetric, result.symmetric, progress)), list[Path]()

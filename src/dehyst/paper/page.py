@@ -6,10 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 
 from dehyst._views.html import escape
+from dehyst.paper import tables
+from dehyst.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment, PaperTrial
+from dehyst.paper.figures import Plate
 from dehyst.report import MINUS, Row, bullets, document, table
-from dehyst.studies.paper import tables
-from dehyst.studies.paper.experiment import CYCLES, DRIVE, PEAKS, Experiment, PaperTrial
-from dehyst.studies.paper.figures import Plate
 
 _STYLE = """.plate svg{max-width:62rem}.plate.one svg{max-width:31rem}
 .plate svg text,.plate svg tspan{font-family:"DejaVu Sans","Bitstream Vera Sans",Verdana,Arial,sans-serif!important}

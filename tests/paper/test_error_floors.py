@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dehyst import identify
-from dehyst.records import Record
-from dehyst.studies.paper.experiment import (
+from dehyst.paper.experiment import (
     ClosedLoop,
     chord_error,
     parabola_chord_error,
     symmetric_width_floor,
     virtual_actuator,
 )
+from dehyst.records import Record
 
 
 def loop_of(rising, falling):

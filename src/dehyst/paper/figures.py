@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from dehyst._types import Array, Progress
+from dehyst.paper.experiment import CYCLE, ELEMENTS, ENERGISED, PEAKS, RELAXED, Experiment
+from dehyst.paper.tables import physical
 from dehyst.report import COLUMN, INK, PAGE, Drawing, plots
-from dehyst.studies.paper.experiment import CYCLE, ELEMENTS, ENERGISED, PEAKS, RELAXED, Experiment
-from dehyst.studies.paper.tables import physical
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

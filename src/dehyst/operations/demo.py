@@ -1,8 +1,7 @@
-"""The workflow on a virtual actuator that is not an instance of the model: record, identify, compensate, verify."""
+"""`demo`: the whole workflow on a virtual actuator that is not an instance of the model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_json
-from dehyst._types import Array
+from dehyst._types import Array, Progress
 from dehyst.control import Compensator
 from dehyst.identification import Fit, identify
+from dehyst.operations.declaration import operation
+from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine, wanted_path
@@ -68,7 +69,7 @@ def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
     )
 
 
-def run(progress: Callable[[str], None] = lambda _: None) -> Demo:
+def journey(progress: Progress = lambda _: None) -> Demo:
     """Run the whole workflow; seeded and thus reproducible."""
     truth = PlayActuator()
     progress("recording loops of a virtual actuator")
@@ -120,3 +121,29 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
         )
         names.append("report.html")
     return [target / name for name in names]
+
+
+@operation()
+def demo(run: Run, *, output: Path = Path("dehyst-demo"), report: bool = True) -> Result:
+    """Record, identify, compensate and verify on an embedded virtual actuator.
+
+    Parameters
+    ----------
+    output
+        Folder for the files: new, empty, or an earlier demo's.
+    report
+        Draw the report.
+    """
+    demand_folder(output)
+    result = journey(run.progress)
+    run.progress("writing")
+    written = write(result, output, report=report)
+    numbers = result.as_dict()
+    lines = [*result.fit.summary().split("\n"), ""]
+    lines.append("Tracking a path with nine reversals, largest error in % of the stroke")
+    for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
+        largest, rms = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
+        paper = numbers["paper"][f"{key}_largest_percent"]
+        lines.append(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %   (paper {paper:5.2f} %)")
+    lines += ["", f"Written to {output}/: {', '.join(path.name for path in written)}"]
+    return Result({**numbers, "written": [str(path) for path in written]}, lines)

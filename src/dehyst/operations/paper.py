@@ -1,4 +1,4 @@
-"""`demo` and `paper`: studies on virtual actuators."""
+"""`paper`: the experiment of the paper on a virtual actuator."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from pathlib import Path
 
 from dehyst.operations.declaration import operation
 from dehyst.operations.run import Result, Run
-from dehyst.studies import demo as demonstration
-from dehyst.studies.paper import Paper
-from dehyst.studies.paper import run as experiment
-from dehyst.studies.paper.tables import summary
+from dehyst.paper import Paper
+from dehyst.paper import run as experiment
+from dehyst.paper.tables import summary
 
 _TITLES = {
     "asymmetric": "Virtual E-280.10",
@@ -21,32 +20,6 @@ _HEADS = (
     ("paper", "ours, by", "ours, whole", "with more", "Goldfarb,"),
     ("", "its method", "record", "loops", "relaxed"),
 )
-
-
-@operation()
-def demo(run: Run, *, output: Path = Path("dehyst-demo"), report: bool = True) -> Result:
-    """Record, identify, compensate and verify on an embedded virtual actuator.
-
-    Parameters
-    ----------
-    output
-        Folder for the files: new, empty, or an earlier demo's.
-    report
-        Draw the report.
-    """
-    demonstration.demand_folder(output)
-    result = demonstration.run(run.progress)
-    run.progress("writing")
-    written = demonstration.write(result, output, report=report)
-    numbers = result.as_dict()
-    lines = [*result.fit.summary().split("\n"), ""]
-    lines.append("Tracking a path with nine reversals, largest error in % of the stroke")
-    for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
-        largest, rms = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
-        paper = numbers["paper"][f"{key}_largest_percent"]
-        lines.append(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %   (paper {paper:5.2f} %)")
-    lines += ["", f"Written to {output}/: {', '.join(path.name for path in written)}"]
-    return Result({**numbers, "written": [str(path) for path in written]}, lines)
 
 
 @operation()
