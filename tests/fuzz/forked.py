@@ -19,57 +19,45 @@ _BATCH = 250
 _FRAMES = 4
 
 
-def run(
-    case: Callable[[int], dict[str, Any]], numbers: range, at_end: Callable[[], None] | None = None
-) -> Iterator[dict[str, Any]]:
+def run(case: Callable[[int], dict[str, Any]], numbers: range) -> Iterator[dict[str, Any]]:
     """Yield what each case returned, with its number, CPU time and memory; or "finding" and how it ended.
+
+    If a case ended its worker, "ended" is true.
 
     Parameters
     ----------
     case : callable
         Number of the case -> anything that JSON can hold; an exception is a finding.
     numbers : range
-    at_end : callable, optional
-        Ends the processes that a worker's cases started, so that their memory is counted, for all of them together.
     """
     left = list(numbers)
     while left:
         batch = left[:_BATCH]
-        done = yield from _batch(case, batch, at_end)
+        done = yield from _batch(case, batch)
         left = left[done:]
 
 
-def _batch(
-    case: Callable[[int], dict[str, Any]], batch: list[int], at_end: Callable[[], None] | None
-) -> Iterator[dict[str, Any]]:
+def _batch(case: Callable[[int], dict[str, Any]], batch: list[int]) -> Iterator[dict[str, Any]]:
     """Run cases in one worker until it ends; return how many were seen to."""
     readable, writable = os.pipe()
     worker = os.fork()
     if not worker:
         os.close(readable)
-        _work(case, batch, writable, at_end)
+        _work(case, batch, writable)
     os.close(writable)
     done = 0
     with os.fdopen(readable, encoding="utf-8") as lines:
         for line in lines:
-            found = json.loads(line)
-            if "children" not in found:
-                done += 1
-                yield found
-            elif found["children"] > MEMORY:
-                yield {"case": batch[0], "finding": f"a child used {found['children'] / GIB:.2f} GiB", **found}
-            else:
-                yield found
+            done += 1
+            yield json.loads(line)
     _, status = os.waitpid(worker, 0)
     if done < len(batch) and status:
-        yield {"case": batch[done], "finding": _ended(status)}
+        yield {"case": batch[done], "finding": _ended(status), "ended": True}
         done += 1
     return done
 
 
-def _work(
-    case: Callable[[int], dict[str, Any]], batch: list[int], writable: int, at_end: Callable[[], None] | None
-) -> None:
+def _work(case: Callable[[int], dict[str, Any]], batch: list[int], writable: int) -> None:
     """The worker: a line a case; ends itself early, with status 0, when its memory has grown."""
     status = 1
     try:
@@ -93,9 +81,6 @@ def _work(
             os.write(writable, json.dumps(line).encode() + b"\n")
             if line["memory"] > MEMORY // 2:
                 break
-        if at_end is not None:
-            at_end()
-        os.write(writable, json.dumps({"children": _peak(resource.RUSAGE_CHILDREN)}).encode() + b"\n")
         status = 0
     finally:
         os._exit(status)
@@ -122,8 +107,8 @@ def _cpu() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _peak(whose: int = resource.RUSAGE_SELF) -> int:
-    return resource.getrusage(whose).ru_maxrss * 1024
+def _peak() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _virtual() -> int:

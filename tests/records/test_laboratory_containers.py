@@ -187,7 +187,7 @@ def test_the_header_of_an_oscilloscope_states_the_step(tmp_path):
         assert "guesses" not in record.meta
 
 
-def test_columns_keep_their_fields_on_the_way_from_the_reader_process(tmp_path):
+def test_columns_of_a_sheet_keep_their_fields(tmp_path):
     write, _ = TWINS["rows.xlsx"]
     write(tmp_path / "a.xlsx")
     ends = [column.ends for column in read_table(tmp_path / "a.xlsx").columns]

@@ -3,7 +3,7 @@
 from dehyst.records.files import read, read_table, time_of, write_columns, write_record
 from dehyst.records.formats.columns import Table
 from dehyst.records.formats.file_content import MOST
-from dehyst.records.formats.reader_process import LOADERS
+from dehyst.records.formats.loaders import LOADERS
 from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
 from dehyst.records.hdf5 import sha256_of

@@ -21,8 +21,8 @@ from dehyst.records import hdf5
 from dehyst.records.formats.columns import TEXT, Selected, Table, listed
 from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.file_content import MOST, content_of
+from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.formats.notation import SIGNS
-from dehyst.records.formats.reader_process import LOADERS, load
 from dehyst.records.record import Record, further_channels
 from dehyst.records.tables import (
     AxisColumns,
