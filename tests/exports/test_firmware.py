@@ -30,7 +30,7 @@ from dehyst.exports import export, sizes
 from dehyst.exports.firmware import CONFIG, CORE, SOURCES, code
 from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
 from dehyst.exports.golden_trace import Call, golden_trace
-from examples import at_night, spanning
+from examples import NIGHTLY, at_night, spanning
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -56,6 +56,7 @@ def pythons(kind, samples):
     return compiled_exports.told(voltages, loop.clamps, every=samples // 100)
 
 
+OPTIMISED = ["-O0"], ["-O2"], ["-O3"], ["-Os", "-flto"]
 # Wishes grow narrower over 3072 samples, and begin again.
 SOME = [
     *((kind, 4000) for kind in ("all", "moving")),
@@ -76,7 +77,7 @@ def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler
     limited, slewed = (int(n) for n in expected[-1].split())
     assert 0.005 * samples < limited + slewed < 0.999 * samples
     folder = written(tmp_path / "c", compensator)
-    for options in (["-O0"], ["-O2"], ["-O3"], ["-Os", "-flto"]):
+    for options in OPTIMISED if NIGHTLY or kind == "plain" else OPTIMISED[2:3]:
         got = compiled_exports.driven(
             folder, compensator, samples, every=samples // 100, compiler=compiler, options=options
         )
