@@ -55,7 +55,6 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/coupled_axes.py
 	$(BIN)/python benchmarks/calibrated_axes.py
 	$(BIN)/python benchmarks/paper.py
-	$(BIN)/python benchmarks/coverage.py
 	$(BIN)/python benchmarks/promise.py
 	$(BIN)/python benchmarks/temperature.py
 	$(BIN)/python benchmarks/update.py

@@ -18,7 +18,6 @@ ORDER = (
     "asymmetric_loops",
     "creep",
     "sensor_delay",
-    "what_records_leave_open",
     "check_a_month_later",
     "compare_models",
     "measured_stage",

@@ -78,7 +78,7 @@ def folder(tmp_path_factory):
         ("identify loops.csv --goal 1e6", "goal", "--goal: "),
         ("compensate creeps.json path.csv -o out.csv", "", "(--columns time=NAME, --columns rate=HZ)"),
         ("compensate plain.json path.csv -o out.csv --slew-rate -1 --columns rate=10", "slew_rate", "--slew-rate: "),
-        ('insight plain.json loops.csv --options {"level":7}', "level", "level in --options: "),
+        ('insight plain.json loops.csv --options {"seconds":-1}', "seconds", "seconds in --options: "),
         ("export creeps.json firmware", "", "(--period NUMBER)"),
         ("export plain.json firmware --period -1", "period", "--period: "),
         ("excite raised-cosine 0 -o out.csv", "peaks", "peaks: "),

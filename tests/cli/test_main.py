@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import plain_records
 import pytest
 from command_line import WRITTEN, rare, refused, result, run
 from virtual_loops import record_loops
@@ -219,12 +218,10 @@ def test_homing_of_a_model_is_certified(folder):
         ),
     ],
 )
-def test_insight_of_loops_that_tell_all_warns_of_nothing_but_its_precision(folder, model, told):
+def test_insight_of_loops_that_determine_everything_warns_of_nothing(folder, model, told):
     arguments = [model, "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
-    status, out, err = run("insight", *arguments, *rare(repeats=20, precision=0.2), "--all", cwd=folder)
-    # Turning points determine all directions, but not each number is known within 20 %.
-    assert (status, out.count("WARNING")) == (1, 1), err
-    assert re.search(r"WARNING: .*\d+ of \d+ .* known within 20 %", out), out
+    status, out, err = run("insight", *arguments, "--all", cwd=folder)
+    assert (status, out.count("WARNING")) == (0, 0), err
     assert told in out
     assert "certified" in out
     band = read_table(folder / "band.csv")
@@ -232,27 +229,6 @@ def test_insight_of_loops_that_tell_all_warns_of_nothing_but_its_precision(folde
     lowest, wanted, highest = (band.column("displacement", name) for name in names)
     assert np.all((lowest < wanted) & (wanted < highest))
     assert "data-chart=" in (folder / "i.html").read_text()
-
-
-def test_the_precision_that_is_asked_for_decides_the_status_and_all_outputs_agree(folder):
-    exact = "exact.csv"
-    plant = plain_records.plant(4, seed=1)
-    record = plain_records.loops(plant, plain_records.DESCENDING_TOPS)
-    write_record(folder / exact, record)
-    rho = plant.slip.breakaway[:-1]
-    fitted = dehyst.identify(record, breakaway=rho, knots=5, delay=0.0, drift=False, slope_floor=0.05)
-    fitted.actuator.save(folder / "exact.json")
-    arguments = ["insight", "exact.json", exact, "--report", "exact.html", "--force"]
-    status, out, _ = run(*arguments, *rare(repeats=20), "--all", cwd=folder)
-    sentence = "3 of 3 stiffnesses and 4 of 4 spring segments are known within 20 %."
-    assert (status, "WARNING" in out, sentence in out) == (0, False, True)
-    page = (folder / "exact.html").read_text()
-    assert 'class="outcome green"' in page and sentence in page
-    status, out, _ = run(*arguments, *rare(repeats=20, precision=1e-12), "--json", cwd=folder)
-    found = json.loads(out)
-    assert (status, found["known"]["all"], found["known"]["precision"]) == (1, False, 1e-12)
-    assert any(found["known"]["sentence"] in warning for warning in found["warnings"])
-    assert 'class="outcome amber"' in (folder / "exact.html").read_text()
 
 
 def test_the_newcomers_trap_is_caught(folder):
@@ -266,8 +242,6 @@ def test_the_newcomers_trap_is_caught(folder):
     found = json.loads(out)
     assert status == 1
     assert found["start"] is None and found["directions"]["determined"] == 10
-    assert "k_1 + k_19 is determined, k_1 - k_19 is not." in found["directions"]["sentences"]
-    assert found["trajectory"]["open_m"] > 3 * found["trajectory"]["misfit_m"]
     assert found["advice"][0]["determined"] == 19
 
 
@@ -293,7 +267,7 @@ def scaled(folder, factor):
 
 @pytest.mark.parametrize("factor", [at_night(10), at_night(0.1), 1.1])
 def test_insight_of_another_actuators_record_says_so_first(folder, factor):
-    status, out, _ = run("insight", "model.json", scaled(folder, factor), *rare(repeats=0), cwd=folder)
+    status, out, _ = run("insight", "model.json", scaled(folder, factor), cwd=folder)
     assert status == 1
     assert out.startswith("WARNING: The model misses these records by up to")
 
@@ -306,7 +280,7 @@ def test_insight_of_another_actuators_record_says_so_first(folder, factor):
     ],
 )
 def test_insight_beyond_reach_is_something_to_beware_of(folder, limits, said):
-    arguments = ["--limits", *map(str, limits), *rare(repeats=20), "--trajectory", "path.csv", "--json"]
+    arguments = ["--limits", *map(str, limits), "--trajectory", "path.csv", "--json"]
     status, out, _ = run("insight", "paper.json", "loops.csv", *arguments, cwd=folder)
     assert status == 1
     found = json.loads(out)
@@ -319,11 +293,7 @@ def test_insight_beyond_reach_is_something_to_beware_of(folder, limits, said):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (rare(level=2), "level"),
-        (rare(precision=20), "precision"),
-        (rare(repeats=5), "repeats"),
-        ((*rare(repeats=0), "--trajectory", "path.csv"), "repeats"),
-        (rare(repeats=0, level=0.5), "level"),
+        (rare(seconds=-1), "seconds"),
         (["--columns", "wanted=x"], "columns"),
         (["--limits", "nan", "100"], "limits"),
         (["-o", "band.csv"], "output"),

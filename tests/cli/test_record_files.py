@@ -12,7 +12,6 @@ import laboratory_files
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from command_line import rare
 from laboratory_files import FILES, N, options_of
 
 from dehyst import Actuator
@@ -305,7 +304,7 @@ def test_the_middle_and_the_start_as_zero(far):
 
 
 def test_the_trajectory_of_an_assessment_names_the_range(far):
-    asked = ["insight", "far.json", "far.csv", "--trajectory", "path.csv", *rare(repeats=20)]
+    asked = ["insight", "far.json", "far.csv", "--trajectory", "path.csv"]
     assert "--zero bottom counts" in run(*asked).stderr
     done = run(*asked, "--zero", "bottom", "-o", "band.csv")
     assert "--zero" not in done.stderr
@@ -341,7 +340,7 @@ def test_the_commands_that_are_printed_for_an_unknown_decimal_sign_work(far):
     for words in (
         ["compensate", "far.json", "path.txt", "-o", "out.csv"],
         ["compensate", "far.json", "path.csv", "-o", "out2.csv", "--zero", "bottom", "--start", "before.txt"],
-        ["insight", "far.json", "far.csv", "--trajectory", "path.txt", *rare(repeats=20)],
+        ["insight", "far.json", "far.csv", "--trajectory", "path.txt"],
         ["simulate", "far.json", "before.txt", "-o", "out3.csv"],
         ["simulate", "far.json", "far.csv", "-o", "out4.csv", "--start", "before.txt"],
     ):

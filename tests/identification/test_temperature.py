@@ -143,15 +143,15 @@ def test_a_whole_path_has_a_temperature_at_each_sample(warm):
 
 def test_temperatures_in_use_that_records_do_not_have_are_named(warm):
     records = [at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)]
-    found = dehyst.insight(warm.actuator, records, repeats=0, temperatures=(10.0, 60.0))
+    found = dehyst.insight(warm.actuator, records, temperatures=(10.0, 60.0))
     assert found.temperatures.missing == (10.0, 60.0)
     assert found.temperatures.sentence in found.warnings()
     assert found.as_dict()["temperatures"]["record_at_degC"] == [10.0, 60.0]
-    covered = dehyst.insight(warm.actuator, records, repeats=0, temperatures=(20.0, 40.0))
+    covered = dehyst.insight(warm.actuator, records, temperatures=(20.0, 40.0))
     assert not covered.temperatures.missing
     assert covered.temperatures.sentence not in covered.warnings()
     with pytest.raises(dehyst.ModelError, match="temperatures"):
-        dehyst.insight(warm.actuator, records, repeats=0, temperatures=(40.0, 20.0))
+        dehyst.insight(warm.actuator, records, temperatures=(40.0, 20.0))
 
 
 def test_a_check_at_a_temperature_that_was_not_tested_says_so_and_promises_less(warm):

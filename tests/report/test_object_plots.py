@@ -20,7 +20,7 @@ KINDS = {
     "actuator": ["loop", "elements", "spring", "slopes"],
     "creeping": ["creep", "loop"],
     "fit": ["loops", "hysteresis", "residuals", "residuals in time"],
-    "insight": ["stiffnesses", "directions", "band"],
+    "insight": ["directions", "band"],
 }
 PICTURES = [(name, kind) for name, kinds in KINDS.items() for kind in kinds]
 
@@ -31,7 +31,7 @@ def things():
     record = plain_records.loops(plant, plain_records.DESCENDING_TOPS, samples=30, noise=5e-9, name=HOSTILE)
     other = plain_records.loops(plant, plain_records.THREE_LOOPS, samples=30, noise=5e-9, name="other")
     fit = dehyst.identify(record, validate=other, elements=6, structure="maxwell_slip", norm="l2")
-    insight = dehyst.insight(fit.actuator, record, repeats=20, trajectory=np.linspace(2e-6, 12e-6, 20))
+    insight = dehyst.insight(fit.actuator, record, trajectory=np.linspace(2e-6, 12e-6, 20))
     creeping = anatomy("creep")
     return {"record": record, "actuator": fit.actuator, "creeping": creeping, "fit": fit, "insight": insight}
 
@@ -126,7 +126,7 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
         things["record"].plot("loops")
     with pytest.raises(ModelError, match="without creep"):
         things["actuator"].plot("creep")
-    with pytest.raises(ModelError, match="stiffnesses, band"):
+    with pytest.raises(ModelError, match="'directions' or 'band'"):
         things["insight"].plot("loops")
     with pytest.raises(ModelError, match="without traces"):
         Fit(None, Outcome.FAILED).plot()

@@ -282,7 +282,7 @@ class _Run:
 
     def _insight(self, fit: Fit, records: Record | Sequence[Record]) -> Insight:
         limits = self.rig.limits
-        return insight(fit.actuator, records, limits=(limits.low, limits.high), repeats=0)
+        return insight(fit.actuator, records, limits=(limits.low, limits.high))
 
 
 def _suggested(excitations: ExcitationPlan, assessment: Insight) -> Excitation | None:

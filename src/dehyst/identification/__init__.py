@@ -18,23 +18,18 @@ from dehyst.identification.identify import identify
 from dehyst.identification.paper_methods import BreakPointLoop, loops_of
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.cleaning import cycle_time, remove_glitches
-from dehyst.identification.preprocessing.denoising import left_of
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import Rows, RowSource, collect, epochs
-from dehyst.identification.regression.coefficients import Coefficients
+from dehyst.identification.preprocessing.regressors import collect, epochs
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, write_traces
 from dehyst.identification.settings import Deadline, Method
-from dehyst.identification.solvers.highs import linear_programs
-from dehyst.identification.solvers.least_squares import triangle_of
 from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.validation import (
     RecordComparison,
     compare,
     compare_all,
-    driving_path,
     errors_of,
     initial_state,
     prepare_for,

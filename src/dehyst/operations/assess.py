@@ -33,10 +33,9 @@ def _single(given: Values) -> bool:
 
 _of_one = Only(_single, "with a model of several axes")
 _of_path = Only(lambda given: _single(given) and "trajectory" in given, "without --trajectory, on a model of one axis")
-_of_repeats = Only(lambda given: given.get("repeats") != 0, "with repeats 0, which leaves out the intervals")
 
 
-@operation(insight_one, rare=("seconds", "level", "precision", "repeats", "temperatures"), details=True)
+@operation(insight_one, rare=("seconds", "temperatures"), details=True)
 def insight(
     run: Run,
     model: Input,
@@ -48,16 +47,13 @@ def insight(
     limits: tuple[float, float] | None = None,
     temperatures: tuple[float, float] | None = None,
     seconds: float | None = None,
-    level: Annotated[float, _of_repeats] = 0.9,
-    precision: Annotated[float | None, _of_repeats] = None,
-    repeats: int = 100,
     output: Annotated[Output | None, _of_path] = None,
     report: Output | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Assess a MODEL by the RECORDS that it was identified from: what they determine, and what they leave open.
+    """Assess a MODEL by the RECORDS that it was identified from: what they determine, and what to record next.
 
-    The status is 1 if there is a warning; with a precision in --options, a number that is not known to it causes one.
+    The status is 1 if there is a warning.
 
     Parameters
     ----------
@@ -68,7 +64,7 @@ def insight(
     start
         State before the trajectory, as in compensate; default: the top of the limits, after a rise through them.
     output
-        Write the trajectory with its prediction band here (CSV).
+        Write the trajectory with the promise along it here (CSV).
     report
         Write a self-contained HTML page here.
     """
@@ -79,9 +75,6 @@ def insight(
     asked: dict[str, Any] = {
         "limits": limits,
         "seconds": seconds,
-        "level": level,
-        "precision": precision,
-        "repeats": repeats,
         "temperatures": temperatures,
         "progress": run.progress,
     }
@@ -96,8 +89,7 @@ def insight(
             path, time, warmth = _path(known, trajectory, columns, limits, zero, run)
             asked |= {"trajectory": path, "time": time.get("time_s"), "temperature": warmth}
         if start is not None:
-            reader = start_reader(known, start, columns)
-            asked["start"] = lambda one: reader(0, one, limits)
+            asked["start"] = start_reader(known, start, columns)(0, actuator, limits)
         one = insight_one(actuator, training, **asked)
         assessed, found, fields, head = one, (one,), one.as_dict(), []
         if output is not None and one.band is not None:

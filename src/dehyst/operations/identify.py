@@ -176,7 +176,7 @@ def _report(
     if not isinstance(fit, Fit):
         write_stage_report(path, fit, records, command=command)
         return
-    found = None if quick or fit.actuator is None else insight(fit.actuator, records[:training], repeats=0)
+    found = None if quick or fit.actuator is None else insight(fit.actuator, records[:training])
     write_report(path, fit, command=command, insight=found)
 
 

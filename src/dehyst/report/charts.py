@@ -67,11 +67,9 @@ class Series:
     darkest: float | None = None
 
 
-def stems(
-    name: str, x: Array, top: Array, colour: Colour, *, base: ArrayLike = 0.0, width: float = 1.4
-) -> tuple[Series, ...]:
-    """Return upright lines from `base` to `top` at each x, as one curve; none without values."""
-    ends = np.broadcast_to(base, x.shape), top, np.full(x.shape, np.nan)
+def stems(name: str, x: Array, top: Array, colour: Colour, *, width: float = 1.4) -> tuple[Series, ...]:
+    """Return upright lines from 0 to `top` at each x, as one curve; none without values."""
+    ends = np.zeros(x.shape), top, np.full(x.shape, np.nan)
     line = Series(name, np.repeat(x, 3), np.column_stack(ends).ravel(), colour, width=width)
     return (line,) if x.size else ()
 

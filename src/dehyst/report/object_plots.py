@@ -75,10 +75,6 @@ def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
     kinds: dict[str, Callable[[], Chart]] = {
         "directions": lambda: trust_section.directions_chart(found.identifiability)
     }
-    if (loop := found.loop) is not None:
-        kinds["loop"] = lambda: trust_section.loop_chart(loop)
-    if found.feasible_set is not None or found.intervals is None:
-        kinds["stiffnesses"] = lambda: trust_section.stiffness_chart(found)
     if (band := found.band) is not None:
         kinds["band"] = lambda: trust_section.band_chart(band, found.evidence.stroke)
     return _drawn(kinds, kind or list(kinds)[-1], ax, found.actuator.name, ModelError)

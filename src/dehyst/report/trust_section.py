@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,27 +11,12 @@ from dehyst._types import Array
 from dehyst.control import Homing
 from dehyst.identification import Identifiability
 from dehyst.report import html
-from dehyst.report.charts import Axis, Chart, Colour, Series, stems
+from dehyst.report.charts import Axis, Chart, Colour, Series
 from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
-from dehyst.trust import (
-    ERRORS,
-    NOISE_BIAS,
-    SHARP,
-    Insight,
-    MajorLoopWidth,
-    PredictionBand,
-    StageInsight,
-    Turn,
-    TurnPlane,
-)
+from dehyst.trust import ERRORS, Insight, PredictionBand, StageInsight, Turn, TurnPlane
 
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5
-_MOST_SENTENCES = 24
-_INDEX, _SUBSCRIPTS = re.compile(r"\bk_(\d+)"), str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-# What models that the records do not contradict leave open, and what noise does.
-_FREE: Colour = "noise"
-_NOISE: Colour = "simulated"
 
 
 def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str | None = None) -> None:
@@ -63,7 +47,7 @@ def _write_stage_insight(path: PathLike, found: StageInsight, command: str | Non
     ]
     caption = (
         "Displacement of each axis (row) for each metre that an actuator (column) moves, with half the interval that "
-        f"the records allow ({100 * found.level:g} %)."
+        "the records allow (90 %)."
     )
     parts: list[Part] = [
         "<h1>Coupled axes: how far to trust the model</h1>",
@@ -76,7 +60,7 @@ def _write_stage_insight(path: PathLike, found: StageInsight, command: str | Non
 
 
 def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
-    """Return the sections of a page or of the report: the answer first, single numbers folded.
+    """Return the sections of a page or of the report: the answer first, the directions folded.
 
     `plane`: plane of the records' turning points, shown if given.
     """
@@ -87,8 +71,8 @@ def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
         *turned(plane, () if plane is None or band is None else plane.path(band.voltage, band.time)),
         _next(found),
         _state(found),
-        "<details>\n<summary>Which numbers of the model the records determine</summary>",
-        *_numbers(found),
+        "<details>\n<summary>What the turning points determine</summary>",
+        _directions(found),
         "</details>",
     ]
 
@@ -142,24 +126,16 @@ def _clock(band: PredictionBand) -> tuple[Axis, Array]:
     return Axis("time", "s"), band.time
 
 
-def _area(name: str, x: Array, edges: Sequence[Array] | Array, colour: Colour, opacity: float = 0.6) -> Series:
+def _area(name: str, x: Array, edges: Sequence[Array], colour: Colour, opacity: float) -> Series:
     low, high = edges
     return Series(name, x, low, colour, "area", opacity=opacity, top=high)
 
 
 def band_chart(band: PredictionBand, stroke: float) -> Chart:
-    """Return the error to expect along a path, part by part [% of a stroke in m]."""
+    """Return the error to expect along a path [% of a stroke in m]."""
     axis, x = _clock(band)
-    kinds: tuple[tuple[str, Sequence[Array] | Array | None, Colour, float], ...] = (
-        ("promise", (band.lowest, band.highest), "measured", 0.3),
-        ("compatible with the records", band.open, "without", 0.6),
-        ("noise", band.noise, _NOISE, 0.8),
-    )
-    series = [
-        _area(name, x, [100 * (edge - band.wanted) / stroke for edge in edges], colour, opacity)
-        for name, edges, colour, opacity in kinds
-        if edges is not None
-    ]
+    edges = [100 * (edge - band.wanted) / stroke for edge in (band.lowest, band.highest)]
+    series = [_area("promise", x, edges, "measured", 0.3)]
     return Chart("Error", axis, Axis("error", "% of stroke"), series, zero=True)
 
 
@@ -218,10 +194,7 @@ def _next(found: Insight) -> str:
     if not found.advice:
         if directions.determined < directions.of:
             return ""
-        sentence = "Nothing: no loop determines more directions."
-        if found.precision is not None and not found.precision.all_known:
-            sentence = f"No loop determines more directions. {found.precision.next}"
-        return f'{title}\n<p class="muted">{escape(sentence)}</p>'
+        return f'{title}\n<p class="muted">Nothing: no loop determines more directions.</p>'
     rows: list[Row] = [
         ((one.words, one.command), f"{one.determined} of {one.of}", number(one.weakest, 2), f"{one.seconds:.4g} s")
         for one in found.advice[:6]
@@ -260,39 +233,15 @@ def _homing(homing: Homing, *, creeps: bool) -> str:
     return f"<p>{escape(sentence)}</p>\n<ul>\n{items}\n</ul>"
 
 
-def _numbers(found: Insight) -> list[Part]:
-    """Return what is known of single numbers, for those who ask."""
-    precision = found.precision
-    known = "The precision of its numbers was not judged, because there are no intervals."
-    return [
-        f"<p>{words(known if precision is None else precision.sentence)}</p>",
-        *_directions(found),
-        _parts(found),
-        *_part_intervals(found),
-        *_intervals(found),
-        f'<h3>Not judged</h3>\n<p class="muted">{escape(found.not_judged)}</p>' if found.not_judged else "",
-    ]
-
-
-def _directions(found: Insight) -> list[Part]:
-    directions, said = found.identifiability, found.identifiability.sentences()
-    # k_12 is written as k₁₂.
-    each = [
-        [w.translate(_SUBSCRIPTS).replace("_", "") if w.startswith("k_") else w for w in s.split(" ")] for s in said
-    ]
-    items = [words(" ".join(sentence)) for sentence in each[:_MOST_SENTENCES]]
-    if len(said) > _MOST_SENTENCES:
-        items.append(f"and {len(said) - _MOST_SENTENCES} more")
-    listed = "\n".join(f"<li>{item}</li>" for item in items)
+def _directions(found: Insight) -> Charts:
+    directions = found.identifiability
     caption = (
         f"The turning points of the records determine {directions.determined} of {directions.of} directions of "
         f"{directions.subject}, with the spring and each record's constant free. A singular value is the RMS voltage "
         "that one volt of breakaway voltages in its direction causes, without the part that a spring can cancel. "
         "Hollow: open."
     )
-    body = (f"<div><h3>In words</h3>\n<ul>\n{listed}\n</ul></div>",) if items else ()
-    charts = Charts("", caption, [directions_chart(directions)], beside=body)
-    return ["<h3>What the turning points determine</h3>", charts]
+    return Charts("", caption, [directions_chart(directions)])
 
 
 def directions_chart(found: Identifiability) -> Chart:
@@ -306,122 +255,3 @@ def directions_chart(found: Identifiability) -> Chart:
     x = Axis("direction", "", (0.5, values.size + 0.5))
     y = Axis("singular value", "V/V", (0.8 * _FOOT, 2 * max(float(values.max()), _FOOT)), log=True)
     return Chart("Singular values", x, y, [one for one in series if one.x.size])
-
-
-def _parts(found: Insight) -> str:
-    rows: list[Row] = []
-    for part in found.parts:
-        spread = float(part.deviations.min()), float(np.median(part.deviations))
-        best = ("nothing" if np.isinf(x) else number(x, 2) for x in spread)
-        rows.append((part.part.capitalize(), str(part.of), str(part.known), *best))
-    head = ("Part", "Coefficients", "Combinations known", "Best known to (V)", "Half of them to (V)")
-    caption = (
-        "A combination of a part's coefficients, counted as the volts that they hold, is known if its standard "
-        f"deviation is at most {100 * SHARP:g} % of the voltages, with all other parts free to compensate for it. "
-        "A combination that is not known by itself may be accurate together with other parts. For a motion, only the "
-        "band along it counts."
-    )
-    counts = ""
-    if found.precision is not None:
-        numbers: list[Row] = [
-            (part.several.capitalize(), str(part.of_all), str(part.known), str(sum(map(abs, part.biased))))
-            for part in found.precision.parts
-        ]
-        counts = html.table(("Number by number", "Coefficients", "Known", "Biased by noise"), numbers, texts=1)
-        counts += f'\n<p class="muted">{escape(found.precision.rule)}</p>'
-    title = "<h3>What the records determine of each part</h3>"
-    return f'{title}\n<p class="muted">{caption}</p>\n{html.table(head, rows, texts=1)}\n{counts}'
-
-
-def _part_intervals(found: Insight) -> list[Part]:
-    noise, tau, creep = found.intervals, found.actuator.transformer, found.actuator.creep
-    if noise is None:
-        return []
-    charts = [] if found.loop is None else [loop_chart(found.loop)]
-    by_noise = f"{100 * noise.level:.0f} % by noise"
-    if tau is not None and noise.drive is not None:
-        area = _area(by_noise, tau.voltage, noise.drive - tau.drive, _NOISE)
-        charts.append(Chart("Transformer", Axis("voltage", "V"), Axis("tau, off the model's", "V"), [area], zero=True))
-    if creep is not None and noise.creep is not None:
-        low, high = noise.creep * 1e-6
-        bars = stems(by_noise, creep.time_constants, high, _NOISE, base=low, width=2.4)
-        model = Series("model", creep.time_constants, creep.stiffness * 1e-6, "ink", "points", 5)
-        axes = Axis("time constant", "s", log=True), Axis("stiffness", "V/µm", (0.0, 1.2 * float(high.max())))
-        charts.append(Chart("Creep", *axes, [*bars, model]))
-    caption = (
-        f"{100 * noise.level:.0f} % intervals from {len(noise.actuators)} identifications of resampled cycles "
-        f"(bootstrap) with the same structure. {_bias(found)}The largest error on the records, {length(found.misfit)}, "
-        "adds to this: this structure cannot follow it. Errors of single stiffnesses and of the spring compensate one "
-        "another; the whole model is more accurate than its parts."
-    )
-    return ["<h3>How accurate the parts are</h3>", Charts("", caption, charts)]
-
-
-def _bias(found: Insight) -> str:
-    """Return why intervals by noise exclude estimates, where some do."""
-    parts = () if found.precision is None else found.precision.parts
-    return f"{NOISE_BIAS} " if any(any(part.biased) for part in parts) else ""
-
-
-def loop_chart(loop: MajorLoopWidth) -> Chart:
-    """Return the uncertainty of the displacement by noise on the rise and the fall through the limits."""
-    off = (loop.noise - loop.displacement) * 1e9
-    top = int(np.argmax(loop.voltage))
-    branches: tuple[tuple[slice, Colour], ...] = ((slice(0, top + 1), "rising"), (slice(top, None), "falling"))
-    series = [_area(colour, loop.voltage[at], off[:, at], colour, 0.5) for at, colour in branches]
-    return Chart("The major loop", Axis("voltage", "V"), Axis("displacement, off the model's", "nm"), series, zero=True)
-
-
-def _intervals(found: Insight) -> list[Part]:
-    noise, free, precision = found.intervals, found.feasible_set, found.precision
-    if noise is None or free is None or precision is None:
-        return []
-    slip, level = found.actuator.slip, f"{100 * noise.level:.0f} %"
-    movable, alone = found.identifiability.movable, found.identifiability.alone
-    rows: list[Row] = []
-    for i, (rho, kappa) in enumerate(zip(slip.breakaway, slip.stiffness, strict=True)):
-        known = "", "never slides", "part of the spring"
-        if movable[i]:
-            verdict = precision.parts[0].words(int(movable[:i].sum())).replace("um", "µm")
-            own, other = (" to ".join(number(float(end) * 1e-6) for end in of.stiffness[:, i]) for of in (noise, free))
-            known = own if alone[i] else "open", other, verdict
-        rows.append((str(i + 1), number(rho * 1e6, 4), number(kappa * 1e-6, 4), *known))
-    head = ("i", "ρᵢ (µm)", "κᵢ (V/µm)", f"{level} by noise", "compatible", "verdict")
-    caption = (
-        f"By noise: {level} intervals from {len(noise.actuators)} identifications of resampled cycles "
-        f"(bootstrap). {_bias(found)}An open stiffness "
-        "is not determined by itself, whatever the noise. Compatible: the least and the largest value among all models "
-        "that agree with the records nearly as well as this one. A stiffness may be uncertain while a sum of "
-        f"neighbours is accurate; what counts for a motion is the band along its trajectory. {precision.rule}"
-    )
-    spring = found.actuator.spring
-    factor, unit = length_unit(float(np.ptp(spring.displacement)))
-    centre, y = spring.voltage - spring.voltage[0], spring.displacement * factor
-    areas = (
-        _area("compatible", y, free.spring - centre, _FREE),
-        _area(f"{level} by noise", y, noise.spring - centre, _NOISE),
-    )
-    axes = Axis("displacement", unit), Axis("spring voltage, off the model's", "V")
-    return [
-        "<h3>How accurate the numbers are</h3>",
-        Charts("", caption, [stiffness_chart(found), Chart("Parallel spring", *axes, areas, zero=True)]),
-        html.folded("The intervals' numbers", {"": html.table(head, rows, texts=0)}),
-    ]
-
-
-def stiffness_chart(found: Insight) -> Chart:
-    """Return each stiffness with its interval by noise, and behind it its range among compatible models."""
-    slip, noise, free = found.actuator.slip.stiffest(), found.intervals, found.feasible_set
-    alone = found.identifiability.alone
-    factor, unit = length_unit(float(slip.breakaway[-1]))
-    rho = slip.breakaway * factor
-    series: list[Series] = []
-    if free is not None:
-        low, high = free.stiffness * 1e-6
-        series += stems("compatible", rho, high, _FREE, base=low, width=6)
-    if noise is not None and alone.any():
-        low, high = noise.stiffness[:, alone] * 1e-6
-        series += stems(f"{100 * noise.level:.0f} % by noise", rho[alone], high, _NOISE, base=low, width=2.4)
-    series.append(Series("model", rho, slip.stiffness * 1e-6, "ink", "points", 5))
-    axes = Axis("breakaway elongation", unit, (0.0, 1.05 * float(rho[-1]))), Axis("stiffness", "V/µm")
-    return Chart("Stiffnesses", *axes, series)

@@ -1,13 +1,11 @@
-"""Trust: what records determine of a model, the error to expect on a path, and whether the model still holds."""
+"""Trust: the error to expect on a path, what records determine of a model, whether it still holds, and its update."""
 
 from dehyst.trust.assessment import insight
 from dehyst.trust.changes import Change
 from dehyst.trust.history import CheckHistory, ControlChart
-from dehyst.trust.identifiability import SHARP
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.judgement import judge, judge_planned
-from dehyst.trust.precision import NOISE_BIAS
-from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
+from dehyst.trust.prediction_band import ERRORS, PredictionBand
 from dehyst.trust.recheck import Recheck, check
 from dehyst.trust.stage_assessment import StageInsight, check_stage, stage_insight
 from dehyst.trust.start import start_of

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from dehyst._text import counted, escaped
-from dehyst._types import Array
-from dehyst._views import html, tables
-from dehyst._views.fields import json_value, json_values
+from dehyst._views import html
+from dehyst._views.fields import json_values
 from dehyst._views.pictures import plotted
 from dehyst.control import Homing, PossibleStart, StartError
 from dehyst.identification import Identifiability
 from dehyst.model import Actuator, TemperatureCover, words_of
-from dehyst.trust.bootstrap import Intervals
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.experiment_design import Suggestion
-from dehyst.trust.feasible_set import FeasibleSet
-from dehyst.trust.identifiability import SHARP, PartIdentifiability, StateKnowledge
 from dehyst.trust.judgement import Judgement, judge
-from dehyst.trust.precision import NOISE_BIAS, Precision
-from dehyst.trust.prediction_band import ERRORS, MajorLoopWidth, PredictionBand
+from dehyst.trust.prediction_band import ERRORS, PredictionBand
+from dehyst.trust.state_knowledge import StateKnowledge
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from pandas import DataFrame
 
 # A model that misses records by more than this part of their range [%] is no model of them.
 _MISSED = 5.0
@@ -75,13 +70,6 @@ def not_homed(homing: Homing | None) -> str | None:
     )
 
 
-_NOT_JUDGED = (
-    "Not judged of a model with more parts than slip elements and a spring: what other models of its class the records "
-    "do not contradict, and whether its structure is the right one. Delay, inertia and sensor zeros are held where "
-    "they are."
-)
-
-
 @dataclass(frozen=True, eq=False)
 class Insight:
     """How far a model can be trusted, and what to record next.
@@ -94,22 +82,10 @@ class Insight:
         Voltages allowed [V].
     homing : Homing or None
         None if the model has no voltage limits.
-    intervals : Intervals or None
-        From resampled cycles; None with repeats 0.
     band : PredictionBand or None
-        Prediction band of the trajectory, if one was given; it includes compatible models if there is a feasible set.
-    feasible_set : FeasibleSet or None
-        Bounds consistent with the records; None without intervals, and for other models than Maxwell-slip ones.
+        Prediction band of the trajectory, if one was given.
     advice : tuple of Suggestion
         Excitations to record next, best first; empty if none on the menu determines more.
-    parts : tuple of PartIdentifiability
-        What the records determine of each part.
-    loop : MajorLoopWidth or None
-        The major loop, with the intervals.
-    precision : Precision or None
-        Which numbers are known to a precision; None without intervals.
-    exact : bool
-        Whether a precision was requested; then numbers that are not known to this precision cause a warning.
     start : PossibleStart or None
         Start of the trajectory; None: the top of the limits, after a rise through them.
     opened : StartError or None
@@ -122,16 +98,10 @@ class Insight:
     knowledge: tuple[StateKnowledge, ...]
     limits: tuple[float, float] | None
     homing: Homing | None = None
-    intervals: Intervals | None = None
     band: PredictionBand | None = None
-    feasible_set: FeasibleSet | None = None
     advice: tuple[Suggestion, ...] = ()
-    parts: tuple[PartIdentifiability, ...] = ()
-    loop: MajorLoopWidth | None = None
-    precision: Precision | None = None
     start: PossibleStart | None = None
     opened: StartError | None = None
-    exact: bool = False
     temperatures: TemperatureCover = field(default_factory=TemperatureCover)
 
     @property
@@ -164,41 +134,23 @@ class Insight:
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
 
-        With `full`, return what `--all` prints: also what is known of each part, each number and the state.
+        With `full`, return what `--all` prints: also the directions, and when the state becomes known.
         """
         return "\n".join(escaped(line) for line in (lines if full else _brief)(self))
 
-    def to_dataframe(self) -> DataFrame:
-        """Return the judged numbers of the model as a pandas DataFrame, one row for each number; stiffnesses in V/um.
-
-        Columns: part, number, unit, estimate, lowest, highest, verdict; no rows without intervals. Raise
-        `MissingExtraError` if pandas is not installed.
-        """
-        parts = () if self.precision is None else self.precision.parts
-        names = "part", "number", "unit", "estimate", "lowest", "highest", "verdict"
-        rows = [
-            (part.part, i + 1, unit, part.estimate[i] * factor, *part.interval[:, i] * factor, verdict.value)
-            for part in parts
-            for factor, unit in ((1e-6, "V/um") if part.unit == "V/m" else (1.0, part.unit),)
-            for i, verdict in enumerate(part.verdicts)
-        ]
-        return tables.frame({name: [row[k] for row in rows] for k, name in enumerate(names)})
-
     def plot(
         self,
-        kind: Literal["stiffnesses", "directions", "loop", "band"] | None = None,
+        kind: Literal["directions", "band"] | None = None,
         *,
         ax: Axes | None = None,
     ) -> Axes:
-        """Draw the uncertainty that the records leave.
+        """Draw what the records determine.
 
         Parameters
         ----------
         kind : str, optional
-            "stiffnesses": each with its interval. "directions": singular values of the stiffness directions, determined
-            or open. "loop": uncertainty of the displacement on the major loop. "band": where the displacement of the
-            trajectory may be, minus the wanted path. Default: the last of "directions", "loop", "stiffnesses" and
-            "band" for which there are numbers.
+            "directions": singular values of the stiffness directions, determined or open. "band": where the
+            displacement of the trajectory may be, minus the wanted path. Default: "band", if there is a trajectory.
         ax : matplotlib.axes.Axes, optional
             Where to draw; default: the axes of a new figure.
 
@@ -216,19 +168,6 @@ class Insight:
         return plotted("insight", self, kind, ax)
 
     @property
-    def not_judged(self) -> str:
-        """What was not judged although intervals were requested; empty if everything was."""
-        return "" if self.intervals is None or self.feasible_set is not None else _NOT_JUDGED
-
-    @property
-    def stiffness(self) -> Array | None:
-        """Lowest and highest kappa_i (2, N) [V/m] due to noise and open directions together; None without intervals."""
-        if self.intervals is None or self.feasible_set is None:
-            return None
-        noise, free = self.intervals.stiffness, self.feasible_set.stiffness
-        return np.array([np.minimum(noise[0], free[0]), np.maximum(noise[1], free[1])])
-
-    @property
     def trustworthy(self) -> bool:
         """Whether the records determine all directions of the stiffnesses; see `identifiability`."""
         return self.identifiability.determined == self.identifiability.of
@@ -241,15 +180,14 @@ class Insight:
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
-        remarks = [
+        remarks: list[str | None] = [
             of_another(self.actuator, self.misfit, self.evidence.stroke),
             self._open(),
-            self._imprecise(),
             beyond(self.actuator, self.limits),
             self.temperatures.sentence if self.temperatures.missing else None,
         ]
         if self.band is not None:
-            remarks += [*self.band.warnings, self._open_on(self.band)]
+            remarks += self.band.warnings
             remarks += [not_homed(self.homing)] if self.start is None else [*self.start.remarks, self._open_start()]
         return tuple(remark for remark in remarks if remark)
 
@@ -261,25 +199,6 @@ class Insight:
         return (
             f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "
             f"elsewhere than the records do may be predicted wrongly.{next_}"
-        )
-
-    def _imprecise(self) -> str | None:
-        """Return which numbers are not known to the requested precision, and what to record next."""
-        if self.precision is None or self.precision.all_known or not self.exact:
-            return None
-        # The warning of open directions says what to add.
-        next_ = self.precision.next if self.trustworthy else ""
-        return " ".join(words for words in (self.precision.sentence, self.precision.others, next_) if words)
-
-    def _open_on(self, band: PredictionBand) -> str | None:
-        """Return a sentence on the trajectory's error due to open directions, if that exceeds all other errors."""
-        parts = {name: 100 * error / self.evidence.stroke for name, error in band.errors().items()}
-        known = max(parts["misfit"], parts["noise"], 0.1)
-        if self.trustworthy or parts.get("open", 0.0) <= known:
-            return None
-        return (
-            f"On this trajectory open directions may cause an error of {parts['open']:.2g} % of the stroke; the "
-            f"model misses its own records by {parts['misfit']:.2g} % only, which does not bound this error."
         )
 
     def _open_start(self) -> str | None:
@@ -294,62 +213,34 @@ class Insight:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
         band = None if self.band is None else {f"{name}_m": error for name, error in self.band.errors().items()}
-        stiffness = "model=actuator.slip.stiffness noise=intervals.stiffness open=feasible_set.stiffness both=stiffness"
         homing = "turns_V=turns travel_V=travel certified seconds=played.duration error_m=error width_m=width remarks"
-        directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values open")
+        directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values")
         return {
             **self.evidence.as_dict(),
             "warnings": list(self.warnings()),
-            **json_values(self, "not_judged misfit_m=misfit judgement"),
-            "directions": {**directions, "sentences": list(self.identifiability.sentences())},
-            "identifiable_parts": {"allowed_deviation_of_the_voltages": SHARP, **json_values(self, "parts")},
-            "stiffness_V_per_m": json_values(self, stiffness),
-            "spring_V": json_values(
-                self, "knots_m=actuator.spring.displacement noise=intervals.spring open=feasible_set.spring"
-            ),
-            "parts": {
-                name: {"model": model.tolist(), "noise": json_value(ends)}
-                for name, (model, ends) in self.numbers().items()
-            },
-            **json_values(self, "major_loop_off_m=loop.off advice level=intervals.level known=precision"),
-            **json_values(self, "state=knowledge start=start.name turns"),
+            **json_values(self, "misfit_m=misfit judgement"),
+            "directions": directions,
+            **json_values(self, "advice state=knowledge start=start.name turns"),
             "temperatures": self.temperatures.as_dict(),
             "homing": None if self.homing is None else json_values(self.homing, homing),
             "trajectory": band,
             "band": None if self.band is None else self.band.as_dict(self.evidence.stroke),
         }
 
-    def numbers(self) -> dict[str, tuple[Array, Array | None]]:
-        """Return the coefficients of the other parts by name with unit, and their ends of the interval due to noise."""
-        model, noise = self.actuator, self.intervals
-        parts: dict[str, tuple[Array, Array | None]] = {}
-        if model.transformer is not None:
-            parts["transformer_V"] = model.transformer.drive, None if noise is None else noise.drive
-        if model.creep is not None:
-            parts["creep_V_per_m"] = model.creep.stiffness, None if noise is None else noise.creep
-        if model.smooth is not None:
-            parts["smooth_V_per_m"] = model.smooth.stiffness, None if noise is None else noise.smooth
-        return parts
-
 
 def one_line(found: Insight) -> str:
-    """Return the numbers of determined directions and known numbers as text."""
+    """Return the number of determined directions as text."""
     directions = f"{found.identifiability.determined} of {found.identifiability.of} directions determined"
-    known = "" if found.precision is None else f", {found.precision.sentence.removesuffix('.')}"
-    warnings = counted(len(found.warnings()), "warning")
-    return f"<Insight of '{escaped(found.actuator.name)}': {directions}{known}, {warnings}>"
+    return f"<Insight of '{escaped(found.actuator.name)}': {directions}, {counted(len(found.warnings()), 'warning')}>"
 
 
 def as_html(found: Insight) -> str:
-    """Return an assessment for a notebook: warnings, what is known, and the numbers of each part."""
-    warnings, precision = found.warnings(), found.precision
-    stroke = found.evidence.stroke
+    """Return an assessment for a notebook: warnings, and what is known."""
+    warnings, stroke = found.warnings(), found.evidence.stroke
     rows = [
         ("largest error on the records", f"{100 * found.misfit / stroke:.3g} % of the stroke"),
         ("directions determined", f"{found.identifiability.determined} of {found.identifiability.of}"),
     ]
-    if precision is not None:
-        rows += [(f"{part.several} known", f"{part.known} of {part.of_all}") for part in precision.parts]
     if found.band is not None:
         errors = {name: error for name, error in found.band.errors().items() if error or name != "clamped"}
         rows += [
@@ -386,16 +277,9 @@ def lines(found: Insight) -> Iterator[str]:
     """Yield all lines of a summary, in the order in which they matter."""
     yield from _answer(found)
     yield ""
-    if found.precision is not None:
-        yield found.precision.sentence
     yield from _directions(found)
-    yield from _parts_known(found)
-    yield from _stiffnesses(found)
     yield from _band(found)
     yield from _advice(found)
-    if found.not_judged:
-        yield ""
-        yield found.not_judged
     yield ""
     yield "When the state becomes known, if nothing is known before:"
     for known in found.knowledge:
@@ -413,7 +297,6 @@ def _directions(found: Insight) -> Iterator[str]:
         f"Directions of {identifiability.subject} that the turning points determine, whatever the noise: "
         f"{identifiability.determined} of {identifiability.of}"
     )
-    yield from _bullets(_first_few(identifiability.sentences()))
     values = " ".join(f"{value:.2g}" for value in identifiability.values)
     yield f"  singular values, V for each volt of breakaway voltage: {values}"
 
@@ -435,35 +318,7 @@ def _advice(found: Insight) -> Iterator[str]:
             yield f"      {excitation.command}"
     elif found.trustworthy:
         yield ""
-        yield f"To record next: {_next(found)}"
-
-
-def _next(found: Insight) -> str:
-    """Return what to record if no further loop determines more directions."""
-    if found.precision is None or found.precision.all_known:
-        return "nothing; no loop determines more directions."
-    return f"no loop determines more directions. {found.precision.next}"
-
-
-def _parts_known(found: Insight) -> Iterator[str]:
-    """Yield the identifiability of each part, and the accuracy of its numbers."""
-    yield f"Known of each part, with all other parts free, to {100 * SHARP:g} % of the voltages:"
-    yield from _bullets(part.sentence for part in found.parts)
-    if found.precision is not None:
-        yield f"Known within {100 * found.precision.precision:g} %, number by number:"
-        yield from _bullets(part.counted for part in found.precision.parts)
-    if found.intervals is None:
-        return
-    yield ""
-    yield f"Uncertainty due to noise ({100 * found.intervals.level:.0f} % intervals):"
-    if found.loop is not None:
-        off = found.loop.off
-        share = 100 * off / found.evidence.stroke
-        yield f"  - the displacement on the major loop{share:8.2g} % of the stroke, {off * 1e9:.3g} nm"
-    for name, (model, noise) in found.numbers().items():
-        if noise is not None and abs(model).max(initial=0.0) > 0:
-            width = 0.5 * (noise[1] - noise[0]).mean() / abs(model).max()
-            yield f"  - {name.split('_')[0]:<33}{100 * width:8.2g} % of its largest number, on average"
+        yield "To record next: nothing; no loop determines more directions."
 
 
 def _homing(found: Insight) -> Iterator[str]:
@@ -482,43 +337,8 @@ def _homing(found: Insight) -> Iterator[str]:
         yield f"      {remark}"
 
 
-def _first_few(sentences: tuple[str, ...], most: int = 12) -> tuple[str, ...]:
-    return sentences if len(sentences) <= most else (*sentences[:most], f"and {len(sentences) - most} more (--json)")
-
-
 def _moment(seconds: float | None) -> str:
     return "never" if seconds is None else f"after {seconds:.4g} s"
-
-
-def _stiffnesses(found: Insight) -> Iterator[str]:
-    if found.intervals is None or found.precision is None:
-        return
-    if found.feasible_set is None:
-        yield found.precision.rule
-        return
-
-    slip, level, judged = found.actuator.slip, 100 * found.intervals.level, found.precision.parts[0]
-    yield ""
-    yield f"  i  breakaway  stiffness   {level:.0f} % by noise          compatible            verdict"
-    yield "            um       V/um           V/um            with the records, V/um"
-    alone, movable = found.identifiability.alone, found.identifiability.movable
-    number = movable.cumsum() - 1
-    for i, (rho, kappa) in enumerate(zip(slip.breakaway * 1e6, slip.stiffness * 1e-6, strict=True)):
-        if not movable[i]:
-            yield f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   never slides: part of the spring"
-            continue
-        noise = _ends(found.intervals.stiffness[:, i]) if alone[i] else "open"
-        free = _ends(found.feasible_set.stiffness[:, i])
-        yield f"{i + 1:>3}{rho:>11.4g}{kappa:>11.4g}   {noise:<22}{free:<22}{judged.words(int(number[i]))}"
-    if any(judged.biased):
-        yield NOISE_BIAS
-    if not alone[movable].all():
-        yield "Open: these records do not determine it by itself, whatever their noise; see the next column."
-    yield found.precision.rule
-
-
-def _ends(pair: Any) -> str:
-    return f"{pair[0] * 1e-6:>8.4g} to {pair[1] * 1e-6:<8.4g}"
 
 
 def _band(found: Insight) -> Iterator[str]:
@@ -531,8 +351,3 @@ def _band(found: Insight) -> Iterator[str]:
     for name, error in found.band.errors().items():
         if error or name != "clamped":
             yield f"  {ERRORS[name]:<42}{100 * error / stroke:8.3f} %{error * 1e9:10.0f} nm"
-
-
-def _bullets(sentences: Iterable[str]) -> Iterator[str]:
-    for sentence in sentences:
-        yield f"  - {sentence}"

@@ -127,9 +127,7 @@ def judge(
         parts |= {"temperature": promised.by_temperature} if promised.by_temperature else {}
     if evidence is not None:
         parts |= evidence.errors()
-        # A model that the records do not contradict may be the true one.
-        open_ = parts["open"] + evidence.misfit if "open" in parts else 0.0
-        largest, missed = max(largest or evidence.misfit, open_), evidence.displacement - evidence.wanted
+        largest, missed = largest or evidence.misfit, evidence.displacement - evidence.wanted
     largest = known.largest_error if largest is None else largest
     if np.size(missed):
         largest = None if largest is None else largest + largest_of(missed)

@@ -18,6 +18,8 @@ from dehyst.trust.assessment import insight
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.recheck import Recheck, check
 
+# Half the width of a 90 % interval, in standard errors.
+_DEVIATIONS = 1.6448536269514722
 # Of the range of a voltage in a hundredth of the record: it moves if it moves by more.
 _MOVING, _WINDOWS = 0.02, 200
 # An axis moved alone if it did so for this share of the record.
@@ -36,9 +38,7 @@ class StageInsight:
     ----------
     axes : tuple of str
     coupling, low, high : (axes, axes) array
-        The coupling matrix of the stage, and the ends of the confidence interval of each entry.
-    level : float
-        Confidence level.
+        The coupling matrix of the stage, and the ends of the 90 % confidence interval of each entry.
     own_motion : (axes,) array
         Share of each voltage's motion that no other voltage explains, 0 to 1.
     insights : tuple of Insight
@@ -51,7 +51,6 @@ class StageInsight:
     coupling: Array
     low: Array
     high: Array
-    level: float
     own_motion: Array
     insights: tuple[Insight, ...]
     remarks: tuple[str, ...]
@@ -59,41 +58,36 @@ class StageInsight:
     def lines(self) -> list[str]:
         """Return the assessment of the coupling in lines."""
         half = (self.high - self.low) / 2
-        head = f"Coupling, with half the interval of each entry that the records allow ({100 * self.level:g} %):"
+        head = "Coupling, with half the interval of each entry that the records allow (90 %):"
         return [head, *matrix_lines(self.axes, self.coupling, half), *(f"  - {remark}" for remark in self.remarks)]
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        keys = "axes coupling lowest=low highest=high level own_motion remarks"
+        keys = "axes coupling lowest=low highest=high own_motion remarks"
         return json_values(self, keys) | {"insights": by_axis(self.axes, self.insights)}
 
 
-def stage_insight(stage: Stage, records: Sequence[Record], *, level: float = 0.9, **options: Any) -> StageInsight:
+def stage_insight(stage: Stage, records: Sequence[Record], **options: Any) -> StageInsight:
     """Assess a stage by the records it was identified from.
 
     Parameters
     ----------
     stage : Stage
     records : sequence of Record
-    level : float, optional
-        Confidence level of the intervals.
     **options
         Options of `dehyst.insight`, for each actuator.
     """
-    from scipy.special import ndtri
-
     _refuse_other_axes(stage, records)
     columns = PlayColumns.of(records)
     found, own = coupling_by_plays(columns), separate_motion(columns)
-    half = found.uncertainty * float(ndtri(0.5 + level / 2))
+    half = _DEVIATIONS * found.uncertainty
     # The models follow the records closer than plays do: the interval is laid around their matrix.
     low, high = stage.coupling - half, stage.coupling + half
     insights = tuple(
-        insight(one, [stage.alone(record, j) for record in records], level=level, **options)
-        for j, one in enumerate(stage.actuators)
+        insight(one, [stage.alone(record, j) for record in records], **options) for j, one in enumerate(stage.actuators)
     )
     remarks = [*_alone(records), *_repeating(records), *_unknown(stage, half, own)]
-    return StageInsight(stage.axes, stage.coupling, low, high, level, own, insights, tuple(remarks))
+    return StageInsight(stage.axes, stage.coupling, low, high, own, insights, tuple(remarks))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,19 +26,6 @@ def minimum(
 ) -> LinearSolution:
     """Minimise cost'x, bounds[0] <= x <= bounds[1], limits[0] <= rows x <= limits[1] (dense); "simplex" or "ipm"."""
     return _solved(_model(cost, bounds, rows, limits, solver), solver)
-
-
-def linear_programs(
-    costs: Array, bounds: tuple[Array, Array], rows: Array, limits: tuple[Array, Array]
-) -> Iterator[LinearSolution]:
-    """Minimise each of many costs (p, n) as `minimum` does, each from the optimum of the previous one."""
-    highs = _model(costs[0], bounds, rows, limits, "simplex")
-    every = np.arange(rows.shape[1], dtype=np.int32)
-    # The previous optimum is feasible: the primal simplex continues from it, the dual simplex would start anew.
-    for k, cost in enumerate(costs):
-        highs.changeColsCost(every.size, every, cost)
-        highs.setOptionValue("simplex_strategy", 4 if k else 1)
-        yield _solved(highs, "simplex")
 
 
 def dual_objective(
