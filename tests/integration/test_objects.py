@@ -1,6 +1,5 @@
 """How results show themselves: one line each, escaped HTML, tables, and summaries as the commands print them."""
 
-import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -10,9 +9,9 @@ import pytest
 from summaries import PARTS, anatomy
 
 import dehyst
-from dehyst import Actuator, Compensator, Fit, MaxwellSlip, Outcome, Record, Spring, Trace
+from dehyst import Actuator, Compensator, Fit, MaxwellSlip, Outcome, Spring
 from dehyst._views import html
-from dehyst._views.lines import brief, ends, percent, span_of
+from dehyst._views.lines import ends, percent, span_of
 
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$\n\u202e"
 
@@ -107,13 +106,6 @@ def test_repr_and_print_are_one_printable_line_without_arrays(things, name):
     assert 10 < len(repr(things[name])) < 260
 
 
-def test_a_fit_prints_its_verdict(fit):
-    assert str(fit) == str(fit.expectation) == fit.expectation.sentence
-    assert f"{fit.expectation.readiness.value}; expect" in repr(fit)
-    assert str(Fit(None, Outcome.FAILED)) == Outcome.FAILED.value
-    assert repr(Fit(None, Outcome.FAILED)) == "<Fit of no record: FAILED>"
-
-
 @pytest.mark.parametrize("kind", PARTS)
 def test_an_actuator_names_its_parts(kind):
     actuator = anatomy(kind)
@@ -137,43 +129,10 @@ def test_html_is_well_formed_and_escapes_names(things, name):
         assert "<script>alert" in page.text
 
 
-def test_html_of_a_fit_has_a_row_for_each_record(fit):
-    page = Markup(fit._repr_html_())
-    assert page.tags.count("tr") == 1 + len(fit.errors)
-    assert fit.expectation.sentence in page.text
-
-
 def test_a_table_of_many_rows_is_cut_and_counted():
     page = Markup(html.table(("n",), [(n,) for n in range(60)]))
     assert page.tags.count("tr") == 51
     assert "and 10 more" in page.text
-
-
-def test_the_full_summary_of_a_fit_has_the_outcome_and_its_records(fit):
-    assert re.search(r"training +\d+ +\d+ +\d\.\d+ %", fit.summary(full=True))
-    assert fit.summary(full=True).splitlines()[1] == fit.outcome.value
-
-
-@pytest.mark.parametrize("remarks", [0, 1, 3, 4, 9])
-def test_the_summary_of_a_fit_begins_with_the_error_and_has_three_things_to_know_at_most(fit, remarks):
-    found = replace(fit, remarks=tuple(f"remark {k}" for k in range(remarks)))
-    lines = found.summary().splitlines()
-    assert lines[0] == f"{found.expectation.headline}."
-    assert f"{found.expectation.largest_percent:.2g} %" in lines[0]
-    told = [line for line in lines if line.startswith("  - ")]
-    things = len(found.expectation.reservations) + remarks
-    assert len(told) == min(things, 3) + (things > 3)
-    assert things <= 3 or str(things - 3) in told[-1]
-
-
-def test_the_summary_of_a_failed_fit_says_how_it_ended():
-    assert Fit(None, Outcome.FAILED).summary().splitlines()[0] == Outcome.FAILED.value
-
-
-def test_the_summary_of_an_assessment_begins_with_the_error_to_expect(insight):
-    brief, full = (insight.summary(full).splitlines() for full in (False, True))
-    assert brief[0] == full[0]
-    assert len(brief) < len(full)
 
 
 def test_tables_have_units_in_their_names(things):
@@ -219,12 +178,6 @@ def test_intervals_have_the_decimals_that_their_width_needs():
     assert (percent(0.00123, 1.0), percent(2.0, 1.0)) == ("0.12 %", "200 %")
 
 
-def test_a_part_shows_shape_and_range():
-    assert repr(Spring([0, 1e-6], [0, 3.0])) == "<Spring: displacement=2 from 0 to 1e-06, voltage=2 from 0 to 3>"
-    assert "5 x 2 from" in repr(anatomy("graded").slip)
-    assert brief(Trace("a", "training", *4 * (np.zeros(0),))).count("none") == 4
-
-
 def test_a_name_that_is_nearly_right_is_suggested(record, fit):
     with pytest.raises(dehyst.ModelError, match="you mean 'residuals'"):
         fit.plot("residual")
@@ -233,7 +186,3 @@ def test_a_name_that_is_nearly_right_is_suggested(record, fit):
     with pytest.raises(AttributeError) as caught:
         _ = dehyst.identfy
     assert (caught.value.name, caught.value.obj) == ("identfy", dehyst)
-
-
-def test_a_record_with_a_line_end_in_its_name_has_one_line():
-    assert repr(Record([0, 1], [0, 1], [0, 1e-6], name="a\nb")).startswith("<Record 'a\\nb': 2 samples")

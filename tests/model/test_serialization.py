@@ -149,7 +149,7 @@ def test_wider_parts_come_back_exactly(tmp_path):
 
 @pytest.mark.parametrize("limits", [None, (0.0, 100.0)])
 @pytest.mark.parametrize("speed", [None, 100 / 3])
-def test_the_speed_of_the_records_comes_back_and_old_files_have_none(tmp_path, limits, speed):
+def test_the_speed_of_the_records_comes_back(tmp_path, limits, speed):
     plain = made()
     actuator = Actuator(plain.slip, plain.spring, limits=limits, recorded_slew_rate=speed)
     back = through_a_file(actuator, tmp_path / "a.json")
@@ -302,8 +302,7 @@ def test_a_missing_key(tmp_path, key):
     )
 
 
-# Files of earlier programs do not say what their records tested.
-@pytest.mark.parametrize("place", [place for place in PLACES if place != "identification.validity"])
+@pytest.mark.parametrize("place", PLACES)
 def test_a_missing_key_inside(tmp_path, place):
     part, key = place.split(".")
     data = made().as_dict()
