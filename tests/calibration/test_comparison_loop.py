@@ -23,6 +23,7 @@ from dehyst.operations.bench import _left
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
 from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
 from dehyst.waveforms import staircase
+from examples import spanning
 
 PACE = ExcitationPlan(0, 200, 400.0)
 STROKE = PlayActuator().stroke
@@ -105,9 +106,12 @@ def same_actuators():
         yield BoucWenActuator(seed=seed, noise=3e-8)
 
 
-@pytest.mark.parametrize("truth", list(same_actuators()), ids=lambda truth: f"{type(truth).__name__}-{truth.seed}")
-@pytest.mark.parametrize(("frequency", "left_at", "rest"), [(1.0, 131.0, 0.5), (1.0, 200.0, 3600.0), (20.0, 17.0, 5.0)])
-def test_the_same_actuator_agrees_whatever_came_between(truth, frequency, left_at, rest):
+BETWEEN = [(1.0, 131.0, 0.5), (1.0, 200.0, 3600.0), (20.0, 17.0, 5.0)]
+
+
+@pytest.mark.parametrize(("truth", "between"), spanning(list(same_actuators()), BETWEEN))
+def test_the_same_actuator_agrees_whatever_came_between(truth, between):
+    frequency, left_at, rest = between
     truth.relax()
     rig = SimulatedRig(truth)
     pace = Plan(frequency=frequency).excitations(rig)
