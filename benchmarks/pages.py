@@ -82,7 +82,6 @@ def accuracy() -> list[str]:
     names = {
         "record": "trained on both",
         "held out": "trained on major and 4500 rows of ramps",
-        "breakpoints": "the paper's method, both",
     }
     found = [
         (

@@ -1,6 +1,6 @@
 """Results that a change of structure must not move: write them once, and compare after each step.
 
-Models along paths, compensators and snapshots, identifications by all methods, norms and structures, a coupled stage,
+Models along paths, compensators and snapshots, identifications by all norms and structures, a coupled stage,
 exports, the paper's tables and a report's numbers. Everything is seeded. Arrays are equal bit by bit, or their
 largest difference is printed as a part of their range; more than 1e-9 is an error.
 
@@ -30,7 +30,6 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
 
-import plain_records
 import specimens
 
 import dehyst
@@ -110,17 +109,7 @@ def numbers_of(fit: dehyst.Fit) -> Iterator[tuple[str, Any]]:
 
 
 def identifications() -> Iterator[tuple[str, Any]]:
-    """Plain class in all norms, the paper's methods, given structures, the structure searched."""
-    exact = plain_records.plant()
-    path = plain_records.path(plain_records.DESCENDING_TOPS)
-    made = dehyst.Record(np.arange(path.size) * 0.01, exact.compensate(path).voltage, path, "made")
-    for method in ("antisymmetric", "breakpoints"):
-        try:
-            fit = dehyst.identify(made, method=method, throw=False)
-        except ValueError as refusal:
-            yield f"method {method}", str(refusal)
-        else:
-            yield from ((f"method {method} {name}", value) for name, value in numbers_of(fit))
+    """Plain class in both norms, given structures, the structure searched."""
     for truth_name, truth in truths().items():
         tops, stairs = records(truth)
         for norm in ("l1", "l2"):

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import IdentifyError, _validation
-from dehyst.identification.settings import METHODS, USERS, Settings
 
 NO_NUMBERS = st.sampled_from(["3", None, [1], True, 1j, float("nan"), np.True_])
 
@@ -71,20 +70,3 @@ def test_seconds_bounds_and_words():
         _validation.between(4.1, "spacing", 0.5, 4, "an exponent")
     with pytest.raises(IdentifyError, match="norm: got 'l3', need 'l1' or 'l2'"):
         _validation.choice("l3", "norm", ("l1", "l2"))
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("name", "value"), [("norm", "l2"), ("knots", 5), ("slope_floor", 0.3), ("branch", "ascending")]
-)
-def test_an_option_that_a_method_does_not_use_is_refused(method, name, value):
-    if method in USERS[name]:
-        assert getattr(Settings(method, **{name: value}), name) == value
-        return
-    with pytest.raises(IdentifyError) as refused:
-        Settings(method, **{name: value})
-    assert refused.value.argument == name
-
-
-def test_a_closed_form_records_no_norm():
-    assert [Settings(method).as_dict()["norm"] for method in METHODS] == ["l1", "l1", ""]

@@ -184,10 +184,6 @@ def test_creep_on_a_grid_of_its_own_is_met_nearly():
             "structure: got None, need 'auto', 'maxwell_slip' or a dehyst.Structure",
         ),
         (
-            {"structure": Structure(), "method": "breakpoints"},
-            "structure: method 'breakpoints' fits 'maxwell_slip' only; leave one out",
-        ),
-        (
             {"structure": Structure(), "elements": 10},
             "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
         ),
@@ -203,13 +199,13 @@ def test_what_is_no_structure_is_refused(options, message):
     assert str(refused.value) == message
 
 
-@pytest.mark.parametrize("options", [{"elements": 10}, {"knots": 8}, {"method": "breakpoints"}])
+@pytest.mark.parametrize("options", [{"elements": 10}, {"knots": 8}])
 def test_what_only_the_papers_class_knows_asks_for_it(options):
     record = plain_records.loops(plain_records.plant(), plain_records.DESCENDING_TOPS)
     found, paper = (dehyst.identify(record, **options, **more) for more in ({}, {"structure": "maxwell_slip"}))
     assert found.trials == ()
     assert found.actuator.as_dict() == paper.actuator.as_dict()
-    assert len(found.remarks) - len(paper.remarks) == ("method" not in options)
+    assert len(found.remarks) - len(paper.remarks) == 1
 
 
 def test_without_inner_loops_the_papers_class_is_kept():

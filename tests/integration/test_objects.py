@@ -181,8 +181,8 @@ def test_intervals_have_the_decimals_that_their_width_needs():
 def test_a_name_that_is_nearly_right_is_suggested(record, fit):
     with pytest.raises(dehyst.ModelError, match="you mean 'residuals'"):
         fit.plot("residual")
-    with pytest.raises(dehyst.IdentifyError, match="you mean 'breakpoints'"):
-        dehyst.identify(record, method="breakpoint")
+    with pytest.raises(dehyst.IdentifyError, match="you mean 'ascending'"):
+        dehyst.paper.identify_antisymmetric(record, branch="ascendin")
     with pytest.raises(AttributeError) as caught:
         _ = dehyst.identfy
     assert (caught.value.name, caught.value.obj) == ("identfy", dehyst)

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst.cli.commands import OperationCommand
-from dehyst.identification.settings import METHODS, USERS
 from dehyst.operations.axes import Limit, Slew
 from dehyst.operations.declaration import Input, OperationError, Output, beside, operation
 from dehyst.operations.files import Columns
@@ -164,22 +163,6 @@ def test_what_has_no_effect_is_refused():
     with pytest.raises(OperationError) as refused:
         perform(sample, {"file": Path("a")}, Run(), force=True)
     assert refused.value.argument == "force"
-
-
-@pytest.mark.parametrize(
-    "options", [{"norm": "l1"}, {"knots": 5}, {"slope_floor": 0.2}, {"branch": "descending"}], ids=str
-)
-def test_an_option_of_another_method_is_refused_even_with_its_default(options):
-    identify, (name,) = find("identify"), options
-    users = [method for method in METHODS if method in USERS[name]]
-    for method in METHODS:
-        given = {"method": method, **options}
-        if method in users:
-            identify.check(given)
-        else:
-            with pytest.raises(OperationError) as refused:
-                identify.check(given)
-            assert refused.value.argument == name
 
 
 @pytest.mark.parametrize("name", ENTRIES)

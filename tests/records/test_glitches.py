@@ -251,15 +251,6 @@ def test_a_wider_model_from_a_record_with_glitches_is_that_of_the_clean_one():
     assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.02)
 
 
-@pytest.mark.parametrize("method", ["breakpoints", "antisymmetric"])
-def test_the_papers_methods_leave_glitches_out(method):
-    clean = dehyst.identify(CLEAN, method=method)
-    fit = dehyst.identify(with_voltage(CLEAN, [1100, 50], [500.0, -300.0]), method=method)
-    assert fit.actuator.limits == (0.0, 200.0)
-    # Few break points carry the noise of the samples beside them.
-    assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.05)
-
-
 def test_a_held_out_record_with_a_glitch_is_judged_as_the_clean_one():
     other = plain_records.loops(plain_records.plant(10), plain_records.DESCENDING_TOPS, noise=5e-9, name="tops")
     clean = fitted(CLEAN, validate=other)

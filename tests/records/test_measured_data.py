@@ -23,8 +23,8 @@ def read(name):
 
 
 @cache
-def fitted(method="record", norm="l1"):
-    return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip", method=method, norm=norm)
+def fitted(norm="l1"):
+    return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip", norm=norm)
 
 
 @cache
@@ -85,18 +85,6 @@ def test_what_was_held_out_is_predicted():
     assert held_out.largest_percent < 1.5
     assert held_out.rms_percent < 0.5
     assert held_out.rms < 1.3 * max(error.rms for error in fit.errors[:2])
-
-
-@pytest.mark.nightly
-def test_the_papers_methods_run():
-    paper = fitted(method="breakpoints")
-    assert paper.outcome is Outcome.IDENTIFIED
-    # Sec. 4.2: its own errors go up to 1.25 % of the range, on the major loop; these are those of whole records.
-    assert max(error.largest_percent for error in paper.errors) < 1.3
-    simple = fitted(method="antisymmetric")
-    assert simple.outcome in (Outcome.IDENTIFIED, Outcome.STIFFNESS_CLIPPED)
-    # Without the nonlinear spring the loop's asymmetry stays: worse, but still a fraction of the 13.6 % of no model.
-    assert paper.errors[0].rms < simple.errors[0].rms < 0.05 * simple.errors[0].stroke
 
 
 def test_the_identified_actuator_compensates_within_the_recorded_voltages():

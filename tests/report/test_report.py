@@ -89,7 +89,6 @@ def fit():
     model = actuator()
     options = {
         "program": "dehyst 9.8.7",
-        "method": "record",
         "norm": "l1",
         "delay_s": 0.0125,
         "stroke_m": 20e-6,

@@ -51,7 +51,7 @@ FACES = {
             write_stage_report
         """,
         "paper": """
-            Paper
+            Paper PaperFit identify identify_antisymmetric initial_displacements
         """,
         "testing": """
             BaselineCandidate BaselineContract FakeInstrument ModelCandidate ModelContract RigCandidate RigContract

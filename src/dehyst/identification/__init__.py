@@ -10,12 +10,11 @@ from dehyst.identification.coupling.matrix import (
     refuse_still,
     separate_motion,
 )
-from dehyst.identification.diagnostics.branches import Branch, voltage_at
+from dehyst.identification.diagnostics.branches import Branch, families, voltage_at
 from dehyst.identification.diagnostics.identifiability import Identifiability, identifiability, probed
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit, label
 from dehyst.identification.identify import identify
-from dehyst.identification.paper_methods import BreakPointLoop, loops_of
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.cleaning import cycle_time, remove_glitches
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
@@ -23,7 +22,7 @@ from dehyst.identification.preprocessing.regressors import collect, epochs
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
 from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, write_traces
-from dehyst.identification.settings import Deadline, Method
+from dehyst.identification.settings import Deadline
 from dehyst.identification.solvers.program import Norm, Solution, solve
 from dehyst.identification.structure import Grid, Structure
 from dehyst.identification.validation import (

@@ -13,7 +13,6 @@ from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Progress
-from dehyst.identification import paper_methods
 from dehyst.identification.creep_search import CreepSearch
 from dehyst.identification.diagnostics import messages
 from dehyst.identification.diagnostics.identifiability import identifiability, probed
@@ -24,7 +23,7 @@ from dehyst.identification.preprocessing.preparation import ENOUGH, Prepared, as
 from dehyst.identification.regression.fold_sums import least_squares_of_sums
 from dehyst.identification.rules import RULES
 from dehyst.identification.run import IdentificationRun
-from dehyst.identification.settings import Deadline, Direction, Method, Settings
+from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.identification.structure import Structure
 from dehyst.identification.structure_selection import simplest
@@ -43,7 +42,6 @@ def identify(
     records: Record | Sequence[Record],
     *,
     validate: Record | Sequence[Record] = (),
-    method: Method = "record",
     elements: int | None = None,
     breakaway: ArrayLike | None = None,
     norm: Norm = "l1",
@@ -53,7 +51,6 @@ def identify(
     sensor_lag: float | None = None,
     shared_datum: bool = False,
     drift: bool = True,
-    branch: Direction = "descending",
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto",
     goal: float = 1.0,
     throw: bool = True,
@@ -69,18 +66,15 @@ def identify(
         Training records with at least one loop in total; minor loops improve the prediction of other motions.
     validate : Record or sequence of Record, optional
         Records that are only simulated. Each gets its own constant (and datum and drift), as training records do.
-    method : {"record", "breakpoints", "antisymmetric"}
-        "record": every sample of every record (default). "breakpoints": the paper's linear program on break points
-        (Sec. 4.1). "antisymmetric": the closed form of Remark 2, without a nonlinear spring.
     elements : int, optional
         Number N of slip elements on the paper's uniform grid over the widest loop, rho_i = i range / (2 N);
-        default 20 (10 for the paper's methods).
+        default 20.
     breakaway : (N,) array_like, optional
-        Breakaway elongations [m] instead of the grid; "record" only.
+        Breakaway elongations [m] instead of the grid.
     norm : {"l1", "l2"}, optional
-        Norm of the weighted residuals; "record" only.
+        Norm of the weighted residuals.
     knots : int, optional
-        Number of knots of the spring; default: N + 1, at most 41. "record" only.
+        Number of knots of the spring; default: N + 1, at most 41.
     slope_floor : float, optional
         Least slope of the spring as a fraction of the mean slope of the widest loop (Assumption I with a margin).
     delay : float, optional
@@ -92,13 +86,10 @@ def identify(
         State that the sensor kept its zero in all records; default: the datum of each record is searched for.
     drift : bool, optional
         Whether a record may have a drift that is logarithmic in the time since its start, which is then removed.
-    branch : {"descending", "ascending"}, optional
-        "antisymmetric" only.
     structure : {"auto", "maxwell_slip"} or Structure, optional
         Parts of the model. "auto": cross-validation selects them (more elements, a transformer, graded elements, creep,
         smooth elements, inertia). "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
-        Default: "auto", but "maxwell_slip" if one of its own options is given (elements, breakaway, knots, another
-        method).
+        Default: "auto", but "maxwell_slip" if one of its own options is given (elements, breakaway, knots).
     goal : float, optional
         Largest error [% of the stroke] with which the model is ready for use: see `Expectation`.
     throw : bool, optional
@@ -110,8 +101,8 @@ def identify(
         squares if the program in another norm is not solved yet, and `Fit.remarks` names it; this takes some more time.
         Another thread or a signal handler can end a `Deadline`.
     first_model : callable, optional
-        Called once with a Maxwell-slip actuator, as soon as delay and sensor data are known; "record" only. It is a
-        least-squares fit of few samples and was not checked: its `identification` is `provisional`.
+        Called once with a Maxwell-slip actuator, as soon as delay and sensor data are known. It is a least-squares fit
+        of few samples and was not checked: its `identification` is `provisional`.
 
     Returns
     -------
@@ -125,7 +116,6 @@ def identify(
         If an option is impossible, or no sample contains information on the elements.
     """
     settings = Settings(
-        method,
         elements,
         breakaway,  # type: ignore[arg-type]
         norm,
@@ -135,7 +125,6 @@ def identify(
         sensor_lag,
         shared_datum,
         drift,
-        branch,
     )
     _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
@@ -143,7 +132,7 @@ def identify(
     training, held_out = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
-    own = settings.of_maxwell_slip if structure == "auto" and method == "record" else []
+    own = settings.of_maxwell_slip if structure == "auto" else []
     structure = _checked_structure(structure, settings)
     _refuse_copies([*training, *held_out])
     (effect, left_out), measured = temperature_effect(training), training
@@ -170,7 +159,7 @@ def identify(
             run = min(run, run_of(ringing=True), key=IdentificationRun.maxwell_slip_error)
         if own:
             run.remarks.append(messages.NOT_SEARCHED.format(options=" and ".join(own)))
-        fit = _identify_structure(run, structure) if method == "record" else _identify_at_breakpoints(run)
+        fit = _identify_structure(run, structure)
     if fit.outcome is Outcome.FAILED and throw:
         raise IdentifyError(f"{fit.outcome.value} {fit.status}. Try another norm or fewer elements")
     if effect is not None and isinstance(fit.actuator, Actuator):
@@ -215,16 +204,13 @@ def _checked_structure(
 ) -> Structure | Literal["auto", "maxwell_slip"]:
     """Return the structure, with options of Maxwell-slip only "maxwell_slip" for "auto"; reject options in conflict."""
     own = settings.of_maxwell_slip
-    implying = [*own, *(["method"] if settings.method != "record" else [])]
-    if structure == "maxwell_slip" or (structure == "auto" and implying):
+    if structure == "auto" and own:
         structure = "maxwell_slip"
-    elif structure != "auto" and not isinstance(structure, Structure):
+    elif structure not in ("auto", "maxwell_slip") and not isinstance(structure, Structure):
         raise IdentifyError(
             argument="structure", got=repr(structure), need="'auto', 'maxwell_slip' or a dehyst.Structure"
         )
-    elif settings.method != "record":
-        raise IdentifyError(f"structure: method {settings.method!r} fits 'maxwell_slip' only; leave one out")
-    elif own:
+    elif own and structure != "maxwell_slip":
         raise IdentifyError("structure: it has elements and knots of its own; leave elements, breakaway and knots out")
     return structure
 
@@ -422,21 +408,3 @@ def _unsupported(
         "the prediction of time that was not trained on (plain elements stood in for the rest of the structure)",
     )
     return judged[0] if judged else unsupported(frame, still, Structure(creep=structure.creep), run.report)
-
-
-def _identify_at_breakpoints(run: IdentificationRun) -> Fit:
-    """Identify by the paper's own method, or by Remark 2's closed form."""
-    settings = run.settings
-    run.report("reading break points")
-    records = [item.record.delayed(run.delay) if run.delay else item.record for item in run.training]
-    loops = paper_methods.loops_of(records, settings.count)
-    if settings.method == "antisymmetric":
-        found = paper_methods.closed_form(loops, settings.count, settings.branch)
-    else:
-        found = paper_methods.linear_program(loops, settings.count, settings.slope_floor)
-    if found.actuator is None:
-        return run.failed(found.status)
-    run.remarks.extend(found.remarks)
-    actuator = replace(found.actuator, delay=run.delay, **run.recorded())
-    regression = run.with_drifts(run.regression(actuator.slip.breakaway, run.data(run.delay)))
-    return run.finish(actuator, regression, found.outcome, found.status, found.gap)

@@ -237,8 +237,7 @@ class IdentificationRun:
         """Return voltages, slew rate and identification of the used records as arguments of `Actuator`."""
         settings = self.settings
         known = Identification(
-            method=settings.method,
-            norm=settings.norm_used,
+            norm=settings.norm,
             slope_floor=settings.slope_floor,
             shared_datum=settings.shared_datum,
             drift=settings.drift,
@@ -278,7 +277,6 @@ class IdentificationRun:
         drifts = self.settings.drift and actuator.creep is None
         for q, item in enumerate(records):
             trained = q < len(self.training)
-            # The paper's methods put every record on one axis; a held-out record's datum is looked for.
             datum = float(regression.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
             drifting = q in regression.drifting if trained and self.creep is None else drifts and item.can_drift
             compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
@@ -335,9 +333,7 @@ class IdentificationRun:
         records = (*self.training, *self.held_out)
         errors, traces = self.simulated(actuator, regression, records)
         trained = errors[: len(self.training)]
-        imposed = outcome is Outcome.ASSUMPTION_I_IMPOSED
-        floor = regression.floor if self.settings.method == "record" or imposed else None
-        checked = model_checks(actuator, records, traces, errors, floor=floor, imposed=imposed)
+        checked = model_checks(actuator, records, traces, errors, floor=regression.floor)
         useless = 0.01 * RULES.useless * self.stroke
         if max(error.settled_largest for error in errors) > useless:
             outcome = Outcome.VALIDATION_MISSED

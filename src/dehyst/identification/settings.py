@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -152,18 +152,8 @@ class Deadline:
         return [f"{self._cause} ended {cut}: the model is the best so far, {best}."]
 
 
-Method = Literal["record", "breakpoints", "antisymmetric"]
-Direction = Literal["descending", "ascending"]
-METHODS: tuple[Method, ...] = ("record", "breakpoints", "antisymmetric")
-# The methods that use an option; the others refuse it.
-USERS: dict[str, tuple[Method, ...]] = {
-    "norm": ("record",),
-    "knots": ("record",),
-    "slope_floor": ("record", "breakpoints"),
-    "branch": ("antisymmetric",),
-}
-# Default numbers of elements: the paper's for its methods; with every sample in the fit twice as many.
-_ELEMENTS = {"record": 20, "breakpoints": 10, "antisymmetric": 10}
+# Default number of elements: twice the paper's, because every sample is in the fit.
+_ELEMENTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +163,6 @@ class Settings:
     Raise `IdentifyError` if an option is impossible, or two exclude each other.
     """
 
-    method: Method = "record"
     elements: int | None = None
     breakaway: Array | None = None
     norm: Norm = "l1"
@@ -183,14 +172,9 @@ class Settings:
     sensor_lag: float | None = None
     shared_datum: bool = False
     drift: bool = True
-    branch: Direction = "descending"
 
     def __post_init__(self) -> None:
-        _validation.choice(self.method, "method", METHODS)
         _validation.choice(self.norm, "norm", NORMS)
-        _validation.demand(
-            self.branch in ("descending", "ascending"), "branch", self.branch, "'descending' or 'ascending'"
-        )
         if self.elements is not None:
             _validation.count(self.elements, "elements")
         if self.knots is not None:
@@ -200,26 +184,14 @@ class Settings:
             _validation.seconds(self.delay, "delay")
         if self.sensor_lag is not None:
             _validation.seconds(self.sensor_lag, "sensor_lag")
-        for name, methods in USERS.items():
-            if self.method not in methods and getattr(self, name) != getattr(Settings, name):
-                raise IdentifyError(
-                    f"has no effect with the method {self.method!r}", argument=name, hint="leave it out"
-                )
         if self.breakaway is None:
             return
         rho = _validation.vector(self.breakaway, "breakaway", error=IdentifyError)
         if self.elements is not None:
             raise IdentifyError("got both elements and breakaway, need only one of them")
-        if self.method != "record":
-            raise IdentifyError(f"breakaway: method {self.method!r} needs the uniform grid; give elements instead")
         if not 1 <= rho.size <= 500 or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
             raise IdentifyError("breakaway: need 1 to 500 positive, strictly increasing elongations in metres")
         object.__setattr__(self, "breakaway", rho)
-
-    @property
-    def norm_used(self) -> str:
-        """The norm that is minimised; empty for a closed form."""
-        return "" if self.method == "antisymmetric" else self.norm
 
     @property
     def of_maxwell_slip(self) -> list[str]:
@@ -231,13 +203,12 @@ class Settings:
         """Number of elements N."""
         if self.breakaway is not None:
             return self.breakaway.size
-        return self.elements or _ELEMENTS[self.method]
+        return self.elements or _ELEMENTS
 
     def as_dict(self) -> dict[str, Any]:
         """Return the options that affect the result as JSON values."""
         return {
-            "method": self.method,
-            "norm": self.norm_used,
+            "norm": self.norm,
             "elements": self.count,
             "slope_floor": self.slope_floor,
             "shared_datum": self.shared_datum,

@@ -30,14 +30,6 @@ class Outcome(Enum):
         "Identified, but the spring's slope lies on its floor in places: the records do not determine it there, or "
         "the structure does not fit."
     )
-    ASSUMPTION_I_IMPOSED = (
-        "Identified, but only with Assumption I imposed: otherwise the spring's voltage would fall somewhere, and one "
-        "voltage would have several displacements."
-    )
-    STIFFNESS_CLIPPED = (
-        "Identified, but the closed form gave negative stiffnesses, which were set to zero: the loop is not "
-        "that of Maxwell-slip elements with a linear spring."
-    )
     INACCURATE = "Identified, but the model misses the records by more than 5 % of the stroke: do not use it."
     VALIDATION_MISSED = (
         "Identified, but the model misses a held-out record by more than 5 % of the stroke: do not use it for motions "
@@ -100,7 +92,7 @@ class Identification:
 
     Attributes
     ----------
-    method, norm : str
+    norm : str
         As in `dehyst.identify`; empty if not known.
     slope_floor : float
         Least allowed slope of the spring, as a part of the mean slope of the widest loop.
@@ -135,7 +127,6 @@ class Identification:
         If a value has another type, or a number is negative or not finite.
     """
 
-    method: str = _entry("", _text)
     norm: str = _entry("", _text)
     slope_floor: float = _entry(0.2, _size)
     shared_datum: bool = _entry(False, _flag)

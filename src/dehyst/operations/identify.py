@@ -16,7 +16,7 @@ from dehyst.identification import Deadline, Fit, StageFit, identify_stage
 from dehyst.identification import identify as identify_one
 from dehyst.identification.coupling.cross_talk import followed
 from dehyst.identification.results import write_traces
-from dehyst.identification.settings import METHODS, USERS, Direction, Settings
+from dehyst.identification.settings import Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, Values, operation
@@ -28,12 +28,7 @@ from dehyst.report import write_report, write_stage_report
 from dehyst.trust import insight
 
 _VOLTS = ("V", "mV", "kV")
-_SLIP = ("elements", "knots", "method")
-
-
-def _used(name: str) -> Only:
-    methods = USERS[name]
-    return Only(lambda given: given.get("method", METHODS[0]) in methods, f"without method {' or '.join(methods)}")
+_SLIP = ("elements", "knots")
 
 
 def _several(given: Values) -> bool:
@@ -45,12 +40,11 @@ def _several(given: Values) -> bool:
     take=(
         "goal",
         "sensor_lag",
-        "method",
         "elements",
         "delay",
         "drift",
     ),
-    rare=("method", "norm", "elements", "knots", "slope_floor", "branch", "delay", "drift", "shared_datum"),
+    rare=("norm", "elements", "knots", "slope_floor", "delay", "drift", "shared_datum"),
     details=True,
 )
 def identify(
@@ -65,16 +59,15 @@ def identify(
         Literal["auto", "maxwell_slip"],
         Only(
             lambda given: given["structure"] != "auto" or not any(name in given for name in _SLIP),
-            "with elements, knots or method, which imply maxwell_slip",
+            "with elements or knots, which imply maxwell_slip",
         ),
     ] = "auto",
     zero: Zero | None = None,
     time_limit: float | None = None,
     shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
-    norm: Annotated[Norm, _used("norm")] = Settings.norm,
-    knots: Annotated[int | None, _used("knots")] = None,
-    slope_floor: Annotated[float, _used("slope_floor")] = Settings.slope_floor,
-    branch: Annotated[Direction, _used("branch")] = Settings.branch,
+    norm: Norm = Settings.norm,
+    knots: int | None = None,
+    slope_floor: float = Settings.slope_floor,
     columns: Columns = AS_FOUND,
     **settings: Any,
 ) -> Result:
@@ -113,7 +106,6 @@ def identify(
         "norm": norm,
         "knots": knots,
         "slope_floor": slope_floor,
-        "branch": branch,
         "validate": held_out,
         "progress": run.progress,
     }

@@ -1,5 +1,6 @@
-"""The paper's experiment on a virtual actuator."""
+"""What the paper defines: its identification, and its experiment on a virtual actuator."""
 
+from dehyst.paper.methods import PaperFit, identify, identify_antisymmetric, initial_displacements
 from dehyst.paper.run import Paper
 
-__all__ = ["Paper"]
+__all__ = ["Paper", "PaperFit", "identify", "identify_antisymmetric", "initial_displacements"]

@@ -8,11 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dehyst import identification
 from dehyst._types import Array, Progress
 from dehyst.baselines import GoldfarbCelanovic
 from dehyst.control import Compensator
-from dehyst.identification import BreakPointLoop, Method, Norm, identify, loops_of
+from dehyst.identification import Norm
 from dehyst.model import Actuator, State
+from dehyst.paper.methods import BreakPointLoop, identify, loops_of
 from dehyst.records import Record, largest, percent
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
@@ -171,14 +173,15 @@ class PaperTracking:
 
 @dataclass(frozen=True)
 class PaperPlan:
-    """One identification to try: method, number of elements, norm and records.
+    """One identification to try: number of elements, norm and records.
 
-    `tops`: whether descending tops are in the training, in addition to the major and the small loop. `noiseless`:
+    `whole`: whether by the whole record, or by the paper's method. `tops`: whether descending tops are in the training,
+    in addition to the major and the small loop. `noiseless`:
     whether the sensor is perfect.
     """
 
     key: str
-    method: Method = "record"
+    whole: bool = True
     elements: int = ELEMENTS
     norm: Norm = "l1"
     tops: bool = False
@@ -186,8 +189,8 @@ class PaperPlan:
 
 
 PLANS = (
-    PaperPlan("breakpoints", "breakpoints"),
-    PaperPlan("breakpoints_40", "breakpoints", elements=40),
+    PaperPlan("breakpoints", whole=False),
+    PaperPlan("breakpoints_40", whole=False, elements=40),
     PaperPlan("record_10"),
     PaperPlan("record_20", elements=20),
     PaperPlan("record", elements=40),
@@ -268,7 +271,7 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
         baseline = GoldfarbCelanovic.fit(runs[start].record, elements=ELEMENTS)
         trials[key] = _trial(truth, runs[start], baseline.actuator, "CLOSED_FORM", baseline.remarks)
     relaxed = runs[RELAXED]
-    break_points = tuple(loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS))
+    break_points = loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS)
     return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None), ClosedLoop.of(truth))
 
 
@@ -296,11 +299,13 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
         tops = runs["tops"]
         moved = tops.record.displacement + tops.zero - relaxed.zero
         records.append(replace(tops.record, displacement=moved, name="tops"))
-    fit = identify(
+    if not plan.whole:
+        found = identify(records, elements=plan.elements)
+        return _trial(truth, relaxed, found.actuator, found.outcome, ())
+    fit = identification.identify(
         records,
         validate=seen.cut("medium"),
         progress=lambda words: progress(f"{step}: {words}"),
-        method=plan.method,
         elements=plan.elements,
         norm=plan.norm,
         # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.

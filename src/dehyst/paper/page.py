@@ -101,7 +101,7 @@ def _limits(experiments: Mapping[str, Experiment]) -> str:
     for title, found in experiments.items():
         rows: list[Row] = []
         for row in tables.limits(found):
-            method = "The paper's method" if row["method"] == "breakpoints" else "Whole record"
+            method = "The paper's method" if not row["whole"] else "Whole record"
             given = "descending tops added" if row["descending_tops"] else ""
             given = "perfect sensor" if row["perfect_sensor"] else given
             errors = (_value(row[key], "%") for key in (*PEAKS, "tracking"))

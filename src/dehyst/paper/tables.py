@@ -95,7 +95,7 @@ def limits(found: Experiment) -> list[dict[str, Any]]:
     rows = []
     for plan in PLANS:
         trial = found.trials[plan.key]
-        plan_values = json_values(plan, "key method elements norm descending_tops=tops perfect_sensor=noiseless")
+        plan_values = json_values(plan, "key whole elements norm descending_tops=tops perfect_sensor=noiseless")
         errors = {loop: trial.errors[loop].true for loop in PEAKS} | {"tracking": trial.tracking.largest}
         rows.append({**plan_values, **errors, "outcome": trial.outcome})
     return rows

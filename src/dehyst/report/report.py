@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 NONE: Mapping[str, TrackedPath] = {}
 _LABELS = {
     "program": "Program",
-    "method": "Method",
     "norm": "Norm",
     "elements": "Slip elements requested",
     "slope_floor": "Floor of the slope (part of the mean)",

@@ -31,7 +31,6 @@ def model_checks(
     errors: Sequence[RecordErrors],
     *,
     floor: float | None = None,
-    imposed: bool = False,
 ) -> tuple[Check, ...]:
     """Test the assumptions of a model.
 
@@ -40,8 +39,7 @@ def model_checks(
     between rising and falling branches, between the ends of the stroke, or between early and late.
 
     `actuator`: as identified. `records`: training records, then held-out ones. `traces`, `errors`: as in `Fit`, one for
-    each record. `floor`: least allowed slope of the spring [V/m], for Maxwell-slip only. `imposed`: whether the spring
-    would fall somewhere without the floor, for Maxwell-slip only.
+    each record. `floor`: least allowed slope of the spring [V/m], for Maxwell-slip only.
 
     Returns
     -------
@@ -60,7 +58,7 @@ def model_checks(
         )
     training = [(item, error) for item, error in zip(records, errors, strict=True) if error.role == "training"]
     return (
-        _assumption_1(actuator.spring, floor, imposed),
+        _assumption_1(actuator.spring, floor),
         _assumption_2(slip, [item for item, _ in training]),
         *_symmetry(_widest(training, actuator.delay)),
         _closure([item for item, _ in training], actuator.delay, stroke),
@@ -83,7 +81,7 @@ def _calm(value: float) -> str:
     return "which does not matter" if value <= RULES.smallest_pattern else "which scatter explains"
 
 
-def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
+def _assumption_1(spring: Spring, floor: float | None) -> Check:
     slopes, knots = spring.slopes * 1e-6, spring.displacement * 1e6
     least = int(np.argmin(slopes))
     mean = float(np.ptp(spring.voltage) / np.ptp(spring.displacement)) * 1e-6
@@ -92,13 +90,7 @@ def _assumption_1(spring: Spring, floor: float | None, imposed: bool) -> Check:
         f"{knots[least]:.4g} to {knots[least + 1]:.4g} um."
     )
     verdict = Verdict.HOLDS
-    if imposed:
-        verdict = Verdict.FAILS
-        sentence += (
-            " The fit imposed this floor: otherwise the spring's voltage would fall, and one voltage would have "
-            "several displacements."
-        )
-    elif floor is not None and spring.slopes[least] <= floor * (1 + 1e-6):
+    if floor is not None and spring.slopes[least] <= floor * (1 + 1e-6):
         verdict, sentence = Verdict.UNKNOWN, sentence + _HELD_UP
     sentence += (
         f" Below {knots[0]:.4g} um and above {knots[-1]:.4g} um the spring continues at its end slopes, without "

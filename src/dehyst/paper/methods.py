@@ -1,0 +1,243 @@
+"""The paper's identification: break points of averaged loops, a linear program (Sec. 4.1), and Remark 2's closed form.
+
+Of the displacements y and voltages v of break points, with kappa_i = k_i / (T c), rho_i = c r_i and c = keq / km:
+
+    v = sum_i kappa_i s_i + eta(y) + constant of the loop,   s_i = -+rho_i +- min(motion, 2 rho_i)
+
+s_i are the elongations on a branch on which every element that slides starts from its breakaway elongation; an element
+that is too long for a minor loop is a spring with an unknown constant force (Remark 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from dehyst import _validation
+from dehyst._errors import IdentifyError
+from dehyst._types import Array
+from dehyst.identification import Branch, families, voltage_at
+from dehyst.model import Actuator, MaxwellSlip, Spring, parts_in_segments
+from dehyst.records import Record
+
+# Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself.
+_RISES = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class BreakPointLoop:
+    """A closed loop between two turning points, its cycles averaged.
+
+    `bottom`, `top`: turning points [m]. `descending`, `ascending` (m, 2): break points (displacement [m], voltage [V])
+    of the branch, its two ends among them, in the order of motion.
+    """
+
+    bottom: float
+    top: float
+    descending: Array
+    ascending: Array
+
+    @property
+    def range(self) -> float:
+        """Width of the loop [m]."""
+        return self.top - self.bottom
+
+
+@dataclass(frozen=True, eq=False)
+class PaperFit:
+    """The result of one of the paper's methods.
+
+    Attributes
+    ----------
+    actuator : Actuator
+    outcome : str
+        "IDENTIFIED", "UNDETERMINED" by a single loop, "ASSUMPTION_I_IMPOSED", or "STIFFNESS_CLIPPED" at 0.
+    loops : tuple of BreakPointLoop
+        The widest first.
+    error : float
+        Sum of absolute errors at the break points [V].
+    """
+
+    actuator: Actuator
+    outcome: str
+    loops: tuple[BreakPointLoop, ...]
+    error: float
+
+
+def loops_of(records: Record | Sequence[Record], elements: int) -> tuple[BreakPointLoop, ...]:
+    """Find the closed loops of records, the widest first, with their break points for N = `elements`.
+
+    Raise `IdentifyError` if no record holds a closed loop.
+    """
+    given = [records] if isinstance(records, Record) else records
+    groups = [family for record in given for family in families(record)]
+    if not groups:
+        raise IdentifyError(
+            "no closed loop found: the voltage must go up, down and up again between the same two turning points",
+            hint="record two cycles, or use dehyst.identify",
+        )
+    step = max(one.range for one in groups) / _validation.count(elements, "elements", least=2)
+    loops = [
+        BreakPointLoop(
+            one.bottom,
+            one.top,
+            _break_points(one.descending, one.top, one.bottom, step),
+            _break_points(one.ascending, one.bottom, one.top, step),
+        )
+        for one in groups
+    ]
+    return tuple(sorted(loops, key=lambda loop: -loop.range))
+
+
+def _break_points(branches: list[Branch], start: float, end: float, step: float) -> Array:
+    """Return mean voltages after motions of 0, step, 2 step, ... and at the end."""
+    count = int(np.floor(abs(end - start) / step * (1 + 1e-9)))
+    moved = np.minimum(np.arange(count + 1) * step, abs(end - start))
+    if moved[-1] < abs(end - start) * (1 - 1e-6):
+        moved = np.append(moved, abs(end - start))
+    places = start + np.sign(end - start) * moved
+    places[-1] = end
+    return np.column_stack([places, np.mean([voltage_at(branch, places) for branch in branches], axis=0)])
+
+
+def identify(records: Record | Sequence[Record], *, elements: int = 10, slope_floor: float = 0.2) -> PaperFit:
+    """Identify by the linear program of Sec. 4.1: least absolute errors at the break points of all loops.
+
+    The turning points of the major loop are met exactly (Eq. 4 and closure). If the spring falls somewhere, the program
+    is solved again with Assumption I imposed. Where loops leave combinations of stiffnesses open, the program has many
+    optima, and returns one of them.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        With closed loops; the sensor keeps its zero in all.
+    elements : int, optional
+        N.
+    slope_floor : float, optional
+        Least slope of the spring, where it is imposed, as a part of the mean slope of the major loop.
+
+    Raises
+    ------
+    IdentifyError
+        If there is no closed loop, or the program has no optimum.
+    """
+    loops = loops_of(records, elements)
+    major = loops[0]
+    mean_slope = (major.ascending[-1, 1] - major.ascending[0, 1]) / major.range
+    rho, knots = _grid(major, elements), np.linspace(major.bottom, major.top, elements + 1)
+    outcome = "UNDETERMINED" if len(loops) == 1 else "IDENTIFIED"
+    x, error = _least_absolute(loops, rho, knots, -np.inf)
+    if np.any(x[elements : 2 * elements] < _RISES * mean_slope):
+        outcome = "ASSUMPTION_I_IMPOSED"
+        x, error = _least_absolute(loops, rho, knots, _validation.fraction(slope_floor, "slope_floor") * mean_slope)
+    spring = Spring.of_slopes(knots, x[elements : 2 * elements], float(x[2 * elements]))
+    return PaperFit(_actuator(major, rho, np.maximum(x[:elements], 0.0), spring), outcome, loops, error)
+
+
+def _grid(major: BreakPointLoop, elements: int) -> Array:
+    """Return the breakaway elongations whose break points are equally spaced (N,) [m]."""
+    return np.asarray(major.range / (2 * elements) * np.arange(1, elements + 1), dtype=np.float64)
+
+
+def _actuator(major: BreakPointLoop, rho: Array, kappa: Array, spring: Spring) -> Actuator:
+    volts = np.concatenate([major.descending[:, 1], major.ascending[:, 1]])
+    return Actuator(MaxwellSlip(rho, kappa), spring, limits=(float(volts.min()), float(volts.max())))
+
+
+def _least_absolute(loops: Sequence[BreakPointLoop], rho: Array, knots: Array, floor: float) -> tuple[Array, float]:
+    """Return stiffnesses, slopes of the spring and a constant for each loop, and the sum of absolute errors [V]."""
+    from scipy.optimize import linprog
+
+    rows, target = _rows(loops, rho, knots)
+    count, elements = len(target), rho.size
+    scale, size = np.abs(rows).max(axis=0), float(np.abs(target).max())
+    scale[scale == 0] = 1.0
+    least = np.concatenate([np.zeros(elements), np.full(elements, floor), np.full(len(loops), -np.inf)]) * scale / size
+    # What an error adds and what it takes away; none at the first loop's first two ends, its turning points.
+    most = np.full(count, np.inf)
+    most[[0, len(loops[0].descending) - 1]] = 0.0
+    errors = np.column_stack([np.zeros(2 * count), np.tile(most, 2)])
+    least_of: Any = linprog
+    found = least_of(
+        np.append(np.zeros(least.size), np.ones(2 * count)),
+        A_eq=np.hstack([rows / scale, -np.eye(count), np.eye(count)]),
+        b_eq=target / size,
+        bounds=np.vstack([np.column_stack([least, np.full(least.size, np.inf)]), errors]),
+        method="highs-ds",
+        options={"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9},
+    )
+    if found.status:
+        raise IdentifyError(f"the linear program has no optimum: {found.message}", hint="use fewer elements")
+    return found.x[: least.size] / scale * size, float(found.fun) * size
+
+
+def _rows(loops: Sequence[BreakPointLoop], rho: Array, knots: Array) -> tuple[Array, Array]:
+    """Return a row for each break point: elongations, parts of the spring's segments, a constant for each loop."""
+    rows, target = [], []
+    for number, loop in enumerate(loops):
+        slides = 2 * rho <= loop.range * (1 + 1e-9)
+        for branch, sign in ((loop.descending, -1.0), (loop.ascending, 1.0)):
+            y, v = branch[:, 0], branch[:, 1]
+            moved = np.abs(y - y[0])[:, None]
+            elongation = np.where(
+                slides, sign * (np.minimum(moved, 2 * rho) - rho), (y - 0.5 * (loop.bottom + loop.top))[:, None]
+            )
+            constants = np.zeros((y.size, len(loops)))
+            constants[:, number] = 1.0
+            rows.append(np.hstack([elongation, parts_in_segments(knots, y), constants]))
+            target.append(v)
+    return np.vstack(rows), np.concatenate(target)
+
+
+def identify_antisymmetric(
+    records: Record | Sequence[Record],
+    *,
+    elements: int = 10,
+    branch: Literal["descending", "ascending"] = "descending",
+) -> PaperFit:
+    """Identify by Remark 2: k_i from second differences of the break voltages of one branch, without g.
+
+    k_N acts as part of the spring and is set to zero; so are negative stiffnesses.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        Their widest loop is used.
+    elements : int, optional
+        N.
+    branch : {"descending", "ascending"}, optional
+
+    Raises
+    ------
+    IdentifyError
+        If there is no closed loop.
+    """
+    _validation.choice(branch, "branch", ("descending", "ascending"))
+    loops = loops_of(records, elements)
+    points, sign = getattr(loops[0], branch), 1.0 if branch == "descending" else -1.0
+    v, step = points[: elements + 1, 1], loops[0].range / elements
+    kappa = np.append(sign * (v[:-2] + v[2:] - 2 * v[1:-1]) / step, 0.0)
+    outcome = "STIFFNESS_CLIPPED" if kappa.min() < 0 else "IDENTIFIED"
+    kappa, rho = np.maximum(kappa, 0.0), _grid(loops[0], elements)
+    # Eq. 4, or its mirror image where the ascending branch starts.
+    slope = abs(v[-1] - v[-2]) / step
+    ends = v[0] - sign * np.array([0.0, slope * loops[0].range]) - sign * float(kappa @ rho)
+    order = slice(None, None, -1) if branch == "descending" else slice(None)
+    spring = Spring(points[[0, -1], 0][order], ends[order])
+    rows, target = _rows(loops[:1], rho, spring.displacement)
+    error = float(np.abs(rows @ np.concatenate([kappa, [slope, spring.voltage[0]]]) - target).sum())
+    return PaperFit(_actuator(loops[0], rho, kappa, spring), outcome, loops, error)
+
+
+def initial_displacements(actuator: Actuator) -> tuple[float, float]:
+    """Return the least and the largest displacement [m] in which an actuator can rest at 0 V (A.1).
+
+    ``sum_i kappa_i s_i + eta(y) = 0`` with all elongations within their breakaway ones is a polytope; at its ends every
+    element holds its breakaway force.
+    """
+    held = float(actuator.slip.stiffness @ actuator.slip.breakaway)
+    low, high = (actuator.relaxed(volts, extrapolate=True).displacement for volts in (-held, held))
+    return low, high
