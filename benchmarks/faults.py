@@ -65,6 +65,11 @@ def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = F
     return found
 
 
+def stopped_with(fault: str) -> Callable[[Path], Outcome]:
+    """Return a rehearsal of Ctrl-C in mid-wave with a fault from its first samples on."""
+    return lambda folder: against(folder, (*_SLOW, "--fault", f"{fault}@20"), act=sent(INTERRUPT))
+
+
 def nobody(address: str, folder: Path) -> Outcome:
     return calibrate(address, folder / "out", *_OPTIONS)
 
@@ -140,6 +145,15 @@ CASES = (
             "WGO 1 1",
             act=sent(INTERRUPT),
         ),
+    ),
+    *(
+        Case(name, f"The voltage that is read {words}, and then Ctrl-C", stopped_with(name))
+        for name, words in (
+            ("zero", "is 0 V"),
+            ("shift", "is 50 V too high"),
+            ("invert", "has the wrong sign"),
+            ("blank", "is no number"),
+        )
     ),
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),

@@ -138,6 +138,8 @@ def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
     rng = random.Random(seed)
     controller = FakeController(limits=DEVICE)
     rig = QuickRig(PipeLink(controller), limits=ALLOWED, patience=0.02, slew_rate=2000.0)
+    # Its time goes on while it is waited for.
+    rig._device_speed = 1e3
     rig.set_voltage(30.0)
     pipe, left = rig._client._link._socket, rng.randint(1, 60)
     receive, send = pipe.recv, pipe.sendall
@@ -273,6 +275,7 @@ def test_a_real_ctrl_c_over_a_socket():
     wave = Excitation("long", 30 - 30 * np.cos(np.linspace(0, 60, 40000)), 1000.0)
     lots = []
     with server, open_rig(f"pi://127.0.0.1:{server.port}", limits=ALLOWED) as rig:
+        rig._device_speed = 4.0
         timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
 
         def keep(lot):

@@ -299,6 +299,8 @@ def test_a_devices_own_exceptions_become_ours():
     device.controller.told["SVA"] = lambda _: (_ for _ in ()).throw(RefusedError)
     with pytest.raises(DeviceError, match="error 17: a parameter"):
         rig.set_voltage(5.0)
+    # It was closed, as it took no voltage.
+    rig = QuickRig.of_device(device)
     device.controller.told["VOL?"] = None
     with pytest.raises(LinkError, match="TimeoutError:"):
         rig.read()

@@ -49,4 +49,5 @@ def by_channel_access(longest=65536, **options):
         )
     instrument = RemoteInstrument(_IOCS[longest])
     with EpicsRig.connect(_IOCS[longest].prefix, **options) as rig:
+        rig._device_speed = 2.0
         yield rig, instrument

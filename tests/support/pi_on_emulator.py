@@ -57,4 +57,5 @@ def by_tcp(longest=65536, **options):
         Server(Controller(instrument), port=0) as server,
         PiRig.connect("127.0.0.1", server.port, **options) as rig,
     ):
+        rig._device_speed = 2.0
         yield rig, Locked(instrument, server.lock)

@@ -6,14 +6,14 @@ import math
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from types import TracebackType
-from typing import Any, Self, TypeAlias, TypeVar, final
+from typing import Any, NamedTuple, Self, TypeAlias, TypeVar, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
 from dehyst._types import Array
@@ -27,7 +27,6 @@ from dehyst.instruments.samples import (
     Reading,
     Samples,
     SensorWatch,
-    astray,
     columns_of,
     driver_errors,
     inspected,
@@ -48,8 +47,10 @@ _LEAST_WATCHED = 0.25
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
-# Ticks in which the readback must come near the end of a ramp.
+# Ticks in which the readback must come near what was sent.
 _SETTLING = 100
+# Time [s] that a wave may take without a sample, beside twice its own.
+_PATIENCE = 5.0
 # Seconds between two batches of samples that the host times.
 _BATCH_SECONDS = 0.2
 # Seconds for the whole range, if neither device nor user gives a slew rate.
@@ -68,6 +69,10 @@ _SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
 BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand"
 
 
+class ReadbackError(DeviceError):
+    """A voltage that is read, and contradicts the one that was sent."""
+
+
 class VoltageNote(str):
     """A note on an error that says where the voltage was left; `safe`: whether this is the safe voltage."""
 
@@ -78,6 +83,26 @@ class VoltageNote(str):
         note = super().__new__(cls, text)
         note.safe = safe
         return note
+
+
+class _Output(NamedTuple):
+    """Voltages (n,) [V] that a device puts out: the first at a time `since` [s], the others after it at a `rate` [Hz].
+
+    It may be ahead: at a `pace` [Hz] from an `earliest` time [s] on.
+    """
+
+    voltage: Array
+    rate: float = 0.0
+    since: float = 0.0
+    pace: float = 0.0
+    earliest: float = 0.0
+
+    def now(self) -> tuple[float, float, float]:
+        """Return the present voltage [V] by this, and the lowest and the highest that it may be."""
+        now, last = time.monotonic(), self.voltage.size - 1
+        likely = min(int((now - self.since) * self.rate), last)
+        possible = self.voltage[: min(int((now - self.earliest) * self.pace), last) + 1]
+        return float(self.voltage[likely]), float(possible.min()), float(possible.max())
 
 
 class AbstractRig(ABC):
@@ -146,8 +171,10 @@ class AbstractRig(ABC):
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
-        # The voltage [V] known last and those that the device plays after it, their rate [Hz], and when that was [s].
-        self._known_output: tuple[Array, float, float] | None = None
+        # The voltage [V] known last and those that the device plays after it.
+        self._known_output: _Output | None = None
+        self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
+        self._unread = False  # whether the voltage could not be read at the end of the last retreat
         self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -201,8 +228,10 @@ class AbstractRig(ABC):
     def set_voltage(self, voltage: float) -> float:
         """Ramp to a `voltage` [V] within the slew rate, or the range per second if slower; return the voltage sent.
 
-        A voltage outside the limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite
-        number: nothing was sent; `RigError` if the device fails: a retreat was attempted.
+        The ramp begins at the voltage that was sent last, or at the one that is read if none was. A voltage outside the
+        limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite number: nothing was sent;
+        `RigError` if the device fails, or its reading differs from what was sent by over 5 % of the range: a retreat
+        was attempted.
         """
         self._refuse_closed()
         try:
@@ -253,7 +282,7 @@ class AbstractRig(ABC):
             )
             for one, column, span in zip(self.rigs, columns_of(excitation.voltage), spans.tolist(), strict=True)
         ]
-        pace = PaceWatch(self.name, rate, self.rows(len(excitation)))
+        watch = PaceWatch(self.name, rate, self.rows(len(excitation)))
         batches: list[Samples] = []
         with self.safely():
             starts = np.ravel(excitation.voltage[0]).tolist()
@@ -262,8 +291,14 @@ class AbstractRig(ABC):
                 count, after = 0, float(batches[-1].time[-1]) if batches else -math.inf
                 self._host_paced = False
                 wave = partial(self._wave, piece, rate)
+                patience, latest = _PATIENCE + 2 * len(piece) / rate, time.monotonic()
+                for one, column in zip(self.rigs, columns_of(piece), strict=True):
+                    # Until a sample comes, it is not known when the wave begins.
+                    one._known_output = _Output(column, 0.0, latest, self._device_speed * rate, latest)
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
-                with closing(inspected(self.name, wave, piece, spans=spans, after=after, axes=axes)) as arriving:
+                with closing(
+                    inspected(self.name, wave, piece, spans=spans, after=after, axes=axes, patience=patience)
+                ) as arriving:
                     for samples in arriving:
                         if set(samples.others) != set(self.others):
                             found = ", ".join(samples.others) or "none"
@@ -273,14 +308,19 @@ class AbstractRig(ABC):
                             )
                         batches.append(samples)
                         count += samples.time.size
-                        known = np.concatenate([samples.voltage[-1:], piece[count:]])
-                        for one, column in zip(self.rigs, columns_of(known), strict=True):
-                            one._puts_out(column, 0.0 if self._host_paced else rate)
+                        before, latest = latest, time.monotonic()
+                        played = 0.0 if self._host_paced else rate
+                        # A batch may have been recorded just after the one before came; a virtual device has a time of
+                        # its own.
+                        frequency = samples.time.size / max(latest - before, 1e-9)
+                        pace = max(self._device_speed * rate, frequency) if played else 0.0
+                        for one, column in zip(self.rigs, columns_of(piece[count - 1 :]), strict=True):
+                            one._known_output = _Output(column, played, latest, pace, before)
                         listen(samples)
                         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
                             sensor.observe(voltage, displacement)
-                        pace.observe(samples.time)
+                        watch.observe(samples.time)
         times, voltages, displacements = (np.concatenate([one[k] for one in batches]) for k in range(3))
         others = {column: np.concatenate([one.others[column] for one in batches]) for column in self.others}
         meta = {"rig": self.name, "axis": self.axis}
@@ -338,12 +378,12 @@ class AbstractRig(ABC):
     def retreat(self) -> Any:
         """Stop the wave and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is reached.
 
-        Several axes ramp simultaneously, and their voltages (axes,) are returned; if one axis fails, the others still
-        ramp. Raise `RigError` if the device fails.
+        The ramp begins at what was sent, whatever is read, and its last voltage is sent in any case. Several axes ramp
+        simultaneously, and their voltages (axes,) are returned; if one axis fails, the others still ramp. Raise
+        `RigError` if the device fails, or the safe voltage was sent and a reading contradicts what was sent.
         """
         self._refuse_closed()
         errors: list[Exception] = []
-        mistakes: list[Exception] = []
         ramps = []
         with shielded(defer=True):
             for one in self.rigs:
@@ -356,13 +396,14 @@ class AbstractRig(ABC):
                             foreseen = True
                             raise
                 except Exception as error:  # the other axes go on
-                    (errors if foreseen else mistakes).append(error)
+                    errors.append(error)
+                    if not foreseen:
+                        errors[-1] = DeviceError(f"{error}; the voltage was ramped there, but a wave may go on")
+                        errors[-1].__cause__ = error
                 # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
                 if not foreseen:
-                    ramps.append(one._ramping(one.safe, one._supposed()))
+                    ramps.append(one._ramping(one.safe, retreating=True))
             self._ramp(ramps, errors, retreating=True)
-            if mistakes:
-                raise DeviceError(f"{mistakes[0]}; the voltage was ramped there, but a wave may go on") from mistakes[0]
         return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
     @final
@@ -439,57 +480,93 @@ class AbstractRig(ABC):
                         raise
                     time.sleep(TICK)
         if found:
-            raise found[0]
+            # After a contradicted reading alone, the end of each ramp was sent.
+            raise next((error for error in found if not isinstance(error, ReadbackError)), found[0])
 
-    def _ramping(self, end: float, fallback: float | None = None) -> Iterator[None]:
-        """Ramp from the voltage that is read to `end`, within the slew rate and in steps of a hundredth of the range.
+    def _ramping(self, end: float, *, retreating: bool = False) -> Iterator[None]:
+        """Ramp from the known output to `end`, within the slew rate and in steps of a hundredth of the range.
 
-        Yields before each step, so that the caller waits a tick. If the voltage cannot be read, from `fallback`: a
-        retreat must not fail because a sensor did. Raise `DeviceError` if the output is read elsewhere at the end.
+        Yields before each step, so that the caller waits a tick. Raise `ReadbackError` if the reading contradicts what
+        was sent, before the ramp or after it; when `retreating`, only after it, and `end` is sent in any case.
         """
-        low, high, read = self.limits.low, self.limits.high, self._present_voltage(fallback)
-        # An error of the readback may put it slightly outside of the limits.
-        present, tolerance = self.limits.nearest(read), READBACK_TOLERANCE * (high - low)
-        if abs(read - present) > tolerance:
-            raise DeviceError(
-                f"{self.name}: stands at {read:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
-                "or widen the limits if device and actuator allow it"
-            )
+        low, high = self.limits.low, self.limits.high
         gentle = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
-        while present != end:
-            present = gentle.towards(end, present, TICK)
+        contradiction: ReadbackError | None = None
+        if self._known_output is None:
+            present = self._standing()
+        else:
+            present, lowest, highest = self._known_output.now()
+            try:
+                read = yield from self._confirmed(present, lowest, highest)
+                if lowest < highest:
+                    # A wave was stopped at one of these voltages.
+                    present = min(max(read, lowest), highest)
+            except RigError as error:
+                if not retreating:
+                    raise
+                contradiction = error if isinstance(error, ReadbackError) else None
+        unsent = retreating
+        while present != end or unsent:
+            present, unsent = gentle.towards(end, present, TICK), False
             # Before the first step too: a wave may have been stopped just now.
             yield
             with driver_errors(self.name, "_put"):
                 self._put(self.limits.nearest(present))
-            self._puts_out([present])
-        for _ in range(_SETTLING):
-            if abs((read := self._present_voltage(None if fallback is None else end)) - end) <= tolerance:
-                return
-            yield
-        raise DeviceError(f"{self.name}: {astray(read - end)}")
-
-    def _puts_out(self, voltage: ArrayLike, rate: float = 0.0) -> None:
-        """Remember that the first `voltage` (n,) [V] is put out now, and the device plays the others at `rate` [Hz]."""
-        self._known_output = np.asarray(voltage, dtype=np.float64), rate, time.monotonic()
-
-    def _supposed(self) -> float | None:
-        """Return the present voltage [V] by what was sent, received and the time since; None before anything was."""
-        if self._known_output is None:
-            return None
-        voltage, rate, since = self._known_output
-        return float(voltage[min(int((time.monotonic() - since) * rate), voltage.size - 1)])
-
-    def _present_voltage(self, fallback: float | None) -> float:
-        """Return the voltage that is read [V], or if it cannot be read, a `fallback` that is not None."""
+            self._puts_out(present)
+        self._unread = False
         try:
-            voltage = self._reading().voltage
-            if not math.isfinite(voltage):
-                raise DeviceError(f"{self.name}: read a voltage of {voltage} V, need a finite one; check the device")
-        except RigError:
-            if fallback is None:
+            yield from self._confirmed(end, end, end)
+        except RigError as error:
+            if not retreating or isinstance(error, ReadbackError):
                 raise
-            return fallback
+            self._unread = True
+        if contradiction is not None:
+            raise contradiction
+
+    def _standing(self) -> float:
+        """Return the voltage [V] that is read, within the limits; raise `DeviceError` if it is outside of them."""
+        read = self._voltage_read()
+        # An error of the readback may put it slightly outside.
+        nearest = self.limits.nearest(read)
+        if abs(read - nearest) > self._tolerance:
+            raise DeviceError(
+                f"{self.name}: stands at {read:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
+                "or widen the limits if device and actuator allow it"
+            )
+        return nearest
+
+    def _puts_out(self, voltage: float) -> None:
+        """Remember that a `voltage` [V] is put out now."""
+        self._known_output = _Output(np.array([voltage]))
+
+    def _confirmed(self, sent: float, low: float, high: float) -> Generator[None, None, float]:
+        """Return the reading [V] once it is near `low` to `high`; yield before each further one, as it may be late.
+
+        Raise `ReadbackError`, which says what was `sent`, if it does not come there.
+        """
+        read = math.nan
+        for _ in range(_SETTLING):
+            read = self._voltage_read()
+            if low - self._tolerance <= read <= high + self._tolerance:
+                return read
+            yield
+        raise ReadbackError(
+            argument=self.name,
+            got=f"a reading of {read:.6g} V",
+            need=f"{sent:.6g} V, as was sent",
+            hint="check the readback and its cable; is the amplifier on, the servo off and the channel the right one?",
+        )
+
+    @property
+    def _tolerance(self) -> float:
+        """By how much a voltage that is read may differ from the one that was sent [V]."""
+        return READBACK_TOLERANCE * (self.limits.high - self.limits.low)
+
+    def _voltage_read(self) -> float:
+        """Return the voltage that is read [V]; raise `RigError` if it cannot be read."""
+        voltage = self._reading().voltage
+        if not math.isfinite(voltage):
+            raise DeviceError(f"{self.name}: read a voltage of {voltage} V, need a finite one; check the device")
         return voltage
 
     def _reading(self) -> Reading:
@@ -514,14 +591,19 @@ class AbstractRig(ABC):
 
     def _retreated(self, cause: BaseException) -> VoltageNote:
         """Retreat after a `cause` if the link still works, else close it; return the outcome."""
-        of = f" of the axes {', '.join(self.axes)}" if self._parts else ""
+        of, to = (f" {word} the axes {', '.join(self.axes)}" if self._parts else "" for word in ("of", "to"))
         safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
         try:
             self.retreat()
+            if any(one._unread for one in self.rigs):
+                return VoltageNote(f"{safe} V was sent{to}, and the voltage could not be read.", safe=True)
             return VoltageNote(f"The voltage{of} was brought to {safe} V.", safe=True)
         except Exception as error:  # a driver's library may raise anything; the first error is the one to report
             with suppress(Exception):
                 self.close()
+            if isinstance(error, ReadbackError):
+                contradiction = f"the instrument contradicts: {error.got}, need {error.need}"
+                return VoltageNote(f"{safe} V was sent{to}, but {contradiction}; see to it by hand.", safe=False)
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(error) == str(cause) else f" ({error})"
             failure = f"The voltage{of} could not be brought to {safe} V{why}"
@@ -575,7 +657,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Sample
     for v in voltage:
         rig._put(float(v))
         # From here a retreat begins if the reading fails: samples come later than voltages.
-        rig._puts_out([v])
+        rig._puts_out(float(v))
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
         sent = time.monotonic()
         readings.append(rig._read())

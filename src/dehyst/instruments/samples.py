@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
@@ -89,12 +90,14 @@ def inspected(
     *,
     spans: Array,
     after: float,
+    patience: float,
     axes: tuple[str, ...] = (),
 ) -> Generator[Samples, None, None]:
     """Yield each batch of a `wave` that is not empty, admitted, and compared with the `sent` voltages after its use.
 
-    Raise `LinkError` if samples cannot follow the previous ones, of which the last came at `after` [s]. Raise
-    `DeviceError` if they do not belong to the sent voltages, or some are missing; each axis has a range in `spans` [V].
+    Raise `LinkError` if samples cannot follow the previous ones, of which the last came at `after` [s], or batches are
+    empty for longer than `patience` [s]. Raise `DeviceError` if they do not belong to the sent voltages, or some are
+    missing; each axis has a range in `spans` [V].
     Whatever the driver of the rig `name` raises is re-raised as `DeviceError`; its generator is closed.
     """
     # A recorder may be a sample or two late.
@@ -102,7 +105,7 @@ def inspected(
     slack = np.maximum(READBACK_TOLERANCE * spans, 2 * steepest)
     with driver_errors(name, "_wave"):
         batches = iter(wave())
-    count = 0
+    count, latest = 0, time.monotonic()
     try:
         while True:
             with driver_errors(name, "_wave"):
@@ -111,8 +114,14 @@ def inspected(
                     break
                 samples = admitted(name, batch, sent, count, after)
             if not samples.time.size:
+                if time.monotonic() - latest > patience:
+                    raise LinkError(
+                        f"{name}: got empty batches for {patience:.3g} s after {count} samples, need {len(sent)}; "
+                        "check the rig's _wave, and the device's data recorder"
+                    )
                 continue
             yield samples
+            latest = time.monotonic()
             count, after = count + samples.time.size, float(samples.time[-1])
             differences = np.abs(samples.voltage - sent[count - samples.time.size : count]).max(axis=0)
             if (differences > slack).any():
@@ -137,27 +146,28 @@ def admitted(name: str, samples: Samples, sent: Array, count: int, after: float)
         columns = [plain(values, what) for values, what in zip(samples[:3], Samples._fields, strict=False)]
     except ModelError as error:
         raise LinkError(f"{name}: {error}; check the driver") from error
-    time, voltage, displacement = (np.asarray(column, dtype=np.float64) for column in columns)
-    shapes = {time.shape + sent.shape[1:], voltage.shape, displacement.shape}
-    if len(shapes) > 1 or time.ndim != 1:
+    # Copied: a driver may fill the same buffer again.
+    times, voltage, displacement = (np.array(column, dtype=np.float64) for column in columns)
+    shapes = {times.shape + sent.shape[1:], voltage.shape, displacement.shape}
+    if len(shapes) > 1 or times.ndim != 1:
         raise LinkError(f"{name}: got columns of shapes {shapes}, need one length; check the link")
-    if count + time.size > len(sent):
-        raise LinkError(f"{name}: got {count + time.size} samples for {len(sent)} voltages; check the link")
-    if not all(bool(np.isfinite(column).all()) for column in (time, voltage, displacement)):
+    if count + times.size > len(sent):
+        raise LinkError(f"{name}: got {count + times.size} samples for {len(sent)} voltages; check the link")
+    if not all(bool(np.isfinite(column).all()) for column in (times, voltage, displacement)):
         raise LinkError(f"{name}: got samples that are not finite; check the link and the sensor")
-    times = np.concatenate([[after], time])
-    if (np.diff(times) <= 0).any():
-        first = int(np.argmax(np.diff(times) <= 0))
+    rising = np.concatenate([[after], times])
+    if (np.diff(rising) <= 0).any():
+        first = int(np.argmax(np.diff(rising) <= 0))
         raise LinkError(
-            f"{name}: got a sample of {times[first + 1]:.9g} s after one of {times[first]:.9g} s, need increasing "
+            f"{name}: got a sample of {rising[first + 1]:.9g} s after one of {rising[first]:.9g} s, need increasing "
             "times; check the link and the device's clock"
         )
     others = {}
     for column, values in samples.others.items():
-        others[column] = channel = np.asarray(plain(values, column, error=LinkError), dtype=np.float64)
-        if channel.shape != time.shape or not np.isfinite(channel).all():
+        others[column] = channel = np.array(plain(values, column, error=LinkError), dtype=np.float64)
+        if channel.shape != times.shape or not np.isfinite(channel).all():
             raise LinkError(f"{name}: {column}: got {channel.shape} values, need one finite number a sample")
-    return Samples(time, voltage, displacement, others)
+    return Samples(times, voltage, displacement, others)
 
 
 class SensorWatch:

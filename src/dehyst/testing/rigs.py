@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DeviceError, RecordError, RigError, SensorError
 from dehyst._types import Array
 from dehyst.control import ClampWarning
-from dehyst.instruments import AbstractRig, Samples
+from dehyst.instruments import AbstractRig, Reading, Samples
 from dehyst.testing.instrument import HIGH, LOW, FakeInstrument
 from dehyst.waveforms import Excitation
 
@@ -26,6 +26,13 @@ Bench: TypeAlias = Callable[..., tuple[AbstractRig, Any]]
 _TICK, _RATE, _STEP, _LONGEST = 0.01, 1000.0, 1.0, 4096
 # Tolerance of displacements, as a share of the largest: noise, creep, and a recorder that is two samples late.
 _GAIN_ERROR = 0.05
+# Readbacks that are wrong: the voltage that is read of the one that is put out [V].
+_READBACKS: dict[str, Callable[[float], float]] = {
+    "stuck at 0 V": lambda _: 0.0,
+    "50 V too high": lambda voltage: voltage + 50.0,
+    "of the wrong sign": lambda voltage: -voltage,
+    "no number": lambda _: np.nan,
+}
 # Tolerance on a fake instrument, which has none of these: half of the last digit of a sensor of 9 bits.
 _DIGIT = 1e-3
 
@@ -306,6 +313,46 @@ class RigContract:
         assert instrument.log.highest <= 90.0 + candidate.volts
         # Another record can be made at once.
         assert len(rig.play(excitation(rig, 0, 30, 0))) > 2
+
+    @pytest.mark.parametrize("wrong", _READBACKS.values(), ids=_READBACKS)
+    @pytest.mark.parametrize("stopped", ["ramp", "wave"])
+    def test_a_wrong_readback_makes_no_jump(
+        self, bench: Bench, candidate: RigCandidate, stopped: str, wrong: Callable[[float], float]
+    ) -> None:
+        """A ramp, or a wave that is interrupted, ends by a retreat from what was sent, and no note denies the fault."""
+        rig, instrument = bench(slew_rate=200.0)
+        read, put, sent = rig._read, rig._put, [0.0]
+
+        def reading() -> Reading:
+            honest = read()
+            return honest._replace(voltage=wrong(honest.voltage))
+
+        def putting(voltage: float) -> None:
+            sent.append(voltage)
+            put(voltage)
+
+        def listen(samples: Samples) -> None:
+            if samples.voltage[-1] > 35.0:
+                vars(rig)["_read"] = reading
+                sent[:] = [float(samples.voltage[-1])]
+                raise ValueError
+
+        vars(rig)["_put"] = putting
+        with pytest.raises((RigError, ValueError)) as caught:
+            if stopped == "wave":
+                rig.play(excitation(rig, 0, 60), listen)
+            rig.set_voltage(40.0)
+            vars(rig)["_read"] = reading
+            rig.set_voltage(60.0)
+        (note,) = caught.value.__notes__
+        assert note.startswith("0 V was sent")
+        assert _standing(instrument, 0.0, candidate)
+        assert sent[-1] == 0.0
+        # A wave in real time goes on until it is stopped.
+        slack = 20.0 if candidate.real_time and stopped == "wave" else 0.0
+        most = max(rig.slew_rate * _TICK, _STEP) + slack + 2 * candidate.volts
+        assert np.abs(np.diff(sent)).max() <= rig.slew_rate * _TICK + slack + 2 * candidate.volts
+        assert instrument.log.largest_step <= most
 
     def test_an_unplugged_sensor_is_reported_and_the_voltage_brought_back(
         self, bench: Bench, candidate: RigCandidate

@@ -16,6 +16,7 @@ import pytest
 LIMITS, SLEW = (0.0, 200.0), 2000.0
 GOES_ON = r"the records .*/records; the same command .*"
 SAFE = r"The voltage was brought to 0 V\."
+DENIED = r"0 V was sent, but the instrument contradicts: got a reading of \S+ V, need \S+ V, as was sent; see to it"
 LOST = r"The voltage could not be brought to 0 V.*: the device holds, or plays to its end, what it has; see to it"
 
 # Exit status, and what is said, line by line.
@@ -37,6 +38,10 @@ SAID = {
     "astray": (1, r".*: stands at 150 V, but 0 to 100 V is allowed; bring it there by hand, or widen the limits", LOST),
     "servo": (1, r".*: its servo was on and is switched off", r".*(closed|lost)", SAFE, GOES_ON),
     "playing": (130, r"stopped by Ctrl-C", SAFE, GOES_ON),
+    "zero": (130, r"stopped by Ctrl-C", DENIED, GOES_ON),
+    "shift": (130, r"stopped by Ctrl-C", DENIED, GOES_ON),
+    "invert": (130, r"stopped by Ctrl-C", DENIED, GOES_ON),
+    "blank": (130, r"stopped by Ctrl-C", r"0 V was sent, and the voltage could not be read\.", GOES_ON),
     "saturate": (1, r"the sensor hangs or is saturated: it stays at \S+ um while .* V; shift its range", SAFE, GOES_ON),
     "unplug": (1, r"the sensor hangs or is saturated: it stays at 0 um while .*, or look at its cable", SAFE, GOES_ON),
     "dead": (1, r"the sensor does not move: it stays at 0 um while .*; is it plugged in", SAFE, GOES_ON),
@@ -98,7 +103,7 @@ def test_each_fault_is_looked_at():
 
 
 # One of each kind on a push: the others are variants, or tested at the driver (`tests/instruments`) too.
-PUSHED = ("drop", "astray", "interrupt")
+PUSHED = ("drop", "astray", "interrupt", "zero")
 
 
 @pytest.mark.slow

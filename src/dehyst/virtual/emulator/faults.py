@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -23,6 +24,17 @@ FAULTS = {
     "unplug": "the sensor is unplugged",
     "refuse": "the connection is lost, and no other is accepted",
     "stall": "the wave generator hangs",
+    "zero": "the voltage that is read is 0 V",
+    "shift": "the voltage that is read is 50 V too high",
+    "invert": "the voltage that is read has the wrong sign",
+    "blank": "the voltage that is read is no number",
+}
+# The voltage that is read [V], of the one that is put out.
+_MONITORS: dict[str, Callable[[float], float]] = {
+    "zero": lambda _: 0.0,
+    "shift": lambda voltage: voltage + 50.0,
+    "invert": lambda voltage: -voltage,
+    "blank": lambda _: math.nan,
 }
 # Share of the reported range that a controller with narrow limits has.
 _NARROW = 0.8
@@ -104,6 +116,9 @@ class Rehearsal:
                 case "stall":
                     for one in controller.axes:
                         one.bench.stalled = True
+                case "zero" | "shift" | "invert" | "blank":
+                    for one in controller.axes:
+                        one.monitor = _MONITORS[fault.name]
         return {fault.name for fault in due} & {"drop", "refuse"}
 
     def corrupt(self, answer: bytes) -> bytes:

@@ -109,12 +109,14 @@ def _groups(words: _Words, size: int, most: int) -> list[_Words]:
 class ControllerAxis:
     """One axis: its name, its `bench`, the limits [V] it `reported`, its `target` [m], and its wave generator.
 
-    `table`: the generator's wave table (0: none). `cycles`, `divider`, `interpolation`: its other settings.
+    `table`: the generator's wave table (0: none). `cycles`, `divider`, `interpolation`: its other settings. `monitor`:
+    function that returns the voltage that is read [V] of the one that is put out.
     """
 
     def __init__(self, name: str, bench: BenchAxis, reported: _Limits) -> None:
         self.name, self.bench, self.reported, self.target = name, bench, reported, 0.0
         self.table, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
+        self.monitor: Callable[[float], float] = float
 
 
 class Controller:
@@ -551,7 +553,7 @@ COMMANDS: dict[str, GcsCommand] = {
     "VER?": GcsCommand("Get versions", lambda c, _: [f"FW: {_FIRMWARE}", f"GCS: {c.identity}"]),
     "VMA?": _of_axes("Get highest voltage", lambda one: one.reported[1]),
     "VMI?": _of_axes("Get lowest voltage", lambda one: one.reported[0]),
-    "VOL?": _of_axes("Get voltage of output channel", lambda one: one.bench.voltage),
+    "VOL?": _of_axes("Get voltage of output channel", lambda one: one.monitor(one.bench.voltage)),
     "WAV": GcsCommand("Set waveform {table X|& shape ...}", _write_wave, (4, None)),
     "WAV?": GcsCommand("Get wave tables", _wave_lengths, (0, 2)),
     "WCL": GcsCommand("Clear wave table {table}", _clear_wave, (1, 1)),
