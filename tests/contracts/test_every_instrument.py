@@ -11,7 +11,6 @@ import pytest
 from fake_rig import FakeRig
 
 from dehyst.instruments import Samples
-from dehyst.instruments.nidaqmx import NiRig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.testing import RigCandidate, RigContract
 from dehyst.virtual import PlayActuator
@@ -62,20 +61,10 @@ def slow(**options):
 
 
 @contextmanager
-def daq_card(**options):
-    """Open a rig on a fake card in a time of its own."""
-    with (
-        fake_nidaqmx.installed((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN)) as card,
-        NiRig(
-            "Dev1/ao0",
-            "Dev1/ai0",
-            gain=fake_nidaqmx.GAIN,
-            scale=1e6 * fake_nidaqmx.SCALE,
-            clock=lambda: card.now,
-            **options,
-        ) as rig,
-    ):
-        rig._wait = card.wait
+def daq_card(longest=None, **options):
+    """Open a rig on a fake card, whose waves are short enough for any test."""
+    with fake_nidaqmx.opened((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN), **options) as (rig, card):
+        rig.longest = longest or rig.longest
         yield rig, card
 
 

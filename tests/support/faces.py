@@ -80,9 +80,6 @@ FACES = {
 }
 # Drivers are imported one by one: each needs a library or an instrument of its own.
 DRIVERS = {
-    "dehyst.instruments.bluesky_axis": ["CompensatedAxis", "homing"],
     "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
-    "dehyst.instruments.jena": ["JenaRig"],
-    "dehyst.instruments.nidaqmx": ["NiRig"],
     "dehyst.instruments.pi": ["PiRig"],
 }

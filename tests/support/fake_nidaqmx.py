@@ -11,7 +11,9 @@ from types import ModuleType
 from unittest import mock
 
 import numpy as np
+import places
 
+from dehyst.instruments import open_rig
 from dehyst.virtual.bench import Extremes
 
 TIMEBASE = 1e8
@@ -247,3 +249,11 @@ def installed(ranges=(-2.0, 10.0), **options):
             setattr(modules["nidaqmx"], name.rpartition(".")[2], modules[name])
     with mock.patch.dict(sys.modules, modules):
         yield card
+
+
+@contextmanager
+def opened(ranges, **options):
+    """Open the rig in `examples/instruments` on a card, in a time of its own."""
+    with installed(ranges) as card, open_rig(f"{places.EXAMPLES / 'instruments' / 'ni.py'}:NiRig", **options) as rig:
+        rig._clock, rig._wait = lambda: card.now, card.wait
+        yield rig, card

@@ -2,10 +2,12 @@
 
 import os
 import pty
+import runpy
 import threading
 import tty
 from contextlib import contextmanager
 
+import places
 import pytest
 from pi_on_emulator import Locked
 
@@ -87,10 +89,15 @@ def amplifier(**settings):
         device.close()
 
 
+def rig_of(device, **options):
+    """Open the rig in `examples/instruments` at the port of an amplifier."""
+    make = runpy.run_path(str(places.EXAMPLES / "instruments" / "jena.py"))["JenaRig"]
+    make.__init__.__globals__["ADDRESS"] = device.port
+    return make(**options)
+
+
 @contextmanager
 def by_library(longest=None, **options):
     """Open the rig, whose waves have any length, by the maker's library."""
-    from dehyst.instruments.jena import JenaRig
-
-    with amplifier() as device, JenaRig.connect(device.port, **options) as rig:
+    with amplifier() as device, rig_of(device, **options) as rig:
         yield rig, Locked(device.bench, device.lock)

@@ -4,7 +4,7 @@ from dehyst.control.bank import Bank
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, outside_identified
 from dehyst.control.loop import Snapshot
-from dehyst.control.planning.homing import Homing, homing_steps, shortest_homing
+from dehyst.control.planning.homing import Homing, shortest_homing
 from dehyst.control.planning.path import HomedPath, plan_path, plan_voltage
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.states import StateBounds, first_known_by_displacement, least_width, time_dependence

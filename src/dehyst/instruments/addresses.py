@@ -31,8 +31,6 @@ def open_rig(
         ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual actuator,
         without a link, as fast as it computes. ``sim://play?gain=-5,kelvins=20,seconds=600`` changes with time, as of
         ``dehyst rig serve --ageing``, and records its temperature.
-        ``ni://Dev1/ao0,ai0?gain=10&scale=5``: a data acquisition card; not tried on hardware.
-        ``jena://192.168.0.5`` or ``jena:///dev/ttyUSB0``: an NV200/D of piezosystem jena; not tried on hardware.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
     axes : sequence of str, optional
@@ -142,20 +140,6 @@ def _sim(name: str, options: _Options) -> AbstractRig:
     return SimulatedRig(truth, **options)
 
 
-def _ni(rest: str, options: _Options) -> AbstractRig:
-    from dehyst.instruments.nidaqmx import NiRig
-
-    return NiRig.from_address(f"ni://{rest}", **options)
-
-
-def _jena(rest: str, options: _Options) -> AbstractRig:
-    from dehyst.instruments.jena import JenaRig
-
-    if not rest:
-        raise RigError("jena://: need the host, or a serial port, as in jena://192.168.0.5 and jena:///dev/ttyUSB0")
-    return JenaRig.connect(rest, **options)
-
-
 class Scheme(NamedTuple):
     """A kind of address.
 
@@ -173,8 +157,6 @@ SCHEMES = {
     "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
     "epics": Scheme("epics://PREFIX", _epics),
     "sim": Scheme("sim://play (or creep, preisach, boucwen, /path/to/model.json)", _sim),
-    "jena": Scheme("jena://host (or /dev/ttyUSB0)", _jena),
-    "ni": Scheme("ni://Dev1/ao0,ai0?gain=10&scale=5", _ni),
 }
 
 

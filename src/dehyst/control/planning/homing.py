@@ -8,7 +8,7 @@ follows from the tolerance. A homing is played before a path, at its sample rate
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -531,18 +531,3 @@ def rows_of(voltage: Array) -> NDArray[np.int64]:
     kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
     kept[:-1] |= since[1:] == 0
     return rows[kept]
-
-
-def homing_steps(homing: Homing, limits: VoltageLimits, period: float) -> Iterator[tuple[float, float]]:
-    """Yield the voltages [V] of a homing after the present one, each with its duration [s] of at least `period` [s]."""
-    corners = [(voltage, 0.0) for voltage in homing.turns]
-    if homing.played is not None:
-        voltage, rate = homing.played.voltage, homing.played.sample_rate
-        # No more often than a host can follow, but always at turns and at both ends of a hold.
-        bends = np.flatnonzero(np.diff(np.sign(np.diff(voltage)))) + 1
-        kept = np.unique([voltage.size - 1, *bends, *range(0, voltage.size, max(1, round(period * rate)))])
-        corners = list(zip(voltage[kept].tolist(), (np.diff(kept, prepend=0) / rate).tolist(), strict=True))
-    for (start, _), (end, seconds) in pairwise(corners):
-        count = max(1, math.ceil(abs(end - start) / limits.largest_step(period) * (1 - 1e-12)))
-        for step in np.linspace(start, end, count + 1)[1:]:
-            yield limits.nearest(float(step)), max(seconds / count, period)
