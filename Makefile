@@ -1,5 +1,5 @@
 # make demo     install into .venv and run the main job on a virtual actuator
-# make test     install with the tests' dependencies, run the tests of a push, print the slowest
+# make test     install, with the tests' dependencies and packages/rivals, run the tests of a push, print the slowest
 # make nightly  the same tests and those too slow for a push, with all repeats and examples
 # make check    lint, types, import contract, and the C core under strict warnings
 # make docs     build the site into build/docs, with all examples run; a warning is an error
@@ -13,6 +13,7 @@ comma := ,
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
+RIVALS_SOURCES := $(addprefix packages/rivals/,pyproject.toml CMakeLists.txt README.md core/* bindings/* src/dehyst_rivals/*)
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/* src/dehyst/*/*/*)
 
 .PHONY: demo test nightly check docs wasm pictures wheel bench clean
@@ -78,25 +79,35 @@ $(BIN)/python:
 
 # Compiled once for all environments; what is imported is compiled to bytecode then.
 export PIP_COMPILE = 0
-WHEEL := build/wheel-$(shell $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag)')
+TAG := $(shell $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag)')
+WHEEL := build/wheel-$(TAG)
+RIVALS := build/rivals-$(TAG)
 install = $(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEEL)/*.whl && \
 	$(BIN)/python -m pip install --quiet 'dehyst$(1)'
+install_rivals = $(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(RIVALS)/*.whl
 
 $(WHEEL)/.built: $(SOURCES) | $(BIN)/python
 	rm -rf $(WHEEL)
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir $(WHEEL) .
 	touch $@
 
+$(RIVALS)/.built: $(wildcard $(RIVALS_SOURCES)) | $(BIN)/python
+	rm -rf $(RIVALS)
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir $(RIVALS) ./packages/rivals
+	touch $@
+
 $(VENV)/.demo: $(BIN)/python $(WHEEL)/.built
 	$(call install,)
 	touch $@
 
-$(VENV)/.test: $(BIN)/python $(WHEEL)/.built
+$(VENV)/.test: $(BIN)/python $(WHEEL)/.built $(RIVALS)/.built
 	$(call install,[test])
+	$(install_rivals)
 	touch $@ $(VENV)/.demo
 
-$(VENV)/.check: $(BIN)/python $(WHEEL)/.built
+$(VENV)/.check: $(BIN)/python $(WHEEL)/.built $(RIVALS)/.built
 	$(call install,[test$(comma)check])
+	$(install_rivals)
 	touch $@ $(VENV)/.test $(VENV)/.demo
 
 $(VENV)/.docs: $(BIN)/python $(WHEEL)/.built

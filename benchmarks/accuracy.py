@@ -3,8 +3,8 @@
 Three parts; without one named, all:
 
 main      dehyst: the demo's virtual actuator, and the measured records
-tracking every model of `dehyst compare` on every virtual actuator of `tracking_trials`: fitted to its records once,
-          then compensated along random paths, a path for each seed
+tracking dehyst and every model of `dehyst_rivals` on every virtual actuator of `virtual_trials`: fitted to its
+          records once, then compensated along random paths, a path for each seed
 measured  every model on the measured records: fitted to the major loop and the first ramps, scored on the other ramps;
           dehyst a second time, without the displacement measured before these, like the others
 
@@ -21,13 +21,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from model_figures import parameters_of, promised, speeds
+from virtual_trials import TRIALS, TrackingTrial
+
 import dehyst
 from dehyst import Actuator
-from dehyst.baselines import compare
-from dehyst.baselines.comparison import OURS, ModelScore, contenders
-from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
+from dehyst.baselines.comparison import OURS, HeldOut, ModelScore, scored
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.operations import demo
+from dehyst_rivals import RIVALS, linear_ratio
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
 OUTPUT = Path(__file__).with_suffix(".json")
@@ -62,7 +64,12 @@ class VoltageOnly(AbstractModel):
 
 def entrants() -> dict:
     """Return name -> identification; the variant with the voltage only runs on the measured records alone."""
-    known = contenders()
+    known = {
+        OURS: lambda records: dehyst.identify(records, structure="auto").actuator,
+        f"{OURS}, paper's": lambda records: dehyst.identify(records, structure="maxwell_slip").actuator,
+        **RIVALS,
+        "linear ratio": linear_ratio,
+    }
     return known | {UNTOLD: lambda records: VoltageOnly(known[OURS](records))}
 
 
@@ -96,8 +103,9 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
         kept.append(identification(records))
         return kept[0]
 
-    row = compare(one.records(), validate=one.held_out(), models={name: fit}).rows[0]
-    found = row.as_dict() | {"tracking": {}}
+    records = list(one.records())
+    row, stroke = scores(records, [HeldOut(record) for record in one.held_out()], name, fit)
+    found = figures(row, kept, records, one.held_out(), stroke)
     for seed in range(FIRST_SEED, FIRST_SEED + seeds) if kept else ():
         try:
             error = one.track(kept[0], seed)
@@ -111,14 +119,35 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
     return found
 
 
-def on_measured(folder: Path, name: str, identification: Any) -> tuple[ModelScore, float]:
+def scores(training: list[dehyst.Record], held_out: list[HeldOut], name: str, fit: Any) -> tuple[ModelScore, float]:
+    rows, stroke = scored(training, held_out, {name: fit}, lambda _: None)
+    return rows[0], stroke
+
+
+def figures(row: ModelScore, kept: list[AbstractModel], training: Any, held_out: Any, stroke: float) -> dict:
+    """Return a model's row with its coefficients, its promise and its speed, if it could be scored."""
+    found = row.as_dict() | {"parameters": None, "promised_percent": None, "tracking": {}}
+    found |= {"simulate_ns": None, "compensate_ns": None}
+    if kept:
+        found["parameters"] = parameters_of(kept[0])
+    if row.scores:
+        found["promised_percent"] = promised(kept[0], row.worst("training"), training, held_out, stroke)
+        found["simulate_ns"], found["compensate_ns"] = speeds(kept[0], training[0])
+    return found
+
+
+def on_measured(folder: Path, name: str, identification: Any) -> dict:
     """Train on the samples before a hold, simulate them again and predict the samples after it."""
     major, ramps = p885(folder)
     lead = float(ramps.time[SPLIT] - ramps.time[0])
-    found = compare(
-        [major, ramps[:SPLIT].with_name("first ramps")], validate=ramps, lead=lead, models={name: identification}
-    )
-    return found.rows[0], found.stroke
+    training, kept = [major, ramps[:SPLIT].with_name("first ramps")], []
+
+    def fit(records: Any) -> AbstractModel:
+        kept.append(identification(records))
+        return kept[0]
+
+    row, stroke = scores(training, [HeldOut(ramps, lead)], name, fit)
+    return figures(row, kept, training, [ramps], stroke) | {"stroke_m": stroke}
 
 
 def show(title: str, errors: list[dict]) -> None:
@@ -219,8 +248,7 @@ def main() -> None:
             )
         if "measured" in parts and data:
             print(f"{name} on P-885", flush=True)
-            row, stroke = on_measured(given.data, name, identification)
-            compared["measured"][name] = row.as_dict() | {"stroke_m": stroke}
+            compared["measured"][name] = on_measured(given.data, name, identification)
     if compared["tracking"] or compared["measured"]:
         show_compared(compared["tracking"], compared["measured"])
     given.output.write_text(json.dumps(results, indent=1) + "\n")

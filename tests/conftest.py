@@ -11,8 +11,8 @@ from pathlib import Path
 import compiler_cache
 import numpy as np
 import places
+import profiles  # noqa: F401 - loads the profile of Hypothesis
 import pytest
-from hypothesis import HealthCheck, settings
 
 from dehyst._threads import one_thread
 from dehyst.exports.model_header import config_header
@@ -69,14 +69,6 @@ def pytest_terminal_summary(terminalreporter):
 
 BEGAN, CPU = pytest.StashKey(), "cpu_s"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
-
-# Shared machines stall: a time limit on one example would fail tests that are right.
-# A push tries the same examples each time, so that it does not fail by chance; `make nightly` tries new ones.
-settings.register_profile(
-    "dehyst", deadline=None, max_examples=20, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
-)
-settings.register_profile("nightly", settings.get_profile("dehyst"), max_examples=80, derandomize=False)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dehyst"))
 
 # Reads an actuator, a state and a path; prints, a line a sample, the voltages and what they lead back to: by the stack,
 # by the carts.

@@ -33,10 +33,10 @@ for part in src/bank/*.c src/records/elements_avx2.c; do
     # shellcheck disable=SC2086
     ${CC:-gcc} $flags $more -Iinclude -Isrc -c "$part" -o "$work/bank.o"
 done
-# Baseline models are never exported: strict, but free to use the mathematical library.
-for baseline in baselines/*.c; do
+# Models of others are never exported: strict, but free to use the mathematical library.
+for rival in ../packages/rivals/core/*.c; do
     # shellcheck disable=SC2086
-    ${CC:-gcc} $flags -Ibaselines -c "$baseline" -o "$work/baseline.o"
+    ${CC:-gcc} $flags -I../packages/rivals/core -c "$rival" -o "$work/rival.o"
 done
 # The strict build must really be strict: a core with an unused variable has to fail.
 { cat src/slip.c; echo 'int dehyst_probe(void) { int unused; return 0; }'; } >"$work/probe.c"

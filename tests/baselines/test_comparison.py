@@ -9,16 +9,13 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst import FileFormatError, Fit, IdentifyError, ModelError, Outcome, Record, RecordError
-from dehyst.baselines import BASELINES, AbstractBaseline, ModelComparison, compare
-from dehyst.baselines.comparison import OURS, ModelScore, contenders, parameters_of, speeds
+from dehyst import FileFormatError, IdentifyError, Record, RecordError
+from dehyst.baselines import AbstractBaseline, ModelComparison, compare
+from dehyst.baselines.comparison import OURS, HeldOut, ModelScore, contenders, scored
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.tracking_trials import TRIALS, TrackingTrial
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import AbstractModel
 from dehyst.report import write_comparison
-from dehyst.report.comparison_section import comparison_sections
-from dehyst.report.report import render
 
 PLANT = plain_records.plant()
 
@@ -36,6 +33,11 @@ def plant(_):
     return PLANT
 
 
+def judged(record, held_out, models):
+    """Return the rows of models fitted to one record and judged by another."""
+    return scored([record], [held_out], models, lambda _: None)[0]
+
+
 def test_what_made_the_records_misses_nothing_and_ours_finds_it(records):
     chosen = {"truth": plant, OURS: contenders()[OURS]}
     found = compare(records[0], validate=records[1], models=chosen)
@@ -44,21 +46,9 @@ def test_what_made_the_records_misses_nothing_and_ours_finds_it(records):
     for row in found.rows:
         assert [(s.record, s.role) for s in row.scores] == [("tops", "training"), ("three", "validation")]
         assert row.failure == ""
-        assert min(row.seconds, row.simulate, row.compensate) > 0
+        assert row.seconds > 0
     assert found.rows[0].worst("validation").largest_without < 1e-9
-    score, promised = found.rows[1].worst("validation"), found.rows[1].promised
-    assert score.largest < 0.5
-    assert (score.largest < promised[0], score.rms < promised[1]) == (True, True)
-
-
-def test_one_rule_promises_for_a_model_that_promises_nothing(records):
-    line = Linear(plain_records.STROKE / plain_records.VOLTS)
-    (row,) = compare(records[0], validate=records[1], models={"line": lambda _: line}).rows
-    trained = row.worst("training")
-    assert row.promised[0] >= trained.largest
-    assert row.promised[1] > trained.rms
-    assert row.as_dict()["promised_percent"] == list(row.promised)
-    assert compare(records[0], models={"line": lambda _: line}).rows[0].promised is None
+    assert found.rows[1].worst("validation").largest < 0.5
 
 
 def test_a_constant_is_free_in_one_pair_of_figures_and_not_in_the_other(records):
@@ -73,7 +63,7 @@ def test_a_constant_is_free_in_one_pair_of_figures_and_not_in_the_other(records)
 
 def test_figures_are_those_of_the_residual_by_hand(records):
     line = Linear(plain_records.STROKE / plain_records.VOLTS)
-    row = compare(records[0], models={"line": lambda _: line}).rows[0]
+    row = compare(records[0], validate=records[1], models={"line": lambda _: line}).rows[0]
     score, record = row.scores[0], records[0]
     kept = slice(len(record) - score.samples, None)
     error = 100 * (record.displacement - line.slope * record.voltage)[kept] / plain_records.STROKE
@@ -81,15 +71,10 @@ def test_figures_are_those_of_the_residual_by_hand(records):
     assert score.rms_without == pytest.approx(np.sqrt(np.mean(error**2)))
     assert score.largest == pytest.approx(np.abs(error - error.mean()).max())
     assert score.rms == pytest.approx(error.std())
-    assert row.worst("validation") is None
-    assert row.parameters == 2
 
 
 def test_the_lead_is_played_and_not_counted(records):
-    whole, cut = (
-        compare(records[0], validate=records[1], lead=lead, models={"truth": plant}).rows[0].scores[1]
-        for lead in (0, 6.0)
-    )
+    whole, cut = (judged(records[0], HeldOut(records[1], lead), {"truth": plant})[0].scores[1] for lead in (0, 6.0))
     assert cut.samples < whole.samples
     assert cut.samples == np.count_nonzero(records[1].time >= 6.0)
     assert cut.samples + cut.left_out == len(records[1])
@@ -100,7 +85,7 @@ def test_the_lead_tells_ours_where_it_began(records):
     """A record that begins in the middle of a motion, but still goes through its range: that tells every cart."""
     middle = records[1].slice(len(records[1]) // 6, len(records[1]))
     lead = 0.5 * float(np.ptp(middle.time))
-    score = compare(records[0], validate=middle, lead=lead, models={"truth": plant}).rows[0].worst("validation")
+    score = judged(records[0], HeldOut(middle, lead), {"truth": plant})[0].worst("validation")
     assert (score.largest, score.rms) == pytest.approx((0, 0), abs=1e-6)
     assert score.largest_without == pytest.approx(0, abs=1e-6)
 
@@ -125,11 +110,11 @@ def test_the_lead_tells_any_other_model_a_constant(records):
         "shifted": lambda _: Stranger(0.25 * plain_records.STROKE),
         "line": lambda _: Linear(plain_records.STROKE / plain_records.VOLTS),
     }
-    silent, found = (compare(records[0], validate=records[1], lead=lead, models=chosen) for lead in (0, 6.0))
-    before, after = (one.rows[0].worst("validation") for one in (silent, found))
+    silent, found = (judged(records[0], HeldOut(records[1], lead), chosen) for lead in (0, 6.0))
+    before, after = (one[0].worst("validation") for one in (silent, found))
     assert before.largest_without == pytest.approx(25)
     assert after.largest_without == pytest.approx(0, abs=1e-6)
-    line = found.rows[1].worst("validation")
+    line = found[1].worst("validation")
     error = (
         100
         * (records[1].displacement - plain_records.STROKE / plain_records.VOLTS * records[1].voltage)
@@ -145,23 +130,12 @@ def test_the_lead_tells_any_other_model_a_constant(records):
 def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
     """It ends before the voltage has been through its range: what counts begins after that, and no sample before."""
     line = Linear(plain_records.STROKE / plain_records.VOLTS)
-    score = compare(records[0], validate=records[1], lead=0.3, models={"line": lambda _: line}).rows[0].scores[1]
+    score = judged(records[0], HeldOut(records[1], 0.3), {"line": lambda _: line})[0].scores[1]
     first = score.left_out
     assert records[1].time[first] > 0.3 + records[1].time[0]
     assert epochs(records[1].slice(0, first + 1)) == []
     error = 100 * (records[1].displacement - line.slope * records[1].voltage) / plain_records.STROKE
     assert score.largest_without == pytest.approx(np.abs(error[first:] - error[first]).max())
-
-
-def test_the_note_states_what_each_model_uses(records):
-    noted, silent = (compare(records[0], validate=records[1], lead=lead, models={"truth": plant}) for lead in (6.0, 0))
-    assert noted.note == (
-        "The first 6 s of held-out records do not count. From the displacement measured there, the models of dehyst "
-        "take their state and an offset of the voltage, every other model takes a constant: its mean error there."
-    )
-    assert (noted.as_dict()["lead_s"], noted.as_dict()["note"]) == (6.0, noted.note)
-    assert noted.note in "".join(comparison_sections(noted))
-    assert silent.note == compare(records[0], lead=6.0, models={"truth": plant}).note == ""
 
 
 def test_the_delay_of_a_model_is_taken_off(records):
@@ -200,7 +174,7 @@ def test_a_baseline_that_fails_gets_a_row_with_its_sentence(records):
         "singular matrix",
         "",
     ]
-    assert all(row.scores == () and row.simulate is None for row in found.rows[:-1])
+    assert all(row.scores == () for row in found.rows[:-1])
     assert json.loads(json.dumps(found.as_dict()))["models"][1]["said"] == "division by zero"
 
 
@@ -243,14 +217,50 @@ def test_a_model_of_which_no_sample_counts_has_no_score(records):
     assert row.failure and row.scores == ()
 
 
+def test_the_last_quarter_is_held_out_by_itself(records):
+    """No sample of it is seen by a fit; a record whose first three quarters hold no cycle is fitted as a whole."""
+    short = plain_records.loops(PLANT, (0, 1, 0, 1), name="short")
+    seen = []
+
+    def fit(given):
+        seen.extend(given)
+        return PLANT
+
+    found = compare([records[0], short], models={"truth": fit, "line": Linear.fit})
+    cut = records[0].time[0] + 0.75 * np.ptp(records[0].time)
+    assert [one.time[-1] <= cut for one in seen] == [True, True]
+    assert len(seen[1]) == len(short)
+    assert (found.records, found.held_out, found.apart) == (("tops", "short"), ("tops",), True)
+    (score,) = (one for one in found.rows[0].scores if one.role == "validation")
+    assert score.samples == np.count_nonzero(records[0].time >= cut)
+    assert score.largest_without < 1e-6
+
+
+def test_the_best_model_is_the_one_with_the_least_error_on_what_was_held_out(records):
+    found = compare(records[0], models={"line": Linear.fit, "truth": plant, "fails": fails(ValueError("no"))})
+    errors = {row.name: row.worst("validation").rms for row in found.rows if row.scores}
+    best = found.best
+    assert (best.model, best.next) == ("truth", "line")
+    assert (best.rms, best.next_rms) == (errors["truth"], errors["line"])
+    assert best.factor == errors["line"] / errors["truth"]
+    assert found.as_dict()["best"]["factor"] == best.factor
+    assert compare(records[0], models={"truth": plant}).best is None
+
+
+def test_dehyst_is_compared_with_a_table_and_a_line(records):
+    assert list(contenders())[:3] == [OURS, "two branches", "linear ratio"]
+    built_in = {name: contenders()[name] for name in (OURS, "two branches", "linear ratio")}
+    found = compare(records, models=built_in)
+    ours, table, line = (row.worst("validation").rms for row in found.rows)
+    assert 5 * ours < table < line
+    assert found.best.model == OURS
+
+
 def test_refusals(records):
     chosen = {"truth": plant}
     for arguments, options, error, said in (
-        ((), {}, IdentifyError, "neither records nor a virtual actuator"),
-        ((), {"validate": records[1], "truths": ["play"]}, IdentifyError, "no training records"),
-        ((records,), {"lead": -1}, IdentifyError, "lead: got -1"),
-        ((records,), {"validate": records[1], "lead": 1e6}, IdentifyError, "three: no sample counts after 1e"),
-        ((records,), {"truths": ["glass"]}, ModelError, "truths: got 'glass', need one of play, creep"),
+        (((),), {}, IdentifyError, "got no records"),
+        ((plain_records.loops(PLANT, (0, 1, 0, 1)),), {}, IdentifyError, "hold its last quarter out"),
         ((np.zeros(4),), {}, IdentifyError, "need records"),
         ((Record([0, 1], [0, 1], [0, 1]),), {}, RecordError, "samples"),
     ):
@@ -258,98 +268,28 @@ def test_refusals(records):
             compare(*arguments, models=chosen, **options)
 
 
-def test_every_baseline_has_an_entry_that_takes_records():
-    assert next(iter(contenders())) == OURS
-    assert {"Preisach", "Bouc-Wen", "Duhem", "linear ratio", "Goldfarb-Celanovic"} <= set(BASELINES)
-    tops = TRIALS["play"].records()[:1]
-    for name in ("Duhem", "linear ratio", "Goldfarb-Celanovic"):
-        assert parameters_of(BASELINES[name](tops)) > 0
-
-
-def test_speeds_are_nanoseconds():
-    simulate, compensate = speeds(PLANT, Record(np.arange(50) / 10, np.linspace(0, 100, 50), np.linspace(0, 1e-5, 50)))
-    assert 0.5 < simulate < 1e4
-    assert 0.5 < compensate < 1e4
-
-
-@dataclass
-class Ruler:
-    """An actuator without hysteresis that is asked for nothing else."""
-
-    stroke: float = 1e-5
-    highest: float = 50.0
-
-    def relax(self):
-        """Nothing to forget."""
-
-    def play(self, voltage, *, time=None, measured=True):
-        assert time is None or np.all(np.diff(time) > 0)
-        return 2e-7 * np.asarray(voltage)
-
-
-def test_tracking_is_exact_where_the_model_is():
-    ruler = TrackingTrial("ruler", lambda seed: Ruler(), 0.01, 0.05, 5.0)
-    found = ruler.track(Linear(2e-7))
-    assert found == pytest.approx((0, 0, 0), abs=1e-10)
-    worse = ruler.track(Linear(2.5e-7))
-    assert worse.largest == pytest.approx(20 * ruler.path().max(), rel=1e-9)
-    assert worse.beyond == 0
-    assert [record.name for record in ruler.records()] == ["ruler-0a", "ruler-0b", "ruler-0c"]
-
-
-@pytest.mark.parametrize("name", list(TRIALS))
-def test_the_path_has_forty_reversals_within_the_stroke(name):
-    trial = TRIALS[name]
-    path = trial.path(3)
-    steps = np.sign(np.diff(path))
-    steps = steps[steps != 0]
-    assert np.count_nonzero(np.diff(steps)) == 40
-    assert path[0] == 0
-    assert path.min() == 0
-    assert 0.8 < path.max() <= 0.98
-    np.testing.assert_array_equal(path, trial.path(3))
-    assert not np.array_equal(path[:50], trial.path(4)[:50]) or path.size != trial.path(4).size
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("name", "most"), [("Preisach", 0.4), ("Bouc-Wen", 5.0), ("Duhem", 6.0)])
-def test_baselines_track_a_play_actuator_better_than_no_model(name, most):
-    found = compare(truths=["play"], models={name: BASELINES[name], "linear ratio": BASELINES["linear ratio"]})
-    model, line = (row.tracking["play"] for row in found.rows)
-    assert model.largest < most < line.largest
-    assert model.rms < 0.5 * line.rms
-    assert found.records == ("play-0a", "play-0b", "play-0c")
-
-
 def table_of(name="a <b>"):
     score = compare(plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three"), models={name: plant}).rows[0]
-    return ModelComparison((score, ModelScore("broken", "it <failed>")), 1e-5, ("three",), (), ("play",))
+    return ModelComparison((score, ModelScore("broken", "it <failed>")), 1e-5, ("three",), ("three",))
 
 
 def test_the_page_shows_every_model_and_what_failed(tmp_path):
     found = table_of()
     write_comparison(tmp_path / "page.html", found, command="dehyst compare <x>")
     text = (tmp_path / "page.html").read_text()
-    for words in ("a &lt;b&gt;", "broken: it &lt;failed&gt;", "Tracking, play", "dehyst compare &lt;x&gt;", "10.0 µm"):
+    for words in ("a &lt;b&gt;", "broken: it &lt;failed&gt;", "dehyst compare &lt;x&gt;", "10.0 µm"):
         assert words in text, words
     assert "://" not in text
     with pytest.raises(FileFormatError):
         write_comparison(tmp_path / "none" / "page.html", found)
 
 
-def test_the_page_draws_the_models_best_first_and_marks_the_best(records):
+def test_the_page_draws_the_models_best_first_and_marks_the_best(records, tmp_path):
     found = compare(records[0], validate=records[1], models={"line": Linear.fit, "truth": plant})
-    bars, table, *_ = comparison_sections(found)
+    write_comparison(tmp_path / "page.html", found)
+    _, bars, table = (tmp_path / "page.html").read_text().split("<h2")[:3]
     assert re.findall(r"<dt>(\w+)</dt>", bars) == ["truth", "line"]
     widths = [float(width) for width in re.findall(r"width:([\d.]+)%", bars)]
     assert len(widths) == 4 and max(widths) == 100 and widths[2] > widths[3]
     rows = re.findall(r"<tr>.*?</tr>", table, re.S)
-    assert [row.count('class="best"') for row in rows] == [0, 0, 3]
-
-
-def test_the_report_takes_the_section():
-    fit = Fit(None, Outcome.FAILED)
-    found = table_of("ours")
-    text = re.sub(r' id="part-\d+"', "", render(fit, comparison=found))
-    assert all(part in text for part in comparison_sections(found))
-    assert "Models compared" not in render(fit)
+    assert [row.count('class="best"') for row in rows] == [0, 0, 2]

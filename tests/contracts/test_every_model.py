@@ -1,11 +1,10 @@
-"""What every model must do, ours and every baseline. To enter a model, add one line to `MODELS`.
+"""What every model must do. To enter a model, add one line to `MODELS`.
 
 The tests are those of `dehyst.testing`.
 """
 
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -16,25 +15,12 @@ from dehyst import (
     DisplacementCreep,
     GradedSlip,
     MaxwellSlip,
-    Record,
     SmoothSlip,
     Spring,
     Transformer,
 )
-from dehyst.baselines import GoldfarbCelanovic
-from dehyst.baselines.bouc_wen import BoucWen
-from dehyst.baselines.duhem import Duhem
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.play_models import (
-    GeneralizedPrandtlIshlinskii,
-    KrasnoselskiiPokrovskii,
-    ModifiedPrandtlIshlinskii,
-    PrandtlIshlinskii,
-)
-from dehyst.baselines.preisach import Preisach
 from dehyst.testing import ModelCandidate, ModelContract
-from dehyst.virtual import PlayActuator
-from dehyst.waveforms import Sampling, standard
 
 VOLTS = 100.0
 
@@ -58,41 +44,10 @@ def wider(elements, *, creep):
     return Actuator(slip, Spring([0, 1e-5], [0, 80]), transformer=bend, creep=CREEP if creep else None)
 
 
-def goldfarb():
-    """Return the baseline identified from a rise to 10 um and 100 V."""
-    u = np.linspace(0, 1, 101)
-    return GoldfarbCelanovic.fit(Record(u, VOLTS * (0.7 * u + 0.3 * np.sqrt(u)), 1e-5 * u))
-
-
-def preisach():
-    """Return a baseline with a ridge of relays, more of them at high voltages."""
-    nodes = np.linspace(0, 1, 13)
-    alpha, beta = np.meshgrid(nodes, nodes, indexing="ij")
-    return Preisach((0.0, VOLTS), 1e-5 * (alpha - beta) * (0.6 + 0.3 * (alpha - beta) + 0.2 * alpha), 2e-6)
-
-
-def boucwen():
-    """Return a baseline with a bent map."""
-    return BoucWen(0.45, 0.04, 0.02, (-5.0, 95.0), [1e-6, 1.2e-5, -6e-6, 4e-6])
-
-
-def duhem():
-    """Return a baseline with a bent middle line."""
-    return Duhem((0.0, VOLTS), 5.0, [1e-6, 1.2e-5, -3e-6, 1e-6], [8e-6, -1e-6])
-
-
 def smooth():
     """Return ten elements beside three smooth ones."""
     plain = actuator(10, np.linspace(0, 1e-5, 11), 60 * np.linspace(0, 1, 11) ** 1.3)
     return Actuator(plain.slip, plain.spring, smooth=SmoothSlip([3e-7, 1e-6, 4e-6], [1, 0.5, 0.8], [5e6, 3e6, 2e6]))
-
-
-@cache
-def fitted(kind, **options):
-    """Return a baseline identified from loops of falling tops up to 100 V."""
-    voltage = standard.descending_tops(VOLTS, steps=5, drive=Sampling(sample_rate=1.0)).voltage
-    y = PlayActuator(highest=VOLTS).play(voltage)
-    return kind.fit(Record(np.arange(y.size), voltage, y), delay=0.0, **options)
 
 
 MODELS = [
@@ -107,15 +62,7 @@ MODELS = [
         "plain elements and creep in displacement",
         lambda: replace(actuator(10, [0, 1e-5], [0, 80]), displacement_creep=BEHIND),
     ),
-    ModelCandidate("Goldfarb and Celanovic", goldfarb),
-    ModelCandidate("Prandtl and Ishlinskii", partial(fitted, PrandtlIshlinskii)),
-    ModelCandidate("Kuhnen", partial(fitted, ModifiedPrandtlIshlinskii)),
-    ModelCandidate("generalised Prandtl and Ishlinskii", partial(fitted, GeneralizedPrandtlIshlinskii, lowpasses=())),
-    ModelCandidate("Krasnosel'skii and Pokrovskii", partial(fitted, KrasnoselskiiPokrovskii)),
     ModelCandidate("linear ratio", lambda: Linear(1e-7, 1e-6)),
-    ModelCandidate("Preisach", preisach),
-    ModelCandidate("Bouc-Wen", boucwen, wipes_out=False),
-    ModelCandidate("Duhem", duhem, wipes_out=False),
     ModelCandidate("smooth elements", smooth, wipes_out=False),
 ]
 

@@ -55,7 +55,7 @@ record = plain_records.loops(actuator, plain_records.DESCENDING_TOPS)
 SOLVERS = {
     "a structure": "dehyst.identify(record, structure=Structure(elements=8, knots=9, transformer=4, creep=2))",
     "plain, insight": "insight(dehyst.identify(record, structure='maxwell_slip').actuator, record)",
-    "compare": "compare(record, models={'linear': contenders()['linear ratio'], 'play': contenders()['Preisach']})",
+    "compare": "compare(record, models={'linear': contenders()['linear ratio'], 'ours': contenders()['dehyst']})",
 }
 FREE = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
 

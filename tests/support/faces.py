@@ -12,7 +12,7 @@ FACES = {
             wave_table write_record
         """,
         "baselines": """
-            BASELINES AbstractBaseline ModelComparison Training compare fit_with_delay
+            BASELINES AbstractBaseline ModelComparison compare
         """,
         "calibration": """
             Calibration Plan TrackedPath calibrate
@@ -54,7 +54,7 @@ FACES = {
             Paper PaperFit identify identify_antisymmetric initial_displacements
         """,
         "testing": """
-            BaselineCandidate BaselineContract FakeInstrument ModelCandidate ModelContract RigCandidate RigContract
+            FakeInstrument ModelCandidate ModelContract RigCandidate RigContract
         """,
         "trust": """
             Change CheckHistory Insight Recheck Update check

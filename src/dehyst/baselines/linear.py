@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import final
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, number
-from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
+from dehyst.baselines.base import AbstractBaseline, widest_record
 from dehyst.model import State
 from dehyst.records import Record
 
@@ -45,15 +46,11 @@ class Linear(AbstractBaseline):
         return (y - self.offset) / self.slope if inverse else y, after
 
     @classmethod
-    def fit(cls, records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
-        """Take the slope from the end points of the widest loop, and fit the offset by least squares.
+    def fit(cls, records: Record | Sequence[Record]) -> Linear:
+        """Take the slope from the end points of the widest record, and the offset from its mean.
 
-        Parameters are those of every baseline, see `AbstractBaseline`.
+        Raise `RecordError` if a record cannot be used, and `IdentifyError` if there is none.
         """
-
-        def fit_model(training: Training) -> tuple[Linear, float]:
-            rest = training.displacement - training.slope * training.sampled(lambda piece: piece.voltage)
-            constant, residual = training.fit_constant(rest)
-            return cls(training.slope, constant, training.delay), residual
-
-        return fit_with_delay(records, delay, fit_model)
+        record = widest_record(records)
+        slope = float(np.ptp(record.displacement) / np.ptp(record.voltage))
+        return cls(slope, float((record.displacement - slope * record.voltage).mean()))

@@ -18,9 +18,8 @@ from dehyst.identification.identify import identify
 from dehyst.identification.preprocessing import cleaning
 from dehyst.identification.preprocessing.cleaning import cycle_time, remove_glitches
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
-from dehyst.identification.preprocessing.regressors import collect, epochs
+from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile
-from dehyst.identification.regression.regression import Regression
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, write_traces
 from dehyst.identification.settings import Deadline
 from dehyst.identification.solvers.program import Norm, Solution, solve

@@ -29,7 +29,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
     "Identify and know": {
         "identify": Entry("identify:identify", "Fit a model to recorded loops"),
         "insight": Entry("assess:insight", "How far to trust a model, and what to record next"),
-        "compare": Entry("compare:compare", "Compare with other published models on your records"),
+        "compare": Entry("compare:compare", "Compare with a table, a straight line and other models"),
         "fleet": Entry("fleet:fleet", "Identify many records at once, in one table"),
     },
     "Compensate and check": {

@@ -10,7 +10,6 @@ import numpy as np
 
 from dehyst import identification
 from dehyst._types import Array, Progress
-from dehyst.baselines import GoldfarbCelanovic
 from dehyst.control import Compensator
 from dehyst.identification import Norm
 from dehyst.model import Actuator, State
@@ -206,7 +205,7 @@ class PaperTrial:
 
     `simulated` (n,): displacement [m] for the voltage of the run, from the run alone: no constant is fitted. `errors`:
     of each amplitude, from the first peak on. `shift`: by how much Eq. 10 predicts the loop to lie above the relaxed
-    one after pre-energising [m]. `outcome`: name of the `Outcome`, or "CLOSED_FORM".
+    one after pre-energising [m]. `outcome`: name of the `Outcome`.
     """
 
     actuator: Actuator
@@ -266,10 +265,6 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
     runs = {start: _record(truth, start, loops, seed) for seed, start in enumerate(STARTS)}
     runs["tops"] = _record(truth, RELAXED, descending_tops(PEAKS["major"], drive=DRIVE).voltage, len(runs))
     trials = {plan.key: _identify(truth, runs, plan, progress) for plan in PLANS}
-    progress("fitting Goldfarb and Celanovic's model")
-    for key, start in (("goldfarb", RELAXED), ("goldfarb_energised", ENERGISED)):
-        baseline = GoldfarbCelanovic.fit(runs[start].record, elements=ELEMENTS)
-        trials[key] = _trial(truth, runs[start], baseline.actuator, "CLOSED_FORM", baseline.remarks)
     relaxed = runs[RELAXED]
     break_points = loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS)
     return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None), ClosedLoop.of(truth))
@@ -313,10 +308,13 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
         delay=0.0,
         drift=False,
     )
-    return _trial(truth, relaxed, fit.actuator, fit.outcome.name, fit.remarks)
+    return paper_trial(truth, relaxed, fit.actuator, fit.outcome.name, fit.remarks)
 
 
-def _trial(truth: PlayActuator, run: Measured, actuator: Actuator, outcome: str, remarks: Sequence[str]) -> PaperTrial:
+def paper_trial(
+    truth: PlayActuator, run: Measured, actuator: Actuator, outcome: str, remarks: Sequence[str]
+) -> PaperTrial:
+    """Compare an actuator identified from a run with the truth, and track with it."""
     simulated = actuator.simulate(run.record.voltage, time=run.record.time, extrapolate=True).displacement
     errors = {}
     for loop in PEAKS:

@@ -20,7 +20,6 @@ _GREY, _GREEN = "#8A8A8A", "#117733"
 _DASHED, _DOTTED = (0, (4, 1.5)), (0, (1.5, 1))
 _LINES: dict[str, dict[str, Any]] = {
     "nominal": {"color": INK, "lw": 0.9, "ls": (0, (1, 1.2)), "label": "nominal ratio"},
-    "goldfarb": {"color": "#AA4499", "lw": 0.9, "ls": (0, (6, 1.5, 1, 1.5)), "label": "Goldfarb"},
     "breakpoints": {"color": plots.SIMULATED, "lw": 1.0, "label": "paper's method"},
     "record": {"color": _GREEN, "lw": 1.0, "ls": _DASHED, "label": "whole record"},
     "record_tops": {"color": plots.FALLING, "lw": 1.0, "ls": (0, (2, 1)), "label": "whole record, tops added"},
@@ -273,7 +272,7 @@ def _right_extreme(found: Experiment, _: Experiment) -> _Figure:
 
 def _control_voltages(found: Experiment, _: Experiment) -> _Figure:
     time, nominal = found.nominal.time, found.nominal.voltage
-    sent = {key: found.trials[key].tracking.voltage for key in ("breakpoints", "record_tops", "goldfarb")}
+    sent = {key: found.trials[key].tracking.voltage for key in ("breakpoints", "record_tops")}
 
     def draw(upper: Axes, lower: Axes) -> None:
         plots.line(upper, time, nominal, **_LINES["nominal"])
@@ -290,7 +289,7 @@ def _control_voltages(found: Experiment, _: Experiment) -> _Figure:
 
 def _trajectories(found: Experiment, _: Experiment) -> _Figure:
     time, wanted = found.nominal.time, 1e6 * found.nominal.wanted
-    tried = {key: found.trials[key].tracking for key in ("goldfarb", "breakpoints", "record_tops")}
+    tried = {key: found.trials[key].tracking for key in ("breakpoints", "record_tops")}
     reached = {key: 1e6 * one.reached for key, one in {"nominal": found.nominal, **tried}.items()}
 
     def draw(ax: Axes) -> None:
@@ -305,7 +304,7 @@ def _trajectories(found: Experiment, _: Experiment) -> _Figure:
 
 
 def _tracking_errors(found: Experiment, symmetric: Experiment) -> _Figure:
-    time, nominal, keys = found.nominal.time, found.nominal.error, ("goldfarb", "breakpoints", "record_tops")
+    time, nominal, keys = found.nominal.time, found.nominal.error, ("breakpoints", "record_tops")
 
     def draw(upper: Axes, middle: Axes, lower: Axes) -> None:
         plots.line(upper, time, nominal, **_LINES["nominal"])

@@ -30,8 +30,6 @@ MODELS = {
     "breakpoints": ("The paper's method", "N = 10"),
     "record": ("Whole record", "N = 40, same records"),
     "record_tops": ("Whole record", "N = 40, descending tops added"),
-    "goldfarb": ("Goldfarb and Celanovic", "N = 10, relaxed"),
-    "goldfarb_energised": ("Goldfarb and Celanovic", "N = 10, pre-energised"),
 }
 _ACTUATOR = "highest_V=highest width asymmetry bend plays"
 
@@ -77,8 +75,8 @@ def summary(found: Experiment) -> tuple[Quantity, ...]:
         for loop, peak in PEAKS.items()
     ]
     tracked = {key: trial.tracking.largest for key, trial in trials.items()}
-    spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items() if "gold" not in key}
-    moved = {key: 1e6 * trial.shift for key, trial in trials.items() if key != "goldfarb_energised"}
+    spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items()}
+    moved = {key: 1e6 * trial.shift for key, trial in trials.items()}
     shift = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"
     return (
         *errors,

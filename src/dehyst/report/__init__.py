@@ -1,7 +1,7 @@
 """Reports: HTML pages, and plots of objects; the only room that uses matplotlib."""
 
 from dehyst.report import plots
-from dehyst.report.comparison_section import write_comparison
+from dehyst.report.comparison_page import write_comparison
 from dehyst.report.html import MINUS, Row, bullets, document, table
 from dehyst.report.pages import write_check_history, write_record_page, write_stage_report
 from dehyst.report.plots import COLUMN, INK, PAGE, Drawing

@@ -10,12 +10,10 @@ from dehyst._errors import ModelError
 from dehyst._io import PathLike, write_atomically
 from dehyst._text import counted
 from dehyst._views.html import escape
-from dehyst.baselines import ModelComparison
 from dehyst.identification import Fit, Structure
 from dehyst.model import Actuator
 from dehyst.report import fit_section as of_fit
 from dehyst.report.actuator_section import followed_sections, made_of, path_trial
-from dehyst.report.comparison_section import comparison_sections
 from dehyst.report.html import Part, bullets, document, length, number, table, words
 from dehyst.report.trust_section import sections, turned
 from dehyst.trust import Insight, turn_plane
@@ -41,7 +39,6 @@ def write_report(
     *,
     command: str | None = None,
     insight: Insight | None = None,
-    comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
     """Write a report of `fit` to a self-contained HTML file.
@@ -53,8 +50,8 @@ def write_report(
     fit : Fit
     command : str, optional
         The command line to show.
-    insight, comparison : Insight, ModelComparison, optional
-        Assessment of the model, and comparison with the baselines on the same records, to show too.
+    insight : Insight, optional
+        Assessment of the model, to show too.
     followed : mapping of str to TrackedPath, optional
         Measurements along a path, by the kind of its voltage.
 
@@ -63,7 +60,7 @@ def write_report(
     FileFormatError
         If the file cannot be written.
     """
-    write_atomically(path, render(fit, command, insight, comparison, followed))
+    write_atomically(path, render(fit, command, insight, followed))
 
 
 def write_calibration(path: PathLike, calibration: Calibration, *, command: str | None = None) -> None:
@@ -82,12 +79,11 @@ def render(
     fit: Fit,
     command: str | None = None,
     insight: Insight | None = None,
-    comparison: ModelComparison | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> str:
     """Return the text of the report; the same text for the same `fit`.
 
-    `command`: the command that made the report. `insight`, `comparison` and the paths `followed` add a section each.
+    `command`: the command that made the report. `insight` and the paths `followed` add a section each.
     """
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
     name = actuator.name if actuator else "Actuator not identified"
@@ -112,7 +108,6 @@ def render(
         bullets("What was repaired or left out", map(words, fit.repairs), "Nothing was repaired or left out."),
         bullets("Remarks", map(words, fit.remarks), "No remarks."),
         *(made_of(actuator) if actuator else []),
-        *(comparison_sections(comparison) if comparison else []),
         _reproduce(fit, actuator, command),
     ]
     return document(f"{name}: identification", parts)

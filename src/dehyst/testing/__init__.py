@@ -1,4 +1,4 @@
-"""For authors of plug-ins: what every reader, rig, model, baseline and target of exports must do, as tests.
+"""For authors of plug-ins: what every rig and every model must do, as tests.
 
 The suites are classes for pytest: a subclass gives a candidate, and runs as any class of tests. Instruments to test on:
 `FakeInstrument`, the virtual actuators and `VirtualBench` of `dehyst.virtual`, and the emulated controller of
@@ -6,12 +6,10 @@ The suites are classes for pytest: a subclass gives a candidate, and runs as any
 """
 
 from dehyst.testing.instrument import FakeInstrument
-from dehyst.testing.models import BaselineCandidate, BaselineContract, ModelCandidate, ModelContract
+from dehyst.testing.models import ModelCandidate, ModelContract
 from dehyst.testing.rigs import RigCandidate, RigContract
 
 __all__ = [
-    "BaselineCandidate",
-    "BaselineContract",
     "FakeInstrument",
     "ModelCandidate",
     "ModelContract",

@@ -1,10 +1,9 @@
-"""What every model must do, and the fit of every baseline: tests for authors, which dehyst's own models pass too."""
+"""What every model must do: tests for authors, which dehyst's own models pass too."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
-from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -14,15 +13,9 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.baselines import BASELINES, compare
-from dehyst.model import AbstractModel, Actuator, Motion, simulated
-from dehyst.records import Record
-from dehyst.virtual import PlayActuator
-from dehyst.waveforms import Sampling, descending_tops
+from dehyst.model import AbstractModel, Actuator, Motion
 
 _VOLTS = 100.0
-# Rate of the records for a fit [Hz], and by which factor its errors may be larger than those of a straight line.
-_RATE, _WORSE = 100.0, 2.0
 
 
 class ModelCandidate(NamedTuple):
@@ -37,12 +30,6 @@ class ModelCandidate(NamedTuple):
     make: Callable[[], AbstractModel]
     tolerance: float = 1e-12
     wipes_out: bool = True
-
-
-class BaselineCandidate(NamedTuple):
-    """A baseline under test: the `name` of its entry point."""
-
-    name: str
 
 
 def _walk(n: int, seed: int = 0) -> Array:
@@ -73,22 +60,6 @@ def _knows_time(model: AbstractModel) -> bool:
 
 def _close(got: Array, expected: Array, tolerance: float) -> bool:
     return bool(np.abs(np.subtract(got, expected)).max(initial=0.0) <= tolerance * np.ptp(expected))
-
-
-def _record(name: str, voltage: Array, offset: float) -> Record:
-    """Return a record of a virtual actuator of 0 to 100 V, whose sensor has an `offset` [m]."""
-    y = PlayActuator(highest=_VOLTS).play(voltage)
-    return Record(np.arange(voltage.size) / _RATE, voltage, y + offset, name)
-
-
-@cache
-def _records() -> tuple[list[Record], Record]:
-    """Return two records to fit, loops with falling tops and turns anywhere, and a held-out one with other turns."""
-    tops = descending_tops(_VOLTS, steps=5, drive=Sampling(frequency=1.0, sample_rate=_RATE)).voltage
-    turns = [np.r_[0, _VOLTS, 0, np.random.default_rng(seed).uniform(0, _VOLTS, 30)] for seed in (1, 2)]
-    turning = [np.interp(np.arange(0, one.size - 1, 1 / 25), np.arange(one.size), one) for one in turns]
-    first, second, third = (_record(f"loops {k}", v, 1e-6 * k) for k, v in enumerate([tops, *turning]))
-    return [first, second], third
 
 
 class ModelContract:
@@ -225,38 +196,3 @@ class ModelContract:
                 assert out in str(error) or "state" in str(error) or "displacement" in str(error)
             else:
                 assert np.isfinite(getattr(motion, out)).all()
-
-
-class BaselineContract:
-    """The tests of a baseline: what its function of records returns for those of a virtual actuator.
-
-    Its model has a `ModelContract` of its own. A subclass whose name begins with ``Test`` has a fixture `candidate`
-    that returns a `BaselineCandidate`::
-
-        class TestMyBaseline(BaselineContract):
-            @pytest.fixture
-            def candidate(self):
-                return BaselineCandidate("mine")
-    """
-
-    def test_errors_are_not_far_beyond_those_of_a_straight_line(self, candidate: BaselineCandidate) -> None:
-        """Its own row in `compare`, on the records of the fit and on a held-out one."""
-        training, held_out = _records()
-        models = {"a line": BASELINES["linear ratio"], "it": BASELINES[candidate.name]}
-        line, row = compare(training, validate=held_out, models=models).rows
-        assert not row.failure
-        for score, straight in zip(row.scores, line.scores, strict=True):
-            assert score.rms <= _WORSE * straight.rms, score.record
-
-    def test_the_delay_lies_within_the_records(self, candidate: BaselineCandidate) -> None:
-        training, _ = _records()
-        model = BASELINES[candidate.name](list(training))
-        assert 0.0 <= getattr(model, "delay", 0.0) < min(one.time[-1] - one.time[0] for one in training)
-
-    def test_the_same_records_give_the_same_model(self, candidate: BaselineCandidate) -> None:
-        training, held_out = _records()
-        models = [BASELINES[candidate.name](list(training)) for _ in range(2)]
-        first, second = (simulated(one, held_out.voltage, held_out.time).displacement for one in models)
-        assert np.isfinite(first).all()
-        assert np.array_equal(first, second)
-        assert len({getattr(one, "delay", 0.0) for one in models}) == 1

@@ -9,13 +9,14 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-import dehyst._rivals as rivals
-from dehyst._errors import IdentifyError, ModelError
+from dehyst import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number
-from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
+from dehyst.baselines import AbstractBaseline
 from dehyst.identification import solve
 from dehyst.records import Record, rms
+from dehyst_rivals import _rivals as compiled
+from dehyst_rivals.training import Training, fit_with_delay
 
 _MOST_ROWS = 8000
 _MOST_CELLS = 80
@@ -95,7 +96,7 @@ class Preisach(AbstractBaseline):
         mean = float(self.everett[-1, 0]) / (high - low)
         numbers = np.array([low, (high - low) / cells, self.bottom, mean, mean])
         turns, table = np.ascontiguousarray(state.turns).ravel(), self.everett.ravel()
-        out, turns, v, y = rivals.preisach(
+        out, turns, v, y = compiled.preisach(
             numbers, table, cells, turns, state.voltage, state.displacement, drive, inverse
         )
         return out, PreisachState(v, y, turns.reshape(-1, 2))
@@ -113,8 +114,8 @@ class Preisach(AbstractBaseline):
         """Fit the density by non-negative least squares, from records of any shape.
 
         Each sample is linear in the densities, once its nested reversals are known. Where the records do not determine
-        the density, a penalty on its second differences does. Parameters are those of every baseline, see
-        `AbstractBaseline`, `cells`: cells n of a side of the plane, n (n + 1) / 2 densities, and `smoothing`: weight of
+        the density, a penalty on its second differences does. Parameters are those of every model, see
+        `training`, `cells`: cells n of a side of the plane, n (n + 1) / 2 densities, and `smoothing`: weight of
         the penalty, 0 for none. The relays on the diagonal provide the least slope.
         """
         n = count(cells, "cells", 2, _MOST_CELLS)
@@ -191,7 +192,7 @@ def _columns(training: Training, n: int) -> Array:
     low, high = training.limits
     parts = []
     for piece, rows in zip(training.pieces, training.kept, strict=True):
-        nodes = rivals.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
+        nodes = compiled.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
         # A node's triangle holds every cell with alpha below and beta above it.
         held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
         parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])

@@ -5,14 +5,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from virtual_trials import TRIALS
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
-from dehyst.baselines import GoldfarbCelanovic
-from dehyst.baselines.base import AbstractBaseline, PlayRows, prepare_training, ramps
-from dehyst.baselines.bouc_wen import BoucWen
-from dehyst.baselines.duhem import Duhem
+from dehyst.baselines import AbstractBaseline
 from dehyst.baselines.linear import Linear
-from dehyst.baselines.play_models import (
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.waveforms import Sampling, standard
+from dehyst_rivals import GoldfarbCelanovic
+from dehyst_rivals.bouc_wen import BoucWen
+from dehyst_rivals.duhem import Duhem
+from dehyst_rivals.play_models import (
     GeneralizedPrandtlIshlinskii,
     KrasnoselskiiPokrovskii,
     ModifiedPrandtlIshlinskii,
@@ -21,11 +24,9 @@ from dehyst.baselines.play_models import (
     low_pass,
     with_unknown_start,
 )
-from dehyst.baselines.plays import PlayBank
-from dehyst.baselines.preisach import Preisach
-from dehyst.baselines.tracking_trials import TRIALS
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.waveforms import Sampling, standard
+from dehyst_rivals.plays import PlayBank
+from dehyst_rivals.preisach import Preisach
+from dehyst_rivals.training import PlayRows, prepare_training, ramps
 from examples import at_night
 
 MODELS = [PrandtlIshlinskii, ModifiedPrandtlIshlinskii, GeneralizedPrandtlIshlinskii, KrasnoselskiiPokrovskii]
@@ -135,7 +136,7 @@ def test_a_modified_prandtl_ishlinskii_truth_is_recovered():
 
 
 def test_kernels_by_their_own_definition():
-    """k <- min(max(k, r(v - p2)), r(v - p1)), kernel by kernel, against the plays with ramps."""
+    """K <- min(max(k, r(v - p2)), r(v - p1)), kernel by kernel, against the plays with ramps."""
     found = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().play, through(TOPS)), levels=6, delay=0.0)
     voltage, spacing = wander(5, 40, 10)[1:], VOLTS / 6
     expected = np.zeros(voltage.size)

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from dehyst._types import Array
 from dehyst._views.fields import json_values
@@ -97,8 +98,6 @@ class TrackingTrial:
 
     def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array, first_leg: int) -> Array:
         """Return the voltage for homing and path, which are compensated in one piece to avoid a jump."""
-        from scipy.interpolate import CubicSpline
-
         homed = simulated(model, homing, time[: homing.size]).displacement
         when = time[homing.size :]
         delay = float(getattr(model, "delay", 0.0))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from strategies import SEEDS
 
 from dehyst import ModelError
-from dehyst.baselines.plays import PlayBank, PlayState
+from dehyst_rivals.plays import PlayBank, PlayState
 
 VOLTS = 100.0
 

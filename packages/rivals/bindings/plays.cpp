@@ -1,4 +1,4 @@
-// Arrays in, arrays out, the interpreter lock released. Sizes are checked here, values by dehyst.baselines.plays.
+// Arrays in, arrays out, the interpreter lock released. Sizes are checked here, values by dehyst_rivals.plays.
 #include <stdexcept>
 #include <tuple>
 #include <vector>

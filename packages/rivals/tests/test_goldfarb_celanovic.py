@@ -11,7 +11,7 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Record, Spring, State
-from dehyst.baselines import GoldfarbCelanovic
+from dehyst_rivals import GoldfarbCelanovic
 
 N = 10
 HEIGHT = 16e-6
@@ -283,7 +283,7 @@ def test_impossible_options_are_refused(options, message):
         GoldfarbCelanovic.fit(RISE, **options)
 
 
-def test_records_without_a_rise_are_refused():
+def test_the_first_record_counts_and_needs_a_rise():
     time, up, flat = np.arange(101), np.linspace(0, 1, 101), np.zeros(101)
     falls = Record(time, 100 * np.abs(1 - 2 * up), 1e-5 * np.abs(1 - 2 * up), "falls")
     with pytest.raises(IdentifyError, match="goes from 100 to 0"):
@@ -296,4 +296,19 @@ def test_records_without_a_rise_are_refused():
     with pytest.raises(IdentifyError, match=r"rise beyond 9.091"):
         GoldfarbCelanovic.fit(saturated)
     with pytest.raises(IdentifyError, match=r"dehyst.read\(path\)"):
-        GoldfarbCelanovic.fit([RISE])
+        GoldfarbCelanovic.fit(RISE.voltage)
+    with pytest.raises(IdentifyError, match="got no records"):
+        GoldfarbCelanovic.fit([])
+    first, alone = GoldfarbCelanovic.fit([RISE, falls]), GoldfarbCelanovic.fit(RISE)
+    assert np.array_equal(first.actuator.slip.stiffness, alone.actuator.slip.stiffness)
+
+
+def test_glitches_of_the_voltage_are_left_out():
+    plant = plain_records.plant(10)
+    volts = 200 * (0.5 - 0.5 * np.cos(np.pi * np.arange(800) / 100))
+    time, rising = np.arange(800) / 200, plant.simulate(volts, state=plant.relaxed()).displacement
+    glitches = volts.copy()
+    glitches[[40, 300]] = 500.0
+    clean, found = (GoldfarbCelanovic.fit(Record(time, v, rising, "rise"), elements=5) for v in (volts, glitches))
+    assert plain_records.stiffness_error(found.actuator, clean.actuator) < 0.02
+    assert any("sample 40" in remark for remark in found.remarks)

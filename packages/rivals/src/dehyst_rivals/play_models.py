@@ -9,13 +9,14 @@ from typing import NamedTuple, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import IdentifyError, ModelError
+from dehyst import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, vector
-from dehyst.baselines.base import AbstractBaseline, PlayRows, Training, fit_nonnegative, fit_with_delay, ramps
-from dehyst.baselines.plays import EMPTY, PlayBank, PlayState
+from dehyst.baselines import AbstractBaseline
 from dehyst.model import on_curve
 from dehyst.records import Record, rms
+from dehyst_rivals.plays import EMPTY, PlayBank, PlayState
+from dehyst_rivals.training import PlayRows, Training, fit_nonnegative, fit_with_delay, ramps
 
 _QUARTERS = 4
 # Least share of a decay that constants and the other decays do not explain already.
@@ -72,7 +73,7 @@ class PrandtlIshlinskii(AbstractPlayModel):
         delay: float | None = None,
         drift: bool = True,
     ) -> PrandtlIshlinskii:
-        """Fit the weights by nonnegative least squares; parameters are those of every baseline, see `AbstractBaseline`.
+        """Fit the weights by nonnegative least squares; parameters are those of every model, see `training`.
 
         `slope_floor` applies to the weight of threshold 0.
         """
@@ -149,7 +150,7 @@ class ModifiedPrandtlIshlinskii(AbstractBaseline):
         Kuhnen's own program is linear in the weights and in the slopes of S's inverse, but needs one sensor zero for
         all records; here each record has an offset of its own.
 
-        Parameters are those of every baseline, see `AbstractBaseline`, and `segments`: number of segments of S, of
+        Parameters are those of every model, see `training`, and `segments`: number of segments of S, of
         equal length. `slope_floor` applies to the weight of threshold 0 and to the slopes of S.
         """
         count(plays, "plays")
@@ -272,7 +273,7 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
     ) -> GeneralizedPrandtlIshlinskii:
         """Fit the slopes of all curves and the low-passes' shares by nonnegative least squares.
 
-        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` applies to the
+        Parameters are those of every model, see `training`, and those below. `slope_floor` applies to the
         slope just after a reversal. Low-passes replace the drift.
 
         `segments`: number of segments of each curve, over the range of its play. `lowpasses` (K,): time constants [s];
@@ -409,7 +410,7 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
     ) -> KrasnoselskiiPokrovskii:
         """Fit the weights by nonnegative least squares.
 
-        Parameters are those of every baseline, see `AbstractBaseline`, and those below. `slope_floor` applies to the
+        Parameters are those of every model, see `training`, and those below. `slope_floor` applies to the
         kernels with p1 = p2.
 
         `levels`: parts L into which the grid divides the voltage's range: L (L + 1) / 2 kernels. `smoothing`: weight of

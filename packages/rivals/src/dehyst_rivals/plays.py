@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-import dehyst._rivals as rivals
-from dehyst._errors import ModelError
+from dehyst import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, number, vector
+from dehyst_rivals import _rivals as compiled
 
 EMPTY = np.zeros(0)
 
@@ -41,7 +41,7 @@ class _ClosedForm(NamedTuple):
 
     weights: Array
     back: Array
-    plays: rivals.Plays
+    plays: compiled.Plays
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +84,15 @@ class PlayBank:
             raise ModelError("low-passes: need a time above 0 and a share for each")
 
     @cached_property
-    def _core(self) -> rivals.Plays:
-        """The compiled plays: equations and names are in `core/baselines/plays.h`."""
+    def _core(self) -> compiled.Plays:
+        """The compiled plays: equations and names are in `core/plays.h`."""
         # A straight line is a curve of one knot, the same on both sides.
         knots = [k if k.size else np.zeros(1) for k in self.knots]
         slopes = [s if s.size > 1 else np.repeat(s, 2) for s in self.slopes]
         first = np.cumsum([0, *(k.size for k in knots)]).astype(np.intc)
         values = [np.cumsum(np.append(0.0, s[1:-1] * np.diff(k))) for k, s in zip(knots, slopes, strict=True)]
         knot, value, slope = (np.concatenate([EMPTY, *parts]) for parts in (knots, values, slopes))
-        return rivals.Plays(self.thresholds, first, knot, value, slope, self.times, self.shares, self.offset)
+        return compiled.Plays(self.thresholds, first, knot, value, slope, self.times, self.shares, self.offset)
 
     @cached_property
     def _closed_form(self) -> _ClosedForm | None:
@@ -110,7 +110,7 @@ class PlayBank:
         thresholds = np.concatenate([[0.0], np.cumsum(summed[:-1] * np.diff(r))])
         back, zeros = np.diff(1 / summed, prepend=0.0), np.zeros(r.size)
         first, slopes = np.arange(r.size + 1, dtype=np.intc), np.repeat(back, 2)
-        return _ClosedForm(weights, back, rivals.Plays(thresholds, first, zeros, zeros, slopes, EMPTY, EMPTY, 0.0))
+        return _ClosedForm(weights, back, compiled.Plays(thresholds, first, zeros, zeros, slopes, EMPTY, EMPTY, 0.0))
 
     @property
     def parameters(self) -> int:

@@ -18,12 +18,13 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import ArrayLike
 
-import dehyst._rivals as rivals
-from dehyst._errors import IdentifyError, ModelError
+from dehyst import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number, vector
-from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
+from dehyst.baselines import AbstractBaseline
 from dehyst.records import Record
+from dehyst_rivals import _rivals as compiled
+from dehyst_rivals.training import Training, fit_with_delay
 
 _SEARCH_ROWS = 3000
 _RATES = np.geomspace(0.2, 40.0, 25)
@@ -94,7 +95,7 @@ class Duhem(AbstractBaseline):
     ) -> tuple[Array, DuhemState]:
         # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
         numbers, rise, fall = self._tables
-        out, v, y = rivals.coleman_hodgdon(numbers, rise, fall, state.voltage, state.displacement, drive, inverse)
+        out, v, y = compiled.coleman_hodgdon(numbers, rise, fall, state.voltage, state.displacement, drive, inverse)
         return out, DuhemState(v, y)
 
     @classmethod
@@ -109,7 +110,7 @@ class Duhem(AbstractBaseline):
         """Fit by least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
 
         The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. Parameters
-        are those of every baseline, see `AbstractBaseline`, and `degree`: degree of f; g has one less. `slope_floor`
+        are those of every model, see `training`, and `degree`: degree of f; g has one less. `slope_floor`
         applies to dy/dv within the major loop.
         """
         count(degree, "degree", most=_HIGHEST_DEGREE)
@@ -166,7 +167,7 @@ def _solve(training: Training, rate: float, degree: int, slope_floor: float) -> 
         rise, fall = _branches(rate, f, g)
         begin = float(_major_loop(rate, rise, fall)[0][0])
         return training.sampled(
-            lambda piece: rivals.coleman_hodgdon(numbers, rise, fall, low, begin, piece.voltage, False)[0]
+            lambda piece: compiled.coleman_hodgdon(numbers, rise, fall, low, begin, piece.voltage, False)[0]
         )
 
     columns = np.column_stack([column(f, g) for f, g in units])

@@ -11,10 +11,10 @@ from strategies import SEEDS
 
 import dehyst
 from dehyst import IdentifyError, ModelError, Record
-from dehyst.baselines.preisach import Preisach, PreisachState
 from dehyst.records.signals import largest, rms
 from dehyst.virtual import PlayActuator, PreisachActuator
 from dehyst.waveforms import Sampling, standard
+from dehyst_rivals.preisach import Preisach, PreisachState
 
 VOLTS = 100.0
 STROKE = 1e-5

@@ -16,13 +16,14 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-import dehyst._rivals as rivals
-from dehyst._errors import ModelError
+from dehyst import ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number, vector
-from dehyst.baselines.base import AbstractBaseline, Training, fit_with_delay
+from dehyst.baselines import AbstractBaseline
 from dehyst.identification import Solution, solve
 from dehyst.records import Record, rms
+from dehyst_rivals import _rivals as compiled
+from dehyst_rivals.training import Training, fit_with_delay
 
 _SEARCH_ROWS = 2000
 # Bounds of alpha, of the part of v that a reversal hides at first, and of log((beta + gamma) times the range of v).
@@ -95,7 +96,9 @@ class BoucWen(AbstractBaseline):
             raise ModelError(f"state: got {state!r}, need a BoucWenState whose hidden part is at most {most:g} V")
         low, high = self.limits
         numbers = np.array([self.alpha, self.beta, self.gamma, low, high - low, *self.cubic])
-        out, v, h = rivals.bouc_wen(numbers, state.voltage, state.hidden, drive, _COMPENSATE if inverse else _SIMULATE)
+        out, v, h = compiled.bouc_wen(
+            numbers, state.voltage, state.hidden, drive, _COMPENSATE if inverse else _SIMULATE
+        )
         return out, BoucWenState(v, h)
 
     @classmethod
@@ -111,7 +114,7 @@ class BoucWen(AbstractBaseline):
         """Least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
 
         For given alpha, beta and gamma, the map and the constants of the records are linear parameters and are
-        eliminated. Parameters are those of every baseline, see `AbstractBaseline`, and `starts`: number of random
+        eliminated. Parameters are those of every model, see `training`, and `starts`: number of random
         starts, drawn from `seed`, of which the best six are polished. `slope_floor` applies to the map.
         """
         count(starts, "starts", most=None)
@@ -157,7 +160,7 @@ class _BoucWenFit:
 
         def lag(piece: Record) -> Array:
             path = np.concatenate([past, piece.voltage])
-            return rivals.bouc_wen(numbers, low, -alpha / (beta + gamma), path, _LAG)[0][past.size :]
+            return compiled.bouc_wen(numbers, low, -alpha / (beta + gamma), path, _LAG)[0][past.size :]
 
         w = self.training.sampled(lag)
         low, high = float(w.min()), float(w.max())

@@ -1,4 +1,4 @@
-// Arrays in, arrays out, the interpreter lock released. No algorithm: see core/baselines/fields.h.
+// Arrays in, arrays out, the interpreter lock released. No algorithm: see core/fields.h.
 #include <cstdint>
 #include <stdexcept>
 #include <tuple>

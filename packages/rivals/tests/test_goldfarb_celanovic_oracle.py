@@ -5,7 +5,7 @@ from electromechanical_oracle import legs, moving, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, assert_proportional, paper_stack
 
 from dehyst import Record
-from dehyst.baselines import GoldfarbCelanovic
+from dehyst_rivals import GoldfarbCelanovic
 
 STACK = paper_stack(linear=True)
 REACH = STACK.friction / STACK.stiffness

@@ -12,11 +12,11 @@ from scipy.integrate import solve_ivp
 from strategies import SEEDS
 
 from dehyst import IdentifyError, ModelError, Record, State
-from dehyst.baselines.bouc_wen import BoucWen, BoucWenState
-from dehyst.baselines.duhem import Duhem, DuhemState
 from dehyst.records.signals import largest, rms
 from dehyst.virtual import BoucWenActuator, PlayActuator
 from dehyst.waveforms import Sampling, standard
+from dehyst_rivals.bouc_wen import BoucWen, BoucWenState
+from dehyst_rivals.duhem import Duhem, DuhemState
 
 VOLTS = 100.0
 STROKE = 1e-5

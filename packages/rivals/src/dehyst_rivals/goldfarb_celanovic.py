@@ -7,17 +7,18 @@ behavior of piezoelectric actuators", ASME J. Dyn. Syst. Meas. Control 119, 1997
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import IdentifyError
+from dehyst import IdentifyError
 from dehyst._types import Array
 from dehyst._validation import count, keep, vector
-from dehyst.baselines.base import AbstractBaseline
-from dehyst.identification import Branch, remove_glitches, voltage_at
+from dehyst.baselines import AbstractBaseline
+from dehyst.identification import Branch, as_list, remove_glitches, voltage_at
 from dehyst.model import Actuator, MaxwellSlip, Spring, State
 from dehyst.records import Record
 
@@ -44,7 +45,9 @@ class GoldfarbCelanovic(AbstractBaseline):
         return motion.voltage if inverse else motion.displacement, motion.state
 
     @classmethod
-    def fit(cls, record: Record, *, elements: int = 10, breakaway: ArrayLike | None = None) -> GoldfarbCelanovic:
+    def fit(
+        cls, records: Record | Sequence[Record], *, elements: int = 10, breakaway: ArrayLike | None = None
+    ) -> GoldfarbCelanovic:
         """Compute the elements from the first rise of a record, in closed form.
 
         Between break points i and i + 1, the slope of the rise is the sum over the spring and all elements m > i; hence
@@ -55,16 +58,18 @@ class GoldfarbCelanovic(AbstractBaseline):
         segment replaces the two slopes next to it. The model's rise is then the least concave curve above the break
         points, and passes through all kept ones.
 
-        `record`: its voltage rises first, from an actuator at rest and relaxed: no voltage for a day, or a decaying
-        alternation. It may rest before; noise is allowed. `elements`: number N; the rise X is divided into equal parts,
-        rho_i = i X / (N + 1). `breakaway` (N,): elongations rho_i [m] in place of equal parts and `elements`.
+        `records`: one, or several of which the first counts. Its voltage rises first, from an actuator at rest and
+        relaxed: no voltage for a day, or a decaying alternation. It may rest before; noise is allowed. `elements`:
+        number N; the rise X is divided into equal parts, rho_i = i X / (N + 1). `breakaway` (N,): elongations rho_i [m]
+        in place of equal parts and `elements`.
 
-        Raise `IdentifyError` if `record` is not a Record, its voltage does not rise first, the rise is too short for
+        Raise `IdentifyError` if there is no record, its voltage does not rise first, the rise is too short for
         this number of elements, or a break point is impossible.
         """
-        if not isinstance(record, Record):
-            raise IdentifyError(f"got {type(record).__name__}, need a record; read a file with dehyst.read(path)")
-        record, _, repairs = remove_glitches(record)
+        given = as_list(records)
+        if not given:
+            raise IdentifyError("got no records, need the first rise of a relaxed actuator")
+        record, _, repairs = remove_glitches(given[0])
         rise, rest, height = _first_rise(record)
         rho = _break_points(elements, breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:

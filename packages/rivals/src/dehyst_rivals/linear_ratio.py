@@ -1,0 +1,23 @@
+"""dehyst's straight line, fitted as the models here are: with a delay, a constant and a drift of each record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dehyst import Record
+from dehyst.baselines.linear import Linear
+from dehyst_rivals.training import Training, fit_with_delay
+
+
+def linear_ratio(records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
+    """Take the slope from the end points of the widest loop, and fit the offset by least squares.
+
+    `delay` [s]: lag of the displacement; default: estimated. Raise as the fit of every model here.
+    """
+
+    def fit_model(training: Training) -> tuple[Linear, float]:
+        rest = training.displacement - training.slope * training.sampled(lambda piece: piece.voltage)
+        constant, residual = training.fit_constant(rest)
+        return Linear(training.slope, constant, training.delay), residual
+
+    return fit_with_delay(records, delay, fit_model)
