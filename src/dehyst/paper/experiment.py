@@ -296,7 +296,7 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
         records.append(replace(tops.record, displacement=moved, name="tops"))
     if not plan.whole:
         found = identify(records, elements=plan.elements)
-        return _trial(truth, relaxed, found.actuator, found.outcome, ())
+        return paper_trial(truth, relaxed, found.actuator, found.outcome, ())
     fit = identification.identify(
         records,
         validate=seen.cut("medium"),
