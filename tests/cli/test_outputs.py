@@ -89,7 +89,7 @@ def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
 # Every command
 
 
-FOLDERS = {"demo", "paper", "calibrate", "export", "check"}
+FOLDERS = {"demo", "paper", "calibrate", "export"}
 
 
 def writing():
@@ -136,7 +136,7 @@ def test_all_outputs_are_looked_at():
         "paper output",
         "calibrate output",
         "export directory",
-        "check history",
+        "check log",
         "excite output",
         "scan output",
     }

@@ -318,14 +318,12 @@ def test_a_record_of_axes_is_shown_written_and_drawn(folder):
     assert (folder / "shown.html").read_text().count("data-chart=") >= 6
 
 
-def test_checks_of_a_stage_are_kept_an_axis_each(folder):
-    words = ["check", folder / "stage.json", folder / "stage.csv", "--history", folder / "kept"]
-    found = json.loads(run(*words, "--json"))
+def test_a_check_of_a_stage_is_a_row_an_axis_of_the_log(folder):
+    found = json.loads(run("check", folder / "stage.json", folder / "stage.csv", "--log", folder / "log.csv", "--json"))
     assert set(found["axes"]) == {"x", "y"}
-    assert all(one["history"]["checks"] == 1 for one in found["axes"].values())
-    kept = {path.name for path in (folder / "kept").iterdir()}
-    assert {"history-x.html", "history-y.html"} <= kept
-    assert len([name for name in kept if name.startswith("check-")]) == 2
+    header, *rows = (folder / "log.csv").read_text().splitlines()
+    axis = header.split(",").index("axis")
+    assert [row.split(",")[axis] for row in rows] == ["x", "y"]
 
 
 def test_a_stage_is_simulated_from_a_start_after_a_homing_and_late(folder):

@@ -14,7 +14,6 @@ from dehyst import Actuator, Compensator, FileFormatError, ModelError, Stage
 from dehyst.calibration.session import claimed
 from dehyst.control import Snapshot
 from dehyst.records import salvage
-from dehyst.trust import CheckHistory
 from dehyst.workbench.folder import Folder
 
 GOLDEN = places.TESTS / "golden"
@@ -73,11 +72,6 @@ def test_the_path_of_a_scan_and_its_wave_table(tmp_path):
     old, new = (dehyst.read(folder / name) for folder, name in ((GOLDEN, "wave-table-1.csv"), (tmp_path, "t.csv")))
     assert old.voltage.tolist()[:3] == pytest.approx([7.02727272727273, 12.8837320574, 19.7765550239])
     assert new.voltage == pytest.approx(old.voltage, rel=1e-9)
-
-
-def test_a_history_of_checks():
-    checks = CheckHistory.read(GOLDEN / "history-1", "75044281c6e6e63f").checks
-    assert sorted((one.record, round(one.error, 3)) for one in checks) == [("a", 0.086), ("b", 13.756)]
 
 
 def test_the_folder_of_a_calibration(tmp_path):
@@ -163,11 +157,6 @@ def test_another_version_of_folders_and_tables_is_refused(tmp_path):
     path.write_text(path.read_text().replace('"version": 1', '"version": 99'))
     with pytest.raises(FileFormatError, match=OTHER):
         claimed(path.parent, "simulated 0123", "1")
-    shutil.copytree(GOLDEN / "history-1", tmp_path / "history-1")
-    for path in (tmp_path / "history-1").glob("check-*"):
-        path.write_text(path.read_text().replace('"version": 1', '"version": 99'))
-    with pytest.raises(FileFormatError, match=OTHER):
-        CheckHistory.read(tmp_path / "history-1", "75044281c6e6e63f")
     folder = Folder(tmp_path / "bench")
     folder.save({"version": 99})
     with pytest.raises(FileFormatError, match=OTHER):

@@ -47,7 +47,7 @@ FACES = {
             Record read read_table write_columns write_record
         """,
         "report": """
-            write_calibration write_check_history write_comparison write_insight write_record_page write_report
+            write_calibration write_comparison write_insight write_record_page write_report
             write_stage_report
         """,
         "paper": """
@@ -57,7 +57,7 @@ FACES = {
             FakeInstrument ModelCandidate ModelContract RigCandidate RigContract
         """,
         "trust": """
-            Change CheckHistory Insight Recheck Update check
+            Change Insight Recheck Update check
             check_stage insight judge stage_insight update update_stage
         """,
         "virtual": """

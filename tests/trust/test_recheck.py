@@ -219,14 +219,6 @@ def test_a_check_as_json_has_no_trace_and_all_numbers():
     assert "trace" not in data
 
 
-def test_ids_are_those_of_the_numbers():
-    model, record = loops.model(), loops.later()
-    one, other = dehyst.check(model, record), dehyst.check(replace(model, name="other"), record.with_name("again"))
-    assert (one.model_id, one.record_id) == (other.model_id, other.record_id)
-    assert dehyst.check(model, loops.later(2)).record_id != one.record_id
-    assert dehyst.check(replace(model, delay=0.1), record).model_id != one.model_id
-
-
 def test_arguments_in_the_wrong_order_are_explained():
     record = Record(np.arange(3.0), np.arange(3.0), np.arange(3.0) * 1e-6)
     for actuator in (record, "model.json"):

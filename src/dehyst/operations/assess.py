@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 from dehyst._errors import FileFormatError, ModelError
-from dehyst._io import demand_alike
-from dehyst._text import escaped
 from dehyst._types import Array
 from dehyst.control.planning.path import needed_slew_rate, speed_remark
 from dehyst.operations.axes import AxesModel, is_stage
-from dehyst.operations.declaration import Folder, Input, Only, Output, Values, operation
+from dehyst.operations.check_log import append_checks, read_log
+from dehyst.operations.declaration import Continued, Input, Only, Output, Values, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, write_table
 from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, start_reader
-from dehyst.report import write_check_history, write_insight
-from dehyst.trust import CheckHistory, Insight, Recheck, StageInsight, check_stage, stage_insight
+from dehyst.report import write_insight
+from dehyst.trust import Insight, Recheck, StageInsight, check_stage, stage_insight
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
-from dehyst.trust.history import ControlChart, demand_folder
-
-# Checks of a history that are printed.
-_SHOWN = 10
 
 
 def _single(given: Values) -> bool:
@@ -149,7 +144,7 @@ def check(
     record: Input,
     *,
     goal: float | None = None,
-    history: Folder | None = None,
+    log: Continued | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.
@@ -160,16 +155,12 @@ def check(
     ----------
     goal
         Largest error [% of the stroke] with which the model is still true; default: the model's, or 1.
-    history
-        Keep the check in this folder, print all earlier checks of this model, and draw them there.
+    log
+        Append the check to this table (CSV), one row an axis; a file that is not there is begun.
     """
+    before = None if log is None else read_log(log)
     known = AxesModel.read(run, model)
     (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
-    pictures = [None if history is None else history / f"history{axis and '-'}{axis}.html" for axis in known.axes]
-    if history is not None:
-        demand_folder(history)
-        for drawing in filter(None, pictures):
-            demand_alike(drawing)
     (measured,) = columns.records((record,), axes=known.pairs(columns))
     if known.stage is None:
         found = [check_one(known.actuators[0], measured, goal=goal)]
@@ -177,33 +168,19 @@ def check(
     else:
         stage = check_stage(known.stage, measured, goal=goal)
         found, coupling, good = [*stage.rechecks], stage.as_dict(), stage.good
-    results, lines, warnings = [], [], []
-    for axis, recheck, picture in zip(known.axes, found, pictures, strict=True):
-        unkept = "" if history is None else f". It is not kept in {history}"
-        said = [f"{recheck.mismatch}{unkept}"] if recheck.mismatch else []
-        past = None if history is None or recheck.mismatch else CheckHistory.keep(history, recheck)
-        said += [] if past is None else past.damaged
-        drawn = None if past is None or picture is None else _drawn(run, past, picture)
-        warnings += [f"{axis}: {one}" if axis else one for one in said]
-        results.append(recheck.as_dict() if past is None else {**recheck.as_dict(), "history": past.as_dict()})
-        lines += [f"Axis {axis}"] if axis else []
-        lines += [*_check_lines(recheck), *(() if past is None else _history_lines(past)), *files(Picture=drawn)]
-        lines += [""] if axis else []
+    if log is not None and before is not None:
+        append_checks(log, before, dict(zip(known.axes, found, strict=True)))
+    lines: list[str] = []
+    warnings: list[str] = []
+    for axis, recheck in zip(known.axes, found, strict=True):
+        warnings += [f"{axis}: {recheck.mismatch}" if axis else recheck.mismatch] if recheck.mismatch else []
+        lines += [f"Axis {axis}", *_check_lines(recheck), ""] if axis else _check_lines(recheck)
     if coupling is None:
-        return Result(results[0], lines, warnings=warnings, good=good)
+        return Result(found[0].as_dict(), [*lines, *files(Log=log)], warnings=warnings, good=good)
     lines.append("Coupling: changed" if coupling["changes"] else "Coupling: as in the model")
-    lines += [f"  - {sentence}" for sentence in coupling["changes"]]
-    return Result({**coupling, "axes": known.by_axis(results)}, lines, warnings=warnings, good=good)
-
-
-def _drawn(run: Run, history: CheckHistory, picture: Path) -> Path | None:
-    """Draw a history into its folder if possible; the check does not depend on this picture."""
-    try:
-        write_check_history(picture, history)
-    except FileFormatError as error:
-        run.note(error)
-        return None
-    return picture
+    lines += [*(f"  - {sentence}" for sentence in coupling["changes"]), *files(Log=log)]
+    fields = {**coupling, "axes": known.by_axis([one.as_dict() for one in found])}
+    return Result(fields, lines, warnings=warnings, good=good)
 
 
 def _check_lines(recheck: Recheck) -> Iterator[str]:
@@ -223,29 +200,3 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
     if recheck.remarks:
         yield ""
         yield from (f"  - {remark}" for remark in recheck.remarks)
-
-
-def _history_lines(history: CheckHistory) -> Iterator[str]:
-    """Yield the last checks with the averages of the scores, then the changes that are outside of their limits."""
-    charts, count = history.charts(), len(history.checks)
-    width = max(6, *(len(escaped(one.record)) for one in history.checks[-_SHOWN:]))
-    yield ""
-    yield f"Checks of this model in {history.folder}: {count}; moving averages (EWMA) and cumulative sums (CUSUM) of"
-    yield "changes in standard deviations, of which three count:"
-    yield f"{'day':<11}{'record':<{width}}{'error, %':>10}" + "".join(f"{chart.name:>17}" for chart in charts)
-    averages = {chart.name: dict(zip(chart.places.tolist(), _cells(chart), strict=True)) for chart in charts}
-    for k, one in list(enumerate(history.checks))[-_SHOWN:]:
-        cells = "".join(f"{averages[chart.name].get(k, '-'):>17}" for chart in charts)
-        yield f"{one.checked:%Y-%m-%d} {escaped(one.record):<{width}}{one.error:>10.3f}{cells}"
-    yield from history.sentences()
-    if history.others:
-        yield f"The folder also holds checks of other models ({history.others}), which are not compared."
-
-
-def _cells(chart: ControlChart) -> Sequence[str]:
-    """Return average and larger sum of each check, an exclamation mark where one is outside of its limits."""
-    columns = (chart.average, chart.above, chart.below, chart.alarms)
-    return [
-        f"{average:+.2f} {max(up, down):6.2f}{'!' if alarm else ' '}"
-        for average, up, down, alarm in zip(*(column.tolist() for column in columns), strict=True)
-    ]

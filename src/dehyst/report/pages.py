@@ -1,19 +1,15 @@
-"""Smaller pages: a record, the checks of a model over time, and coupled axes."""
+"""Smaller pages: a record, and coupled axes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-
-from dehyst._errors import IdentifyError
 from dehyst._io import PathLike, write_atomically
 from dehyst.identification import AxisTraces, StageFit
 from dehyst.records import Record
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Series, thinned
 from dehyst.report.html import Charts, Part, Row, bullets, length_unit, words
-from dehyst.trust import CheckHistory, ControlChart
 
 
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
@@ -50,59 +46,6 @@ def loop_chart(record: Record) -> Chart:
     factor, unit = length_unit(record.stroke)
     line = Series("", *thinned(record.time, record.voltage, record.displacement * factor), "measured")
     return Chart(record.name, Axis("voltage", "V"), Axis("displacement", unit), [line])
-
-
-def write_check_history(path: PathLike, history: CheckHistory) -> None:
-    """Write a history to an HTML file: errors with the goal, then each kind of change with its control limits.
-
-    Points are single checks, lines their exponentially weighted moving averages. `path` and errors are as in
-    `write_report`; raises IdentifyError if the `history` has no check.
-    """
-    checks = history.checks
-    if not checks:
-        raise IdentifyError(f"{history.folder}: got no check of this model, need one at least; run dehyst check first")
-    first, last = (f"{one.checked:%Y-%m-%d}" for one in (checks[0], checks[-1]))
-    caption = (
-        f"Checks from {first} to {last}; point at one to read its day. Lines are moving averages, which weight the "
-        "last checks most; dashed lines are their limits, of three standard deviations. A ring marks a change outside "
-        "of its limits."
-    )
-    order, errors, goals = (
-        np.array(values, dtype=np.float64)
-        for values in zip(*((k, one.error, one.goal) for k, one in enumerate(checks, 1)), strict=True)
-    )
-    series = (
-        Series("goal", order, goals, "without", dashed=True),
-        Series("average", order, history.average_error(), "simulated"),
-        Series("error", order, errors, "measured", "points", 6, names=_days(history, range(len(checks)))),
-    )
-    y = Axis("error", "% of stroke", (0.0, 1.15 * float(max(errors.max(), goals.max()))))
-    charts = [Chart("Largest error", Axis("check"), y, series), *(_control(history, one) for one in history.charts())]
-    parts: list[Part] = [
-        "<h1>Checks of a model</h1>",
-        bullets("What they show", map(words, history.sentences())),
-        Charts("Check by check", caption, charts, wide=True),
-    ]
-    write_atomically(path, html.document("Checks of a model", parts))
-
-
-def _days(history: CheckHistory, places: Iterable[int]) -> tuple[str, ...]:
-    return tuple(f"{history.checks[k].record}, {history.checks[k].checked:%Y-%m-%d}" for k in places)
-
-
-def _control(history: CheckHistory, chart: ControlChart) -> Chart:
-    """Return one kind of change in standard deviations: checks, average and its limits, alarms in rings."""
-    order, alarms = chart.places + 1.0, np.asarray(chart.alarms)
-    names = _days(history, chart.places.astype(int).tolist())
-    series = [
-        Series("limits", order, chart.limits, "without", dashed=True),
-        Series("", order, -chart.limits, "without", dashed=True),
-        Series("average", order, chart.average, "simulated"),
-        Series("beyond its limits", order[alarms], chart.scores[alarms], "simulated", "points", 13, hollow=True),
-        Series("check", order, chart.scores, "measured", "points", 6, names=names),
-    ]
-    axes = Axis("check"), Axis(chart.name, "standard deviations")
-    return Chart(chart.name.capitalize(), *axes, [one for one in series if one.x.size], zero=True)
 
 
 def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:

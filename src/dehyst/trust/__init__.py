@@ -2,7 +2,6 @@
 
 from dehyst.trust.assessment import insight
 from dehyst.trust.changes import Change
-from dehyst.trust.history import CheckHistory, ControlChart
 from dehyst.trust.insight_result import Insight
 from dehyst.trust.judgement import judge, judge_planned
 from dehyst.trust.prediction_band import ERRORS, PredictionBand
@@ -14,7 +13,6 @@ from dehyst.trust.update import Update, update, update_stage
 
 __all__ = [
     "Change",
-    "CheckHistory",
     "Insight",
     "Recheck",
     "Update",

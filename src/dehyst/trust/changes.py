@@ -74,14 +74,6 @@ class Change:
         """Whether the change exceeds three standard errors and its effect exceeds `least`."""
         return abs(self.value) > SIGMAS * self.error and abs(self.effect) > self.least
 
-    @property
-    def score(self) -> float:
-        """The change relative to the smallest one that counts, times 3: the input of control charts."""
-        if not self.value:
-            return 0.0
-        scale = self.value / self.effect if self.effect else np.inf
-        return float(self.value / max(self.error, self.least * abs(scale) / SIGMAS))
-
     def sentence(self, stroke: float, *, lasting: str | None = UPDATE) -> str:
         """Return the change as a sentence with what to do; creep and drift relative to `stroke` [m].
 
@@ -101,8 +93,7 @@ class Change:
 
     def as_dict(self, stroke: float) -> dict[str, Any]:
         """Return JSON values in SI units, the effect also in % of `stroke` [m]."""
-        own = {**asdict(self), "effect_percent": percent(self.effect, stroke)}
-        return {**own, "score": self.score, "counts": self.counts}
+        return {**asdict(self), "effect_percent": percent(self.effect, stroke), "counts": self.counts}
 
 
 _WORDS = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -17,8 +15,8 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
-from dehyst.model import DESCRIPTION, Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
-from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, sha256_of
+from dehyst.model import Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
+from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
 from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, Slow, find_changes
 from dehyst.trust.judgement import judge
 
@@ -51,8 +49,6 @@ class Recheck:
         Name of the record.
     model : str
         Name of the model.
-    record_id, model_id : str
-        Hashes of the numbers of record and model, independent of their names.
     samples, left_out : int
         Number of samples of the record that were compared, and that were left out.
     largest, rms : float
@@ -80,8 +76,6 @@ class Recheck:
 
     record: str
     model: str
-    record_id: str
-    model_id: str
     samples: int
     left_out: int
     largest: float
@@ -219,8 +213,6 @@ class Recheck:
             "advises_update": self.advises_update,
             "model": self.model,
             "record": self.record,
-            "model_id": self.model_id,
-            "record_id": self.record_id,
             "samples": self.samples,
             "left_out": self.left_out,
             "largest_percent": percent(self.largest, self.stroke),
@@ -253,9 +245,6 @@ _EARLY = 0.1
 # Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
 # them, it says nothing of the longest elements; with less than most of them, gain and width are those of its own loops.
 _BEYOND, _LITTLE, _WHOLE = 1e-3, 0.5, 0.9
-# Of hashes; and what of a model file is not part of the model.
-_DIGITS = 16
-_NO_NUMBERS = DESCRIPTION | {"state"}
 
 
 def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> Recheck:
@@ -307,8 +296,6 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
     return Recheck(
         record=record.name,
         model=actuator.name,
-        record_id=sha256_of((record.time, record.voltage, record.displacement))[:_DIGITS],
-        model_id=_model_id(actuator),
         samples=errors.samples,
         left_out=errors.left_out,
         largest=largest(error),
@@ -323,12 +310,6 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         trace=trace,
         promise=promise,
     )
-
-
-def _model_id(actuator: Actuator) -> str:
-    """Return a hash of the numbers, whatever the model's name and origin."""
-    numbers = {key: value for key, value in actuator.as_dict().items() if key not in _NO_NUMBERS}
-    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:_DIGITS]
 
 
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:

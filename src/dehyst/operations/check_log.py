@@ -1,0 +1,60 @@
+"""The table to which `check` appends its results."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from dehyst._errors import FileFormatError
+from dehyst._io import unwritten, write_atomically
+from dehyst.records import percent
+from dehyst.trust import Recheck
+
+# Changes by name: name and unit in the table, and the factor that converts to this unit from SI units.
+_CHANGES = {
+    "gain": ("gain", "percent", 100.0),
+    "width": ("width", "percent", 100.0),
+    "offset": ("offset", "um", 1e6),
+    "delay": ("lag", "ms", 1e3),
+}
+_COLUMNS = (
+    *("date", "record", "model", "axis", "standing"),
+    *("error_percent", "goal_percent", "promised_percent", "promise_kept"),
+    *(f"{name}_{what}{unit}" for name, unit, _ in _CHANGES.values() for what in ("", "error_")),
+)
+
+
+def read_log(path: Path) -> bytes:
+    """Return a table of checks; if the file is new or empty, its header. Raise `FileFormatError` if it is another."""
+    header = ",".join(_COLUMNS).encode() + b"\n"
+    try:
+        before = (path.read_bytes() if path.exists() else b"") or header
+    except OSError as error:
+        raise unwritten(path, error) from error
+    if not before.startswith(header):
+        words = f"has other columns than a table of checks, {','.join(_COLUMNS)}"
+        raise FileFormatError(f"{path}: {words}; give another name with --log")
+    return before
+
+
+def append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> None:
+    """Write a table of checks with another row for the check of each axis."""
+    stream, now = io.StringIO(), f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    csv.writer(stream, lineterminator="\n").writerows(_row(now, axis, check) for axis, check in checks.items())
+    write_atomically(path, before.rstrip(b"\n") + b"\n" + stream.getvalue().encode())
+
+
+def _row(now: str, axis: str, check: Recheck) -> list[str]:
+    """Return a check by column; a number that is not known is empty."""
+    row = [now, check.record, check.model, axis, check.standing.value]
+    row += [f"{percent(check.without_noise, check.stroke):.4g}", f"{check.goal:.4g}"]
+    promised = None if check.promise is None else f"{percent(check.promise.largest, check.stroke):.4g}"
+    row += ["", ""] if promised is None else [promised, "yes" if check.kept else "no"]
+    changes = {one.name: one for one in check.changes}
+    for name, (_, _, factor) in _CHANGES.items():
+        change = changes.get(name)
+        row += ["", ""] if change is None else [f"{factor * value:.4g}" for value in (change.value, change.error)]
+    return row
