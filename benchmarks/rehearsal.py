@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -15,7 +14,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 from dehyst import DehystError, read
-from dehyst.records.recording import salvage
 
 DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
 # Seconds after which a command hangs, on however busy a machine.
@@ -113,7 +111,7 @@ class Act:
 def recording(folder: Path, size: int = 40_000) -> bool:
     """Whether a record is in the midst of being made."""
     with contextlib.suppress(OSError):
-        return any(path.stat().st_size > size for path in (folder / "records").glob("*.part.csv"))
+        return any(path.stat().st_size > size for path in (folder / "records").glob("*.csv"))
     return False
 
 
@@ -147,7 +145,7 @@ def calibrate(
     command = [python, flag, program, "calibrate", address, "-o", str(folder), *options]
     began = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    since, journalled, lines = began, 0, []
+    since, recorded, lines = began, 0, []
     if deaf:
         lines.append(process.stderr.readline())
         process.stderr.close()
@@ -158,7 +156,7 @@ def calibrate(
         if act is not None:
             while process.poll() is None and not act.when(folder):
                 time.sleep(0.005)
-            since, journalled = time.monotonic(), _journalled(folder)
+            since, recorded = time.monotonic(), _recorded(folder)
             act.do(process)
         process.wait(_PATIENCE)
         reader.join(_PATIENCE)
@@ -167,13 +165,13 @@ def calibrate(
         since = served.struck
     found = _outcome("".join(lines).splitlines(), process.returncode, ended - since, folder)
     if found.came is None and act is not None:
-        found.came = journalled
+        found.came = recorded
     return found
 
 
-def _journalled(folder: Path) -> int:
-    """Whole lines of samples in a journal that is being written."""
-    return sum(path.read_bytes().count(b"\n") - 2 for path in (folder / "records").glob("*.part.csv"))
+def _recorded(folder: Path) -> int:
+    """Whole lines of samples of a record that is being written."""
+    return sum(path.read_bytes().count(b"\n") - 2 for path in (folder / "records").glob("*.csv"))
 
 
 def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Outcome:
@@ -187,22 +185,13 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
     """Count the readable samples in a folder, also those set aside or of killed processes; name files without any."""
-    records = folder / "records"
-    if not records.is_dir():
-        return 0, []
-    copy = folder.parent / f"{folder.name}-looked-at"
-    shutil.copytree(records, copy)
-    try:
-        salvage(copy)
-        found, left = 0, []
-        for path in sorted(one for one in copy.rglob("*") if one.is_file()):
-            try:
-                found += len(read(path))
-            except DehystError:
-                left.append(path.name)
-        return found, left
-    finally:
-        shutil.rmtree(copy)
+    found, left = 0, []
+    for path in sorted(one for one in (folder / "records").rglob("*") if one.is_file()):
+        try:
+            found += len(read(path))
+        except DehystError:
+            left.append(path.name)
+    return found, left
 
 
 @contextlib.contextmanager

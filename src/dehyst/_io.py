@@ -141,19 +141,6 @@ def settle(descriptor: int) -> None:
             raise
 
 
-def settle_file(path: Path) -> None:
-    """Wait until a file that another process may have written, and its name, are on the disk; raise FileFormatError."""
-    try:
-        descriptor = os.open(path, os.O_RDWR)
-        try:
-            settle(descriptor)
-        finally:
-            os.close(descriptor)
-    except OSError as error:
-        raise unwritten(path, error) from error
-    settle_folder(path.parent)
-
-
 def settle_folder(folder: Path) -> None:
     """Wait until the names in a folder are on the disk, if the system can sync folders."""
     # Windows opens no folders, and some file systems cannot sync them.

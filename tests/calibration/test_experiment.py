@@ -12,6 +12,7 @@ from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.plan import ExcitationPlan, creep_of, steps
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
+from dehyst.records import about_of
 from dehyst.report import write_calibration
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation, raised_cosine
@@ -52,13 +53,12 @@ def test_everything_is_on_disk(finished, tmp_path):
     names = [one.name for one in (*found.training, *found.held_out)]
     assert names == ["look", "loops", "others"]
     for name in (*names, "nominal", "compensated"):
-        record = read(folder / "records" / f"{name}.h5")
-        assert record.meta["complete"] is True
-        assert record.meta["identity"] == rig.identity
+        record = read(folder / "records" / f"{name}.csv")
+        assert about_of(folder / "records" / f"{name}.csv")["rig"] == rig.identity
         assert len(record) == heard.samples_of[name]
     told = json.loads((folder / "calibration.json").read_text())
     assert told["compensated"]["largest_percent"] == found.compensated.largest_percent
-    assert set(told["sha256"]) == {f"{name}.h5" for name in (*names, "nominal", "compensated")}
+    assert set(told["sha256"]) == {f"{name}.csv" for name in (*names, "nominal", "compensated")}
     assert Actuator.load(folder / "model.json").limits is not None
     write_calibration(tmp_path / "report.html", found, command="dehyst calibrate sim://play")
     page = (tmp_path / "report.html").read_text()
@@ -69,11 +69,11 @@ def test_everything_is_on_disk(finished, tmp_path):
 def test_the_error_is_what_was_measured(finished):
     """Told again from the files alone."""
     found, folder, _, _ = finished
-    record = read(folder / "records" / "compensated.h5")
+    record = read(folder / "records" / "compensated.csv")
     along = slice(len(record) - found.compensated.wanted.size, None)
     error = record.displacement[along] - found.compensated.wanted
     assert 100 * np.abs(error).max() / found.compensated.stroke == found.compensated.largest_percent
-    two_loops = read(folder / "records" / "look.h5").displacement[-801:]
+    two_loops = read(folder / "records" / "look.csv").displacement[-801:]
     assert found.compensated.stroke == pytest.approx(np.ptp(two_loops), rel=1e-3)
 
 
@@ -106,8 +106,7 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
         calibrate(rig, tmp_path, watcher=first)
     assert rig.instrument.axis.log.steepest <= rig.slew_rate * (1 + 1e-6)
     assert "brought to 0 V" in caught.value.__notes__[0]
-    cut = read(tmp_path / "records" / "others.h5")
-    assert cut.meta["complete"] is False
+    cut = read(tmp_path / "records" / "others.csv")
     assert len(cut) == first.samples_of["others"] >= 500
     found = calibrate(SimulatedRig(truth), tmp_path, watcher=Heard())
     assert found.kept == ("look", "loops")
@@ -117,7 +116,7 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
     [aside] = (tmp_path / "records" / "set-aside").iterdir()
     assert len(read(aside)) == len(cut)
     assert sorted(json.loads((tmp_path / "calibration.json").read_text())["sha256"]) == [
-        f"{name}.h5" for name in ("compensated", "look", "loops", "nominal", "others")
+        f"{name}.csv" for name in ("compensated", "look", "loops", "nominal", "others")
     ]
 
 
@@ -135,7 +134,7 @@ def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(creeping, tmp_pa
     # The only test that drives this rig on.
     _, before, rig = creeping
     folder = shutil.copytree(before, tmp_path / "creep")
-    (folder / "records" / "compensated.h5").unlink()
+    (folder / "records" / "compensated.csv").unlink()
     rig._wait(3600.0)
     found = calibrate(rig, folder)
     assert found.played == ("nominal", "compensated")
@@ -155,7 +154,7 @@ def test_a_given_protocol_is_played_as_it_is(tmp_path):
     given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0).sampling())
     found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
     assert [one.name for one in found.training] == ["look", "given-1"]
-    np.testing.assert_allclose(read(tmp_path / "records" / "given-1.h5").voltage, given.voltage, atol=1e-9)
+    np.testing.assert_allclose(read(tmp_path / "records" / "given-1.csv").voltage, given.voltage, atol=1e-9)
 
 
 def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
@@ -208,7 +207,7 @@ def test_a_wave_that_was_left_playing_is_stopped_first(tmp_path):
     first = Heard("look", after=100)
     with pytest.raises(KeyboardInterrupt):
         calibrate(rig, tmp_path, watcher=first)
-    assert read(tmp_path / "records" / "look.h5").voltage[0] == 0
+    assert read(tmp_path / "records" / "look.csv").voltage[0] == 0
 
 
 def test_a_record_without_samples_is_not_left(tmp_path):
@@ -251,7 +250,7 @@ def test_a_low_slew_rate_is_kept_along_the_path_too(tmp_path):
     assert found.unreached == ()
     assert found.compensated.largest_percent < 0.2
     for name in found.played:
-        record = read(tmp_path / "records" / f"{name}.h5")
+        record = read(tmp_path / "records" / f"{name}.csv")
         assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 200 * (1 + 1e-6)
 
 

@@ -141,7 +141,7 @@ def test_what_cannot_be_followed_is_refused(folder):
     assert run(*words, "far.csv", cwd=folder)[0] == 2
 
 
-@pytest.mark.parametrize("name", ["run.json", "run.h5", "run"])
+@pytest.mark.parametrize("name", ["run.json", "run"])
 def test_a_record_that_cannot_be_written_is_refused_before_anything_moves(folder, name):
     (folder / "never.py").write_text("def make(**options):\n    raise SystemError\n")
     status, _, err = run("run", "never.py:make", *WORDS[2:], "-o", name, cwd=folder)

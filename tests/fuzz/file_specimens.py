@@ -14,9 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
 
-from dehyst.records import Record
-from dehyst.records.files import write_hdf5
-
 N = 240
 T = np.arange(N) * 1e-3
 V = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(N) / 80)
@@ -102,7 +99,6 @@ def _hdf5(path: Path) -> None:
         for (name, values), options in zip(COLUMNS.items(), more, strict=True):
             kept = file.create_dataset(name.split("_")[0], data=values, chunks=(50,), maxshape=(None,), **options)
             kept.attrs["unit"] = name.split("_")[1]
-    write_hdf5(path / "own.h5", Record(T, V, Y, "own", {"complete": True, "rig": "sim"}))
 
 
 def _mat(path: Path) -> None:

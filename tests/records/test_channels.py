@@ -11,9 +11,7 @@ from dehyst import FileFormatError, RecordError
 from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.preprocessing.preparation import block_means
 from dehyst.records import Record, Recording, read, write_columns, write_record
-from dehyst.records.files import write_hdf5
 from dehyst.records.record import Channel
-from dehyst.records.recording import Journal, salvage
 
 N = 120
 T = np.arange(N) * 0.01
@@ -142,10 +140,10 @@ def test_preparation_keeps_them_in_step():
 # Files
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz", ".h5"])
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz"])
 def test_record_files_keep_all(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"
-    (write_hdf5 if suffix == ".h5" else write_record)(path, RECORD)
+    write_record(path, RECORD)
     record = read(path)
     assert_all(record)
     assert record.problems() == RECORD.problems()
@@ -153,18 +151,8 @@ def test_record_files_keep_all(suffix, tmp_path):
         assert path.read_text().splitlines()[1] == "time_s,voltage_V,displacement_um,temperature_C,load_N,humidity [%]"
         assert record.meta["columns"]["load"] == "load_N"
     several = Record(T, np.c_[V, V], np.c_[Y, Y], others=OTHERS)
-    if suffix != ".h5":
-        write_record(path, several)
-        assert_all(read(path, axes="vx_V:x_um vy_V:y_um" if suffix != ".npz" else "vx_V:x_m vy_V:y_m"))
-
-
-def test_the_hash_of_an_hdf5_file_covers_them(tmp_path):
-    write_hdf5(tmp_path / "a.h5", RECORD)
-    with h5py.File(tmp_path / "a.h5", "a") as file:
-        assert file["load_N"].attrs["unit"] == "N"
-        file["load_N"][3] += 1e-9
-    with pytest.raises(FileFormatError, match="not those"):
-        read(tmp_path / "a.h5")
+    write_record(path, several)
+    assert_all(read(path, axes="vx_V:x_um vy_V:y_um" if suffix != ".npz" else "vx_V:x_m vy_V:y_m"))
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat", ".h5", ".npz"])
@@ -244,33 +232,14 @@ class Block:
 
 
 def test_a_recording_keeps_them(tmp_path):
-    with Recording(tmp_path / "a.h5", others=OTHERS) as recording:
+    with Recording(tmp_path / "a.csv", others=OTHERS) as recording:
         for start in range(0, N, 40):
             recording.add(Block(slice(start, start + 40), **OTHERS))
         with pytest.raises(RecordError, match="without load_N, humidity"):
             recording.add(Block(slice(0, 5), temperature_C=TEMPERATURE))
-        recording.finish()
-    assert_all(read(tmp_path / "a.h5"))
-    with Recording(tmp_path / "b.h5") as recording:
-        recording.finish(RECORD)
-    assert_all(read(tmp_path / "b.h5"))
+    assert_all(read(tmp_path / "a.csv"))
     with pytest.raises(FileFormatError, match=r"others: got .*unit"):
-        Recording(tmp_path / "c.h5", others=["temperature"])
-
-
-def test_a_journal_keeps_them(tmp_path):
-    recording = Recording(tmp_path / "a.h5", others=OTHERS)
-    recording.add(Block(slice(None), **OTHERS))
-    recording._journal.close()
-    journal = Journal.reopen(recording.journal)
-    assert list(journal.read().columns) == ["time_s", "voltage_V", "displacement_m", *OTHERS]
-    journal.close()
-    text = recording.journal.read_text()
-    recording.journal.write_text(text.replace("\n", "\n1,2,3\n", 3))
-    assert salvage(tmp_path) == [tmp_path / "a.h5"]
-    record = read(tmp_path / "a.h5")
-    assert_all(record)
-    assert record.meta["unreadable_lines"] >= 1
+        Recording(tmp_path / "c.csv", others=["temperature"])
 
 
 def test_a_channel_by_itself():

@@ -12,7 +12,6 @@ from laboratory_files import N, T, V, Y, assert_measured, options_of
 from dehyst import Record, identify
 from dehyst._errors import FileFormatError, RecordError
 from dehyst.records import read, read_table, write_columns, write_record
-from dehyst.records.files import write_hdf5
 from dehyst.records.tables import ColumnsError
 
 # Of traps that can be read right: the clock and the displacement, if they are others.
@@ -67,7 +66,7 @@ def test_innocent_twins_are_read(name, tmp_path):
 # Guesses
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5"])
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_a_guess_is_kept_by_record_files(suffix, tmp_path):
     np.save(tmp_path / "a.npy", np.array([T, V, Y * 1e6]))
     with pytest.raises(ColumnsError) as caught:
@@ -77,13 +76,13 @@ def test_a_guess_is_kept_by_record_files(suffix, tmp_path):
     assert record.meta["guesses"].keys() == {"time", "voltage", "displacement"}
     assert len([words for words in record.problems() if "guessed, verify" in words]) == 3
     path = tmp_path / f"b{suffix}"
-    (write_hdf5 if suffix == ".h5" else write_record)(path, record)
+    write_record(path, record)
     assert read(path).meta["guesses"] == record.meta["guesses"]
     assert np.array_equal(read(path).voltage, record.voltage)
     known = read(tmp_path / "a.npy", columns="time:s,voltage:V,displacement:um")
     assert_measured(known)
     assert "guesses" not in known.meta
-    (write_hdf5 if suffix == ".h5" else write_record)(path, known)
+    write_record(path, known)
     assert "guesses" not in read(path).meta
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 from contextlib import ExitStack
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +18,7 @@ from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.calibration.comparison_loop import Agreement, agreement, replay
 from dehyst.instruments import AbstractRig, Samples
-from dehyst.records import Record, Recording, demand_disk_space, read, salvage, sha256_of, unused_path
+from dehyst.records import Record, Recording, about_of, demand_disk_space, read, unused_path
 from dehyst.waveforms import Excitation
 
 FORMAT = "dehyst-calibration"
@@ -49,7 +51,7 @@ class NullProgress:
 
 
 class Session:
-    """Records from one rig in one folder: ``records/NAME.h5``, or for several axes ``records/NAME-AXIS.h5``.
+    """Records from one rig in one folder: ``records/NAME.csv``, or for several axes ``records/NAME-AXIS.csv``.
 
     Complete records of one axis are kept, so a session continues in the folder of an earlier calibration of the same
     instrument. Records of several axes are moved to ``records/set-aside`` before the first one is played. The listener
@@ -65,9 +67,6 @@ class Session:
         self.records = claimed(self.folder, rig.identity, rig.axis)
         self._several = len(rig.axes) > 1
         self._comparisons = self.records / "comparisons"
-        self.salvaged = tuple(salvage(self.records))
-        if self._comparisons.is_dir():
-            salvage(self._comparisons)
         self.played: list[str] = []
         self.kept: list[str] = []
         self.aside: list[Path] = []
@@ -123,32 +122,28 @@ class Session:
         self.rig.retreat()
         if self._several:
             # Not before it is known that something can be played.
-            for path in sorted(self.records.glob("*.h5")):
+            for path in sorted(self.records.glob("*.csv")):
                 self.aside += set_aside(path)
 
     def _paths(self, name: str) -> list[Path]:
         """Return the files of a record: one for each axis."""
-        return [self.records / f"{name}{f'-{axis}' if self._several else ''}.h5" for axis in self.rig.axes]
+        return [self.records / f"{name}{f'-{axis}' if self._several else ''}.csv" for axis in self.rig.axes]
 
     def _play(
         self, paths: list[Path], name: str, excitation: Excitation, wanted: Array | None = None, stroke: Any = None
     ) -> Record:
         """Play an excitation and record each axis to its file."""
         self._listener.step(name, excitation.duration)
-        meta = {
-            "identity": self.rig.identity,
+        about = {
+            "rig": self.rig.identity,
             "excitation": excitation.name,
             "key": self._key(excitation),
             "program": __version__,
+            "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
         }
         rows = self.rig.rows(len(excitation))
         files = [
-            Recording(
-                path,
-                name=f"{name}, axis {axis}" if self._several else name,
-                meta={**meta, "axis": axis},
-                others=self.rig.others,
-            )
+            Recording(path, about={"axis": axis, **about}, others=self.rig.others)
             for path, axis in zip(paths, self.rig.axes, strict=True)
         ]
         try:
@@ -163,17 +158,12 @@ class Session:
                     self._report(samples, None if wanted is None else wanted[indices], stroke)
 
                 played = self.rig.play(excitation, listen)
-                columns = Samples(played.time, played.voltage, played.displacement)
-                for j, one in enumerate(files):
-                    meta = {**played.meta, "axis": self.rig.axes[j]}
-                    time, voltage, displacement, _ = columns.axis(j)
-                    one.finish(Record(time, voltage, displacement, one.name, meta, others=played.others))
         except BaseException:
             for one in files:
                 if not one.samples:
                     one.path.unlink(missing_ok=True)
             raise
-        return played.with_name(name) if self._several else read(paths[0])
+        return played.with_name(name) if self._several else _recorded(paths[0])
 
     def _report(self, samples: Samples, wanted: Array | None, stroke: Any) -> None:
         """Pass samples to the listener: with several axes, the samples of the axis with the largest error."""
@@ -197,7 +187,7 @@ class Session:
             return False
         folder = made_folder(self._comparisons)
         self._begin(loop)
-        played = self._play([unused_path(folder / f"{loop.name}.h5")], loop.name, loop)
+        played = self._play([unused_path(folder / f"{loop.name}.csv")], loop.name, loop)
         rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
         result = agreement(stored, excitation, played, *rows)
         if not result.good:
@@ -207,22 +197,26 @@ class Session:
         return True
 
     def _stored(self, name: str, excitation: Excitation) -> Record | None:
-        """Return the record of one axis on disk if it is complete, undamaged, and of this excitation and instrument."""
+        """Return the record of one axis on disk if it is complete, and of this excitation and instrument."""
         if self._several:
             return None
         try:
-            record = read(self._paths(name)[0])
+            record = _recorded(self._paths(name)[0])
         except (FileFormatError, RecordError):
             return None
-        meta, samples = record.meta, (record.time, record.voltage, record.displacement)
-        of_this = meta.get("key") == self._key(excitation) and meta.get("sha256") == sha256_of(samples)
-        fits = len(record) == self.rig.rows(len(excitation)).size
-        return record if of_this and fits and meta.get("complete") is True else None
+        complete = len(record) == self.rig.rows(len(excitation)).size
+        return record if complete and record.meta.get("key") == self._key(excitation) else None
 
     def _key(self, excitation: Excitation) -> str:
         """Return a digest that identifies this excitation on this instrument."""
         header = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
+
+
+def _recorded(path: Path) -> Record:
+    """Return the record in a file, with what its recording states."""
+    record = read(path)
+    return replace(record, meta={**record.meta, **about_of(path)})
 
 
 def claimed(folder: Path, rig: str, axis: str) -> Path:

@@ -138,7 +138,7 @@ def _left(output: Path, *, again: bool) -> Iterator[None]:
         yield
     except (DehystError, KeyboardInterrupt, SystemExit) as error:
         records = output / "records"
-        if any(records.glob("*.h5*")):
+        if any(records.glob("*.csv")):
             # A full disk may have room later; a folder of another instrument remains one.
             temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
             continues = again and (not isinstance(error, Exception) or temporary)

@@ -6,10 +6,9 @@ from dehyst.records.formats.file_content import MOST
 from dehyst.records.formats.loaders import LOADERS
 from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
-from dehyst.records.hdf5 import sha256_of
 from dehyst.records.quality import guesses
 from dehyst.records.record import Record
-from dehyst.records.recording import Recording, demand_disk_space, salvage, unused_path
+from dehyst.records.recording import Recording, about_of, demand_disk_space, unused_path
 from dehyst.records.signals import (
     NOISE_PEAK,
     bandwidth,
@@ -20,6 +19,7 @@ from dehyst.records.signals import (
     recorded_slew_rate,
     resolution,
     rms,
+    sha256_of,
     turning_points,
     white_noise,
 )

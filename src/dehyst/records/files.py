@@ -1,11 +1,10 @@
-"""Reading of measurements in every format, and writing of CSV, NPZ and HDF5."""
+"""Reading of measurements in every format, and writing of CSV and NPZ."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomical
 from dehyst._types import Array
 from dehyst._units import FACTORS, per_metre
 from dehyst._validation import demand
-from dehyst.records import hdf5
 from dehyst.records.formats.columns import TEXT, Selected, Table, listed
 from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.file_content import MOST, content_of
@@ -85,7 +83,7 @@ def read(
     decimal : str, optional
         "," or ".": the decimal sign of a text file whose numbers do not show it; the other sign groups digits.
     name : str, optional
-        Name of the record; by default the name written by `write_hdf5`, else the file's name without suffix.
+        Name of the record; by default the file's name without suffix.
     units : str, optional
         Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
     axes : str, optional
@@ -115,7 +113,7 @@ def read(
     if several and (voltage or displacement or units):
         hint = "columns and units are those in axes"
         raise FileFormatError("got it with voltage, displacement or units", argument="axes", hint=hint)
-    table, stored = _load(path, max_bytes, decimal, with_meta=True)
+    table = read_table(path, decimal=decimal, max_bytes=max_bytes)
     first = several[0].displacement if several else displacement
     choice = Choice(time, voltage, first, voltage_scale, displacement_scale, sample_rate)
     table = named_and_joined(table, choice, columns, join, decimal=decimal, max_bytes=max_bytes)
@@ -126,11 +124,7 @@ def read(
             words = f"got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave units out"
             raise FileFormatError(f"{table.source}: {words}")
         choice = choice._replace(displacement=f"{found.column.name}:{units}")
-    record = record_of(table, choice, name or (stored.name if stored else path.stem), several)
-    if stored is None:
-        return record
-    added = {name: record.meta[name] for name in ("scales", "guesses", "remarks") if name in record.meta}
-    return replace(record, meta={**stored.meta, **added})
+    return record_of(table, choice, name or path.stem, several)
 
 
 def record_of(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns] = ()) -> Record:
@@ -223,11 +217,7 @@ def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float =
     `decimal`: decimal sign of a text file, "," or ".". `max_bytes`: largest size of the file, and of its numbers in
     memory.
     """
-    return _load(path_of(path), max_bytes, decimal, with_meta=False)[0]
-
-
-def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) -> tuple[Table, hdf5.Stored | None]:
-    """Read a file once; return its columns and, if `with_meta` and dehyst wrote the file, name and meta."""
+    path = path_of(path)
     demand(decimal in (None, *SIGNS), "decimal", decimal, "one of '.' and ','", error=FileFormatError)
     with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and path.exists() and not path.is_fifo() and not path.is_dir():
@@ -235,19 +225,15 @@ def _load(path: Path, max_bytes: float, decimal: str | None, with_meta: bool) ->
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, max_bytes)._replace(decimal=decimal, with_meta=with_meta)
+        content = content_of(path, max_bytes)._replace(decimal=decimal)
     if decimal is not None and content.suffix not in _WITH_SIGNS:
         raise FileFormatError(
             f"{path}: decimal: got '{decimal}', but {content.suffix} files hold no text; leave it out"
         )
-    columns, stored = load(content)
+    columns = load(content)
     if not columns:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
-    if stored is not None and stored.others:
-        known = [*hdf5.DATASETS, *stored.others]
-        own = {one.name: replace(one, kept=one.name in stored.others) for one in columns if one.name in known}
-        columns = [own[name] for name in known]
-    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns)), stored
+    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns))
 
 
 def write_record(path: PathLike, record: Record) -> None:
@@ -277,27 +263,6 @@ def write_record(path: PathLike, record: Record) -> None:
         write_atomically(path, packed({**record.columns("m"), **({MEMBER: np.array(text)} if text else {})}))
     else:
         write_atomically(path, "\n".join([*[LINE + text] * bool(text), *_lines(path, record.columns()), ""]))
-
-
-def write_hdf5(path: PathLike, record: Record) -> None:
-    """Write a `record` as HDF5, atomically: `read` returns every bit of its samples, its name and its meta.
-
-    The file holds the datasets time_s, voltage_V and displacement_m, and one for each further channel, as
-    temperature_C; the attribute ``sha256``, the hash of all datasets in sequence as little-endian doubles; and the
-    attribute ``dehyst``, name and meta in JSON. `path` ends in .h5 or .hdf5.
-
-    Raises
-    ------
-    FileFormatError
-        If the suffix is not .h5 or .hdf5, the meta cannot be written as JSON, or the file cannot be written.
-    MissingExtraError
-        If h5py is not installed.
-    """
-    if Path(path).suffix.lower() not in hdf5.SUFFIXES:
-        raise FileFormatError(f"{path}: HDF5 needs the suffix .h5 or .hdf5; rename it")
-    if record.axes:
-        raise FileFormatError(f"{path}: HDF5 takes a record of one axis; write each of record.by_axis()")
-    write_atomically(path, hdf5.pack(record.columns("m"), record.name, record.meta, path))
 
 
 def write_columns(

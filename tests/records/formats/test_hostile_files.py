@@ -23,7 +23,6 @@ from command_line import DEHYST
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
 from dehyst.records import Record, read, read_table
-from dehyst.records.files import write_hdf5
 from dehyst.records.formats.columns import Column
 
 N = 200
@@ -120,14 +119,6 @@ def test_complex_columns_are_refused_by_name(tmp_path, name, write):
     refused(tmp_path / name, "column '(data/)?displacement_um': holds complex numbers; export")
     write(tmp_path / name, NAMED | {"spectrum": Y + 1j})
     assert np.array_equal(read(tmp_path / name).voltage, V)
-
-
-@pytest.mark.parametrize("kind", ["external storage", "external link", "virtual dataset", "soft link"])
-def test_dehysts_own_files_have_their_own_samples(tmp_path, kind):
-    path = with_foreign(tmp_path / "own.h5", kind, "displacement_m")
-    with h5py.File(path, "a") as file:
-        file.attrs["dehyst"], file.attrs["sha256"] = '{"name": "x", "meta": {}}', "0" * 64
-    refused(path, r"own\.h5: dataset 'displacement_m' (has external storage|is a)")
 
 
 def test_what_points_elsewhere_is_set_aside_while_the_file_has_the_column(tmp_path):
@@ -254,7 +245,7 @@ def test_the_limit_is_named_and_can_be_raised(tmp_path, suffix):
     writers = {
         ".csv": lambda: path.write_text(f"{HEAD}\n{BODY}"),
         ".npz": lambda: np.savez(path, **NAMED),
-        ".h5": lambda: write_hdf5(path, Record(T, V, Y)),
+        ".h5": lambda: write_h5(path, NAMED),
         ".mat": lambda: scipy.io.savemat(path, NAMED),
         ".parquet": lambda: pq.write_table(pa.table(NAMED), path),
     }
@@ -391,7 +382,7 @@ def read_sha(content):
 def test_a_pipe_without_a_suffix_is_known_by_its_first_bytes(tmp_path, suffix):
     whole = tmp_path / f"whole{suffix}"
     {
-        ".h5": lambda: write_hdf5(whole, Record(T, V, Y, "own")),
+        ".h5": lambda: write_h5(whole, NAMED),
         ".npz": lambda: np.savez(whole, **NAMED),
         ".mat": lambda: scipy.io.savemat(whole, NAMED),
         ".parquet": lambda: pq.write_table(pa.table(NAMED), whole),
@@ -401,7 +392,7 @@ def test_a_pipe_without_a_suffix_is_known_by_its_first_bytes(tmp_path, suffix):
     record = read(tmp_path / "pipe")
     writer.join(5)
     assert record.displacement == pytest.approx(Y)
-    assert record.name == ("own" if suffix == ".h5" else "pipe")
+    assert record.name == "pipe"
 
 
 def test_a_pipe_that_never_ends(tmp_path):

@@ -29,7 +29,7 @@ class Content(NamedTuple):
     """A file as read, and how its columns are to be read.
 
     `suffix`: of the format of its bytes. `most`: memory that its numbers may take [bytes]. `decimal`: the decimal sign
-    that the user states. `with_meta`: whether to read the name and meta that `write_hdf5` writes.
+    that the user states.
     """
 
     path: Path
@@ -37,7 +37,6 @@ class Content(NamedTuple):
     suffix: str
     most: int
     decimal: str | None = None
-    with_meta: bool = False
 
 
 class Allowance:

@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
-from dehyst.records import hdf5
 from dehyst.records.formats import containers, vendor_files
 from dehyst.records.formats.columns import TEXT, Column
 from dehyst.records.formats.file_content import Allowance, Content
@@ -29,11 +28,13 @@ class Format(NamedTuple):
 
 def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
     """Read a text file in the format that its first bytes show."""
-    data = as_utf8(data)
+    data, mark = as_utf8(data), containers.LINE.encode()
+    if data.startswith(mark):
+        # Each line of a record of dehyst ends: one that does not was cut off while it was written.
+        data = data[: data.rfind(b"\n") + 1]
     if vendor_files.is_labview(data):
         return vendor_files.read_labview(data, allowance)
     columns = vendor_files.read_gcs(data, allowance) if vendor_files.is_gcs(data) else read_text(data, allowance)
-    mark = containers.LINE.encode()
     first = data[len(mark) : containers.LONGEST].splitlines()[:1] if data.startswith(mark) else []
     return containers.restored(columns, b"".join(first).decode(errors="replace"))
 
@@ -51,14 +52,7 @@ LOADERS = {
 }
 
 
-class Loaded(NamedTuple):
-    """Columns of a file, and its name and meta if dehyst wrote the file."""
-
-    columns: list[Column]
-    stored: hdf5.Stored | None
-
-
-def load(content: Content) -> Loaded:
+def load(content: Content) -> list[Column]:
     """Read a file's columns; raise FileFormatError, with the file's name before each message.
 
     Raise `MissingExtraError` if the library is not installed.
@@ -69,13 +63,11 @@ def load(content: Content) -> Loaded:
             name = LOADERS[content.suffix].name or content.suffix
             raise MissingExtraError.of(package, "files", f"Reading {name} files")
     try:
-        kept = content.with_meta and content.suffix in hdf5.SUFFIXES
-        stored = hdf5.decode(content.data, 2, content.most) if kept else None
         allowance = Allowance(content.most, content.path.stem, content.decimal)
         with warnings.catch_warnings():
             # Of a library on styles of a sheet and the like, which are no matter of the columns.
             warnings.simplefilter("ignore")
-            return Loaded(LOADERS[content.suffix].load(content.data, allowance), stored)
+            return LOADERS[content.suffix].load(content.data, allowance)
     except FileFormatError as error:
         raise type(error)(**vars(error) | {"message": f"{content.path}: {error.message}"}) from error
     except DehystError:
