@@ -1,13 +1,11 @@
-"""What every model must do. To enter a model, add one line to `MODELS`.
-
-The tests are those of `dehyst.testing`.
-"""
+"""What every model must do. To enter a model, add one line to `MODELS`."""
 
 from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from model_contract import ModelCandidate, ModelContract
 
 from dehyst import (
     Actuator,
@@ -20,7 +18,6 @@ from dehyst import (
     Transformer,
 )
 from dehyst.baselines.linear import Linear
-from dehyst.testing import ModelCandidate, ModelContract
 
 VOLTS = 100.0
 

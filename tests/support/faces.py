@@ -54,7 +54,7 @@ FACES = {
             Paper PaperFit identify identify_antisymmetric initial_displacements
         """,
         "testing": """
-            FakeInstrument ModelCandidate ModelContract RigCandidate RigContract
+            FakeInstrument RigCandidate RigContract
         """,
         "trust": """
             Change Insight Recheck Update check

@@ -4,12 +4,12 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from model_contract import ModelCandidate, ModelContract
 
 from dehyst import Record
 from dehyst.baselines import compare
 from dehyst.baselines.linear import Linear
 from dehyst.model import simulated
-from dehyst.testing import ModelCandidate, ModelContract
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
 from dehyst_rivals import (

@@ -1,18 +1,14 @@
-"""What every model must do: tests for authors, which dehyst's own models pass too."""
+"""What every model must do, here and in packages/rivals: shapes, states, errors, and the laws of both ways."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._types import Array
 from dehyst.model import AbstractModel, Actuator, Motion
 
 _VOLTS = 100.0
@@ -32,60 +28,52 @@ class ModelCandidate(NamedTuple):
     wipes_out: bool = True
 
 
-def _walk(n: int, seed: int = 0) -> Array:
+def _walk(n, seed=0):
     """Return n voltages [V] within what every candidate takes, turning often."""
     return np.random.default_rng(seed).uniform(0.05 * _VOLTS, 0.95 * _VOLTS, n)
 
 
-def _timed(run: Callable[..., Motion]) -> Callable[..., Motion]:
+def _timed(run):
     """Give the method the time of each sample: every model takes it, and those that need none ignore it."""
 
-    def at(drive: ArrayLike, **options: Any) -> Motion:
+    def at(drive, **options):
         time = 0.01 * np.arange(np.size(drive)) if np.ndim(drive) == 1 else None
         return run(drive, time=time, **options)
 
     return at
 
 
-def _both_ways(model: AbstractModel, n: int = 60, seed: int = 0) -> Iterator[tuple[Callable[..., Motion], Array, str]]:
+def _both_ways(model, n=60, seed=0):
     """Yield each method with a path it can follow and the name of its result."""
     motion = _timed(model.simulate)(_walk(n, seed))
     yield _timed(model.simulate), motion.voltage, "displacement"
     yield _timed(model.compensate), motion.displacement, "voltage"
 
 
-def _knows_time(model: AbstractModel) -> bool:
+def _knows_time(model):
     return bool(getattr(model, "needs_time", False))
 
 
-def _close(got: Array, expected: Array, tolerance: float) -> bool:
+def _close(got, expected, tolerance):
     return bool(np.abs(np.subtract(got, expected)).max(initial=0.0) <= tolerance * np.ptp(expected))
 
 
 class ModelContract:
-    """The tests of a model: shapes, states, errors, and the laws that simulation and inverse keep.
-
-    A subclass whose name begins with ``Test`` has a fixture `candidate` that returns a `ModelCandidate`::
-
-        class TestMyModel(ModelContract):
-            @pytest.fixture
-            def candidate(self):
-                return ModelCandidate("mine", lambda: MyModel(slope=1e-7))
-    """
+    """The tests of a model; a subclass has a fixture `candidate` that returns a `ModelCandidate`."""
 
     @pytest.fixture
-    def model(self, candidate: ModelCandidate) -> AbstractModel:
+    def model(self, candidate):
         """Return a new model."""
         return candidate.make()
 
-    def test_is_an_abstract_model_that_cannot_be_changed(self, model: AbstractModel) -> None:
+    def test_is_an_abstract_model_that_cannot_be_changed(self, model):
         assert isinstance(model, AbstractModel)
         assert is_dataclass(model)
         for name in [*(one.name for one in fields(model)), "anything"]:
             with pytest.raises(AttributeError):
                 setattr(model, name, 1.0)
 
-    def test_shapes_and_the_other_column_is_the_input(self, model: AbstractModel) -> None:
+    def test_shapes_and_the_other_column_is_the_input(self, model):
         for n in (0, 1, 60):
             for run, drive, out in _both_ways(model, n):
                 motion = run(drive.tolist())
@@ -96,7 +84,7 @@ class ModelContract:
                 given_in = motion.voltage if out == "displacement" else motion.displacement
                 assert np.array_equal(given_in, drive)
 
-    def test_the_state_handed_back_carries_on(self, model: AbstractModel, candidate: ModelCandidate) -> None:
+    def test_the_state_handed_back_carries_on(self, model, candidate):
         for run, drive, out in _both_ways(model):
             whole, parts, state = getattr(run(drive), out), [], None
             for start, stop in pairwise([0, 1, 17, 18, 50, drive.size]):
@@ -106,7 +94,7 @@ class ModelContract:
                 state = motion.state
             assert _close(np.concatenate(parts), whole, candidate.tolerance)
 
-    def test_input_and_state_are_not_modified(self, model: AbstractModel) -> None:
+    def test_input_and_state_are_not_modified(self, model):
         for run, drive, out in _both_ways(model):
             state, before = run(drive[:10]).state, drive.copy()
             first = getattr(run(drive, state=state), out)
@@ -114,25 +102,25 @@ class ModelContract:
             assert np.array_equal(getattr(run(drive, state=state), out), first)
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-    def test_numbers_that_are_not_finite_are_refused(self, model: AbstractModel, bad: Any) -> None:
+    def test_numbers_that_are_not_finite_are_refused(self, model, bad):
         for run, drive, _ in _both_ways(model):
             with pytest.raises(ModelError, match=r"(voltage|displacement).*not finite, the first at index 7"):
                 run(np.where(np.arange(drive.size) == 7, bad, drive))
 
     @pytest.mark.parametrize("bad", [[[0.0]], "text", None, [1j]])
-    def test_what_is_not_a_path_is_refused(self, model: AbstractModel, bad: Any) -> None:
+    def test_what_is_not_a_path_is_refused(self, model, bad):
         for run in (_timed(model.simulate), _timed(model.compensate)):
             with pytest.raises(ModelError, match=r"voltage|displacement"):
                 run(bad)
 
-    def test_the_same_question_gets_the_same_answer(self, model: AbstractModel, candidate: ModelCandidate) -> None:
+    def test_the_same_question_gets_the_same_answer(self, model, candidate):
         for run, drive, out in _both_ways(model):
             first = getattr(run(drive), out)
             assert np.array_equal(getattr(run(drive), out), first)
             again = {name: other for other, _, name in _both_ways(candidate.make())}[out]
             assert np.array_equal(getattr(again(drive), out), first)
 
-    def test_rate_independence(self, model: AbstractModel, candidate: ModelCandidate) -> None:
+    def test_rate_independence(self, model, candidate):
         if _knows_time(model):
             pytest.skip("it depends on time")
         for run, drive, out in _both_ways(model):
@@ -140,7 +128,7 @@ class ModelContract:
             slow = getattr(run(np.append(between.ravel(), drive[-1])), out)
             assert _close(slow[::4], getattr(run(drive), out), candidate.tolerance)
 
-    def test_wiping_out(self, model: AbstractModel, candidate: ModelCandidate) -> None:
+    def test_wiping_out(self, model, candidate):
         """A loop within the last one, closed again, leaves no trace in what follows."""
         if _knows_time(model) or not candidate.wipes_out:
             pytest.skip("inner loops leave a trace")
@@ -150,7 +138,7 @@ class ModelContract:
             kept = np.array([0, 1, 2, 3, 8, 9, 10, 11, 12])
             assert _close(getattr(run(at), out)[kept], getattr(run(at[kept]), out), candidate.tolerance)
 
-    def test_simulating_the_compensation_gives_the_path(self, model: AbstractModel, candidate: ModelCandidate) -> None:
+    def test_simulating_the_compensation_gives_the_path(self, model, candidate):
         simulate = _timed(model.simulate)
         state = simulate(_walk(30, seed=1)).state
         path = simulate(_walk(1000, seed=2), state=state).displacement
@@ -158,9 +146,7 @@ class ModelContract:
         assert _close(simulate(sent.voltage, state=state).displacement, path, candidate.tolerance)
 
     @pytest.mark.parametrize("middle", [0.15, 0.85], ids=["below", "above"])
-    def test_an_inverse_beyond_the_range_is_right_or_refused(
-        self, model: AbstractModel, candidate: ModelCandidate, middle: float
-    ) -> None:
+    def test_an_inverse_beyond_the_range_is_right_or_refused(self, model, candidate, middle):
         """At -30 to 60 V, and 40 to 130 V: a model may refuse a path, but not lead elsewhere."""
         simulate, beyond = _timed(model.simulate), _walk(200, seed=6) + (middle - 0.5) * _VOLTS
         try:
@@ -170,22 +156,20 @@ class ModelContract:
             pytest.skip("it refuses them")
         assert _close(reached, path, candidate.tolerance)
 
-    def test_compensating_the_simulation_gives_the_voltage(
-        self, model: AbstractModel, candidate: ModelCandidate
-    ) -> None:
+    def test_compensating_the_simulation_gives_the_voltage(self, model, candidate):
         simulate = _timed(model.simulate)
         state = simulate(_walk(30, seed=3)).state
         voltage = _walk(1000, seed=4)
         path = simulate(voltage, state=state).displacement
         assert _close(_timed(model.compensate)(path, state=state).voltage, voltage, candidate.tolerance)
 
-    def test_more_voltage_more_displacement(self, model: AbstractModel) -> None:
+    def test_more_voltage_more_displacement(self, model):
         rise = _timed(model.simulate)(np.linspace(0.05, 0.95, 50) * _VOLTS).displacement
         assert np.all(np.diff(rise) > 0)
 
     @pytest.mark.filterwarnings("ignore::RuntimeWarning")
     @pytest.mark.parametrize("far", [1e16, -1e100, 1e281, -1.7e308])
-    def test_huge_numbers_have_a_finite_answer_or_a_clear_error(self, model: AbstractModel, far: float) -> None:
+    def test_huge_numbers_have_a_finite_answer_or_a_clear_error(self, model, far):
         for run, drive, out in _both_ways(model, 20):
             given = drive.copy()
             given[5::4] = far
