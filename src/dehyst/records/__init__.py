@@ -19,7 +19,6 @@ from dehyst.records.signals import (
     recorded_slew_rate,
     resolution,
     rms,
-    sha256_of,
     turning_points,
     white_noise,
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator
 from math import comb, log, sqrt
 
@@ -198,11 +197,3 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
         waiting = waiting[~shown]
         waiting = waiting[waiting < largest.size]
     return np.concatenate(speeds), np.concatenate(travel)
-
-
-def sha256_of(columns: Iterable[NDArray[np.float64]]) -> str:
-    """Return the SHA-256 of columns, first time, voltage and displacement (n,), one by one as little-endian doubles."""
-    digest = hashlib.sha256()
-    for column in columns:
-        digest.update(np.ascontiguousarray(column, dtype="<f8").tobytes())
-    return digest.hexdigest()
