@@ -123,7 +123,7 @@ def test_a_remark_that_asks_for_a_record_has_a_command_that_writes_its_voltage(l
     low, high = limits
     volts = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * time))
     drive = messages.drive_like(limits, [prepare(Record(time, volts, 1e-7 * volts))])
-    open_ = Identifiability(np.ones(2), np.ones(2, bool), np.array([1.0, 0.0]), np.eye(2))
+    open_ = Identifiability(np.array([1.0, 0.0]))
     remarks = [
         messages.DRIFT_OR_CREEP.format(hold=messages.hold(drive)),
         messages.of_creep_not_tried(0.0, 1.0, drive),
