@@ -30,5 +30,4 @@ def plugged_in(*folders):
 
 
 def _forget():
-    vars(BASELINES).pop("plugins", None)
-    BASELINES._added.clear()
+    vars(BASELINES).pop("_found", None)

@@ -3,46 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst._errors import IdentifyError, PluginError, RecordError
-from dehyst._plugins import Registry, plugin_errors
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask, Progress
 from dehyst._views.fields import json_value, json_values
 from dehyst.baselines.linear import Linear
+from dehyst.baselines.registry import Identification, Registry
 from dehyst.baselines.two_branches import TwoBranches
 from dehyst.identification import Prepared, as_list, epochs, identify, prepare, state_after, without_offset
 from dehyst.model import AbstractModel, Actuator, simulated, timed
 from dehyst.records import Record, largest, percent, rms
-
-Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 
 OURS = "dehyst"
 # How to get the models of others.
 RIVALS = "pip install dehyst-rivals (from a clone: pip install ./packages/rivals)"
 
 
-def _of_plugin(name: str, fit: Identification) -> Identification:
-    if not callable(fit):
-        raise TypeError(f"got a {type(fit).__name__}, need a function of a list of records that returns a model")
-    if name.casefold() in map(str.casefold, (OURS, *_OWN)):
-        raise ValueError("the name is of a model of dehyst; its author must choose another")
-
-    def fitted(records: Sequence[Record]) -> AbstractModel:
-        with plugin_errors(name):
-            return fit(records)
-
-    return fitted
-
-
-# Each a function of training records that returns the model, or raises an error that states why there is none.
-_OWN: Mapping[str, Identification] = {"two branches": TwoBranches.fit, "linear ratio": Linear.fit}
-BASELINES: Registry[Identification] = Registry("baselines", _OWN, _of_plugin)
+BASELINES = Registry({"two branches": TwoBranches.fit, "linear ratio": Linear.fit}, (OURS,))
 # Errors of models and records and NumPy's LinAlgError are among them.
 _FAILURES = (ValueError, ArithmeticError, RuntimeError, PluginError)
 # Of each record, this part of its time is for the fit if nothing is given to judge by.
@@ -158,9 +141,7 @@ class ModelComparison:
     @property
     def hint(self) -> str:
         """A sentence on how to get more models to compare with; empty if there are some of plug-ins."""
-        return (
-            "" if any(not one.fault for one in BASELINES.plugins) else f"Nine published models can be added: {RIVALS}."
-        )
+        return "" if len(BASELINES) > len(BASELINES.own) else f"Nine published models can be added: {RIVALS}."
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -347,7 +328,7 @@ def _row(
     progress(f"fitting {name}")
     row, begin = ModelScore(name), time.perf_counter()
     # Models of others may fail in any way.
-    failing = _FAILURES if name in (OURS, *_OWN) else Exception
+    failing = _FAILURES if name in (OURS, *BASELINES.own) else Exception
     try:
         model = _fitted(fit, training)
         row = replace(row, seconds=time.perf_counter() - begin)
