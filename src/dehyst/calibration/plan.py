@@ -231,11 +231,6 @@ class Plan:
         each = tuple(self.excitations(one) for one in rig.rigs)
         return AxesExcitations(rig.axes, each, self.steps, self.cycles)
 
-    def step_names(self, rig: AbstractRig) -> tuple[str, ...]:
-        """Return the steps of every calibration of a `rig`, for a progress display."""
-        first = ("look", "loops") if len(rig.axes) == 1 else ("axes",)
-        return *first, "others", "identify", "nominal", "compensated", "report"
-
 
 class PlannedStep(NamedTuple):
     """One step and its `excitation`, or None if it depends on earlier records; `more`: samples that follow later."""

@@ -8,7 +8,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any, TextIO
 
@@ -68,11 +68,11 @@ class TerminalRun(InterruptibleRun):
         with suppress(OSError):
             os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
 
-    def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
-        """Show the steps of a calibration as a picture that moves, or as lines."""
-        from dehyst.cli.live import display
+    def watch(self) -> AbstractContextManager[Any]:
+        """Show the steps of a calibration."""
+        from dehyst.cli.progress import Progress
 
-        return display(steps)
+        return Progress()
 
 
 def progress_line() -> Callable[[str], None]:

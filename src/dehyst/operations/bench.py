@@ -186,7 +186,7 @@ def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibra
     if len(rig.axes) > 1:
         for line in _step_lines(entries(rig, plan)):
             run.note(line)
-    with run.watch(plan.step_names(rig)) as watcher:
+    with run.watch() as watcher:
         calibration = run_calibration(rig, output, plan=plan, watcher=watcher)
         watcher.step("report")
         if isinstance(calibration.fit, StageFit):

@@ -135,7 +135,7 @@ def _played(
     # Rows of the homing are farther apart, and the last row is a sample.
     at = times[-1] - np.arange(round((times[-1] - times[0]) * rate), -1, -1) / rate
     excitation = Excitation("path", np.interp(at, times, planned.voltage), rate)
-    with rig.safely(), run.watch(["path"]) as watcher:
+    with rig.safely(), run.watch() as watcher:
         watcher.step("path", excitation.duration)
         record = rig.play(excitation, watcher.samples)
         rig.retreat()

@@ -54,8 +54,8 @@ class Run:
         """Let a request to end early, such as Ctrl-C, call `end` if this is `possible` then; else let it interrupt."""
         return nullcontext()
 
-    def watch(self, steps: Sequence[str]) -> AbstractContextManager[Any]:
-        """Return the progress display of a calibration with these steps."""
+    def watch(self) -> AbstractContextManager[Any]:
+        """Return the progress display of a calibration."""
         from dehyst.calibration.session import NullProgress
 
         return nullcontext(NullProgress())
