@@ -2,14 +2,17 @@
 
 import subprocess
 import sys
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import plain_records
 import pytest
-from summaries import anatomy
+from summaries import PARTS, VOLTS, anatomy
 
 import dehyst
-from dehyst import Fit, MissingExtraError, ModelError, Outcome, RecordError
+from dehyst import DisplacementCreep, Fit, MissingExtraError, ModelError, Outcome, RecordError
+from dehyst.report.report import render
 
 matplotlib = pytest.importorskip("matplotlib")
 Figure = pytest.importorskip("matplotlib.figure").Figure
@@ -116,6 +119,30 @@ def test_the_loops_of_an_actuator_lie_within_its_limits(things):
         assert actuator.limits[0] <= line.get_xdata().min()
         assert line.get_xdata().max() <= actuator.limits[1]
     assert np.array(lines[0].get_ydata())[[0, 199]] == pytest.approx(np.array(actuator.reach) * 1e6, rel=1e-6, abs=1e-9)
+
+
+# Of each of these, none or all; the first bends the model, the rest lets it depend on time.
+OPTIONAL = (
+    PARTS["graded"] | PARTS["transformer"] | PARTS["smooth"],
+    PARTS["creep"],
+    {"displacement_creep": DisplacementCreep([0.1, 10.0], [0.02, 0.03])},
+    PARTS["inertia"] | PARTS["lag"] | PARTS["delay"],
+)
+
+
+@pytest.mark.parametrize("chosen", list(product([False, True], repeat=len(OPTIONAL))))
+def test_every_combination_of_parts_is_drawn_and_reported(things, chosen):
+    parts = [part for part, taken in zip(OPTIONAL, chosen, strict=True) if taken]
+    actuator = replace(anatomy("plain"), **{name: value for part in parts for name, value in part.items()})
+    low, high = actuator.major_loop((0.0, VOLTS))
+    for kind in [*KINDS["actuator"], *(["creep"] if actuator.creep_times.size else [])]:
+        ax = actuator.plot(kind, ax=axes())
+        ax.figure.canvas.draw()
+        if kind == "loop":
+            drawn = np.array(ax.lines[0].get_ydata())
+            assert drawn[[0, 199]] == pytest.approx(1e6 * np.array([low, high]), abs=1e-4)
+    text = render(replace(things["fit"], actuator=actuator))
+    assert 'id="path-trial"' in text
 
 
 def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):

@@ -3,7 +3,7 @@
 from dehyst.model import serialization
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import ANYWAY, Range, voltage_error
+from dehyst.model.checks import ANYWAY, Range, slow_motion, voltage_error
 from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
 from dehyst.model.elements import (
     GradedSlip,

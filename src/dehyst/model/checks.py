@@ -15,7 +15,7 @@ from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, T
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
-    from dehyst.model.base import Motion
+    from dehyst.model.base import Motion, State
 
 _KINDS: dict[str, tuple[type, ...]] = {
     "slip": (MaxwellSlip, GradedSlip),
@@ -92,12 +92,18 @@ class Range:
 
 def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
     """Return the motion of slow loops between limits [V] that ends at the second one; creep is at rest at both."""
+    return slow_motion(actuator, np.tile(limits, _VISITS))
+
+
+def slow_motion(actuator: Actuator, voltage: Array, state: State | None = None) -> Motion:
+    """Return the motion through voltages (n,) [V], with creep at rest at each, and without inertia and lag.
+
+    `state`: before the first voltage, without motion; default: the actuator's own.
+    """
     slow = actuator.quasistatic()
-    voltage = np.tile(limits, _VISITS)
-    creeping = [part.time_constants for part in (slow.creep, slow.displacement_creep) if part is not None]
-    rest = _REST * float(np.concatenate(creeping).max(initial=0.0)) if creeping else 1.0
+    rest = _REST * float(actuator.creep_times.max(initial=0.0)) or 1.0
     time = np.arange(voltage.size) * rest if slow.needs_time else None
-    return slow.simulate(voltage, time=time, extrapolate=True)
+    return slow.simulate(voltage, time=time, state=state, extrapolate=True)
 
 
 def displacement_error(got: tuple[float, float], displacements: Range) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from typing import NamedTuple
 
@@ -111,14 +111,14 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
         return np.zeros(1), np.zeros(1)
     low, high = actuator.voltage_range
     begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
-    slow = replace(actuator, dynamics=None, lag=0.0, state=begin)
+    slow = actuator.quasistatic()
     shortest, longest = float(times.min()), float(times.max())
     since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)
     # Rest at the lower limit takes as long as creep lasts.
     rest = np.array([0.0, 20 * longest])
     time = np.concatenate([rest, rest[-1] + 0.1 * shortest + np.concatenate([[0.0], since])])
     voltage = np.concatenate([[low, low], np.full(_TIMES + 1, high)])
-    y = slow.simulate(voltage, time=time, extrapolate=True).displacement
+    y = slow.simulate(voltage, time=time, state=begin, extrapolate=True).displacement
     return since, (y[3:] - y[2]) / (y[2] - y[1])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from dehyst._errors import DehystError, MissingExtraError, ModelError, RecordError
 from dehyst._validation import choice
 from dehyst.identification import Fit
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, slow_motion
 from dehyst.records import Record
 from dehyst.report import fit_section, trust_section
 from dehyst.report.actuator_section import creep_chart, element_charts, slopes_chart, spring_charts
@@ -120,17 +119,13 @@ def _actuator_loops(found: Actuator) -> Chart:
     """Return the major loop and inner loops of an actuator, as slow motion draws them."""
     factor, unit = length_unit(float(np.ptp(found.spring.displacement)))
     low, high = found.voltage_range
+    peaks = low + np.array([1.0, *_TOPS]) * (high - low)
+    loops = [np.concatenate([np.linspace(low, peak, _LEG), np.linspace(peak, low, _LEG)]) for peak in peaks]
     rest = found.turned(float(found.spring.displacement[-1]), extrapolate=True)
-    bare = State(rest.displacement, rest.carts, (), (), rest.smooth)
-    slow = replace(found, creep=None, dynamics=None, lag=0.0, state=bare)
-    start = slow.simulate(np.array([high, low]), extrapolate=True).state
-    series = []
-    for top in (1.0, *_TOPS):
-        peak = low + top * (high - low)
-        voltage = np.concatenate([np.linspace(low, peak, _LEG), np.linspace(peak, low, _LEG)])
-        motion = slow.simulate(voltage, state=start, extrapolate=True)
-        start, y = motion.state, motion.displacement * factor
-        if top == 1.0:
+    motion = slow_motion(found, np.concatenate([[high, low], *loops]), rest)
+    series: list[Series] = []
+    for voltage, y in zip(loops, np.split(motion.displacement[2:] * factor, len(loops)), strict=True):
+        if not series:
             series.append(Series("major loop", voltage, y, "measured", width=1.9))
         else:
             series.append(Series("inner loops", voltage, y, "falling", width=1.1))
