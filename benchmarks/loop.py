@@ -69,7 +69,7 @@ class Bench:
     @property
     def start(self) -> float:
         """Displacement of the stage by the model [m]."""
-        return float(self.state.motion[0]) if self.state.motion.size else self.state.displacement
+        return self.model.displacement(self.state)
 
     def reached(self, kind: str, wanted: np.ndarray, disturbance: np.ndarray | None = None) -> np.ndarray:
         """Return the true displacement (n,) [m], with a disturbance (n,) [m] added to it."""

@@ -173,7 +173,7 @@ class CompiledCore:
             actuator.slip.stiffness,
             actuator.spring.displacement,
             actuator.spring.voltage,
-            [state.displacement],
+            [state.deformation],
             state.carts,
             path,
         ]

@@ -343,7 +343,7 @@ def test_identify_reports_where_each_record_began(folder):
     assert len(error["starts"]) == 1
     # What comes before the loops is left out.
     first = dehyst.read(folder / "loops.csv").displacement[error["left_out"]] + error["datum_m"]
-    assert error["starts"][0]["displacement_m"] == pytest.approx(first, abs=1e-7)
+    assert error["starts"][0]["deformation_m"] == pytest.approx(first, abs=1e-7)
     assert len(error["starts"][0]["carts_m"]) == got["options"]["elements"]
 
 

@@ -124,7 +124,7 @@ def content(path):
 
 def wanted_of(compensator):
     """Return displacements (n,) [m]: growing turns around the start, then over all of the reach and beyond."""
-    actuator, start, dice = compensator.actuator, compensator.state.displacement, np.random.default_rng(5)
+    actuator, start, dice = compensator.actuator, compensator.displacement, np.random.default_rng(5)
     low, high = (float(actuator.simulate([0.0, v], time=[0.0, 1.0]).displacement[-1]) for v in (0.0, 80.0))
     share = dice.uniform(-0.1, 1.1, 400) * np.repeat([1.0, 0.5, 0.2, 0.9], 100)
     near = start + (high - low) * np.linspace(0, 0.1, 100) * dice.uniform(-1, 1, 100)

@@ -30,7 +30,7 @@ def close(got, expected, allowance):
 
 
 def same_state(state, other, metres):
-    return close(state.displacement, other.displacement, metres) and close(state.carts, other.carts, metres)
+    return close(state.deformation, other.deformation, metres) and close(state.carts, other.carts, metres)
 
 
 def compensated(actuator, path, start):
@@ -52,7 +52,7 @@ def scales(actuator):
 
 def at_rest(actuator, elongation):
     """Return the equilibrium at 0 V with these elongations (Sec. 2): h(x(0)) = -sum k_i s_i."""
-    y = actuator.relaxed(-float(actuator.slip.stiffness @ elongation)).displacement
+    y = actuator.relaxed(-float(actuator.slip.stiffness @ elongation)).deformation
     return State(y, y - elongation)
 
 
@@ -63,9 +63,9 @@ def test_force_balance(motion, seed):
     slip = actuator.slip
     for v in our.voltages_like(actuator, state, path, seed):
         state = actuator.simulate([v], state=state, extrapolate=True).state
-        s = state.displacement - state.carts
+        s = state.deformation - state.carts
         assert np.all(np.abs(s) <= slip.breakaway + EXACT * our.span_of(actuator))
-        balance = slip.stiffness @ s + actuator.spring(state.displacement)
+        balance = slip.stiffness @ s + actuator.spring(state.deformation)
         assert close(balance, v, EXACT * (our.volts_of(actuator) + abs(v)))
 
 
@@ -175,17 +175,17 @@ def test_residual_strain_shifts_the_loop(actuator, seed):
     """
     rng, rho = np.random.default_rng(seed), actuator.slip.breakaway
     starts = [at_rest(actuator, rho * rng.uniform(-1, 1, rho.size)) for _ in range(2)]
-    highest = max(start.displacement for start in starts) + 2 * rho[-1]
+    highest = max(start.deformation for start in starts) + 2 * rho[-1]
     v = actuator.voltage(actuator.turned(highest, extrapolate=True)) * (
         0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121))
     )
-    loops = [actuator.simulate(v, state=s, extrapolate=True).displacement - s.displacement for s in starts]
+    loops = [actuator.simulate(v, state=s, extrapolate=True).displacement - s.deformation for s in starts]
     allowance, force = 4 * scales(actuator)[1], actuator.slip.friction.sum()
-    shift = starts[1].displacement - starts[0].displacement
+    shift = starts[1].deformation - starts[0].deformation
     assert close(loops[0][30:] - loops[1][30:], shift, allowance)
     for start, loop in zip(starts, loops, strict=True):
-        ends = actuator.relaxed(-force).displacement, actuator.relaxed(force).displacement
-        assert ends[0] - allowance <= start.displacement <= ends[1] + allowance
+        ends = actuator.relaxed(-force).deformation, actuator.relaxed(force).deformation
+        assert ends[0] - allowance <= start.deformation <= ends[1] + allowance
         assert loop[60] >= -allowance
 
 
@@ -193,14 +193,14 @@ def test_residual_strain_shifts_the_loop(actuator, seed):
 def test_wiping_out(motion, seed, depth):
     """Return-point memory: an excursion within the present branch, closed again, leaves no trace."""
     actuator, state, path = motion
-    path = np.append(path, our.make_path(actuator, state.displacement, seed, "jumps", 1))
-    before, here = np.append(state.displacement, path)[-2:]
+    path = np.append(path, our.make_path(actuator, state.deformation, seed, "jumps", 1))
+    before, here = np.append(state.deformation, path)[-2:]
     turn = here + depth * (before - here)
     inside = here + np.random.default_rng(seed).uniform(0, 1, 10) * (turn - here)
     plain = actuator.compensate(path, state=state, extrapolate=True)
     detour = actuator.compensate(np.concatenate([path, [turn], inside, [here]]), state=state, extrapolate=True)
     volts = EXACT * (our.volts_of(actuator) + np.ptp(detour.voltage))
-    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(path, state.displacement)))
+    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(path, state.deformation)))
     assert same_state(plain.state, detour.state, metres)
     assert close(detour.voltage[-1], plain.voltage[-1], volts)
 
@@ -209,7 +209,7 @@ def test_wiping_out(motion, seed, depth):
 def test_masing(actuator, seed):
     """After a reversal the stops' force follows the virgin curve phi doubled: F_R - 2 phi(u / 2)."""
     slip = actuator.slip
-    y0 = actuator.relaxed().displacement
+    y0 = actuator.relaxed().deformation
     peak = slip.breakaway[-1] * np.random.default_rng(seed).uniform(0.1, 1.5)
     u = np.linspace(0, 2 * peak, 50)
     phi = np.minimum(u[:, None] / 2, slip.breakaway) @ slip.stiffness
@@ -226,7 +226,7 @@ def test_rate_independence(motion, seed):
     rng = np.random.default_rng(seed)
     v = our.voltages_like(actuator, state, path, seed)
     for run, drive, first in (
-        (actuator.compensate, path, state.displacement),
+        (actuator.compensate, path, state.deformation),
         (actuator.simulate, v, actuator.voltage(state)),
     ):
         part = np.sort(rng.uniform(0, 1, (len(drive), 4)), axis=1)
@@ -235,7 +235,7 @@ def test_rate_independence(motion, seed):
         slow = np.where(part == 1, drive[:, None], previous + part * (drive[:, None] - previous))
         fast, slowed = (run(samples, state=state, extrapolate=True) for samples in (drive, slow.ravel()))
         volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(fast.voltage, 0)))
-        metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(fast.displacement, state.displacement)))
+        metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(fast.displacement, state.deformation)))
         assert close(slowed.voltage[3::4], fast.voltage, volts)
         assert close(slowed.displacement[3::4], fast.displacement, metres)
         assert same_state(slowed.state, fast.state, metres)
@@ -298,7 +298,7 @@ def test_superposition(motion, seed):
             MaxwellSlip(slip.breakaway[chosen], slip.stiffness[chosen]),
             Spring(spring.displacement, part * spring.voltage),
         )
-        halves = halves + compensated(half, path, State(state.displacement, state.carts[chosen]))
+        halves = halves + compensated(half, path, State(state.deformation, state.carts[chosen]))
     elongations, _ = slip_elongations(slip.breakaway, state.carts, path)
     volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(whole, 0)))
     assert close(whole, halves, volts)
@@ -311,7 +311,7 @@ def test_what_is_known_of_the_state(motion):
     excursion of 2 rho_N the state is certain.
     """
     actuator, state, path = motion
-    rho, y0 = actuator.slip.breakaway, state.displacement
+    rho, y0 = actuator.slip.breakaway, state.deformation
     low, high = (slip_elongations(rho, y0 + side * rho, path)[0] for side in (1, -1))
     seen = np.append(y0, path)
     ranges = (np.maximum.accumulate(seen) - np.minimum.accumulate(seen))[1:, None]
@@ -326,7 +326,7 @@ def test_what_is_known_of_the_state(motion):
 def test_order_is_preserved_under_voltage(motion, seed):
     """Sec. 11: of two states under the same voltage, the one whose carts all lie higher stays the higher one."""
     actuator, lower, path = motion
-    y, rho = lower.displacement, actuator.slip.breakaway
+    y, rho = lower.deformation, actuator.slip.breakaway
     higher = State(y, lower.carts + np.random.default_rng(seed).uniform(0, 1, rho.size) * (y + rho - lower.carts))
     v = our.voltages_like(actuator, lower, path, seed)
     for voltage in v:
@@ -348,10 +348,10 @@ def test_carts_slide_in_increasing_order(motion, seed):
     actuator, state, path = motion
     state = actuator.simulate(our.voltages_like(actuator, state, path, seed), state=state, extrapolate=True).state
     rho = actuator.slip.breakaway
-    metres = EXACT * (our.span_of(actuator) + abs(state.displacement))
-    gaps = np.diff(np.append(state.displacement, state.carts))
+    metres = EXACT * (our.span_of(actuator) + abs(state.deformation))
+    gaps = np.diff(np.append(state.deformation, state.carts))
     assert np.all(np.abs(gaps) <= np.diff(np.append(0, rho)) + metres)
-    _, after = slip_elongations(rho, state.carts, state.displacement + np.array([rho[-1] / 2]))
+    _, after = slip_elongations(rho, state.carts, state.deformation + np.array([rho[-1] / 2]))
     moved = after - state.carts > metres
     assert not np.any(~moved[:-1] & (after - state.carts > 2 * metres)[1:])
 
@@ -367,7 +367,7 @@ def test_physical_units(motion, seed):
     at = actuator.simulate(
         compensated(actuator, [actuator.spring.displacement[knot]], state), state=state, extrapolate=True
     ).state
-    s = (at.displacement - at.carts) * KM / keq
+    s = (at.deformation - at.carts) * KM / keq
     force = paper.stiffness @ s + keq * paper.deformation[knot] + paper.nonlinear[knot]
     volts = scales(actuator)[0] + EXACT * np.abs(keq * paper.deformation).max() / T
     assert close(force / T, actuator.voltage(at), volts)

@@ -77,7 +77,7 @@ def test_a_run_is_the_inverse_of_the_actuator(name):
     path = plain_records.path((0.5, 1, 0, 0.9, 0.2, 0.6), 40)[:200]
     start = started(actuator, 1)
     voltage = Compensator(actuator, FREE, period=PERIOD, state=start).run(path)
-    at = np.append(start.displacement, path)
+    at = np.append(start.deformation, path)
     exact = actuator.compensate(at, time=np.arange(at.size) * PERIOD, state=start)
     np.testing.assert_allclose(voltage, exact.voltage[1:], atol=1e-12 * np.ptp(exact.voltage))
 
@@ -133,7 +133,7 @@ def test_a_start_beyond_the_limits_is_taken_to_have_been_brought_to_the_nearest(
     assert compensator.voltage <= high
     assert actuator.voltage(compensator.state) == pytest.approx(high, abs=1e-9 * high)
     if actuator.dynamics is not None:
-        assert compensator.state.motion[0] == compensator.state.displacement
+        assert compensator.state.motion[0] == compensator.state.deformation
     assert high >= quietly(compensator.step, 0.9 * plain_records.STROKE) > high - 1e3 * PERIOD - 1e-9
     with pytest.raises(ModelError, match="displacement: got nan"):
         compensator.step(math.nan)
@@ -241,12 +241,12 @@ def test_a_held_period_lets_creep_go_on():
     actuator = PLANTS["creep"]
     start = started(actuator, 3)
     compensator = Compensator(actuator, FREE, period=PERIOD, state=start)
-    voltage = compensator.step(start.displacement + 1e-6)
+    voltage = compensator.step(start.deformation + 1e-6)
     for _ in range(50):
         compensator.hold()
     moved = replayed(actuator, start, np.full(51, voltage))
     assert gap(compensator.state, moved.state) < 1e-11 * plain_records.STROKE
-    assert compensator.state.displacement != start.displacement + 1e-6
+    assert compensator.state.deformation != start.deformation + 1e-6
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, "1", None, [1e-6], 1j])
@@ -314,7 +314,7 @@ def test_a_first_step_that_the_slew_rate_holds_back_names_the_voltage_that_was_a
     assert said_of(copied.step, low)[0].assumed == top
     assert said_of(copied.clone().step, low)[0].assumed == top
     later = Compensator(PLANT, **options)
-    assert said_of(later.step, later.state.displacement - 1e-9) == []
+    assert said_of(later.step, later.state.deformation - 1e-9) == []
     assert said_of(later.step, low)[0].assumed is None
     later.reset(PLANT.turned(0.9 * plain_records.STROKE))
     assert (later.assumed, said_of(later.run, path)[0].assumed) == (None, None)
@@ -567,7 +567,7 @@ def test_the_reach_is_where_slow_loops_turn(name):
     voltage = np.tile([20.0, 140.0], 100)
     # Long holds, in which creep comes to rest step by step.
     held = np.repeat(voltage, 30)
-    start = State(slow.state.displacement, slow.state.carts)
+    start = State(slow.state.deformation, slow.state.carts)
     moved = slow.simulate(held, time=np.arange(held.size) * 10.0, state=start).displacement[29::30]
     np.testing.assert_allclose(moved[-2:], [low, high], atol=1e-6 * plain_records.STROKE)
 

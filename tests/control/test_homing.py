@@ -50,7 +50,7 @@ def most_spread(actuator, homing, count, seed=0):
     for _ in range(count):
         end = actuator.simulate(homing.turns, state=equilibrium(actuator, homing.turns[0], rng), extrapolate=True).state
         carts = np.abs(end.carts - homing.state.carts).max(initial=0.0)
-        worst = max(worst, carts, abs(end.displacement - homing.state.displacement))
+        worst = max(worst, carts, abs(end.deformation - homing.state.deformation))
     return worst
 
 
@@ -242,7 +242,7 @@ def test_an_identified_actuator_homes_within_its_own_limits():
     assert within(homing, (low, high), low, None)
     # The plant homes by it too, to what the model is off: the waveform is just long enough for the model.
     ends = [
-        PLANT.simulate(homing.turns, state=equilibrium(PLANT, low, np.random.default_rng(i))).state.displacement
+        PLANT.simulate(homing.turns, state=equilibrium(PLANT, low, np.random.default_rng(i))).state.deformation
         for i in range(100)
     ]
     assert np.ptp(ends) <= 1e-6 * plain_records.STROKE

@@ -53,12 +53,12 @@ def past(actuator, seed, present):
 
 
 def replace_motion(state):
-    return type(state)(state.displacement, state.carts, state.creep, [state.displacement, 0.0], state.smooth)
+    return type(state)(state.deformation, state.carts, state.creep, [state.deformation, 0.0], state.smooth)
 
 
 def distance(a, b, slip):
     stiff = slip.friction > 0
-    return max(np.abs(a.carts - b.carts)[stiff].max(initial=0.0), abs(a.displacement - b.displacement))
+    return max(np.abs(a.carts - b.carts)[stiff].max(initial=0.0), abs(a.deformation - b.deformation))
 
 
 @pytest.mark.parametrize("name", ORDERED)
@@ -83,7 +83,7 @@ def test_no_state_at_rest_leaves_the_bracket(name):
         slack = 1e-12 * plain_records.STROKE
         assert np.all(bracket.lower.carts <= state.carts + slack)
         assert np.all(state.carts <= bracket.upper.carts + slack)
-        assert bracket.lower.displacement - slack <= state.displacement <= bracket.upper.displacement + slack
+        assert bracket.lower.deformation - slack <= state.deformation <= bracket.upper.deformation + slack
         voltage = rng.uniform(*LIMITS, 9)
         known = bracket.propagate(actuator, voltage)
         y = actuator.simulate(voltage, state=state).displacement
@@ -126,7 +126,7 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     start = past(actuator, seed, 0.0)
     time = found.played.time if actuator.needs_time else None
     reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
-    assert abs(reached.displacement - found.state.displacement) <= found.spread + 1e-12 * plain_records.STROKE
+    assert abs(reached.deformation - found.state.deformation) <= found.spread + 1e-12 * plain_records.STROKE
     further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
     time = further.time if actuator.needs_time else None
     paths = [
@@ -183,7 +183,7 @@ def test_homed_is_at_the_top_of_the_limits(name):
     else:
         time = found.played.time if actuator.needs_time else None
         reached = actuator.simulate(found.played.voltage, time=time, state=start).state
-    assert abs(reached.displacement - state.displacement) <= found.error + 1e-12
+    assert abs(reached.deformation - state.deformation) <= found.error + 1e-12
 
 
 @pytest.mark.parametrize("name", ORDERED)
@@ -192,7 +192,7 @@ def test_equilibria_lie_between_the_outermost_branches(name):
     low, high = (MajorLoop(actuator).displacement(70.0, side) for side in (1, -1))
     slack = 1e-12 * plain_records.STROKE
     for seed in range(20):
-        assert low - slack <= past(actuator, seed, 70.0).displacement <= high + slack
+        assert low - slack <= past(actuator, seed, 70.0).deformation <= high + slack
 
 
 def test_a_bracket_of_what_moves_on_is_refused_with_a_way_out():

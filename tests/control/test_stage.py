@@ -221,10 +221,10 @@ def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_b
     for one, axis in zip(model.actuators, loop.compensators, strict=True):
         for before in ([-100.0], [60.0, -10.0]):
             played = one.simulate([*before, *np.tile(limits, 10)]).state
-            assert axis.state.displacement == pytest.approx(played.displacement, abs=1e-15)
+            assert axis.state.deformation == pytest.approx(played.deformation, abs=1e-15)
             assert np.allclose(axis.state.carts, played.carts, rtol=0, atol=1e-15)
         assert axis.voltage == 30.0
-        assert axis.state.displacement < dehyst.Compensator(one, limits).state.displacement - 1e-8
+        assert axis.state.deformation < dehyst.Compensator(one, limits).state.deformation - 1e-8
 
 
 def test_a_first_step_that_is_held_back_names_the_voltage_assumed_of_each_axis():
@@ -371,7 +371,7 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
     def made(**options):
         if kind == "stage":
             return StageCompensator(model, period=1e-3, **options).compensators
-        return dehyst.Bank(model.actuators, period=1e-3, **options)._each
+        return dehyst.Bank(model.actuators, period=1e-3, **options)._compensators
 
     pair, state = (0.0, 100.0), model.actuators[0].turned(3e-6)
     for limits in (pair, list(pair), np.array(pair), [pair], [pair, pair], np.array([pair, pair])):
@@ -380,7 +380,7 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
     for rate, expected in ((5.0, [5.0, 5.0]), ([5.0], [5.0, 5.0]), ([5.0, None], [5.0, None]), (None, [None] * 2)):
         assert [one.slew_rate for one in made(slew_rate=rate)] == expected
     for states in (state, [state, state]):
-        assert [one.state.displacement for one in made(states=states)] == [3e-6] * 2
+        assert [one.state.deformation for one in made(states=states)] == [3e-6] * 2
     for name, wrong in {"limits": [pair] * 3, "slew_rate": [1.0] * 3, "states": [state] * 3}.items():
         with pytest.raises(dehyst.ModelError) as caught:
             made(**{name: wrong})

@@ -50,7 +50,7 @@ def history(actuator, rng, present):
     state = still.simulate(turns, time=time, state=still.turned(0.5 * STROKE)).state
     if actuator.dynamics is None:
         return state
-    return type(state)(state.displacement, state.carts, state.creep, [state.displacement, 0.0])
+    return type(state)(state.deformation, state.carts, state.creep, [state.deformation, 0.0])
 
 
 def way(rng, size, limits=LIMITS):
@@ -176,7 +176,7 @@ def test_the_displacement_before_a_path_is_within_reach():
     """The middle of the possible states at 0 V lies far below what voltages within the limits reach."""
     actuator = replace(plain_records.plant(6, share=0.9), limits=(0.0, plain_records.VOLTS))
     low, high = actuator.reach
-    assert PossibleStart.unknown(actuator, actuator.limits[0]).state.displacement < low - (high - low)
+    assert PossibleStart.unknown(actuator, actuator.limits[0]).state.deformation < low - (high - low)
     wanted = low + (high - low) * (0.5 - 0.3 * np.cos(np.linspace(0, 2 * np.pi, 200)))
     time, present = np.arange(200.0), actuator.limits[0]
     homed = plan_path(Compensator(actuator), wanted, time=time, home=True, present=present)
@@ -254,8 +254,8 @@ def test_the_difference_settles_once_the_voltage_has_homed():
 def test_a_history_of_voltages_closes_what_it_homes():
     wide = PossibleStart.after(PLAIN, [0.0, 260.0, -40.0, 50.0])
     narrow = PossibleStart.after(PLAIN, [0.0, 30.0, 10.0])
-    assert np.ptp([state.displacement for state in wide.states]) < 1e-9 * STROKE
-    assert np.ptp([state.displacement for state in narrow.states]) > 0.01 * STROKE
+    assert np.ptp([state.deformation for state in wide.states]) < 1e-9 * STROKE
+    assert np.ptp([state.deformation for state in narrow.states]) > 0.01 * STROKE
     with pytest.raises(ModelError, match="got no samples"):
         PossibleStart.after(PLAIN, [])
 

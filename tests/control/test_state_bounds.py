@@ -56,7 +56,7 @@ def test_no_equilibrium_leaves_the_bracket(drive):
     rng = np.random.default_rng(seed)
     for _ in range(5):
         state = equilibrium(actuator, start, rng)
-        assert bracket.lower.displacement - allowance <= state.displacement <= bracket.upper.displacement + allowance
+        assert bracket.lower.deformation - allowance <= state.deformation <= bracket.upper.deformation + allowance
         y, carts = carts_along(actuator, path, state)
         assert np.all((y >= known.lowest - allowance) & (y <= known.highest + allowance))
         assert np.all((carts >= carts_low - allowance) & (carts <= carts_high + allowance))
@@ -64,7 +64,7 @@ def test_no_equilibrium_leaves_the_bracket(drive):
         for name, sign in (("lower", 1), ("upper", -1)):
             bound = getattr(known.bounds, name)
             assert np.all(sign * (end.carts - bound.carts) >= -allowance)
-            assert sign * (end.displacement - bound.displacement) >= -allowance
+            assert sign * (end.deformation - bound.deformation) >= -allowance
 
 
 @given(drives())
@@ -115,7 +115,7 @@ def test_every_state_covers_the_least_range(drive):
     visited = np.concatenate([[start], path])
     state = equilibrium(actuator, start, np.random.default_rng(seed))
     y = actuator.simulate(path, state=state, extrapolate=True).displacement
-    covered = np.ptp(np.append(y, state.displacement))
+    covered = np.ptp(np.append(y, state.deformation))
     assert covered >= MajorLoop(actuator).least_range(visited.min(), visited.max()) - metres(actuator, y)
 
 
@@ -164,16 +164,14 @@ def test_the_error_bar_of_a_first_move(actuator, seed):
     bracket = StateBounds.at_rest(actuator, present)
     rng = np.random.default_rng(seed)
     states = [bracket.lower, bracket.upper, *(equilibrium(actuator, present, rng) for _ in range(20))]
-    readings = [
-        actuator.simulate(homing.turns, state=s, extrapolate=True).displacement - s.displacement for s in states
-    ]
+    readings = [actuator.simulate(homing.turns, state=s, extrapolate=True).displacement - s.deformation for s in states]
     allowance = metres(actuator, *readings)
     final = [reading[-1] for reading in readings]
     assert np.ptp(final) == pytest.approx(bracket.move_error, abs=allowance)
     known = bracket.propagate(actuator, homing.turns)
     for reading in readings:
-        assert np.all(reading >= known.lowest - bracket.upper.displacement - allowance)
-        assert np.all(reading <= known.highest - bracket.lower.displacement + allowance)
+        assert np.all(reading >= known.lowest - bracket.upper.deformation - allowance)
+        assert np.all(reading <= known.highest - bracket.lower.deformation + allowance)
 
 
 def test_the_error_bar_in_closed_form():

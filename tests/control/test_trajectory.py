@@ -33,7 +33,7 @@ def assert_true_to_what_was_sent(command, path, start):
     motion = PLANT.simulate(command.voltage, state=start, stack=False)
     np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * plain_records.STROKE)
     np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * plain_records.STROKE)
-    assert command.state.displacement == pytest.approx(motion.state.displacement, abs=1e-9 * plain_records.STROKE)
+    assert command.state.deformation == pytest.approx(motion.state.deformation, abs=1e-9 * plain_records.STROKE)
     np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
 
 
@@ -204,7 +204,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     load = 3 * np.sin(2 * np.pi * 150 * time)
     plant = wider("all three", dynamics=Dynamics(2 * np.pi * 1000, 0.05, 2e6), lag=lag, load_stiffness=1e7)
     first = plant.compensate(path[:1], time=[0], load=load[:1], acceleration=[push]).state
-    start = State(first.displacement, first.carts, first.creep, [path[0], 0])
+    start = State(first.deformation, first.carts, first.creep, [path[0], 0])
     whole = plant.compensate(path, time=time, load=load, state=start)
     command = Compensator(plant, (-1e4, 1e4)).trajectory(path, time=time, load=load, state=start)
     np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))

@@ -160,7 +160,7 @@ def test_the_approach_is_smooth_and_keeps_the_limits_of_the_scan(seed, kind, sca
     way = approach_to(path, Compensator(wild.actuator, wild.limits, rate), state, MotionLimits())
     if way is None:
         return
-    assert way.displacement[0] == state.displacement and way.velocity[0] == 0
+    assert way.displacement[0] == state.deformation and way.velocity[0] == 0
     for row, whole in zip(way.rows[1:], path.rows[1:], strict=True):
         assert np.abs(row).max() <= np.abs(whole).max() * (1 + 1e-8)
     joined = np.append(way.displacement, path.displacement[0])

@@ -120,7 +120,7 @@ def bench(kind, seed):
     model = actuator.model
     state = model.complete_state(our.make_state(plain, seed, "arbitrary"))
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
-    path = np.concatenate([our.make_path(plain, state.displacement, seed, k, 200) for k in kinds])
+    path = np.concatenate([our.make_path(plain, state.deformation, seed, k, 200) for k in kinds])
     time = np.arange(path.size) * 0.01
     pace = model._steps(time, path.size)
     # One pace for all, as a harness has it.

@@ -24,12 +24,12 @@ ACTUATOR = Actuator(SLIP, SPRING)
 
 def numbers(actuator, state):
     slip, spring = actuator.slip, actuator.spring
-    return slip.breakaway, slip.stiffness, spring.displacement, spring.voltage, state.displacement, state.carts
+    return slip.breakaway, slip.stiffness, spring.displacement, spring.voltage, state.deformation, state.carts
 
 
 def span_with(actuator, state, path):
     """Range [m] that a motion covers, the actuator's own included: what 1e-12 is measured by."""
-    return max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
+    return max(our.span_of(actuator), float(np.ptp(np.append(path, state.deformation))))
 
 
 def volts_with(actuator, voltages):
@@ -44,7 +44,7 @@ def assert_close(got, expected, allowance):
 def assert_same_motion(motion, other, metres, volts):
     assert_close(motion.voltage, other.voltage, volts)
     assert_close(motion.displacement, other.displacement, metres)
-    assert_close(motion.state.displacement, other.state.displacement, metres)
+    assert_close(motion.state.deformation, other.state.deformation, metres)
     assert_close(motion.state.carts, other.state.carts, metres)
 
 
@@ -88,7 +88,7 @@ def test_compensate_agrees_with_the_oracle(stack, motion):
     got = actuator.compensate(path, state=state, stack=stack, extrapolate=True)
     metres = RANGE * span_with(actuator, state, path)
     assert_close(got.voltage, v, RANGE * volts_with(actuator, v))
-    assert_close(got.state.displacement, y, metres)
+    assert_close(got.state.deformation, y, metres)
     assert_close(got.state.carts, carts, metres)
 
 
@@ -102,7 +102,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
     got = actuator.simulate(v, state=state, stack=stack, extrapolate=True)
     metres = RANGE * span_with(actuator, state, y)
     assert_close(got.displacement, y, metres)
-    assert_close(got.state.displacement, last, metres)
+    assert_close(got.state.deformation, last, metres)
     assert_close(got.state.carts, carts, metres)
 
 
@@ -143,7 +143,7 @@ def test_nothing_in_nothing_out(stack, motion):
     for run in (actuator.compensate, actuator.simulate):
         got = run([], state=state, stack=stack)
         assert got.voltage.shape == got.displacement.shape == (0,)
-        assert got.state.displacement == state.displacement
+        assert got.state.deformation == state.deformation
         assert np.array_equal(got.state.carts, state.carts)
 
 
@@ -152,7 +152,7 @@ def test_nothing_in_nothing_out(stack, motion):
 def test_more_voltage_more_displacement(stack, motion, seed):
     actuator, state, path = motion
     v = our.voltages_like(actuator, state, path, seed)
-    y = np.append(state.displacement, actuator.simulate(v, state=state, stack=stack, extrapolate=True).displacement)
+    y = np.append(state.deformation, actuator.simulate(v, state=state, stack=stack, extrapolate=True).displacement)
     rise, steps = np.diff(y), np.diff(np.append(actuator.voltage(state), v))
     clear = np.abs(steps) > RANGE * volts_with(actuator, v)
     assert np.all(rise[clear] * steps[clear] > 0)
@@ -165,7 +165,7 @@ def test_jitter_about_the_width_in_which_nothing_slides_changes_no_answer(motion
     rng = np.random.default_rng(seed)
     sweep = np.cumsum(rng.uniform(-1, 1, 12).repeat(25)) * our.span_of(actuator) / 50
     noise = share * actuator.slip.breakaway[0] * rng.choice([-1, 1, rng.uniform(-1, 1)], sweep.size)
-    path = state.displacement + sweep + noise
+    path = state.deformation + sweep + noise
     clips = actuator.compensate(path, state=state, stack=False, extrapolate=True)
     stack = actuator.compensate(path, state=state, extrapolate=True)
     metres, volts = RANGE * span_with(actuator, state, path), RANGE * volts_with(actuator, clips.voltage)
@@ -183,13 +183,13 @@ def test_jitter_about_the_width_in_which_nothing_slides_changes_no_answer(motion
 @given(our.motions(states=("relaxed", "reached", "turned up"), paths=("decay", "noisy ramp", "walk"), max_samples=3000))
 def test_the_stack_of_reversals_stays_short(motion):
     actuator, state, path = motion
-    assert 1 <= actuator.core.depth(path, state.displacement, state.carts) <= 2 * len(actuator.slip) + 8
+    assert 1 <= actuator.core.depth(path, state.deformation, state.carts) <= 2 * len(actuator.slip) + 8
 
 
 def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
     decay = 5e-6 + 5e-6 * np.linspace(1, 0, 20000) * np.where(np.arange(20000) % 2, -1, 1)
     major = 5e-6 - 5e-6 * np.cos(np.linspace(0, 20 * np.pi, 1000))
-    start = ACTUATOR.state.displacement, ACTUATOR.state.carts
+    start = ACTUATOR.state.deformation, ACTUATOR.state.carts
     assert ACTUATOR.core.depth(decay, *start) <= 2 * 2 + 8
     assert ACTUATOR.core.depth(major, *start) <= 2
     assert ACTUATOR.core.depth(np.concatenate([decay, major]), *start) <= 2
@@ -212,8 +212,8 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
         (lambda: Spring([0, np.inf], [0, 1]), "not finite"),
         (lambda: Spring([[0, 1]], [0, 1]), "one dimension"),
         (lambda: Spring(["a", "b"], [0, 1]), "need an array of numbers"),
-        (lambda: State(np.nan, [0]), "displacement: got nan, need a finite number"),
-        (lambda: State("far", [0]), "displacement"),
+        (lambda: State(np.nan, [0]), "deformation: got nan, need a finite number"),
+        (lambda: State("far", [0]), "deformation"),
         (lambda: State(0, [np.nan]), "carts: 1 of 1 values are not finite"),
         (lambda: State(0, [[0]]), "one dimension"),
         (lambda: State(0, "ab"), "need an array of numbers"),
@@ -316,7 +316,7 @@ def bench():
     actuator = our.make_actuator(7, 12, 9, uniform=False)
     state = our.make_state(actuator, 7, "arbitrary")
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
-    return actuator, state, np.concatenate([our.make_path(actuator, state.displacement, 7, k, 300) for k in kinds])
+    return actuator, state, np.concatenate([our.make_path(actuator, state.deformation, 7, k, 300) for k in kinds])
 
 
 @pytest.mark.parametrize(
@@ -339,7 +339,7 @@ def test_the_core_stays_within_its_arrays(compiled):
     for seed, n, kind in [(624, 1, "walk"), *((s, s % 4, our.PATH_KINDS[s % 7]) for s in range(40))]:
         actuator = our.make_actuator(seed, n, 2 + seed % 2, uniform=True)
         state = our.make_state(actuator, seed, "reached")
-        got = compiled.run(actuator, state, our.make_path(actuator, state.displacement, seed, kind, 800))
+        got = compiled.run(actuator, state, our.make_path(actuator, state.deformation, seed, kind, 800))
         assert np.isfinite(got).all()
 
 

@@ -220,6 +220,46 @@ def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, num
             assert flags is CORTEX_M4 or not needed
 
 
+HELD = r"""
+#include <stdio.h>
+#include "piezo.h"
+
+int main(void)
+{
+    static piezo p;
+    long t;
+    if (piezo_begin(&p) != DEHYST_OK) return 1;
+    printf("%a\n", piezo_displacement(&p));
+    for (t = 0; t < SAMPLES; t++) {
+        piezo_step(&p, MIDDLE);
+        if (t == SAMPLES / 2) dehyst_loop_scale(&p.loop, 1.05, 1e-7);
+        if (t % EVERY == 0) printf("%a\n", piezo_displacement(&p));
+    }
+    return HALF < 0;
+}
+"""
+
+
+@pytest.mark.parametrize("kind", ["plain", "behind", "moving"])
+def test_displacement_is_that_of_the_compiled_export_to_the_bit(tmp_path, kind):
+    need("gcc")
+    loop = KINDS[kind]()
+    samples = round(20 / (loop.period or 0.01))
+    folder = written(tmp_path / "c", loop)
+    lines = compiled_exports.driven(folder, loop, samples, every=samples // 100, program=HELD)
+    middle = compiled_exports.spread(loop)[0]
+    displacements = [loop.displacement]
+    for t in range(samples):
+        loop.step(middle)
+        if t == samples // 2:
+            loop.scale(1.05, 1e-7)
+        if t % (samples // 100) == 0:
+            displacements.append(loop.displacement)
+    assert [float.fromhex(line) for line in lines] == displacements
+    assert displacements[-1] == pytest.approx(middle, abs=1e-12)
+    assert loop.clone("um").displacement == pytest.approx(1e6 * displacements[0], rel=1e-15)
+
+
 @pytest.mark.parametrize("flag", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
 def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag):
     need("gcc")

@@ -187,7 +187,7 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     assert told == {"fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []}
     state = PossibleStart.named(compensator.actuator, "top").state
     assert begins["voltage_V"] == compensator.actuator.voltage(state)
-    assert begins["displacement_m"] == state.displacement
+    assert begins["displacement_m"] == state.deformation
     for name in ("c", "a"):
         assert validate_fmu(str(tmp_path / f"{name}.fmu")) == []
     with Slave(fmpy.extract(tmp_path / "a.fmu", tmp_path / "a")) as slave:

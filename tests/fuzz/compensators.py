@@ -158,7 +158,7 @@ class Life:
 
     def finite(self, compensator):
         state = compensator.state
-        numbers = np.concatenate([[state.displacement], state.carts, state.creep, state.smooth, state.motion])
+        numbers = np.concatenate([[state.deformation], state.carts, state.creep, state.smooth, state.motion])
         if not np.isfinite(numbers).all():
             self.find(f"the state is not finite: {numbers}")
 
@@ -236,8 +236,7 @@ class Life:
         reached = self.actuator.simulate(voltage, state=self.start, extrapolate=True, **time).state
         state, span = self.compensator.state, strategies.span_of(self.actuator)
         error = (
-            max(abs(reached.displacement - state.displacement), np.abs(reached.carts - state.carts).max(initial=0))
-            / span
+            max(abs(reached.deformation - state.deformation), np.abs(reached.carts - state.carts).max(initial=0)) / span
         )
         self.note("states compared")
         if not error < NEAR * self.conditioning:
@@ -254,7 +253,7 @@ def replace_number(rng, state, bad):
     """The state with a number of it, or more than one, damaged."""
     names = [name for name in ("carts", "creep", "motion", "smooth") if getattr(state, name).size]
     if not names or rng.random() < 0.3:
-        return replace(state, displacement=bad)
+        return replace(state, deformation=bad)
     name = str(rng.choice(names))
     numbers = getattr(state, name).copy()
     numbers[rng.integers(numbers.size)] = bad

@@ -169,7 +169,7 @@ class Trial:
             if abs(voltage - before) > self.change * (1 + 1e-9) + 1e-12 * (abs(self.low) + abs(self.high)):
                 self.findings.append(f"{what}: changes by {abs(voltage - before)!r}, {self.change!r} are allowed")
             before = voltage
-        if not np.isfinite(loop.state.displacement):
+        if not np.isfinite(loop.state.deformation):
             self.findings.append(f"{what}: the state is no number")
         repr(loop)
 

@@ -26,7 +26,7 @@ def driven(actuator, *, delay=0, noise=0.0, step=STEP):
     late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
     state = actuator.relaxed()
     if actuator.dynamics is not None:
-        state = replace(state, motion=[state.displacement, 0.0])
+        state = replace(state, motion=[state.deformation, 0.0])
     y = actuator.simulate(late, time=time, state=state).displacement
     return Record(time, v, y + noise * np.random.default_rng(1).normal(size=y.size), "driven")
 

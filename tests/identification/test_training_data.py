@@ -31,7 +31,7 @@ def creeping():
 
 def begun(strains):
     plant = creeping()
-    state = State(plant.state.displacement, plant.state.carts, np.asarray(strains) * plain_records.STROKE)
+    state = State(plant.state.deformation, plant.state.carts, np.asarray(strains) * plain_records.STROKE)
     return plant.record(state=state, noise=1e-4 * plain_records.STROKE)
 
 

@@ -47,7 +47,7 @@ def test_an_actuator_meets_its_own_record(name):
 def test_strains_of_creep_at_the_start_are_found():
     plant = wide.plant(wide.STRUCTURES["creep"])
     strains = plain_records.STROKE * np.array([0.0, 0.1, -0.1, 0.2])
-    record = plant.record(state=State(plant.state.displacement, plant.state.carts, strains))
+    record = plant.record(state=State(plant.state.deformation, plant.state.carts, strains))
     assert missed(plant.actuator, record) < EXACT
     # The same model cannot be told from its voltages as if it had been at rest.
     v = plant.record().voltage
@@ -97,7 +97,7 @@ def swung(resonance=300.0, delay=0):
     time = 1e-4 * np.arange(v.size)
     late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
     start = actuator.relaxed()
-    y = actuator.simulate(late, time=time, state=replace(start, motion=[start.displacement, 0.0])).displacement
+    y = actuator.simulate(late, time=time, state=replace(start, motion=[start.deformation, 0.0])).displacement
     return actuator, Record(time, v, y, "swung")
 
 
@@ -260,7 +260,7 @@ def test_a_lead_without_a_cycle_tells_what_it_can():
     plant = wide.plant(wide.STRUCTURES["plain"])
     short = plant.record().slice(0, 30)
     state, offset = state_after(plant.actuator, short, plain_records.STROKE)
-    assert state.displacement == short.displacement[-1]
+    assert state.deformation == short.displacement[-1]
     assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)
 
 

@@ -196,8 +196,8 @@ def test_hostile_wishes_leave_voltages_within_limits_and_the_state_finite(actuat
         assert -10.0 <= voltage <= 0.3
         assert abs(voltage - before) <= 1.0 + 1e-9
     state = compensator.state
-    assert np.isfinite([state.displacement, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
-    assert abs(state.displacement) < 1e-3
+    assert np.isfinite([state.deformation, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
+    assert abs(state.deformation) < 1e-3
 
 
 @pytest.mark.parametrize("where", range(6))
@@ -220,7 +220,7 @@ def test_a_damaged_snapshot_is_refused_whole_or_goes_on_within_limits(where, bad
         except ModelError:
             break
     state = compensator.state
-    assert np.isfinite([state.displacement, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
+    assert np.isfinite([state.deformation, *state.carts, *state.creep, *state.smooth, *state.motion]).all()
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_a_held_voltage_ends_at_the_displacement_at_rest():
     top = CREEPING.turned(5e-6)
     assert CREEPING.displacement(top) == pytest.approx(5e-6, rel=1e-14)
     held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
-    assert held.displacement[-1] == pytest.approx(1.09 * held.state.displacement, rel=1e-12)
+    assert held.displacement[-1] == pytest.approx(1.09 * held.state.deformation, rel=1e-12)
     assert CREEPING.displacement(held.state) == pytest.approx(held.displacement[-1], rel=1e-14)
 
 
@@ -113,7 +113,7 @@ def test_a_loop_is_the_equation_to_the_bit():
     rng = np.random.default_rng(7)
     low, high = loop.reach
     path = rng.uniform(low, high, samples) * (1 + 0.1 * rng.normal(size=samples))
-    e, driven, sent, clamped = [0.0] * 3, inner.state.displacement, np.empty(samples), 0
+    e, driven, sent, clamped = [0.0] * 3, inner.state.deformation, np.empty(samples), 0
     for t, u in enumerate(path.tolist()):
         goal = u
         for g, d, r, one in zip(gains, decay, rise, e, strict=True):
@@ -122,7 +122,7 @@ def test_a_loop_is_the_equation_to_the_bit():
         before = inner.clamps
         sent[t] = inner.step(goal)
         if inner.clamps != before:
-            goal, clamped = inner.state.displacement, clamped + 1
+            goal, clamped = inner.state.deformation, clamped + 1
         e = [d * one + r * (goal - driven) for d, r, one in zip(decay, rise, e, strict=True)]
         driven = goal
     np.testing.assert_array_equal(loop.run(path), sent)
@@ -175,10 +175,9 @@ def test_numbers_that_are_impossible_are_refused():
                 loop.step(0.0)
 
 
-def test_a_bank_computes_it_alone_and_alike():
+def test_a_bank_computes_it_alike():
     path = np.random.default_rng(2).uniform(2e-6, 12e-6, (300, 2))
     bank = Bank([PLANT, CREEPING], (0, 200), period=1e-3)
-    assert list(bank.alone) == [1]
     out = bank.compensate(path)
     np.testing.assert_array_equal(out[:, 1], Compensator(CREEPING, (0, 200), period=1e-3).run(path[:, 1]))
 

@@ -104,7 +104,7 @@ def test_against_runge_and_kutta(slip):
         push = w_of(t, z[0]) + load(t) / 5e6
         return np.array([z[1], OMEGA**2 * (push - z[0]) - 2 * damping * OMEGA * z[1]])
 
-    z, path = np.array([start.displacement, 0.0]), [start.displacement]
+    z, path = np.array([start.deformation, 0.0]), [start.deformation]
     for t in time[:-1]:
         one = rates(t, z)
         two = rates(t + h / 2, z + h / 2 * one)
@@ -167,7 +167,7 @@ def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
     load = 2e6 * our.span_of(actuator) * np.random.default_rng(seed).normal(size=path.size)
     sent = loaded.compensate(path + load / 2e6, time=time, load=load, state=state, extrapolate=True)
     # w is the path again, but for the rounding of the sum and its difference.
-    scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(path, state.displacement)))
+    scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(path, state.deformation)))
     slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness)
     slopes += 0.0 if actuator.creep is None else actuator.creep.stiffness.sum()
     plain = actuator.compensate(path, time=time, state=state, extrapolate=True)
@@ -196,7 +196,7 @@ def test_the_stack_moves_a_mass_as_the_carts_do(motion, series):
     one, two = (
         moving.simulate(volts, time=time, state=state, stack=stack, extrapolate=True) for stack in (True, False)
     )
-    scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(one.displacement, state.displacement)))
+    scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(one.displacement, state.deformation)))
     assert np.abs(one.displacement - two.displacement).max(initial=0) <= 30 * scale
     assert np.abs(one.state.carts - two.state.carts).max(initial=0) <= 30 * scale
 
@@ -214,7 +214,7 @@ def test_a_lag_is_a_low_pass_of_the_command():
     got = actuator.simulate(command, time=time, state=start)
     quick = Actuator(PLAIN, CURVE).simulate(acts, state=start)
     np.testing.assert_allclose(got.displacement, quick.displacement, atol=1e-12 * 1e-5)
-    assert actuator.simulate([90.0], time=[0.0], state=start).displacement[0] == pytest.approx(start.displacement)
+    assert actuator.simulate([90.0], time=[0.0], state=start).displacement[0] == pytest.approx(start.deformation)
 
 
 def test_a_record_with_a_mass_may_be_cut_at_any_sample():

@@ -19,14 +19,14 @@ GRADED = GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[1e6, 2e6], [2e6, 3e6]])
 
 def scales(actuator, state, path):
     """Rounding [V] and [m]: what creep and elements hold at most over this motion, and its range."""
-    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
+    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.deformation))))
     creep = 0.0 if actuator.creep is None else float(actuator.creep.stiffness.sum())
     slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness) + creep
     return EXACT * slopes * metres, EXACT * metres
 
 
 def same_state(one, two, metres):
-    plain_records.assert_close(one.displacement, two.displacement, metres)
+    plain_records.assert_close(one.deformation, two.deformation, metres)
     plain_records.assert_close(one.carts, two.carts, metres)
     plain_records.assert_close(one.creep, two.creep, metres)
 
@@ -53,7 +53,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion):
     v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
     known = reference_model.Wide(actuator, state)
     expected = known.simulate(v, time)
-    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(expected, state.displacement)))
+    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(expected, state.deformation)))
     got = actuator.simulate(v, time=time, state=state, stack=stack, extrapolate=True)
     plain_records.assert_close(got.displacement, expected, 10 * metres)
     same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
@@ -214,16 +214,16 @@ def test_states_rest_where_they_say(motion, seed):
     actuator, state, *_ = motion
     v = actuator.voltage(state)
     volts, metres = scales(actuator, state, [])
-    here = actuator.compensate([state.displacement], time=[seed], state=state, extrapolate=True)
+    here = actuator.compensate([state.deformation], time=[seed], state=state, extrapolate=True)
     plain_records.assert_close(here.voltage, [v], 3 * volts)
     plain_records.assert_close(
         actuator.simulate([v], time=[seed], state=state, extrapolate=True).displacement,
-        [state.displacement],
+        [state.deformation],
         10 * metres,
     )
     relaxed = actuator.relaxed(v, extrapolate=True)
     plain_records.assert_close(actuator.voltage(relaxed), v, 3 * volts + 1e-12 * abs(v))
-    assert np.ptp(np.append(relaxed.carts, relaxed.displacement)) == 0
+    assert np.ptp(np.append(relaxed.carts, relaxed.deformation)) == 0
 
 
 def outer_slopes(slip, spring, y):

@@ -41,7 +41,7 @@ def test_motion_and_charge_are_the_circuits_at_second_order_in_the_step(damping,
     for finer in (1, 2, 4, 8):
         time = END * np.arange(finer * COARSE + 1) / (finer * COARSE)
         got = actuator.simulate(voltage(time), time=time, load=load(time), state=REST)
-        charge = actuator.physical(**CONSTANTS).charge([got.state.displacement])[0]
+        charge = actuator.physical(**CONSTANTS).charge([got.state.deformation])[0]
         errors.append(
             [np.abs(got.displacement[::finer] - y).max() / np.ptp(y), np.abs(charge - q[-1]).max() / np.ptp(q)]
         )

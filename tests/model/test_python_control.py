@@ -167,9 +167,9 @@ def test_an_actuators_block_begins_in_a_state():
     actuator = ACTUATORS["creep"]()
     state = actuator.simulate([0.0, 150.0, 90.0], time=[0.0, 1.0, 2.0]).state
     block = actuator.to_control(period=PERIOD, state=state)
-    assert block.start[0] == state.displacement
+    assert block.start[0] == state.deformation
     at_rest, _ = play(block, [actuator.voltage(state)])
-    assert abs(at_rest[0] - state.displacement) < 0.02 * plain_records.STROKE
+    assert abs(at_rest[0] - state.deformation) < 0.02 * plain_records.STROKE
 
 
 def chained(actuator, compensator):
@@ -346,7 +346,7 @@ def check_its_loop(names, actuator):
 
     def read():
         # A stage that falls short by a hundredth: the integral makes up for it.
-        reached.append(0.99 * stage.state.displacement)
+        reached.append(0.99 * stage.displacement)
         return reached[-1]
 
     path = np.full(300, 8e-6)

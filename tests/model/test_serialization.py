@@ -90,7 +90,7 @@ def test_comes_back_exactly(tmp_path_factory, actuator):
     ):
         assert one.dtype == two.dtype
         assert one.tobytes() == two.tobytes()
-    assert bits(actuator.state.displacement) == bits(back.state.displacement)
+    assert bits(actuator.state.deformation) == bits(back.state.deformation)
     assert bits(actuator.delay) == bits(back.delay)
     assert (actuator.limits is None) == (back.limits is None)
     assert actuator.limits is None or [*map(bits, actuator.limits)] == [*map(bits, back.limits)]
@@ -233,7 +233,7 @@ def test_a_state_reached_comes_back(tmp_path):
     reached = actuator.simulate([0.0, 80.0, 20.0, 55.5]).state
     parked = Actuator(actuator.slip, actuator.spring, reached)
     back = through_a_file(parked, tmp_path / "a.json")
-    assert bits(back.state.displacement) == bits(reached.displacement)
+    assert bits(back.state.deformation) == bits(reached.deformation)
     assert back.state.carts.tobytes() == reached.carts.tobytes()
 
 
@@ -262,7 +262,7 @@ def test_keys_state_their_units(tmp_path):
     ]
     assert list(data["slip"]) == ["breakaway_m", "stiffness_V_per_m"]
     assert list(data["spring"]) == ["displacement_m", "voltage_V"]
-    assert list(data["state"]) == ["displacement_m", "carts_m", "creep_m", "smooth_m", "displacement_creep_m", "motion"]
+    assert list(data["state"]) == ["deformation_m", "carts_m", "creep_m", "smooth_m", "displacement_creep_m", "motion"]
     assert list(data["limits"]) == ["voltage_V"]
 
 
@@ -364,10 +364,10 @@ def test_not_finite_in_text(tmp_path, place, value, word):
         ("spring.voltage_V", [0.0, 0.0, 1.0], r"must strictly increase \(Assumption I\); .* between knots 0 and 1"),
         ("spring.displacement_m", [0.0, 2e-6, 1e-6], "spring knots must strictly increase"),
         ("state.carts_m", [1.1e-5, 1.2e-5], r"state: cart 1 is 7e-07 m farther .* breakaway elongation 3e-07 m"),
-        ("state.displacement_m", 2e-5, r"state: cart \d is .* m farther from the displacement than its breakaway"),
-        ("state.displacement_m", "0", r"state\.displacement_m: got '0', need a finite number"),
-        ("state.displacement_m", True, r"state\.displacement_m: got True, need a finite number"),
-        ("state.displacement_m", None, r"state\.displacement_m: got None, need a finite number"),
+        ("state.deformation_m", 2e-5, r"state: cart \d is .* m farther from the displacement than its breakaway"),
+        ("state.deformation_m", "0", r"state\.deformation_m: got '0', need a finite number"),
+        ("state.deformation_m", True, r"state\.deformation_m: got True, need a finite number"),
+        ("state.deformation_m", None, r"state\.deformation_m: got None, need a finite number"),
         ("limits.voltage_V", [100.0, 0.0], r"limits: got \(100\.0, 0\.0\), need two finite voltages, the lower one"),
         ("limits.voltage_V", [5.0, 5.0], r"limits: got \(5\.0, 5\.0\), need two finite voltages"),
         ("limits.voltage_V", [1.0], r"limits\.voltage_V: got \[1\.0\], need two numbers"),

@@ -47,13 +47,13 @@ def motions(draw, max_elements=20, max_samples=120):
     seed, count = draw(our.SEEDS), draw(st.integers(1, 5))
     smooth = make_smooth(seed, our.span_of(plain), our.volts_of(plain), count)
     strained = np.random.default_rng([seed, 5]).uniform(-1, 1, count).round(draw(st.integers(0, 3)))
-    state = State(state.displacement, state.carts, smooth=strained * smooth.length)
+    state = State(state.deformation, state.carts, smooth=strained * smooth.length)
     return Actuator(plain.slip, plain.spring, smooth=smooth), state, path
 
 
 def scales(actuator, state, path):
     """Rounding of a motion: 1e-12 of the voltage at most held over its range [V], and of that range [m]."""
-    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.displacement))))
+    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.deformation))))
     slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness) + actuator.smooth.stiffness.sum()
     return EXACT * slopes * metres, EXACT * metres
 
@@ -227,7 +227,7 @@ def test_without_stiffness_they_change_nothing(motion):
     actuator, state, path = motion
     idle = SmoothSlip(actuator.smooth.length, actuator.smooth.closing, np.zeros(len(actuator.smooth)))
     plain, idling = (Actuator(actuator.slip, actuator.spring, smooth=smooth) for smooth in (None, idle))
-    bare, (volts, metres) = State(state.displacement, state.carts), scales(actuator, state, path)
+    bare, (volts, metres) = State(state.deformation, state.carts), scales(actuator, state, path)
     for stack in (True, False):
         sent = plain.compensate(path, state=bare, stack=stack, extrapolate=True).voltage
         plain_records.assert_close(
@@ -303,7 +303,7 @@ def test_after_a_long_motion_they_are_as_long_as_they_get():
 
 def test_relaxed_they_hold_nothing():
     relaxed = ACTUATOR.relaxed(30.0)
-    assert relaxed.displacement == pytest.approx(4e-6, rel=1e-14)
+    assert relaxed.deformation == pytest.approx(4e-6, rel=1e-14)
     assert ACTUATOR.voltage(relaxed) == pytest.approx(30.0, rel=1e-14)
     moved = ACTUATOR.simulate([30.0], state=relaxed).state
     assert moved.smooth.shape == (2,)

@@ -37,7 +37,7 @@ class Smooth:
 
     def __init__(self, actuator, state):
         self.slip, self.curve, self.smooth = actuator.slip, actuator.spring, actuator.smooth
-        self.y, self.elongation, self.q = state.displacement, state.displacement - state.carts, state.smooth
+        self.y, self.elongation, self.q = state.deformation, state.deformation - state.carts, state.smooth
 
     def _reached(self, target):
         step = target - self.y
@@ -125,7 +125,7 @@ class Wide:
         self.grades = slip.stiffness.reshape(len(slip), self.knots.size - 1)
         creep = actuator.creep
         self.times, self.c = (creep.time_constants, creep.stiffness) if creep else (np.zeros(0), np.zeros(0))
-        self.y, self.carts = state.displacement, np.array(state.carts)
+        self.y, self.carts = state.deformation, np.array(state.carts)
         self.z = self.y - (np.array(state.creep) if state.creep.size else np.zeros(self.c.size))
 
     def psi(self, i, z):

@@ -83,7 +83,7 @@ def ends_known(actuator, turns, stiff_only=False):
     )
     counted = actuator.slip.stiffness > 0 if stiff_only else slice(None)
     widest = np.abs(high.carts - low.carts)[counted].max(initial=0.0)
-    return max(widest, abs(high.displacement - low.displacement)) <= EXACT * range_of(actuator)
+    return max(widest, abs(high.deformation - low.deformation)) <= EXACT * range_of(actuator)
 
 
 def roomy(actuator, seed):

@@ -135,7 +135,7 @@ def motions(draw, bank=None, states=STATE_KINDS, paths=PATH_KINDS, max_samples=1
     seed = draw(SEEDS)
     state = make_state(actuator, seed, draw(st.sampled_from(states)))
     kind, n = draw(st.sampled_from(paths)), draw(st.integers(0, max_samples))
-    return actuator, state, make_path(actuator, state.displacement, seed, kind, n)
+    return actuator, state, make_path(actuator, state.deformation, seed, kind, n)
 
 
 def voltages_like(actuator, state, path, seed):
@@ -191,8 +191,8 @@ def wider_motions(draw, parts=None, max_elements=20, states=STATE_KINDS, max_sam
     if actuator.creep is not None:
         rng = np.random.default_rng([seed, 6])
         strains = 0.1 * span_of(plain) * rng.normal(size=len(actuator.creep)) * rng.choice([0, 1])
-        state = State(state.displacement, state.carts, strains)
+        state = State(state.deformation, state.carts, strains)
     path = make_path(
-        plain, state.displacement, seed, draw(st.sampled_from(PATH_KINDS)), draw(st.integers(0, max_samples))
+        plain, state.deformation, seed, draw(st.sampled_from(PATH_KINDS)), draw(st.integers(0, max_samples))
     )
     return actuator, state, make_time(seed, len(path)), path

@@ -74,7 +74,7 @@ def tracked(actuator, truth, learnt, step, period, seed=3):
     truth.play(homing, time=time, measured=False)
     state = actuator.simulate(homing, time=time, state=actuator.relaxed()).state
     path = wanted(lowest, stroke, samples, seed)
-    now = state.motion[0] if state.motion.size else state.displacement
+    now = actuator.displacement(state)
     path = np.concatenate([cosine([now, path[0]], slow * samples)[:-1], path])
     time = time[-1] + np.arange(path.size) * step
     ahead = CubicSpline(time, path)(np.minimum(time + actuator.delay, time[-1]))

@@ -19,7 +19,7 @@ def tau(actuator, voltage):
 
 def memory(actuator, path, start):
     """Carts (n, N), and strains and elongations (n, J + L), along a path (n,) [m] that begins in a state."""
-    y = np.concatenate([[start.displacement], path])
+    y = np.concatenate([[start.deformation], path])
     internal = [np.zeros((path.size, 0))]
     if actuator.creep is not None:
         tables = actuator.creep.tables(np.array([0.0, PERIOD]))

@@ -137,13 +137,13 @@ def test_the_rise_is_met_at_every_break_point_that_is_kept_and_never_below(seed,
 
 def test_break_points_cut_the_rise_in_equal_parts_and_the_last_part_is_the_springs():
     plant = relaxed_plant(at=3e-6)
-    record = played(plant, plant.state.displacement + np.linspace(0, HEIGHT, 401))
+    record = played(plant, plant.state.deformation + np.linspace(0, HEIGHT, 401))
     found = GoldfarbCelanovic.fit(record)
     np.testing.assert_allclose(found.actuator.slip.breakaway, HEIGHT / 11 * np.arange(1, 11), rtol=1e-12)
     assert len(GoldfarbCelanovic.fit(record, elements=3).actuator.slip) == 3
     last = np.diff(np.interp(3e-6 + HEIGHT * np.array([10 / 11, 1]), record.displacement, record.voltage))[0]
     assert found.actuator.spring.slopes[0] == pytest.approx(last / (HEIGHT / 11), rel=1e-9)
-    assert found.actuator.state.displacement == 3e-6
+    assert found.actuator.state.deformation == 3e-6
     np.testing.assert_array_equal(found.actuator.state.carts, 3e-6)
     assert found.actuator.voltage() == pytest.approx(record.voltage[0], abs=1e-9)
 
@@ -166,7 +166,7 @@ def test_noise_in_the_displacement_moves_the_rise_by_no_more_than_itself():
     for seed in range(20):
         record = plain_records.driven(plant, voltage, noise=sigma, seed=seed)
         found = GoldfarbCelanovic.fit(record)
-        places = found.actuator.state.displacement + np.append(found.actuator.slip.breakaway, HEIGHT * 0.999)
+        places = found.actuator.state.deformation + np.append(found.actuator.slip.breakaway, HEIGHT * 0.999)
         volts = found.compensate(places).voltage
         errors.append(np.interp(volts, voltage[200:1201], clean[200:1201]) - places)
     # A break point is read off one sample at worst, and off both envelopes where noise turns the motion back.
@@ -178,7 +178,7 @@ def test_a_rest_before_the_rise_is_averaged():
     sigma, starts = 5e-9, []
     for seed in range(20):
         record = plain_records.driven(plant, np.concatenate([np.zeros(400), cosines([200.0])]), noise=sigma, seed=seed)
-        starts.append(GoldfarbCelanovic.fit(record).actuator.state.displacement)
+        starts.append(GoldfarbCelanovic.fit(record).actuator.state.deformation)
     # The standard error of 401 samples is a twentieth of sigma; 20 of them stay within four of it.
     assert np.abs(starts).max() < 4 * sigma / 20
 

@@ -365,6 +365,12 @@ class Compensator(ReadOnly):
         return self._loop.sent() if self._running else self.held(self._start)
 
     @property
+    def displacement(self) -> float:
+        """Displacement [m, or `units`] of the actuator after all voltages sent, by the model and the `scaling`."""
+        metres = self._loop.displacement() if self._running else self.actuator.displacement(self._start)
+        return metres * self._per_metre
+
+    @property
     def assumed(self) -> float | None:
         """The present voltage [V], if it is only assumed: no state was given, and nothing was sent; else None."""
         begins = self._assumed and (not self._running or self._loop.sent() == self.held(self._start))

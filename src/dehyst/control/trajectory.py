@@ -260,8 +260,8 @@ class _Path:
     def _piece(self, i: int, stop: int, start: State) -> Motion:
         first, path = self._first(i), self.wanted[self._first(i) : stop]
         if first < i:
-            model, m = self.actuator.model, start.displacement - self.lead[first]
-            here = model.displacement(replace(start, displacement=m), of_mass=False)
+            model, m = self.actuator.model, start.deformation - self.lead[first]
+            here = model.displacement(replace(start, deformation=m), of_mass=False)
             path = np.concatenate([[here], path[1:]])
         data: dict[str, Any] = {name: values[first:stop] for name, values in self.data.items()}
         return self.actuator.compensate(path, **data, state=start, extrapolate=True)
@@ -291,7 +291,7 @@ class _Path:
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
             coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
             loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))
-            rest = [before, before, before, before, 0.0, 1.0, 0.0, state.displacement, w[run.start - 1]]
+            rest = [before, before, before, before, 0.0, 1.0, 0.0, state.deformation, w[run.start - 1]]
             loop.go_on(np.array(rest), 0, 0, 0)
             voltage[run], reached_by[run], offers[run] = loop.trace(w[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))

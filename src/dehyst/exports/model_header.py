@@ -107,7 +107,7 @@ class ExportedStart(NamedTuple):
 
 def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, float]) -> str:
     """Describe the slow voltage that leads to the state; the text contains no times."""
-    strain, most = state.displacement - state.carts, actuator.slip.breakaway
+    strain, most = state.deformation - state.carts, actuator.slip.breakaway
     end = f"{voltage:.6g} V"
     rest = (
         " and wait until creep has come to rest"

@@ -111,7 +111,7 @@ class FinalEpoch:
         """Return measured minus simulated displacement (n,) [m], mean zero."""
         piece, rho = self.piece(actuator.delay, actuator.lag), actuator.slip.breakaway
         actuator = replace(actuator, lag=0.0)
-        y = self.state.displacement
+        y = self.state.deformation
         start = replace(self.state, carts=np.clip(self.state.carts, y - rho, y + rho))
         time = piece.time if actuator.needs_time else None
         voltage = without_offset(actuator, piece.voltage, self.offset)

@@ -22,25 +22,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The memory of an actuator.
+    """The memory of an actuator; its displacement is `Compensator.displacement` or `Actuator.displacement`.
 
     Attributes
     ----------
-    displacement : float
-        Displacement [m]; with dynamics or a load, the displacement w of the electrical side.
+    deformation : float
+        Deformation w of the slip elements [m]: the displacement of the actuator without creep in displacement, load,
+        inertia, gain and offset.
     carts : (N,) array
         Position of the cart (sliding end) of each slip element [m].
     creep : (J,) array
         Strain d_j of each creep branch [m]; empty: none is strained.
     motion : (0,) or (2,) array
-        Displacement [m] and velocity [m/s] of the mass, with dynamics; empty: at rest at `displacement`.
+        Displacement [m] and velocity [m/s] of the mass, with dynamics; empty: at rest at `deformation`.
     smooth : (L,) array
         Elongation q_l of each smooth element [m]; empty: none is elongated.
     displacement_creep : (K,) array
         Strain e_k of each branch of creep in displacement [m]; empty: all has crept.
     """
 
-    displacement: float
+    deformation: float
     carts: Array
     creep: Array
     motion: Array
@@ -49,14 +50,14 @@ class State:
 
     def __init__(
         self,
-        displacement: float,
+        deformation: float,
         carts: ArrayLike,
         creep: ArrayLike = (),
         motion: ArrayLike = (),
         smooth: ArrayLike = (),
         displacement_creep: ArrayLike = (),
     ) -> None:
-        keep(self, displacement=number(displacement, "state: displacement"))
+        keep(self, deformation=number(deformation, "state: deformation"))
         keep(self, carts=vector(carts, "carts"), creep=vector(creep, "creep strains"))
         keep(self, motion=vector(motion, "motion"), smooth=vector(smooth, "smooth elongations"))
         keep(self, displacement_creep=vector(displacement_creep, "strains of displacement creep"))
@@ -65,19 +66,19 @@ class State:
 
     @classmethod
     def unchecked(
-        cls, displacement: float, carts: Array, creep: Array, motion: Array, smooth: Array, displacement_creep: Array
+        cls, deformation: float, carts: Array, creep: Array, motion: Array, smooth: Array, displacement_creep: Array
     ) -> State:
         """Return a state of arrays that a computation made from a valid state; they are not copied.
 
         Parameters
         ----------
-        displacement : float
+        deformation : float
         carts, creep, motion, smooth, displacement_creep : array
             See `State`; shapes and values are not checked.
         """
         state = cls.__new__(cls)
         parts = {"creep": creep, "motion": motion, "smooth": smooth, "displacement_creep": displacement_creep}
-        keep(state, displacement=displacement, carts=carts, **parts)
+        keep(state, deformation=deformation, carts=carts, **parts)
         return state
 
     def __repr__(self) -> str:
@@ -88,12 +89,12 @@ class State:
         }
         parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)
         speed = f", {self.motion[1]:.4g} m/s" if self.motion.size else ""
-        return f"<State: at {self.displacement * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"
+        return f"<State: deformation {self.deformation * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"
 
     def shifted(self, by: float) -> State:
         """Return the state on a displacement axis that is moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
-        return State(self.displacement + by, self.carts + by, self.creep, motion, self.smooth, self.displacement_creep)
+        return State(self.deformation + by, self.carts + by, self.creep, motion, self.smooth, self.displacement_creep)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values, without the parts that the actuator does not have."""
@@ -104,7 +105,7 @@ class State:
             "displacement_creep_m": self.displacement_creep,
         }
         return {
-            "displacement_m": self.displacement,
+            "deformation_m": self.deformation,
             "carts_m": self.carts.tolist(),
             **{name: values.tolist() for name, values in more.items() if values.size},
         }

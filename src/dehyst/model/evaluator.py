@@ -138,7 +138,7 @@ class Evaluator:
         if part is None:
             return path, EMPTY
         # With a load the state is that at the first sample, if the path continues.
-        before = float(start.motion[0]) if self.dynamics else start.displacement + float(push[:1].sum())
+        before = float(start.motion[0]) if self.dynamics else start.deformation + float(push[:1].sum())
         return output_creep(path, steps, part.gains, before, start.displacement_creep, inverse=inverse)
 
     def _path_of_mass(self, m: Array, path: PathData, steps: StepCoefficients, start: State) -> PathData:
@@ -161,7 +161,7 @@ class Evaluator:
     def displacement(self, state: State, *, of_mass: bool = True) -> float:
         """Return the displacement [m] of the actuator in a complete state, without a load."""
         m, part = (
-            float(state.motion[0]) if of_mass and state.motion.size else state.displacement,
+            float(state.motion[0]) if of_mass and state.motion.size else state.deformation,
             self.displacement_creep,
         )
         if part is None:
@@ -178,7 +178,7 @@ class Evaluator:
             motion = motion / np.array([1.0, self.dynamics.frequency])
         more = state.smooth.size or state.displacement_creep.size
         strains = np.concatenate([state.creep, state.smooth, state.displacement_creep]) if more else state.creep
-        return CoreState(state.displacement, state.carts, strains, motion)
+        return CoreState(state.deformation, state.carts, strains, motion)
 
     def state_of(self, core: CoreState, crept: Array | None = None) -> State:
         """Return a state from numbers of the C core, with the strains of displacement creep if they are given."""
@@ -201,7 +201,7 @@ class Evaluator:
             raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
         rho, length = self.slip.breakaway, EMPTY if self.smooth is None else self.smooth.length
         branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
-        w, carts, creep, motion, smooth = start.displacement, start.carts, start.creep, start.motion, start.smooth
+        w, carts, creep, motion, smooth = start.deformation, start.carts, start.creep, start.motion, start.smooth
         if creep.size not in (0, branches):
             raise ModelError(f"state: got {creep.size} creep strains, this actuator has {branches} creep branches")
         if motion.size > moving:

@@ -70,7 +70,7 @@ class Physical:
     def charge(self, displacement: ArrayLike) -> Array:
         """Return the charge q = T x [C] (theory section 9) at a `displacement` (n,) [m], 0 at `rest`.
 
-        With dynamics or a load, pass the displacement w, such as `State.displacement`. Raise `ModelError` if it is not
+        With dynamics or a load, pass the displacement w, such as `State.deformation`. Raise `ModelError` if it is not
         finite.
         """
         moved = vector(displacement, "displacement") - self.rest

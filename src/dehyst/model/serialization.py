@@ -117,7 +117,7 @@ def state_dict(state: State) -> dict[str, Any]:
     """Return the JSON values of a state."""
     motion = dict(zip(("displacement_m", "velocity_m_per_s"), state.motion.tolist(), strict=False)) or None
     return {
-        "displacement_m": state.displacement,
+        "deformation_m": state.deformation,
         "carts_m": state.carts.tolist(),
         "creep_m": state.creep.tolist(),
         "smooth_m": state.smooth.tolist(),
@@ -194,13 +194,13 @@ def state(data: Mapping[str, Any]) -> State:
     Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
     rows = ("carts_m", "creep_m", "smooth_m", "displacement_creep_m")
-    given = _part(data, "state", {"displacement_m", *rows, "motion"})
+    given = _part(data, "state", {"deformation_m", *rows, "motion"})
     found = {key.removesuffix("_m"): numbers(given[key], f"state.{key}") for key in rows}
     if given["motion"] is not None:
         keys = ("displacement_m", "velocity_m_per_s")
         part = _part(given, "motion", set(keys))
         found["motion"] = np.array([number(part[key], f"motion.{key}") for key in keys])
-    return State(number(given["displacement_m"], "state.displacement_m"), **found)
+    return State(number(given["deformation_m"], "state.deformation_m"), **found)
 
 
 def demand_format(data: Mapping[str, Any], name: str) -> None:

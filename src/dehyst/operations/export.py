@@ -146,7 +146,7 @@ def export(
 
 def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
     """Warn if the voltages before leave the start uncertain by more than the model's error."""
-    places = [state.displacement for state in start.states]
+    places = [actuator.displacement(state) for state in start.states]
     width = max(places) - min(places)
     if width <= model_error(actuator):
         return []

@@ -325,7 +325,7 @@ def paper_trial(
     # rest of the loop moves in the (v, y) plane by -(y(0) - y_relaxed), the paper's -(keq/km) x(0).
     energised = _after(actuator, STARTS[ENERGISED], actuator.relaxed())
     rest = actuator.relaxed(actuator.voltage(energised), extrapolate=True)
-    shift = rest.displacement - energised.displacement
+    shift = rest.deformation - energised.deformation
     tracking = _track(truth, run, actuator)
     return PaperTrial(actuator, simulated, errors, tracking, shift, outcome, tuple(remarks))
 

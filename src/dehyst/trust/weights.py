@@ -136,7 +136,7 @@ class Weights:
         """Return the columns (m,) in a state of the actuator."""
         whole = self.actuator.model.complete_state(state)
         internal = np.concatenate([whole.creep, whole.smooth])
-        return np.asarray(self.columns(np.array([whole.displacement]), whole.carts[None], internal[None])[0])
+        return np.asarray(self.columns(np.array([whole.deformation]), whole.carts[None], internal[None])[0])
 
     @cached_property
     def anchors(self) -> Array:

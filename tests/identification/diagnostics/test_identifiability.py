@@ -97,7 +97,7 @@ def told_of(turns, elements=10, **options):
     state = plant.relaxed() if options.get("relaxed") else None
     path = straight(turns)
     if state is not None:
-        state = state.shifted(float(path[0]) - state.displacement)
+        state = state.shifted(float(path[0]) - state.deformation)
     return told([plain_records.record(plant, path, state=state)], elements, **options)
 
 

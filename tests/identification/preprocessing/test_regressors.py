@@ -89,7 +89,7 @@ def test_elongations_of_known_elements_are_the_true_ones():
     y = plain_records.path((0.2, *plain_records.THREE_LOOPS))
     state = plain_records.any_state(actuator, float(y[0]), 4)
     rows, (epoch, *_) = rows_of(actuator, plain_records.record(actuator, y, state=state))
-    s, truth = state.displacement - state.carts, []
+    s, truth = state.deformation - state.carts, []
     for step in np.diff(y, prepend=y[0]):
         s = np.clip(s + step, -actuator.slip.breakaway, actuator.slip.breakaway)
         truth.append(s)

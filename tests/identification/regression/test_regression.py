@@ -178,7 +178,7 @@ def begun(name="creep", share=0.05):
     """A record that begins with creep branches strained, and the strains."""
     plant = known(name)
     strains = share * plain_records.STROKE * np.array([0.5, -0.3, 0.8, 1.0])[: plant.grid.time_constants.size]
-    record = plant.record(state=State(plant.state.displacement, plant.state.carts, strains, smooth=plant.state.smooth))
+    record = plant.record(state=State(plant.state.deformation, plant.state.carts, strains, smooth=plant.state.smooth))
     return plant, record, strains
 
 

@@ -398,7 +398,7 @@ class _TimedHoming:
         for state in self.states:
             end = self._played(voltage, time, state)[1]
             ends.append(end)
-            paths.append(np.append(self._played(*self._cycle, end)[0], end.displacement))
+            paths.append(np.append(self._played(*self._cycle, end)[0], end.deformation))
         return StateBounds.of(ends), float(np.ptp(paths, axis=0).max())
 
     def _rough_spread(self, legs: int, hold: float) -> float:

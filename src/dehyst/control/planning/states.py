@@ -122,7 +122,7 @@ class StateBounds:
             raise ModelError(
                 got=f"{self.lower.carts.size} and {self.upper.carts.size} carts", need="states of one actuator"
             )
-        if self.lower.displacement > self.upper.displacement or np.any(self.lower.carts > self.upper.carts):
+        if self.lower.deformation > self.upper.deformation or np.any(self.lower.carts > self.upper.carts):
             raise ModelError("the lower state lies above the upper one: swap them, or start from StateBounds.at_rest")
 
     @classmethod
@@ -143,7 +143,7 @@ class StateBounds:
         names, ends = ("carts", "creep", "motion", "smooth", "displacement_creep"), []
         for order in (np.min, np.max):
             arrays = (order([getattr(state, name) for state in states], axis=0) for name in names)
-            ends.append(State(float(order([state.displacement for state in states])), *arrays))
+            ends.append(State(float(order([state.deformation for state in states])), *arrays))
         return cls(*ends)
 
     def propagate(self, actuator: Actuator, voltage: ArrayLike) -> KnownState:
@@ -180,9 +180,9 @@ class StateBounds:
         A sensor that reads zero at the start shows y(t) - y(0), and y(0) is anywhere within the bounds. Once the state
         is known, only this error remains: readings of y(t) - y(0) from different starts differ by up to this width, and
         some differ by exactly this width. Before, the bounds of y(t) add to it: readings lie between ``lowest -
-        upper.displacement`` and ``highest - lower.displacement``.
+        upper.deformation`` and ``highest - lower.deformation``.
         """
-        return self.upper.displacement - self.lower.displacement
+        return self.upper.deformation - self.lower.deformation
 
     @property
     def width(self) -> float:
@@ -287,7 +287,7 @@ def possible_states(
         return bounds.lower, bounds.upper
     low, high = actuator.voltage_range if limits is None else interval(limits)
     low, high = min(low, v), max(high, v)
-    still = replace(actuator, dynamics=None, lag=0.0, state=None)  # type: ignore[arg-type]
+    still = actuator.quasistatic()
 
     def played(state: State, voltages: ArrayLike, seconds: Array) -> State:
         time = seconds if still.needs_time else None
@@ -312,4 +312,4 @@ def possible_states(
         states += [played(played(begun[k % len(begun)], one, seconds), [v], now) for k, one in enumerate(turns)]
     if actuator.dynamics is None:
         return tuple(states)
-    return tuple(replace(state, motion=np.array([state.displacement, 0.0])) for state in states)
+    return tuple(replace(state, motion=np.array([state.deformation, 0.0])) for state in states)
