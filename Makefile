@@ -62,7 +62,6 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
-	$(BIN)/python benchmarks/banks.py
 	$(BIN)/python benchmarks/wasm.py
 	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/saturation.py

@@ -177,41 +177,6 @@ def steps() -> list[str]:
     return [*table(head, rows), "", *sizes]
 
 
-def banks() -> list[str]:
-    """Many actuators at once: nanoseconds an actuator and sample, a mirror, bits."""
-    found = data("banks")
-    head = (
-        *("Nanoseconds an actuator and sample", "compensate", "over `numpy.interp`", "simulate"),
-        "over `numpy.interp`",
-    )
-    rows = []
-    for name in ("21 knots", "2 knots", "100 elements", "transformer and 8 creep"):
-        for build, what in (("avx2", "AVX2"), ("baseline", "without AVX2")):
-            pair = [found["speed"][f"{do} {name}, {build}"] for do in ("compensate", "simulate")]
-            rows.append(
-                [f"{name}, {what}", *(cell for one in pair for cell in (f"{one['ns']:.1f}", f"{one['ratio']:.2f}"))]
-            )
-    lines = table(head, rows)
-    bits, scaling = found["bits"], found["scaling"]
-    wrong = sum(count for name, count in bits.items() if "other than" in name)
-    for knots, mirror in found["mirror"].items():
-        lines += [
-            "",
-            f"A mirror of {mirror['actuators']} actuators with springs of {knots}, one core, {mirror['steps']} steps "
-            f"from Python: {mirror['median us']:.0f} us a step (median), {mirror['99.9 % us']:.0f} us in 99.9 %, "
-            f"{mirror['worst us']:.0f} us at worst; {mirror['cores at 1000 Hz']:.2f} of a core at 1 kHz.",
-        ]
-    return [
-        *lines,
-        "",
-        f"Of {bits['steps']:.0e} steps, {bits['clamped']} of them clamped, and of as many beside a compiled export, "
-        f"{wrong} differ in a bit.",
-        "",
-        f"Two threads are {scaling['compensate']:.2f} times as fast as one (compensate), {scaling['simulate']:.2f} "
-        "times (simulate).",
-    ]
-
-
 def saturation() -> list[str]:
     """Errors after clamped voltages."""
     found = data("saturation")
@@ -385,7 +350,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "paper/paper.md": {"benchmarks": readme, "costs": costs},
     "docs/benchmarks.md": {
         one.__name__: one
-        for one in (accuracy, baselines, strangers, paper, speed, steps, banks, saturation, calibrations)
+        for one in (accuracy, baselines, strangers, paper, speed, steps, saturation, calibrations)
     },
     "docs/how_to/coupled_axes.md": {"coupled": coupled},
     "docs/how_to/creep.md": {"creep": creep},

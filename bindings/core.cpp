@@ -1,6 +1,5 @@
 // Arrays in, arrays out, the interpreter lock released, a status back. No algorithm.
 #include "tables.h"
-#include "bank.h"
 #include "loop.h"
 
 namespace {
@@ -109,7 +108,6 @@ NB_MODULE(_core, m) {
         .def("spring_at", &Core::spring_at)
         .def("spring_inverse", &Core::spring_inverse);
     bind_loop(m);
-    bind_bank(m);
     m.def("slip_elongations", &slip_elongations);
     m.def("smooth_elongations", &smooth_elongations);
     m.def("steps", &steps);

@@ -161,26 +161,6 @@ struct Loop {
         }
         return out;
     }
-    // One column of a path of many, (n, M): wanted displacements to voltages, or voltages to displacements.
-    using Columns = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-    void run_column(nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> in, Columns out,
-                    size_t column, bool plays) {
-        demand_free();
-        const size_t n = in.shape(0), row = in.shape(1);
-        if (out.shape(0) != n || out.shape(1) != row || column >= row) demand(DEHYST_ERR_SIZE);
-        const double *from = in.data() + column;
-        double *to = out.data() + column;
-        const Busy mark(busy);
-        nb::gil_scoped_release release;
-        for (size_t t = 0; t < n; t++, from += row, to += row) {
-            if (plays) {
-                dehyst_loop_play(&model, &loop, memory.data(), *from);
-                *to = displacement();
-            } else {
-                *to = dehyst_loop_step(&model, &loop, memory.data(), *from);
-            }
-        }
-    }
     // Voltages, where each leads, and what was on offer.
     std::tuple<Output, Output, Output> trace(Input u) {
         demand_free();
@@ -344,6 +324,42 @@ double plain(nb::handle number) {
     return PyFloat_AsDouble(number.ptr());
 }
 
+// Loops with the same period. They belong to this bank alone.
+struct Bank {
+    std::vector<Loop *> loops;
+    bool busy = false;
+
+    explicit Bank(nb::list given) {
+        for (nb::handle one : given) loops.push_back(&nb::cast<Loop &>(one));
+    }
+
+    using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+    using Live = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+    // A column a loop, (n, M): wanted displacements to voltages, or voltages to displacements. Counts of all loops since
+    // their beginning: limited, slewed, refused.
+    std::tuple<unsigned long, unsigned long, unsigned long> run(Rows in, Live out, bool plays) {
+        const size_t n = in.shape(0), m = loops.size();
+        if (busy) throw std::runtime_error("this bank is running in another thread; give each thread its own");
+        if (in.shape(1) != m || out.shape(0) != n || out.shape(1) != m) demand(DEHYST_ERR_SIZE);
+        unsigned long limited = 0, slewed = 0, refused = 0;
+        const Loop::Busy mark(busy);
+        nb::gil_scoped_release release;
+        for (size_t i = 0; i < m; i++) {
+            Loop &one = *loops[i];
+            for (size_t t = i; t < n * m; t += m) {
+                if (plays) {
+                    dehyst_loop_play(&one.model, &one.loop, one.memory.data(), in.data()[t]);
+                    out.data()[t] = one.displacement();
+                } else {
+                    out.data()[t] = dehyst_loop_step(&one.model, &one.loop, one.memory.data(), in.data()[t]);
+                }
+            }
+            limited += one.loop.limited, slewed += one.loop.slewed, refused += one.loop.refused;
+        }
+        return {limited, slewed, refused};
+    }
+};
+
 } // namespace
 
 void bind_loop(nb::module_ &m) {
@@ -357,7 +373,6 @@ void bind_loop(nb::module_ &m) {
         .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u) / loop.per_metre); })
         .def_rw("per_metre", &Loop::per_metre)
         .def("run", &Loop::run)
-        .def("run_column", &Loop::run_column)
         .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)
         .def("sent", &Loop::sent)
@@ -380,4 +395,5 @@ void bind_loop(nb::module_ &m) {
         .def("ids", &Loop::ids)
         .def("save", &Loop::save)
         .def("restore", &Loop::restore);
+    nb::class_<Bank>(m, "Bank").def(nb::init<nb::list>(), nb::keep_alive<1, 2>()).def("run", &Bank::run);
 }

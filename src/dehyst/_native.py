@@ -88,11 +88,6 @@ class Core:
         """Return the displacement [m] at which the parallel spring alone has the voltage v."""
         return float(self._core.spring_inverse(v))
 
-    @property
-    def in_lanes(self) -> bool:
-        """Whether a bank computes this in lanes: no graded or smooth elements, no mass, no displacement creep."""
-        return bool(compiled.in_lanes(self._core))
-
     def loop(
         self,
         pace: StepCoefficients,
@@ -118,42 +113,6 @@ class Core:
     ) -> tuple[Array, CoreState]:
         out, w, *rest = checked(function, x, more, *pace, *start, stack)
         return out, CoreState(float(w), *rest)
-
-
-class BankCore:
-    """Tables of many actuators in C, which are computed in lanes; see `core/include/dehyst_bank.h`.
-
-    `cores`: M cores, each `in_lanes`. `decay`, `gain` (B,): coefficients of a step of all creep branches, one actuator
-    after the other. `limits` (3, M): lowest and highest voltages [V], and largest changes in a step [V].
-    """
-
-    __slots__ = ("_bank", "rows")
-
-    def __init__(self, cores: Sequence[Core], decay: Array, gain: Array, limits: Array) -> None:
-        self._bank = checked(compiled.Bank, [one._core for one in cores], decay, gain, limits)
-        # The largest numbers of elements and of creep branches.
-        self.rows: tuple[int, int] = self._bank.rows()
-
-    def run(self, values: Array, out: Array, memory: BankMemory, plays: bool, threads: int, build: str) -> None:
-        """Convert displacements to voltages, or with `plays` voltages to displacements, (n, M) both.
-
-        `build`: "baseline", "avx2", or "" for the fastest that this processor has; all give the same bits.
-        """
-        checked(self._bank.run, values, out, *memory, threads, plays, build)
-
-
-class BankMemory(NamedTuple):
-    """Memory of M actuators, which changes in place.
-
-    Displacements w (M,) [m], carts (N, M) [m], creep strains (J, M) [m], voltages (M,) [V], and counts (3, M) of
-    samples at a limit, held back by the slew rate, and refused.
-    """
-
-    w: Array
-    carts: Array
-    strains: Array
-    sent: Array
-    counts: NDArray[np.int64]
 
 
 class CoreState(NamedTuple):
@@ -182,7 +141,7 @@ class StepCoefficients(NamedTuple):
 
 
 CoreError = compiled.CoreError
-has_avx2 = compiled.has_avx2
+Bank = compiled.Bank
 Loop = compiled.Loop
 
 

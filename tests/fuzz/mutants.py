@@ -36,7 +36,6 @@ ROOMS = ("core", "identification", "control", "records", "instruments")
 TESTS = ("contracts", "model", "trust", "virtual", "calibration", "operations", "cli")
 # By the folder of the source.
 CORE_TESTS = {
-    "core/src/bank/": ("tests/control/test_bank.py",),
     "core/src/records/": ("tests/model", "tests/identification/regression", "tests/identification/preprocessing"),
     "core/src/": ("tests/core", "tests/model", "tests/control", "tests/contracts"),
 }

@@ -237,12 +237,7 @@ class StageCompensator(ReadOnly):
 
         Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
         """
-        given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
-        if given != len(self.compensators):
-            raise ModelError(argument="snapshots", got=str(given), need=f"{len(self.compensators)}, one an axis")
-        with _unchanged_by_errors(self.compensators):
-            for one, snapshot in zip(self.compensators, snapshots, strict=True):
-                one.restore(snapshot)
+        restore_all(self.compensators, snapshots)
 
     def trajectory(
         self,
@@ -390,6 +385,16 @@ def _unchanged_by_errors(loops: Sequence[Compensator]) -> Iterator[None]:
         for one, snapshot in zip(loops, before, strict=True):
             one.restore(snapshot)
         raise
+
+
+def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
+    """Continue each of several `loops` from its snapshot; after a `ModelError` the memory is unchanged."""
+    given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
+    if given != len(loops):
+        raise ModelError(argument="snapshots", got=str(given), need=f"{len(loops)}, one for each")
+    with _unchanged_by_errors(loops):
+        for one, snapshot in zip(loops, snapshots, strict=True):
+            one.restore(snapshot)
 
 
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:
