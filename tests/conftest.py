@@ -194,7 +194,7 @@ def compiled(tmp_path):
 
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory):
-    """(model, version, kind) to an FMU and the folder that it was unpacked to; each is made once."""
+    """(model, kind) to an FMU and the folder that it was unpacked to; each is made once."""
     import fmpy
     from fmu_runner import ALL
 
@@ -202,11 +202,11 @@ def fmus(tmp_path_factory):
 
     folder, known = tmp_path_factory.mktemp("fmu"), {}
 
-    def get(model, version, kind):
-        key = model, version, kind
+    def get(model, kind):
+        key = model, kind
         if key not in known:
-            path = folder / f"{model}-{kind}-{version[0]}.fmu"
-            export_fmu(ALL[model], path, version, kind)
+            path = folder / f"{model}-{kind}.fmu"
+            export_fmu(ALL[model], path, kind)
             known[key] = path, Path(fmpy.extract(path, folder / path.stem))
         return known[key]
 

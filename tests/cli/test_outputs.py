@@ -172,7 +172,7 @@ def test_no_command_writes_into_a_folder_of_others(folder, monkeypatch, operatio
 
 def test_an_fmu_of_others_is_not_replaced_and_an_own_one_is(folder, monkeypatch):
     monkeypatch.setenv("CC", str(folder / "absent" / "cc"))
-    command = ["export", "model.json", "x.fmu", "--fmu", "3.0", "--limits", "0", "100"]
+    command = ["export", "model.json", "x.fmu", "--limits", "0", "100"]
     (folder / "x.fmu").write_text("mine")
     status, _, err = run(*command, cwd=folder)
     assert status == 2 and "is there already" in err and (folder / "x.fmu").read_text() == "mine"

@@ -295,7 +295,7 @@ def test_options_that_a_stage_does_not_take_are_refused(folder):
     run("scan", "lissajous", "--low", "4", "--high", "9", "--frequency", "0.5", "-o", path)
     words = ["compensate", folder / "stage.json", path, "-o", folder / "s.csv", "--table", folder / "t.csv"]
     assert refused(*words)["argument"] == "table"
-    assert refused("export", folder / "stage.json", folder / "s.fmu", "--fmu", "3.0")["argument"] == "fmu"
+    assert refused("export", folder / "stage.json", folder / "s.fmu", "--kind", "actuator")["argument"] == "kind"
     words = ["show", folder / "stage.json", "-o", folder / "o.csv"]
     assert refused(*words)["argument"] == "output"
 

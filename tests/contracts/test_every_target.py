@@ -83,7 +83,7 @@ BEGINNINGS = {
     "preview": {"actuator": MODELS["dynamics"], "preview": True},
     "both": {"slew_rate": 5e3, "state": PLAIN.simulate([80.0, 10.0, 30.0]).state},
 }
-OPTIONS = {"number": "double", "name": None, "measure": False, "force": False, "fmu": "3.0", "kind": None}
+OPTIONS = {"number": "double", "name": None, "measure": False, "force": False, "kind": None}
 
 
 def by_c(folder, wanted):

@@ -1,4 +1,4 @@
-"""FMUs of both versions: what Python does, to the last bit, through the functions of the standard alone."""
+"""FMUs: what Python does, to the last bit, through the functions of the standard alone."""
 
 import itertools
 import warnings
@@ -18,7 +18,6 @@ from fmu_runner import (
     OUTPUT,
     PATH,
     PERIOD,
-    VERSIONS,
     Slave,
     actuator_voltages,
     displacements,
@@ -35,33 +34,32 @@ from examples import spanning
 FMICallException = fmpy.fmi1.FMICallException
 
 
-@pytest.mark.parametrize(("model", "version"), spanning(MODELS, VERSIONS))
-def test_the_compensator_is_pythons_bit_for_bit(fmus, model, version):
+@pytest.mark.parametrize("model", MODELS)
+def test_the_compensator_is_pythons_bit_for_bit(fmus, model):
     v, clamps = voltages(ALL[model], PATH)
     assert clamps.limited > 5
-    with Slave(fmus(model, version, "compensator")[1]) as slave:
+    with Slave(fmus(model, "compensator")[1]) as slave:
         np.testing.assert_array_equal(slave.run(PATH), v)
         assert slave.counts() == tuple(clamps)
 
 
-@pytest.mark.parametrize(("model", "version"), spanning(MODELS, VERSIONS))
-def test_the_actuator_is_pythons(fmus, model, version):
+@pytest.mark.parametrize("model", MODELS)
+def test_the_actuator_is_pythons(fmus, model):
     volts = actuator_voltages(model)
-    with Slave(fmus(model, version, "actuator")[1]) as slave:
+    with Slave(fmus(model, "actuator")[1]) as slave:
         y = slave.run(volts)
     np.testing.assert_allclose(y, displacements(model, volts), rtol=0, atol=1e-12 * plain_records.STROKE)
     assert np.ptp(y) > 0.5 * plain_records.STROKE
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_gain_and_offset_are_pythons(fmus, version):
+def test_gain_and_offset_are_pythons(fmus):
     loop, (before, after) = ALL["plain"].clone(), np.split(PATH[:400], 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
         expected = [loop.run(before)]
         loop.scale(1.07, 3e-7)
         expected.append(loop.run(after))
-    with Slave(fmus(version=version, model="plain", kind="compensator")[1]) as slave:
+    with Slave(fmus("plain", "compensator")[1]) as slave:
         found = [slave.run(before)]
         slave.write([GAIN, OFFSET], [1.07, 3e-7])
         kept = slave.fmu.getFMUState()
@@ -73,15 +71,14 @@ def test_gain_and_offset_are_pythons(fmus, version):
             slave.fmu.setFMUState(kept)
             slave.time -= PERIOD * after.size
         slave.fmu.freeFMUState(kept)
-    with Slave(fmus(version=version, model="plain", kind="actuator")[1]) as slave:
+    with Slave(fmus("plain", "actuator")[1]) as slave:
         (y,) = slave.run([60.0])
         slave.write([GAIN, OFFSET], [2.0, 1e-6])
         assert slave.run([60.0]) == [pytest.approx(1e-6 + 2 * y, rel=1e-14)]
 
 
-@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("model", ["plain", "mass"])
-def test_simulate_fmu_gives_the_same(fmus, model, version):
+def test_simulate_fmu_gives_the_same(fmus, model):
     """The importer's own loop: inputs from a table, outputs a step later."""
     count = 200
     time = np.arange(count) * PERIOD
@@ -92,7 +89,7 @@ def test_simulate_fmu_gives_the_same(fmus, model, version):
         source, sink = ("displacement", "voltage")[:: 1 if kind == "compensator" else -1]
         table = np.array(list(zip(time, given, strict=True)), dtype=[("time", "f8"), (source, "f8")])
         result = fmpy.simulate_fmu(
-            str(fmus(model, version, kind)[0]),
+            str(fmus(model, kind)[0]),
             stop_time=time[-1],
             step_size=PERIOD,
             output_interval=PERIOD,
@@ -104,42 +101,38 @@ def test_simulate_fmu_gives_the_same(fmus, model, version):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("version", VERSIONS)
-def test_before_the_first_step_it_rests_in_the_start_state(fmus, version, kind):
+def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
     fresh = ALL["mass"].clone()
     start = fresh.state.motion[0], fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
     if kind == "actuator":  # it has no limits to be brought within
         asked = fresh.actuator.model.complete_state(fresh.initial_state)
         start = asked.motion[0], fresh.actuator.voltage(asked)
-    with Slave(fmus("mass", version, kind)[1]) as slave:
+    with Slave(fmus("mass", kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])
         if kind == "actuator":  # held there, it stays
             assert slave.step() == pytest.approx(start[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_step_of_many_periods_is_as_many_steps(fmus, version, kind):
-    _, folder = fmus("creep", version, kind)
+def test_a_step_of_many_periods_is_as_many_steps(fmus, kind):
+    _, folder = fmus("creep", kind)
     given = PATH[:40] if kind == "compensator" else actuator_voltages("creep")[:40]
     with Slave(folder) as one, Slave(folder) as other:
         expected = one.run(np.repeat(given, 3))[2::3]
         np.testing.assert_array_equal([other.step(value, 3 * PERIOD) for value in given], expected)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_any_step_is_one_sample_without_time(fmus, version):
+def test_any_step_is_one_sample_without_time(fmus):
     v, _ = voltages(ALL["timeless"], PATH[:50])
     steps = np.random.default_rng(3).uniform(1e-6, 10, 50)
-    with Slave(fmus("timeless", version, "compensator")[1]) as slave:
+    with Slave(fmus("timeless", "compensator")[1]) as slave:
         np.testing.assert_array_equal([slave.step(y, by) for y, by in zip(PATH, steps, strict=False)], v)
 
 
 @pytest.mark.parametrize("by", [0.5 * PERIOD, 1.5 * PERIOD, PERIOD * (1 + 1e-7), 0.0, -PERIOD, np.nan, np.inf])
-@pytest.mark.parametrize("version", VERSIONS)
-def test_another_step_is_refused_and_moves_nothing(fmus, version, by):
-    with Slave(fmus("creep", version, "compensator")[1]) as slave:
+def test_another_step_is_refused_and_moves_nothing(fmus, by):
+    with Slave(fmus("creep", "compensator")[1]) as slave:
         slave.run(PATH[:20])
         before = slave.state()
         with pytest.raises(FMICallException, match="error"):
@@ -151,9 +144,8 @@ def test_another_step_is_refused_and_moves_nothing(fmus, version, by):
 
 @pytest.mark.parametrize("off", [PERIOD, -PERIOD, 1e-7 * PERIOD, 1e3, np.nan, np.inf])
 @pytest.mark.parametrize("model", ["creep", "timeless"])
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_step_from_where_it_does_not_stand_is_refused_and_moves_nothing(fmus, version, model, off):
-    with Slave(fmus(model, version, "compensator")[1]) as slave:
+def test_a_step_from_where_it_does_not_stand_is_refused_and_moves_nothing(fmus, model, off):
+    with Slave(fmus(model, "compensator")[1]) as slave:
         slave.run(PATH[:20])
         before = slave.state()
         with pytest.raises(FMICallException, match="error"):
@@ -165,10 +157,9 @@ def test_a_step_from_where_it_does_not_stand_is_refused_and_moves_nothing(fmus, 
         slave.step()
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_steps_between_rounded_times_are_steps(fmus, version):
+def test_steps_between_rounded_times_are_steps(fmus):
     """As an importer takes them: differences of times far from zero."""
-    with Slave(fmus("creep", version, "compensator")[1], begin=False) as slave:
+    with Slave(fmus("creep", "compensator")[1], begin=False) as slave:
         slave.begin(1e5)
         times = 1e5 + np.arange(300) * PERIOD
         for at, to in itertools.pairwise(times):
@@ -178,10 +169,9 @@ def test_steps_between_rounded_times_are_steps(fmus, version):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("version", VERSIONS)
-def test_what_is_no_number_is_refused_and_moves_nothing(fmus, version, kind, value):
+def test_what_is_no_number_is_refused_and_moves_nothing(fmus, kind, value):
     given = PATH[:30] if kind == "compensator" else actuator_voltages("mass")[:30]
-    with Slave(fmus("mass", version, kind)[1]) as one, Slave(fmus("mass", version, kind)[1]) as other:
+    with Slave(fmus("mass", kind)[1]) as one, Slave(fmus("mass", kind)[1]) as other:
         first = one.run(given)
         other.run(given[:10])
         before = other.state()
@@ -194,10 +184,9 @@ def test_what_is_no_number_is_refused_and_moves_nothing(fmus, version, kind, val
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("model", "value"), [("mass", 1.7e308), ("preview", 1e300)])
-@pytest.mark.parametrize("version", VERSIONS)
-def test_numbers_beyond_all_measure_are_refused(fmus, version, model, value):
+def test_numbers_beyond_all_measure_are_refused(fmus, model, value):
     """Finite ones of which no finite voltage comes: at once, or in the second of a step's periods."""
-    with Slave(fmus(model, version, "compensator")[1]) as slave:
+    with Slave(fmus(model, "compensator")[1]) as slave:
         slave.run(PATH[:5])
         slave.write([INPUT], [value])
         before = slave.state()
@@ -209,9 +198,9 @@ def test_numbers_beyond_all_measure_are_refused(fmus, version, model, value):
             assert slave.step() == ALL[model].limits[0]
 
 
-@pytest.mark.parametrize(("model", "version", "kind"), spanning(MODELS, VERSIONS, KINDS))
-def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, version, kind):
-    _, folder = fmus(model, version, kind)
+@pytest.mark.parametrize(("model", "kind"), spanning(MODELS, KINDS))
+def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, kind):
+    _, folder = fmus(model, kind)
     given = PATH if kind == "compensator" else actuator_voltages(model)
     with Slave(folder) as one, Slave(folder) as other:
         one.run(given[:101])
@@ -237,11 +226,10 @@ def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, version, kind):
         assert other.state() == data
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_the_state_of_another_model_is_refused(fmus, version):
+def test_the_state_of_another_model_is_refused(fmus):
     with (
-        Slave(fmus("plain", version, "compensator")[1]) as one,
-        Slave(fmus("creep", version, "compensator")[1]) as other,
+        Slave(fmus("plain", "compensator")[1]) as one,
+        Slave(fmus("creep", "compensator")[1]) as other,
     ):
         for data in (one.state(), other.state()[:-1], b""):
             with pytest.raises(FMICallException):
@@ -258,10 +246,9 @@ def checksum(data):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_damaged_state_is_refused(fmus, version, kind):
+def test_a_damaged_state_is_refused(fmus, kind):
     """Any bit of it turned, and numbers that no FMU writes, though their checksum fits."""
-    with Slave(fmus("creep", version, kind)[1]) as slave:
+    with Slave(fmus("creep", kind)[1]) as slave:
         given = PATH[:20] if kind == "compensator" else actuator_voltages("creep")[:20]
         slave.run(given)
         data = slave.state()
@@ -300,53 +287,49 @@ def test_a_damaged_state_is_refused(fmus, version, kind):
         assert slave.state() == data
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, version, tmp_path):
+def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
     """Also before the first step, and where a state is held by a voltage outside them."""
-    folder = fmus("creep", version, "compensator")[1]
+    folder = fmus("creep", "compensator")[1]
     voltage = next(one for one in fmpy.read_model_description(folder).modelVariables if one.name == "voltage")
     assert (float(voltage.min), float(voltage.max)) == ALL["creep"].limits
     actuator = ALL["plain"].actuator
     low, high = narrow = 60.0, 61.0
-    export_fmu(Compensator(actuator, narrow, state=actuator.relaxed()), tmp_path / "x.fmu", version)
+    export_fmu(Compensator(actuator, narrow, state=actuator.relaxed()), tmp_path / "x.fmu")
     with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x"), begin=False) as slave:
         assert slave.read([OUTPUT]) == [low]
         slave.begin()
         assert slave.read([OUTPUT]) == [low]
         sent = slave.run(PATH)
         assert low <= sent.min() and sent.max() <= high
-    free = fmpy.read_model_description(fmus("creep", version, "actuator")[1]).modelVariables
+    free = fmpy.read_model_description(fmus("creep", "actuator")[1]).modelVariables
     assert all(one.min is None and one.max is None for one in free)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_the_actuator_knows_no_limits_of_the_compensator(version, tmp_path):
+def test_the_actuator_knows_no_limits_of_the_compensator(tmp_path):
     actuator = ALL["plain"].actuator
     state = actuator.relaxed()
     compensator = Compensator(actuator, (60, 61), state=state)
-    export_fmu(compensator, tmp_path / "x.fmu", version, "actuator")
+    export_fmu(compensator, tmp_path / "x.fmu", "actuator")
     volts = np.array([0.0, 160.0, 20.0, 90.0])
     expected = actuator.simulate(np.append(actuator.voltage(state), volts), state=state).displacement[1:]
     with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
         np.testing.assert_allclose(slave.run(volts), expected, rtol=0, atol=1e-12 * plain_records.STROKE)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_instances_do_not_meddle(fmus, version):
+def test_instances_do_not_meddle(fmus):
     """Several of one library and of others, step by step in turn."""
     models = ("plain", "creep", "creep", "mass")
     paths = [wanted(seed, 120) for seed in range(4)]
-    slaves = [Slave(fmus(model, version, "compensator")[1]) for model in models]
+    slaves = [Slave(fmus(model, "compensator")[1]) for model in models]
     found = np.array([[one.step(y) for one, y in zip(slaves, row, strict=True)] for row in zip(*paths, strict=True)])
     for one, model, path, column in zip(slaves, models, paths, found.T, strict=True):
         np.testing.assert_array_equal(column, voltages(ALL[model], path)[0])
         one.fmu.freeInstance()
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_clamping_is_said_once_of_each(fmus, version):
+def test_clamping_is_said_once_of_each(fmus):
     for logging in (True, False):
-        with Slave(fmus("plain", version, "compensator")[1], logging=logging) as slave:
+        with Slave(fmus("plain", "compensator")[1], logging=logging) as slave:
             slave.run(PATH)
             assert min(slave.counts()) > 2
             words = [message for category, message in slave.said if category == "logStatusWarning"]
@@ -354,9 +337,8 @@ def test_clamping_is_said_once_of_each(fmus, version):
             assert all(word.startswith("CLAMPED: ") for word in words)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_what_is_not_allowed_is_refused(fmus, version):
-    _, folder = fmus("plain", version, "compensator")
+def test_what_is_not_allowed_is_refused(fmus):
+    _, folder = fmus("plain", "compensator")
     with pytest.raises(Exception, match="instantiate"):
         Slave(folder, token="{another}")
     with Slave(folder, begin=False) as slave:

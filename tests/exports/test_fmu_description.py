@@ -24,7 +24,6 @@ from fmu_runner import (
     MODELS,
     PATH,
     PERIOD,
-    VERSIONS,
     Slave,
     actuator_voltages,
     compensators,
@@ -36,36 +35,34 @@ from fmu_runner import (
 from dehyst import Compensator, FileFormatError, ModelError
 from dehyst.control import PossibleStart
 from dehyst.exports import SourceOnlyWarning, export_fmu
-from examples import at_night, spanning
+from examples import spanning
 
 
-@pytest.mark.parametrize(("model", "version", "kind"), spanning(MODELS, VERSIONS, KINDS))
-def test_validation_finds_nothing(fmus, model, version, kind):
-    path, _ = fmus(model, version, kind)
+@pytest.mark.parametrize(("model", "kind"), spanning(MODELS, KINDS))
+def test_validation_finds_nothing(fmus, model, kind):
+    path, _ = fmus(model, kind)
     assert validate_fmu(str(path)) == []
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("version", [at_night("2.0"), "3.0"])
-def test_built_from_its_own_sources_it_is_the_same(fmus, version, tmp_path, monkeypatch):
+def test_built_from_its_own_sources_it_is_the_same(fmus, tmp_path, monkeypatch):
     """As an importer builds it: the files, language and definitions of its own description, no flags of ours."""
     cmake = shutil.which("cmake") or shutil.which("cmake", path=str(Path(sys.executable).parent))
     if cmake is None:
         pytest.skip("cmake is not installed")
     monkeypatch.setenv("PATH", f"{Path(cmake).parent}{os.pathsep}{os.environ['PATH']}")
     for kind in KINDS:
-        folder = Path(fmpy.extract(fmus("mass", version, kind)[0], tmp_path / kind))
+        folder = Path(fmpy.extract(fmus("mass", kind)[0], tmp_path / kind))
         shutil.rmtree(folder / "binaries")
         build_platform_binary(folder)
         given = PATH if kind == "compensator" else actuator_voltages("mass")
-        with Slave(folder) as built, Slave(fmus("mass", version, kind)[1]) as shipped:
+        with Slave(folder) as built, Slave(fmus("mass", kind)[1]) as shipped:
             np.testing.assert_array_equal(built.run(given), shipped.run(given))
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_the_declarations_are_those_of_the_standard(fmus, version, tmp_path):
+def test_the_declarations_are_those_of_the_standard(fmus, tmp_path):
     """Its own headers say no other thing than the official ones, nothing is missing, and nothing else is seen."""
-    _, folder = fmus("creep", version, "compensator")
+    _, folder = fmus("creep", "compensator")
     official = Path(fmpy.__file__).parent / "c-code"
     flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-strict-prototypes"]
     for options in ([], ["-DFMU_STANDARD_HEADERS", f"-I{official}"]):
@@ -73,17 +70,13 @@ def test_the_declarations_are_those_of_the_standard(fmus, version, tmp_path):
         subprocess.run(command, cwd=folder / "sources", check=True)
     listed = subprocess.run(["nm", "-D", "--defined-only", str(tmp_path / "x.so")], capture_output=True, check=True)
     seen = {line.split()[-1] for line in listed.stdout.decode().splitlines()}
-    assert all(name.startswith(f"fmi{version[0]}") for name in seen)
-    if version == "3.0":
-        text = (official / "fmi3Functions.h").read_text()
-        assert seen == {line.split()[-1].rstrip(";") for line in text.splitlines() if line.startswith("FMI3_Export")}
+    assert all(name.startswith("fmi2") for name in seen)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_no_memory_is_lost_or_overrun(fmus, version, tmp_path):
+def test_no_memory_is_lost_or_overrun(fmus, tmp_path):
     """A life from instantiation to the end, under the sanitizers of the compiler."""
-    _, folder = fmus("preview", version, "compensator")
-    life = places.SUPPORT.joinpath(f"fmu_life{version[0]}.c")
+    _, folder = fmus("preview", "compensator")
+    life = places.SUPPORT / "fmu_life.c"
     command = ["cc", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{folder / 'sources'}"]
     command += [f"-DMODEL_PERIOD={PERIOD!r}"]
     built = subprocess.run(
@@ -97,17 +90,16 @@ def test_no_memory_is_lost_or_overrun(fmus, version, tmp_path):
     assert ran.stdout == "alike\n"
 
 
-@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.nightly
-def test_the_same_model_makes_the_same_file(fmus, version, tmp_path):
-    path, _ = fmus("creep", version, "compensator")
+def test_the_same_model_makes_the_same_file(fmus, tmp_path):
+    path, _ = fmus("creep", "compensator")
     again = compensators()["creep"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         again.run(PATH)  # where it is now does not matter, where it was fmus does
-    export_fmu(again, tmp_path / "again.fmu", version)
+    export_fmu(again, tmp_path / "again.fmu")
     assert (tmp_path / "again.fmu").read_bytes() == path.read_bytes()
-    tokens = {fmpy.read_model_description(fmus(model, version, kind)[0]).guid for model in MODELS for kind in KINDS}
+    tokens = {fmpy.read_model_description(fmus(model, kind)[0]).guid for model in MODELS for kind in KINDS}
     # But for a delay, "mass" and "preview" have one actuator, and an actuator does not look ahead.
     assert len(tokens) == len(MODELS) * len(KINDS) - 1
 
@@ -126,7 +118,7 @@ def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
 
 
 def test_the_licence_goes_with_it(fmus):
-    _, folder = fmus("plain", "3.0", "actuator")
+    _, folder = fmus("plain", "actuator")
     assert "MIT License" in (folder / "documentation" / "licenses" / "license.txt").read_text()
 
 
@@ -140,8 +132,6 @@ def test_any_name_makes_an_fmu(tmp_path):
 
 
 def test_refusals(tmp_path):
-    with pytest.raises(ModelError, match=r"version: got '1\.0', need '2\.0' or '3\.0'"):
-        export_fmu(ALL["plain"], tmp_path / "x.fmu", "1.0")
     with pytest.raises(ModelError, match=r"kind.*'plant'"):
         export_fmu(ALL["plain"], tmp_path / "x.fmu", kind="plant")
     with pytest.raises(FileFormatError, match=r"ends in \.fmu"):
@@ -177,14 +167,14 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     options = "--limits", low, high, "--slew-rate", compensator.slew_rate, "--period", PERIOD
     status, out, err = run("export", "model.json", "c.fmu", *options, cwd=tmp_path)
     assert status == 0
-    assert out.startswith("c.fmu: an FMU 3.0 of the compensator, sources and a binary for Linux x86-64")
+    assert out.startswith("c.fmu: an FMU of the compensator, sources and a binary for Linux x86-64")
     assert "outside the limits" in err
-    options = "--period", PERIOD, "--fmu", "2.0", "--kind", "actuator", "--json"
+    options = "--period", PERIOD, "--kind", "actuator", "--json"
     status, out, err = run("export", "model.json", "a.fmu", *options, cwd=tmp_path)
     assert (status, err) == (0, "")
     told = json.loads(out)
     begins = told.pop("begins")
-    assert told == {"fmu": "a.fmu", "version": "2.0", "kind": "actuator", "binary": True, "warnings": []}
+    assert told == {"fmu": "a.fmu", "kind": "actuator", "binary": True, "warnings": []}
     state = PossibleStart.named(compensator.actuator, "top").state
     assert begins["voltage_V"] == compensator.actuator.voltage(state)
     assert begins["displacement_m"] == state.deformation
@@ -200,12 +190,12 @@ def test_the_command_line_writes_both_kinds(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--fmu", "2.0", "--number", "float"], "--number"),
+        (["--number", "float"], "--number"),
         (["--name", "x"], "--name"),
         (["--no-measure"], "--no-measure"),
-        (["--fmu", "2.0", "--kind", "actuator", "--preview"], "--preview"),
+        (["--kind", "actuator", "--preview"], "--preview"),
         (
-            ["--fmu", "2.0", "--limits", "0", "100"],
+            ["--limits", "0", "100"],
             "is there already",
         ),
     ],

@@ -426,7 +426,6 @@ def test_the_command_writes_what_the_function_writes(tmp_path):
     about = json.loads(node(tmp_path, program)) if shutil.which("node") else {"name": actuator.name}
     assert about["name"] == actuator.name
     for options in (
-        ["--fmu", "3.0"],
         ["--name", "stage"],
         ["--no-measure"],
         ["--number", "float"],

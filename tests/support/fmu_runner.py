@@ -1,4 +1,4 @@
-"""An FMU of either version in one's hand, and the compensators to make FMUs of."""
+"""An FMU in one's hand, and the compensators to make FMUs of."""
 
 import os
 import shutil
@@ -19,7 +19,6 @@ if not sys.platform.startswith("linux") or os.uname().machine != "x86_64" or shu
 
 PERIOD = 1 / structured_records.RATE
 INPUT, OUTPUT, GAIN, OFFSET, LIMITED, SLEWED = 1, 2, 3, 4, 5, 6
-VERSIONS = ("2.0", "3.0")
 KINDS = ("compensator", "actuator")
 # Resonance [rad/s] that a period of 5 ms can follow.
 SLOW = dehyst.Dynamics(2 * np.pi * 12, 0.4, 2e6)
@@ -83,7 +82,6 @@ class Slave:
 
     def __init__(self, folder, *, token=None, logging=True, begin=True):
         self.description = fmpy.read_model_description(folder)
-        self.second = self.description.fmiVersion == "2.0"
         self.said = []
         options = {
             "guid": token or self.description.guid,
@@ -91,22 +89,13 @@ class Slave:
             "modelIdentifier": self.description.coSimulation.modelIdentifier,
             "instanceName": "one",
         }
-        if self.second:
-            from fmpy import fmi2
+        from fmpy import fmi2
 
-            self.fmu = fmi2.FMU2Slave(**options)
-            # A logger of no number of arguments is called as one of five.
-            logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, name, status, category, text: self._hear(category, text))
-            self.fmu.instantiate(callbacks=fmi2.fmi2CallbackFunctions(logger=logger), loggingOn=logging)
-            self.read, self.write, self.count = self.fmu.getReal, self.fmu.setReal, self.fmu.getInteger
-        else:
-            from fmpy.fmi3 import FMU3Slave
-
-            self.fmu = FMU3Slave(**options)
-            self.fmu.instantiate(
-                logMessage=lambda _, status, category, text: self._hear(category, text), loggingOn=logging
-            )
-            self.read, self.write, self.count = self.fmu.getFloat64, self.fmu.setFloat64, self.fmu.getUInt64
+        self.fmu = fmi2.FMU2Slave(**options)
+        # A logger of no number of arguments is called as one of five.
+        logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, name, status, category, text: self._hear(category, text))
+        self.fmu.instantiate(callbacks=fmi2.fmi2CallbackFunctions(logger=logger), loggingOn=logging)
+        self.read, self.write, self.count = self.fmu.getReal, self.fmu.setReal, self.fmu.getInteger
         if begin:
             self.begin()
 
@@ -121,11 +110,8 @@ class Slave:
 
     def begin(self, start=0.0):
         self.time = start
-        if self.second:
-            self.fmu.setupExperiment(startTime=start)
-            self.fmu.enterInitializationMode()
-        else:
-            self.fmu.enterInitializationMode(startTime=start)
+        self.fmu.setupExperiment(startTime=start)
+        self.fmu.enterInitializationMode()
         self.fmu.exitInitializationMode()
 
     def step(self, value=None, by=PERIOD):

@@ -35,7 +35,6 @@ from dehyst.exports.model_header import (
 )
 from dehyst.exports.naming import printable, shipped
 
-Version: TypeAlias = Literal["2.0", "3.0"]
 Kind: TypeAlias = Literal["compensator", "actuator"]
 
 # Longest identifier, and bytes of the model in a line.
@@ -49,42 +48,12 @@ _NONE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
 
 
-class _Fmi(NamedTuple):
-    """A version of FMI: its sources, the folder of the binary, and how the description writes variables and outputs.
-
-    A variable is `number` if it has a unit, else `whole`; an output is also an `unknown`.
-    """
-
-    description: str
-    wrappers: tuple[str, ...]
-    binary: str
-    number: str
-    whole: str
-    output: str
-    unknown: str
-
-
-_COMMON = 'description="{description}" name="{name}" valueReference="{reference}" causality="{causality}"'
-_FMI = {
-    "2.0": _Fmi(
-        "modelDescription2.xml",
-        ("fmi2.h", "fmi2.c"),
-        "binaries/linux64",
-        f"    <ScalarVariable {_COMMON} {{role}}>\n      <Real {{numbers}} />\n    </ScalarVariable>",
-        f"    <ScalarVariable {_COMMON} {{role}}>\n      <Integer />\n    </ScalarVariable>",
-        '      <Unknown index="{index}" dependencies="" />',
-        "",
-    ),
-    "3.0": _Fmi(
-        "modelDescription3.xml",
-        ("fmi3.h", "fmi3.c", "fmi3_absent.c"),
-        "binaries/x86_64-linux",
-        f"    <Float64 {_COMMON} {{role}} {{numbers}} />",
-        f"    <UInt64 {_COMMON} {{role}} />",
-        '    <Output valueReference="{reference}" dependencies="" />',
-        '    <InitialUnknown valueReference="{reference}" dependencies="" />',
-    ),
-}
+_WRAPPER = ("fmu.h", "fmu.c", "fmi2.h", "fmi2.c")
+_BINARIES = "binaries/linux64"
+_VARIABLE = (
+    '    <ScalarVariable description="{description}" name="{name}" valueReference="{reference}" '
+    'causality="{causality}" {role}>\n      <{kind} />\n    </ScalarVariable>'
+)
 
 
 class SourceOnlyWarning(UserWarning):
@@ -95,8 +64,8 @@ class _NoBinaryError(Exception):
     """The reason why no binary could be built."""
 
 
-def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0", kind: Kind = "compensator") -> None:
-    """Write an FMU for co-simulation, which starts in the compensator's state at construction or last reset.
+def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensator") -> None:
+    """Write an FMU for co-simulation (FMI 2.0), which starts in the compensator's state at construction or last reset.
 
     Its step is the compensator's period or a whole multiple of it, during which the input is constant; without a
     period, any step is one sample. The output at the end of a step includes the effect of the input at its beginning.
@@ -106,8 +75,6 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
     compensator : Compensator
     path : path
         Ends in .fmu.
-    version : {"3.0", "2.0"}, optional
-        Version of FMI.
     kind : {"compensator", "actuator"}, optional
         Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
         in and displacement out, without limits.
@@ -115,7 +82,7 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
     Raises
     ------
     ModelError
-        If `compensator` is not a Compensator, the version or the kind is unknown, or a required period is missing.
+        If `compensator` is not a Compensator, the kind is unknown, or a required period is missing.
     FileFormatError
         If the file cannot be written, or its name does not end in .fmu.
 
@@ -126,9 +93,8 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
     """
     demand_compensator(compensator)
     demand_no_temperature(compensator, "an FMU")
-    for name, value, known in (("version", version, get_args(Version)), ("kind", kind, get_args(Kind))):
-        if value not in known:
-            raise ModelError(argument=name, got=repr(value), need=" or ".join(map(repr, known)))
+    if kind not in get_args(Kind):
+        raise ModelError(argument="kind", got=repr(kind), need=" or ".join(map(repr, get_args(Kind))))
     if path_of(path).suffix != ".fmu":
         raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
     demand_alike(path)
@@ -136,26 +102,23 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
         # The same actuator in the same state, for any voltage.
         state = compensator.initial_state
         compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
-    fmi, summary, variables = _FMI[version], *_interface(compensator, kind)
-    sources = _sources(compensator, fmi, kind)
-    digest = hashlib.sha256(f"{version} {kind} {__version__}".encode())
+    summary, variables = _interface(compensator, kind)
+    sources = _sources(compensator, kind)
+    digest = hashlib.sha256(f"2.0 {kind} {__version__}".encode())
     for name, text in sources.items():
         digest.update(f"\n{name} {len(text)}\n{text}".encode())
     token, given = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}", variables[1].name
     sources["fmu_model.h"] += f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{given}"\n\n#endif\n'
     title, identifier = _names(compensator.actuator.name, kind)
-    texts = {"modelDescription.xml": _description(compensator, fmi, title, identifier, token, summary, variables)}
+    texts = {"modelDescription.xml": _description(compensator, title, identifier, token, summary, variables)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
-    if version == "3.0":
-        build = Template(shipped("buildDescription.xml"))
-        texts["sources/buildDescription.xml"] = build.substitute(identifier=identifier)
     texts |= {
         "documentation/index.html": _page(title, summary, variables),
         "documentation/licenses/license.txt": shipped("LICENSE"),
     }
     content = {name: text.encode() for name, text in texts.items()}
     try:
-        content[f"{fmi.binary}/{identifier}.so"] = _compiled(sources)
+        content[f"{_BINARIES}/{identifier}.so"] = _compiled(sources)
     except _NoBinaryError as reason:
         warnings.warn(
             f"the FMU holds sources, but no binary: {reason}. Install gcc and export it again, or let the program that "
@@ -166,7 +129,7 @@ def export_fmu(compensator: Compensator, path: PathLike, version: Version = "3.0
     write_atomically(path, _zipped(content))
 
 
-def _sources(compensator: Compensator, fmi: _Fmi, kind: Kind) -> dict[str, str]:
+def _sources(compensator: Compensator, kind: Kind) -> dict[str, str]:
     """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
     block, text = compensator.model_block(), ModelText(compensator, "double")
     sizes = {
@@ -177,10 +140,9 @@ def _sources(compensator: Compensator, fmi: _Fmi, kind: Kind) -> dict[str, str]:
     }
     macros = "".join(f"#define FMU_{name} {value}\n" for name, value in sizes.items())
     rows = ",\n".join(", ".join(map(str, block[i : i + _A_LINE])) for i in range(0, len(block), _A_LINE))
-    wrapper = ("fmu.h", "fmu.c", *fmi.wrappers)
-    units = ("dehyst.c", *(name for name in wrapper if name.endswith(".c")))
+    units = ("dehyst.c", *(name for name in _WRAPPER if name.endswith(".c")))
     return {
-        **{name: shipped(name) for name in (*CORE, *wrapper)},
+        **{name: shipped(name) for name in (*CORE, *_WRAPPER)},
         CONFIG: config_header("double"),
         "fmu_block.h": f"static const unsigned char fmu_block[] = {{\n{rows}}};\n",
         "fmu_model.h": f"#ifndef FMU_MODEL_H\n#define FMU_MODEL_H\n\n{macros}",
@@ -270,43 +232,34 @@ def _names(actuator: str, kind: Kind) -> tuple[str, str]:
 
 
 def _description(
-    compensator: Compensator,
-    fmi: _Fmi,
-    title: str,
-    identifier: str,
-    token: str,
-    summary: str,
-    variables: list[Variable],
+    compensator: Compensator, title: str, identifier: str, token: str, summary: str, variables: list[Variable]
 ) -> str:
-    """Return the text of `modelDescription.xml`; `token` is the GUID or the instantiation token."""
-    listed, outputs, unknowns = [], [], []
+    """Return the text of `modelDescription.xml`; `token` is the GUID."""
+    listed, outputs = [], []
     for reference, one in enumerate(variables):
         role = f'variability="{"continuous" if one.unit else "discrete"}"'
-        numbers = f'unit="{one.unit}"'
+        real = f'Real unit="{one.unit}"'
         if one.range is not None:
-            numbers += f' min="{one.range[0]!r}" max="{one.range[1]!r}"'
+            real += f' min="{one.range[0]!r}" max="{one.range[1]!r}"'
         if one.start is not None:
-            numbers += f' start="{one.start!r}"'
+            real += f' start="{one.start!r}"'
         if one.causality == "output":
             role += ' initial="calculated"'
-            outputs.append(fmi.output.format(reference=reference, index=reference + 1))
-            unknowns.append(fmi.unknown.format(reference=reference))
-        form = fmi.number if one.unit else fmi.whole
-        listed.append(form.format(**one._asdict(), reference=reference, role=role, numbers=numbers))
+            outputs.append(f'      <Unknown index="{reference + 1}" dependencies="" />')
+        kind = real if one.unit else "Integer"
+        listed.append(_VARIABLE.format(**one._asdict(), reference=reference, role=role, kind=kind))
     period = compensator.period
     quoted = {'"': "&quot;"}
-    return Template(shipped(fmi.description)).substitute(
+    return Template(shipped("modelDescription.xml")).substitute(
         name=escape(title, quoted),
         token=token,
         summary=escape(summary, quoted),
         program=__version__,
         identifier=identifier,
         any_step="false" if period else "true",
-        fixed_step=f' fixedInternalStepSize="{period!r}"' if period else "",
         step=f' stepSize="{period!r}"' if period else "",
         variables="\n".join(listed),
         outputs="\n".join(outputs),
-        unknowns="\n".join(unknowns),
     )
 
 

@@ -73,19 +73,19 @@ def _write_wasm(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
 
 
 def _write_fmu(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
-    version, kind = options["fmu"], options["kind"] or "compensator"
+    kind = options["kind"] or "compensator"
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(loop, path, version, kind)  # type: ignore[arg-type]
+        export_fmu(loop, path, kind)  # type: ignore[arg-type]
     remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     content = "sources" if remarks else "sources and a binary for Linux x86-64"
-    values = {"fmu": str(path), "version": version, "kind": kind, "binary": not remarks}
-    return Written(values, f"{path}: an FMU {version} of the {kind}, {content}", (), remarks)
+    values = {"fmu": str(path), "kind": kind, "binary": not remarks}
+    return Written(values, f"{path}: an FMU of the {kind}, {content}", (), remarks)
 
 
 # By suffix; a path without one is a folder of C, as is any with a suffix that is not here.
 TARGETS = {
     "": Target("C for one axis", _write_c, ("preview", "number", "name", "measure"), None),
     ".wasm": Target("WebAssembly", _write_wasm, ("preview",), wasm_files),
-    ".fmu": Target("an FMU", _write_fmu, ("preview", "fmu", "kind")),
+    ".fmu": Target("an FMU", _write_fmu, ("preview", "kind")),
 }

@@ -56,7 +56,6 @@ def export(
     preview: Annotated[bool, _of_one, _of("preview"), _of_loop] = False,
     name: Annotated[str | None, _of("name")] = None,
     measure: Annotated[bool, _of("measure")] = True,
-    fmu: Annotated[Literal["2.0", "3.0"], _of("fmu")] = "3.0",
     kind: Annotated[Literal["compensator", "actuator"], _of("kind")] = "compensator",
     start: Start = _TOP,
 ) -> Result:
@@ -64,8 +63,8 @@ def export(
 
     A model of several axes is written as C only, with all its axes and their coupling.
 
-    If the name ends in .fmu, write the compensator or its actuator as an FMU for co-simulation. If the name ends in
-    .wasm, write the compensator as WebAssembly, with the JavaScript module that calls it.
+    If the name ends in .fmu, write the compensator or its actuator as an FMU for co-simulation (FMI 2.0). If the name
+    ends in .wasm, write the compensator as WebAssembly, with the JavaScript module that calls it.
 
     Parameters
     ----------
@@ -84,8 +83,6 @@ def export(
         or stage for several axes.
     measure
         Compile the export and report its size and the error due to floats; takes seconds.
-    fmu
-        Version of FMI.
     kind
         Kind of FMU: compensator (displacement to voltage), or virtual actuator.
     start
@@ -125,7 +122,7 @@ def export(
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
     if kind != "actuator":
         remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
-    chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "fmu": fmu, "kind": kind}
+    chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "kind": kind}
     written = target.write(compensator, directory, chosen)
     remarks += [*written.remarks]
     begin = [ExportedStart.of(loop) for loop in loops]

@@ -88,7 +88,7 @@ FORMS: dict[str, Form] = {
 # Kinds of exports: title, text and, of a file, its suffix.
 EXPORTS = {
     "c": ("C99", "Sources, numbers and a test for firmware; the same code as Python runs.", ""),
-    "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 3.0).", ".fmu"),
+    "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 2.0).", ".fmu"),
     "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
     "wave_table": ("Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV).", ".csv"),
 }

@@ -310,8 +310,7 @@ class WorkbenchSession:
         elif kind in EXPORTS:
             suffix = EXPORTS[kind][-1]
             target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
-            version = {"fmu": "3.0"} if kind == "fmu" else {}
-            steps = [Step("export", {"model": model.file, "directory": target, **version})]
+            steps = [Step("export", {"model": model.file, "directory": target})]
         else:
             raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
         return self.jobs.start("export", model.id, steps, lambda _: None)
