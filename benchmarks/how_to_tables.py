@@ -127,22 +127,9 @@ def creep() -> list[str]:
 
 
 def firmware() -> list[str]:
-    """Bytes of an exported compensator, and the instructions of its steps."""
-    found = data("size")
-    processors = {
-        ("double", "Cortex-M4"): "double, Cortex-M4 by software",
-        ("float", "Cortex-M4F"): "float, Cortex-M4F",
-        ("double", "x86-64"): "double, x86-64",
-    }
-    rows = [
-        [f"{one['structure']}, {words}", *(str(one[key]) for key in ("flash", "ram", "stack"))]
-        for one in found["firmware"]
-        if one["flags"].startswith("-Os") and (words := processors.get((one["number"], one["processor"])))
-    ]
-    plain, wide = ((one["followed"], one["clamped"]) for one in found["instructions"])
+    """Instructions of the steps of an exported compensator."""
+    plain, wide = ((one["followed"], one["clamped"]) for one in data("size")["instructions"])
     return [
-        *table(("bytes", "flash", "RAM", "stack"), sorted(rows)),
-        "",
         "A step takes bounded time, whatever came before. Instructions of one step in floats (`-O2`, a Cortex-M4F "
         f"emulated by QEMU): {plain[0]} along a path and at most {plain[1]} when a clamped step crosses the whole "
         f"range, with ten plain elements; {wide[0]} and {wide[1]} with all parts.",

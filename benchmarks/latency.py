@@ -73,7 +73,7 @@ def in_python(model: Actuator, path: np.ndarray) -> dict[str, float]:
 def in_c(model: Actuator) -> dict[str, dict[str, float]]:
     """Of the exported files, by the system's compiler; nanoseconds."""
     with tempfile.TemporaryDirectory() as folder:
-        where = export(Compensator(model, (-10.0, 10.0), period=1e-3), Path(folder) / "c").folder
+        where = export(Compensator(model, (-10.0, 10.0), period=1e-3), Path(folder) / "c")
         sources = sorted(path for path in where.glob("*.c") if path.name != "check.c")
         flags = ["-std=c99", "-D_POSIX_C_SOURCE=199309L", "-O3", "-ffp-contract=off", f"-I{where}"]
         program = Path(folder) / "latency"

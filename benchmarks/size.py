@@ -3,8 +3,8 @@
 Maxwell-slip, plain, and a wider model: 20 elements, a transformer of 10 segments and 8 branches of creep. Each size
 runs in a process of its own, whose peak memory counts above what the imports took: the record is in it.
 
-And how small a firmware is: bytes of flash, RAM and stack of an exported compensator of ten elements, plain and with
-all parts, and the instructions of its steps on a Cortex-M4F that QEMU emulates. `size.py firmware` measures that alone.
+And the instructions of the steps of an exported compensator of ten elements, plain and with all parts, on a Cortex-M4F
+that QEMU emulates. `size.py firmware` measures that alone.
 """
 
 from __future__ import annotations
@@ -29,9 +29,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 import compiled_exports
 
 import dehyst
-from dehyst.exports import sizes
-from dehyst.exports.firmware import code
-from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4_SMALL, CORTEX_M4F, CORTEX_M4F_SMALL
 from dehyst.identification import Structure
 from dehyst.model import GradedSlip, MaxwellSlip, Spring, Transformer
 
@@ -131,39 +128,6 @@ def small(wide: bool) -> dehyst.Compensator:
     return dehyst.Compensator(made, (0, 100), period=1e-4)
 
 
-def firmware() -> list[dict[str, object]]:
-    """Bytes of both for each processor and number type."""
-    both, arm = ("double", "float"), "arm-none-eabi-gcc"
-    processors = (
-        ("x86-64", "gcc", ("-O2",), both),
-        ("x86-64", "gcc", ("-Os", "-flto"), both),
-        ("Cortex-M4", arm, CORTEX_M4, both),
-        ("Cortex-M4", arm, CORTEX_M4_SMALL, both),
-        ("Cortex-M4F", arm, CORTEX_M4F, ("float",)),
-        ("Cortex-M4F", arm, CORTEX_M4F_SMALL, ("float",)),
-    )
-    found: list[dict[str, object]] = []
-    for structure in ("plain", "wide"):
-        for processor, compiler, flags, numbers in processors:
-            for number in numbers:
-                with tempfile.TemporaryDirectory() as folder:
-                    for name, text in code(small(structure == "wide"), number).items():
-                        (Path(folder) / name).write_text(text)
-                    taken = sizes(folder, compiler, flags)
-                found.append(
-                    {
-                        "structure": structure,
-                        "elements": 10,
-                        "processor": processor,
-                        "number": number,
-                        "flags": " ".join(flags),
-                        **taken._asdict(),
-                    }
-                )
-                print(found[-1], flush=True)
-    return found
-
-
 def steps() -> list[dict[str, object]]:
     """Instructions of a step in floats on an emulated Cortex-M4F: in the middle, and the most of clamped ones."""
     found: list[dict[str, object]] = []
@@ -189,11 +153,10 @@ def keep(section: str, found: object) -> None:
 
 
 def main() -> None:
-    """Measure all sizes, or the firmware's, or the one given as an argument with its norm and structure."""
+    """Measure all, or the firmware alone, or the one given as an argument with its norm and structure."""
     if len(sys.argv) == 4:
         print(json.dumps(measure(int(sys.argv[1]), sys.argv[2], sys.argv[3])))
         return
-    keep("firmware", firmware())
     keep("instructions", steps())
     if sys.argv[1:] == ["firmware"]:
         return

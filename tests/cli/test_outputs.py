@@ -279,9 +279,9 @@ def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
 def test_a_suffix_that_is_no_export_is_no_folder(tmp_path):
     model = tmp_path / "model.json"
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
-    status, _, err = run("export", model, tmp_path / "stage.mm", "--no-measure")
+    status, _, err = run("export", model, tmp_path / "stage.mm")
     assert (status, ".wasm or .fmu" in err) == (2, True)
     assert not (tmp_path / "stage.mm").exists()
     (tmp_path / "stage.mm").mkdir()
     for name in ("stage.mm", "piezo-1.5"):
-        assert run("export", model, tmp_path / name, "--no-measure")[0] == 0
+        assert run("export", model, tmp_path / name)[0] == 0

@@ -79,7 +79,7 @@ def test_a_model_with_such_a_name_is_escaped_in_every_output(tmp_path, loops, mo
     for command in (
         ["simulate", "m.json", "voltage.csv", "-o", "s.csv"],
         ["insight", "m.json", "loops.csv", "--report", "i.html"],
-        ["export", "m.json", "c", "--no-measure", "--limits", "0", "100"],
+        ["export", "m.json", "c", "--limits", "0", "100"],
         ["export", "m.json", "x.fmu", "--limits", "0", "100"],
     ):
         status, out, err = run(*command, cwd=tmp_path)

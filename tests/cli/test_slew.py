@@ -184,7 +184,7 @@ def test_the_homing_of_a_simulation_has_the_speed_of_the_records_and_its_voltage
 
 @pytest.mark.parametrize("model", ["model", "stage"])
 def test_an_export_says_which_slew_rate_it_has(folder, model):
-    words = ("export", f"{model}.json", f"c-{model}", "--no-measure", "--force")
+    words = ("export", f"{model}.json", f"c-{model}", "--force")
     given = {
         (): (None, "default"),
         ("--slew-rate", 4000.0): (4000.0, "option"),

@@ -233,7 +233,7 @@ def test_one_axis_of_a_rig_of_ones_own_may_be_named(tmp_path):
 
 
 def test_an_export_begins_where_its_limits_lead(folder):
-    words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--no-measure", "--json"]
+    words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--json"]
     result = result_of(run(*words))
     assert "top needs 120" in result["warnings"][0]
     assert result["begins"]["y"]["voltage_V"] <= 100

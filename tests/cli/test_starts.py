@@ -329,7 +329,7 @@ def test_a_wave_table_is_homed_unless_the_start_is_known(folder):
 
 
 def test_an_export_begins_where_a_record_ends(folder):
-    given = ("export", "model.json", "firmware", "--start", "loops.csv", "--no-measure", "--json")
+    given = ("export", "model.json", "firmware", "--start", "loops.csv", "--json")
     status, out, err = run(*given, cwd=folder)
     assert status == 0, err
     record = dehyst.read(folder / "loops.csv")

@@ -83,7 +83,7 @@ BEGINNINGS = {
     "preview": {"actuator": MODELS["dynamics"], "preview": True},
     "both": {"slew_rate": 5e3, "state": PLAIN.simulate([80.0, 10.0, 30.0]).state},
 }
-OPTIONS = {"number": "double", "name": None, "measure": False, "force": False, "kind": None}
+OPTIONS = {"number": "double", "name": None, "force": False, "kind": None}
 
 
 def by_c(folder, wanted):
@@ -111,8 +111,7 @@ def exported(folder, actuator, name, *options):
     model, path = folder / "model.json", folder / name
     folder.mkdir(exist_ok=True)
     actuator.save(model)
-    quick = ["--no-measure"] if "measure" in TARGETS[path.suffix].options else []
-    status, out, _ = run("export", model, path, "--period", PERIOD, "--json", *quick, *options)
+    status, out, _ = run("export", model, path, "--period", PERIOD, "--json", *options)
     return status, json.loads(out), path
 
 

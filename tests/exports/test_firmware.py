@@ -22,13 +22,12 @@ import plain_records
 import pytest
 import structured_records
 from command_line import run
-from compiled_exports import KINDS, need, written
+from compiled_exports import CORTEX_M4, CORTEX_M4F, KINDS, STRICT, need, written
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
-from dehyst.exports import export, sizes
+from dehyst.exports import export
 from dehyst.exports.firmware import CONFIG, CORE, SOURCES, code
-from dehyst.exports.footprint import CORTEX_M4, CORTEX_M4F, STRICT
 from dehyst.exports.golden_trace import Call, golden_trace
 from examples import NIGHTLY, at_night, spanning
 
@@ -40,12 +39,6 @@ LIMITS = LOW, HIGH = compiled_exports.LIMITS
 def make(folder, *arguments):
     done = subprocess.run(["make", "-s", *arguments], cwd=folder, capture_output=True, text=True, check=False)
     return done.returncode, done.stdout + done.stderr
-
-
-@pytest.fixture
-def unmeasured(monkeypatch):
-    """An export that does not take the time to measure bytes."""
-    monkeypatch.setattr("dehyst.exports.footprint.PROCESSORS", {})
 
 
 @cache
@@ -105,23 +98,18 @@ def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
 
 
 @pytest.mark.parametrize(("kind", "number"), spanning([*KINDS], ["double", "float"]))
-def test_what_was_exported_replays_what_python_did(tmp_path, kind, number, unmeasured):
+def test_what_was_exported_replays_what_python_did(tmp_path, kind, number):
     need("gcc", "make")
-    made = export(KINDS[kind](), tmp_path / "c", number)
-    status, said = make(made.folder, "check", "symbols")
+    status, said = make(export(KINDS[kind](), tmp_path / "c", number), "check", "symbols")
     assert status == 0, said
     assert "no symbol is needed from outside" in said
     assert ("double: 0 of" if number == "double" else "float: largest error") in said
-    assert (made.error is None) == (number == "double")
-    if made.error is not None:
-        assert 1e-9 < made.error < 1e-3
-        assert f"{made.error:.1e}" in (made.folder / "README.md").read_text()
 
 
-def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path, unmeasured):
+def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path):
     need("gcc", "make")
     compensator = compiled_exports.plain()
-    double = export(compensator, tmp_path / "double").folder
+    double = export(compensator, tmp_path / "double")
     numbers = double / "piezo.c"
     text = numbers.read_text()
     first = re.search(r"piezo_kappa\[10\] = \{\n    (0x[^,]+),", text)
@@ -130,7 +118,7 @@ def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path, unmeasured):
     assert status != 0
     assert re.search(r"double: \d\d+ of", said)
     # A number type that was not rewritten: the numbers are floats', the arithmetic double's; a float's error is missed.
-    single = export(compensator, tmp_path / "float", "float").folder
+    single = export(compensator, tmp_path / "float", "float")
     (single / CONFIG).write_text(code(compensator)[CONFIG])
     assert make(single, "check")[0] != 0
     text = (single / "trace.h").read_text()
@@ -271,10 +259,9 @@ def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag)
     assert "a NaN is not refused" in done.stderr
 
 
-def test_folders_that_hold_something_else_are_left_alone(tmp_path, unmeasured):
+def test_folders_that_hold_something_else_are_left_alone(tmp_path):
     compensator, folder = compiled_exports.plain(), tmp_path / "c"
-    made = export(compensator, folder)
-    assert made.folder == folder
+    assert export(compensator, folder) == folder
     (folder / "piezo.o").write_text("built")
     with pytest.raises(FileFormatError, match="earlier export"):
         export(compensator, folder)
@@ -311,51 +298,8 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch, number, advice):
 
     monkeypatch.setattr("dehyst.exports.firmware._readme", fail)
     with pytest.raises(FileFormatError, match=rf"cannot be written \({os.strerror(number)}\); .*{advice}"):
-        export(compiled_exports.plain(), tmp_path / "c", measure=False)
+        export(compiled_exports.plain(), tmp_path / "c")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_without_a_compiler_the_readme_says_so(tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    made = export(compiled_exports.plain(), tmp_path / "c", "float")
-    assert (made.footprints, made.error, made.unmeasured) == ({}, None, "no C compiler (cc) was found")
-    text = (tmp_path / "c" / "README.md").read_text()
-    assert "compiler (cc) was found" in text
-    assert "below 1e-03" in text
-    assert "TRACE_MOST 0.001" in (tmp_path / "c" / "trace.h").read_text()
-    with pytest.raises(FileFormatError, match="cc: cannot"):
-        sizes(tmp_path / "c")
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("number", ["double", at_night("float")])
-def test_a_compiler_that_fails_is_told_from_none(tmp_path, monkeypatch, number):
-    broken = tmp_path / "cc"
-    broken.write_text("#!/bin/sh\necho 'licence expired' >&2\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    made = export(compiled_exports.plain(), tmp_path / "c", number)
-    assert made.unmeasured is not None
-    assert made.unmeasured.startswith("the C compiler failed (cc -std=c99 ...: licence expired")
-    assert made.unmeasured in (tmp_path / "c" / "README.md").read_text()
-    compiled_exports.plain().actuator.save(tmp_path / "model.json")
-    command = [str(Path(sys.executable).parent / "dehyst"), "export", "model.json", "d", "--limits", "0", "250"]
-    for more, said in (([], True), (["--no-measure", "--force"], False)):
-        done = subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=True)
-        assert ("bytes and errors were not measured on this computer: the C compiler failed" in done.stderr) == said
-
-
-def test_what_is_not_to_be_measured_is_not_compiled(tmp_path, monkeypatch):
-    def fail(*_):
-        raise AssertionError("compiled")
-
-    monkeypatch.setattr("dehyst.exports.footprint.run", fail)
-    monkeypatch.setattr("dehyst.exports.footprint.sizes", fail)
-    for number in ("double", "float"):
-        made = export(compiled_exports.plain(), tmp_path / number, number, measure=False)
-        assert (made.footprints, made.error, made.unmeasured) == ({}, None, "not asked for")
-        assert "Not measured on this computer: not asked for." in (tmp_path / number / "README.md").read_text()
-    assert "TRACE_MOST 0.001" in (tmp_path / "float" / "trace.h").read_text()
 
 
 @pytest.mark.parametrize("given", [compiled_exports.plain().actuator, None, 3, "model.json"])
@@ -388,11 +332,11 @@ int main(void)
 
 
 @pytest.mark.nightly
-def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeasured):
+def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path):
     need("gcc", "make")
     models = {"x_axis": KINDS["plain"](), "y_axis": KINDS["moving"]()}
     for name, compensator in models.items():
-        folder = export(compensator, tmp_path / name, name=name).folder
+        folder = export(compensator, tmp_path / name, name=name)
         others = {*CORE, CONFIG, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
         assert {path.name for path in folder.iterdir()} == {f"{name}.c", f"{name}.h", *others}
         for path in folder.iterdir():
@@ -400,8 +344,6 @@ def test_two_models_in_one_firmware_are_both_pythons_to_the_bit(tmp_path, unmeas
             assert "piezo_" not in text and not re.search(r"\b(MODEL_|PIEZO_H)", text), path
         status, said = make(folder, "check", "symbols")
         assert status == 0, said
-        assert sizes(folder, "gcc").ram == sizes(written(tmp_path / f"{name}_piezo", compensator), "gcc").ram
-        assert sizes(folder, "gcc").stack == sizes(tmp_path / f"{name}_piezo", "gcc").stack
         export(compensator, folder, force=True, name=name)
     (tmp_path / "main.c").write_text(TWO_AXES)
     both = ["x_axis/dehyst.c", "x_axis/x_axis.c", "y_axis/y_axis.c", "-Ix_axis", "-Iy_axis"]
@@ -442,8 +384,7 @@ def test_names_that_mean_something_else_are_refused(tmp_path, name):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
-@pytest.mark.parametrize("output", ["c", "c.fmu"])
-def test_ended_from_outside_it_leaves_nothing(tmp_path, output):
+def test_ended_from_outside_it_leaves_nothing(tmp_path):
     """While a compiler is at work."""
     for name in ("work", "temporary", "bin"):
         (tmp_path / name).mkdir()
@@ -451,7 +392,7 @@ def test_ended_from_outside_it_leaves_nothing(tmp_path, output):
     slow.write_text('#!/bin/sh\n: > "$TMPDIR/../started"\nexec sleep 60\n')
     slow.chmod(0o755)
     compiled_exports.plain().actuator.save(tmp_path / "model.json")
-    command = [str(Path(sys.executable).parent / "dehyst"), "export", "../model.json", output]
+    command = [str(Path(sys.executable).parent / "dehyst"), "export", "../model.json", "c.fmu"]
     path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
     running = subprocess.Popen(
         [*command, "--limits", "0", "250"],
@@ -473,9 +414,9 @@ def test_ended_from_outside_it_leaves_nothing(tmp_path, output):
 
 
 @pytest.mark.parametrize("name", ["x", "y", "stage", "Stage_2", "a" * 40])
-def test_other_names_compile(tmp_path, name, unmeasured):
+def test_other_names_compile(tmp_path, name):
     need("gcc")
-    folder = export(compiled_exports.plain(), tmp_path / "c", name=name).folder
+    folder = export(compiled_exports.plain(), tmp_path / "c", name=name)
     sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
     example = re.search(r"^    (#include.*?^)    }\n\n", (folder / "README.md").read_text(), re.MULTILINE | re.DOTALL)[
         1
@@ -533,9 +474,9 @@ def test_floats_stay_within_the_limits(limits):
 
 
 @pytest.mark.parametrize(("kind", "number"), [("moving", "float"), at_night("slewing", "double")])
-def test_sanitizers_find_nothing(tmp_path, kind, number, unmeasured):
+def test_sanitizers_find_nothing(tmp_path, kind, number):
     need("gcc")
-    folder = export(KINDS[kind](), tmp_path / "c", number).folder
+    folder = export(KINDS[kind](), tmp_path / "c", number)
     watched = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     compiled_exports.must_run(["gcc", *STRICT, *watched, "check.c", *SOURCES, "-o", "check"], folder)
     said = compiled_exports.must_run(["./check"], folder)
@@ -592,7 +533,7 @@ def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard
 
 def test_for_another_processor_as_the_makefile_says(tmp_path):
     need("make", "arm-none-eabi-gcc")
-    folder = export(compiled_exports.plain(), tmp_path / "c", measure=False).folder
+    folder = export(compiled_exports.plain(), tmp_path / "c")
     example = re.search(r"^#   make (clean all symbols .*)$", (folder / "Makefile").read_text(), re.MULTILINE)[1]
     status, said = make(folder, *shlex.split(example))
     assert status == 0, said
@@ -610,7 +551,7 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
 )
 def test_the_name_of_a_model_is_kept_in_comments(tmp_path, name, kept):
     compensator = Compensator(replace(compiled_exports.plain().actuator, name=name), LIMITS)
-    folder = export(compensator, tmp_path / "c", measure=False, name="stage").folder
+    folder = export(compensator, tmp_path / "c", name="stage")
     for file in ("stage.c", "stage.h"):
         assert f"actuator '{kept or name}', made by" in (folder / file).read_text(encoding="utf-8")
     readme = (folder / "README.md").read_text(encoding="utf-8")
@@ -621,7 +562,7 @@ def test_limits_beyond_the_records_are_named(tmp_path):
     model = tmp_path / "model.json"
     replace(compiled_exports.plain().actuator, limits=(0.0, 200.0)).save(model)
     for high, count in ((200, 0), (250, 1)):
-        words = ("export", model, f"to{high}", "--limits", "0", high, "--no-measure", "--json")
+        words = ("export", model, f"to{high}", "--limits", "0", high, "--json")
         warned = [one for one in json.loads(run(*words, cwd=tmp_path)[1])["warnings"] if "0 to 200 V" in one]
         assert len(warned) == count
 
@@ -640,7 +581,6 @@ def test_on_the_command_line(tmp_path):
     compensator = Compensator(
         made.actuator, (0, 250), 2e4, period=1e-3, state=made.actuator.turned(plain_records.STROKE)
     )
-    assert told["bytes"]
     for name, text in code(compensator).items():
         assert (tmp_path / "c" / name).read_text() == text, name
     status, _, err = exported()
@@ -656,7 +596,7 @@ def test_on_the_command_line(tmp_path):
     assert "--period" in err
     top = made.actuator.voltage(made.actuator.turned(plain_records.STROKE))
     for high, said in ((top / 1.009, False), (top / 1.02, True)):
-        _, _, err = exported("--force", "--no-measure", high=high)
+        _, _, err = exported("--force", high=high)
         assert ("memory begins at the nearest limit" in err) == said
 
 
@@ -675,7 +615,7 @@ def test_a_creeping_model_that_is_ahead_says_so(tmp_path):
 
 
 def test_a_model_that_is_not_ahead_says_nothing_of_it(tmp_path):
-    export(compiled_exports.plain(), tmp_path / "c", measure=False)
+    export(compiled_exports.plain(), tmp_path / "c")
     text = (tmp_path / "c" / "README.md").read_text()
     assert "Wanted displacements must be smooth" not in text and "before its time" not in text
 
@@ -707,7 +647,7 @@ int main(void)
 """
 
 
-def test_a_temperature_gives_the_bits_of_python(tmp_path, unmeasured):
+def test_a_temperature_gives_the_bits_of_python(tmp_path):
     need("gcc")
     cold = compiled_exports.plain()
     actuator = replace(cold.actuator, thermal=dehyst.Thermal(-0.0037, 3.3e-9, 24.7))

@@ -192,7 +192,6 @@ def test_the_command_line_writes_both_kinds(tmp_path):
     [
         (["--number", "float"], "--number"),
         (["--name", "x"], "--name"),
-        (["--no-measure"], "--no-measure"),
         (["--kind", "actuator", "--preview"], "--preview"),
         (
             ["--limits", "0", "100"],

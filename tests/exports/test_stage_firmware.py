@@ -10,13 +10,11 @@ import plain_records
 import pytest
 import structured_records
 from click.testing import CliRunner
-from compiled_exports import need
+from compiled_exports import STRICT, need
 
 from dehyst import DisplacementCreep, FileFormatError, ModelError, Stage, StageCompensator, Thermal, export
 from dehyst.cli import main
-from dehyst.exports import sizes
 from dehyst.exports.firmware import CONFIG, CORE, code
-from dehyst.exports.footprint import STRICT
 from dehyst.exports.golden_trace import Call, golden_trace
 from dehyst.exports.naming import shipped
 
@@ -98,7 +96,7 @@ def make(folder, *targets):
 
 def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
     need("gcc", "make")
-    export(compensator, tmp_path / "c", measure=False)
+    export(compensator, tmp_path / "c")
     status, words = make(tmp_path / "c", "check", "symbols")
     assert status == 0, words
     assert "double: 0 of" in words
@@ -181,7 +179,7 @@ def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
 def test_axes_of_any_names_compile(axes, tmp_path):
     need("gcc", "make")
     stage = Stage(plain_stage().stage.actuators, COUPLING, axes)
-    export(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", measure=False, name="table")
+    export(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", name="table")
     assert make(tmp_path / "c", "check")[0] == 0
 
 
@@ -193,28 +191,15 @@ def test_c_plus_plus_reads_the_header(tmp_path):
     compiled_exports.must_run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "a.cpp"], tmp_path)
 
 
-def test_bytes_are_measured(tmp_path):
-    need("gcc")
-    stage = plain_stage()
-    exported = export(stage, tmp_path / "c")
-    axes = [export(one, tmp_path / str(k)).footprints for k, one in enumerate(stage.compensators)]
-    here = exported.footprints["this computer, -O2"]
-    assert exported.unmeasured is None
-    assert here == sizes(tmp_path / "c", "cc", ("-O2",))
-    assert sum(axis["this computer, -O2"].ram for axis in axes) < here.ram < 1000
-    assert 8000 < here.flash < 80_000
-    assert f"| this computer, -O2 | {here.flash} | {here.ram} |" in (tmp_path / "c" / "README.md").read_text()
-
-
 def test_an_earlier_export_is_replaced_only_by_force_and_other_files_never(tmp_path):
     folder = tmp_path / "c"
-    export(plain_stage(), folder, measure=False)
+    export(plain_stage(), folder)
     with pytest.raises(FileFormatError, match="earlier export"):
-        export(plain_stage(), folder, measure=False)
-    export(plain_stage(), folder, measure=False, force=True)
+        export(plain_stage(), folder)
+    export(plain_stage(), folder, force=True)
     (folder / "own.c").write_text("")
     with pytest.raises(FileFormatError, match=r"files \(own.c\)"):
-        export(plain_stage(), folder, measure=False, force=True)
+        export(plain_stage(), folder, force=True)
 
 
 @pytest.mark.parametrize("name", ["int", "dehyst_x", "2x", "a b"])
@@ -244,7 +229,7 @@ class TestCommand:
 
     def test_it_writes_a_folder_that_replays(self, file, tmp_path):
         need("gcc", "make")
-        words = self.run("export", file, tmp_path / "c", "--limits", 0, 150, "--no-measure")
+        words = self.run("export", file, tmp_path / "c", "--limits", 0, 150)
         assert "a compensator of the axes x, y, z" in words
         assert make(tmp_path / "c", "check")[0] == 0
         shutil.rmtree(tmp_path / "c")
@@ -295,9 +280,9 @@ def test_temperatures_give_the_bits_of_python(tmp_path):
     stage = Stage(tuple(plants), COUPLING[:2, :2])
     warm = tuple(replace(one, thermal=part) for one, part in zip(plants, thermals, strict=True))
     loop = StageCompensator(replace(stage, actuators=warm), limits=[(20.0, 180.0), (0.0, 150.0)])
-    cold = export(StageCompensator(stage, limits=loop.limits), tmp_path / "cold", measure=False).folder
+    cold = export(StageCompensator(stage, limits=loop.limits), tmp_path / "cold")
     assert "stage_temperature" not in (cold / "stage.h").read_text()
-    folder = export(loop, tmp_path / "c", measure=False).folder
+    folder = export(loop, tmp_path / "c")
     (folder / "warming.c").write_text(WARMING)
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
     subprocess.run(["gcc", *flags, "warming.c", "stage.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)

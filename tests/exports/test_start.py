@@ -14,7 +14,7 @@ from dehyst.exports.model_header import ExportedStart
 @pytest.mark.parametrize("kind", ["plain", "all", "moving"])
 def test_the_files_say_where_memory_begins(tmp_path, kind):
     compensator = KINDS[kind]()
-    export(compensator, tmp_path / "c", measure=False)
+    export(compensator, tmp_path / "c")
     outset = ExportedStart.of(compensator)
     held = compensator.actuator.voltage(compensator.clone().state)
     assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)

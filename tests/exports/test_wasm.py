@@ -427,7 +427,6 @@ def test_the_command_writes_what_the_function_writes(tmp_path):
     assert about["name"] == actuator.name
     for options in (
         ["--name", "stage"],
-        ["--no-measure"],
         ["--number", "float"],
         ["--kind", "actuator"],
     ):

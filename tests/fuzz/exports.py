@@ -13,11 +13,11 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "support")]
 import batches
 import numpy as np
 import specimens
+from compiled_exports import STRICT
 from sanitized import SANITIZE
 
 from dehyst import DehystError
 from dehyst.exports.firmware import SOURCES, code
-from dehyst.exports.footprint import STRICT
 
 STEPS = 20_000
 

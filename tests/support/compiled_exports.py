@@ -14,8 +14,10 @@ import structured_records
 
 from dehyst import Compensator, DisplacementCreep, Dynamics
 from dehyst.exports.firmware import SOURCES, code
-from dehyst.exports.footprint import CORTEX_M4F, STRICT
 
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
+CORTEX_M4 = ("-O2", "-mcpu=cortex-m4", "-mthumb")
+CORTEX_M4F = (*CORTEX_M4, "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 LIMITS = (10.0, 150.0)
 _BUILT = tempfile.TemporaryDirectory(prefix="dehyst-core-")
 SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407
@@ -259,53 +261,6 @@ def instructions(folder, given, *, follows=False):
     rows = must_run([*QEMU[:-1], "-icount", "shift=6", "-kernel", program], folder).splitlines()
     counts, volts = zip(*(row.split() for row in rows), strict=True)
     return np.array(counts, dtype=float) / COUNTS_AN_INSTRUCTION, 1e-6 * np.array(volts, dtype=float)
-
-
-PAINT = r"""
-#include <stdio.h>
-#include "piezo.h"
-#define ROOM 4096
-
-static volatile unsigned char *bottom;
-
-__attribute__((noinline)) static void paint(void)
-{
-    volatile unsigned char room[ROOM];
-    int i;
-    for (i = 0; i < ROOM; i++) room[i] = 0xA5;
-    bottom = room;
-}
-
-__attribute__((noinline)) static int depth(void)
-{
-    int i = 0;
-    while (i < ROOM && bottom[i] == 0xA5) i++;
-    return ROOM - i;
-}
-
-int main(void)
-{
-    static piezo p;
-    dehyst_real wish = 1;
-    int t, most = 0, now;
-    piezo_begin(&p);
-    for (t = 0; t < 100; t++) {
-        wish = -wish;
-        paint();
-        piezo_step(&p, wish);
-        now = depth();
-        if (now > most) most = now;
-    }
-    printf("%d %d\n", most, (int)sizeof(piezo));
-    return 0;
-}
-"""
-
-
-def painted(folder):
-    """Bytes of stack that steps have touched on an emulated Cortex-M4, by its unit, and of one piezo."""
-    program = _built_for_board(folder, "paint", PAINT, "-Wno-dangling-pointer")
-    return tuple(int(n) for n in must_run([*QEMU, program], folder).split())
 
 
 KINDS = {

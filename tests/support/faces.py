@@ -26,7 +26,7 @@ FACES = {
             plan_voltage shortest_homing wave_table
         """,
         "exports": """
-            Exported SourceOnlyWarning export export_fmu export_wasm sizes wasm_module
+            SourceOnlyWarning export export_fmu export_wasm wasm_module
         """,
         "fleet": """
             FleetTable identify_fleet

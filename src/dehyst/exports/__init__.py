@@ -1,17 +1,14 @@
 """Exports: a compensator as C source or WebAssembly, an actuator or a compensator as an FMU."""
 
-from dehyst.exports.firmware import Exported, export
+from dehyst.exports.firmware import export
 from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
-from dehyst.exports.footprint import sizes
 from dehyst.exports.naming import shipped
 from dehyst.exports.wasm import export_wasm, wasm_module
 
 __all__ = [
-    "Exported",
     "SourceOnlyWarning",
     "export",
     "export_fmu",
     "export_wasm",
-    "sizes",
     "wasm_module",
 ]

@@ -8,7 +8,6 @@ import tempfile
 from itertools import accumulate
 from pathlib import Path
 from string import Template
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwri
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.control import Compensator, StageCompensator
-from dehyst.exports.footprint import Footprint, Measurement, measure
 from dehyst.exports.golden_trace import Loop, golden_trace, trace_header
 from dehyst.exports.model_header import ExportedStart, ModelText, Number, config_header, demand_compensator
 from dehyst.exports.naming import DEFAULT, demand_name, name_in, printable, shipped, text_of
@@ -52,37 +50,14 @@ dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[MODEL_AXES])
     return status;
 }
 """
-# A float's error, as a share of the range: below the first, the number type was not changed everywhere.
-_LEAST, _UNMEASURED, _MARGIN = 1e-9, 1e-3, 2.0
-_ANY = 1e300
+# Bounds of a float's error, as a share of the range: below the first, the number type was not changed everywhere.
+_LEAST, _MOST = 1e-9, 1e-3
 _AHEAD = "\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */"
 _SMOOTH = """
 
 Wanted displacements must be smooth, without jumps, corners or noise: delays are compensated by differences between
 samples, which amplify these. Voltages stay within the limits all the same.
 """
-_INDENT = " " * 22 + "# "
-_TABLE = """\
-| bytes | flash | RAM for one `piezo` | stack |
-| --- | --- | --- | --- |
-{rows}
-
-Flash: code, numbers and the compiler's own arithmetic; `-flto` leaves out what this model does not need.
-Stack: the deepest chain of calls, without that arithmetic."""
-
-
-class Exported(NamedTuple):
-    """An exported `folder`, and its measured size and error.
-
-    `footprints`: bytes by processor, for each compiler that was found. `error`: largest error of floats in the trace,
-    as a share of the limits or of the reach; None if not measured. `unmeasured`: why bytes or error were not measured
-    on this computer; None if they were.
-    """
-
-    folder: Path
-    footprints: dict[str, Footprint]
-    error: float | None
-    unmeasured: str | None
 
 
 def code(compensator: Loop, number: Number = "double", name: str | None = None) -> dict[str, str]:
@@ -177,8 +152,7 @@ def export(
     *,
     force: bool = False,
     name: str | None = None,
-    measure: bool = True,
-) -> Exported:
+) -> Path:
     """Write a compensator as C: the whole folder, or nothing.
 
     Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs
@@ -193,14 +167,17 @@ def export(
     directory : path
         A new or an empty folder.
     number : {'double', 'float'}, optional
-        float: every number is rounded once, and the error is measured if there is a compiler. Coupled axes need double.
+        float: every number is rounded once. Coupled axes need double.
     force : bool, optional
         Replace an earlier export. A folder with other files is always refused.
     name : str, optional
         Name in C of the type and the calls, by default piezo, or stage, so that several models fit into one firmware:
         the files of the model are then NAME.c and NAME.h, and macros begin with it.
-    measure : bool, optional
-        Compile the export to measure bytes and the error of floats, which takes seconds.
+
+    Returns
+    -------
+    Path
+        The folder.
 
     Raises
     ------
@@ -219,26 +196,15 @@ def export(
     try:
         _demand_free(folder, force)
         draft.mkdir()
-        _write(draft, {**files, "LICENSE": shipped("LICENSE")})
-        found = _complete(draft, compensator, number, own, measure)
+        trace = golden_trace(compensator)
+        files |= {"trace.h": trace_header(trace, _LEAST, _MOST), "LICENSE": shipped("LICENSE")}
+        _write(draft, files | {"README.md": _readme(compensator, number, len(trace.rows), own)})
         _put(draft, target)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-    return Exported(folder, *found)
-
-
-def _complete(draft: Path, compensator: Loop, number: Number, name: str, measured: bool) -> Measurement:
-    """Add the trace with its error bound and the README with the measured sizes, which need the other files."""
-    trace = golden_trace(compensator)
-    _write(draft, {"trace.h": trace_header(trace, _LEAST, _ANY)})
-    found = measure(draft, number, name) if measured else Measurement({}, None, "not asked for")
-    if number == "float":
-        most = _UNMEASURED if found.error is None else _MARGIN * found.error
-        _write(draft, {"trace.h": trace_header(trace, _LEAST, most)})
-    _write(draft, {"README.md": _readme(compensator, number, len(trace.rows), found, name)})
-    return found
+    return folder
 
 
 def _demand_free(folder: Path, force: bool) -> None:
@@ -288,22 +254,11 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             settle(stream.fileno())
 
 
-def _readme(compensator: Loop, number: Number, rows: int, found: Measurement, own: str) -> str:
-    period, sizes = compensator.period, []
-    if found.unmeasured is not None:
-        sizes.append(
-            f"Not measured on this computer: {found.unmeasured}. To measure it later: "
-            "`dehyst.exports.sizes(folder, compiler)`."
-        )
-    if found.footprints or not sizes:
-        lines = (
-            f"| {key} | {one.flash} | {one.ram} | {one.stack or 'unknown'} |" for key, one in found.footprints.items()
-        )
-        sizes.append(_TABLE.format(rows="\n".join(lines)))
+def _readme(compensator: Loop, number: Number, rows: int, own: str) -> str:
+    period = compensator.period
     words: dict[str, object] = {
         "version": __version__,
         "every": "a sample" if period is None else f"every {period:.9g} s",
-        "bytes": text_of("\n\n".join(sizes), own),
         "rows": rows,
     }
     if isinstance(compensator, StageCompensator):
@@ -316,7 +271,7 @@ def _readme(compensator: Loop, number: Number, rows: int, found: Measurement, ow
         }
     else:
         template = "README.md"
-        words |= _axis_words(compensator, number, found.error, own)
+        words |= _axis_words(compensator, number, own)
     return Template(text_of(shipped(template), own)).substitute(words)
 
 
@@ -327,19 +282,13 @@ def _axis_row(axis: str, loop: Compensator) -> str:
     return f"| {axis} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |"
 
 
-def _axis_words(compensator: Compensator, number: Number, error: float | None, own: str) -> dict[str, object]:
+def _axis_words(compensator: Compensator, number: Number, own: str) -> dict[str, object]:
     """Return what the README says of a single axis."""
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
     start = ExportedStart.of(compensator)
     timer = "this model does not depend on time" if period is None else f"every {period:.9g} s, MODEL_PERIOD"
-    if number == "double":
-        bound = ": the same bits"
-    elif error is None:
-        bound = f"; the error was not\n{_INDENT}measured, it must be below {_UNMEASURED:.0e} of the range"
-    else:
-        most = f"{_MARGIN * error:.1e}"
-        bound = f"; errors are at most {error:.1e}\n{_INDENT}of the range and must lie between {_LEAST:.0e} and {most}"
+    bound = ": the same bits" if number == "double" else f", with errors below {_MOST:.0e} of the range"
     return {
         "name": printable(compensator.actuator.name),
         "number": number,

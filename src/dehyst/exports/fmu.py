@@ -9,6 +9,7 @@ import os
 import platform
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
 import uuid
@@ -25,7 +26,6 @@ from dehyst._io import PathLike, demand_alike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.firmware import CONFIG, CORE
-from dehyst.exports.footprint import run
 from dehyst.exports.model_header import (
     ExportedStart,
     ModelText,
@@ -161,10 +161,19 @@ def _compiled(sources: Mapping[str, str]) -> bytes:
         folder = Path(name)
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8")
+        command = [*compiler.split(), *_FLAGS, _SOURCE, "-o", "fmu.so"]
+        english = {**os.environ, "LC_ALL": "C"}
         try:
-            run([*compiler.split(), *_FLAGS, _SOURCE, "-o", "fmu.so"], folder)
-        except FileFormatError as error:
-            raise _NoBinaryError(str(error)) from error
+            done = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, check=False, timeout=300, env=english
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise _NoBinaryError(f"{compiler} cannot be run ({error})") from error
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or [f"status {done.returncode}"]
+            # A compiler names places before it names the error.
+            errors = [line for line in lines if "error" in line.lower()]
+            raise _NoBinaryError(f"{compiler} failed: {(errors or lines)[0]}")
         return (folder / "fmu.so").read_bytes()
 
 

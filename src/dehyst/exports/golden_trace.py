@@ -202,6 +202,4 @@ def _row(values: float | Array) -> tuple[float, ...]:
 
 def _place(loop: Loop) -> tuple[float, ...]:
     """Return the displacements of the body [m]; for one actuator, of its mass."""
-    if not isinstance(loop, Compensator):
-        return _row(loop.displacement)
-    return (loop.actuator.displacement(loop.state),)
+    return _row(loop.displacement)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,16 +13,12 @@ from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
 from dehyst.exports.golden_trace import Loop
 from dehyst.exports.wasm import export_wasm, wasm_files
 
-# The disk is full or broken.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-
 
 class Written(NamedTuple):
-    """Result of an export: `values` for JSON, a `line` about it, a `table` of lines below it, and `remarks`."""
+    """Result of an export: `values` for JSON, a `line` about it, and `remarks`."""
 
     values: dict[str, Any]
     line: str
-    table: Sequence[str] = ()
     remarks: Sequence[str] = ()
 
 
@@ -42,25 +37,11 @@ class Target(NamedTuple):
 
 
 def _write_c(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
-    number, measured = options["number"], options["measure"]
-    made = export(loop, path, number, force=options["force"], measure=measured, name=options["name"])
-    remarks = []
-    if measured and made.unmeasured is not None:
-        remarks.append(f"bytes and errors were not measured on this computer: {made.unmeasured}")
-    table = [f"{'bytes':<40}{'flash':>8}{'RAM':>8}{'stack':>8}"] if made.footprints else []
-    for name, size in made.footprints.items():
-        table.append(f"{name:<40}{size.flash:>8}{size.ram:>8}{'-' if size.stack is None else size.stack:>8}")
-    if made.error is not None:
-        table.append(f"floats: errors up to {made.error:.1e} of the range")
-    values = {
-        "directory": str(path),
-        "number": number,
-        "bytes": {name: size._asdict() for name, size in made.footprints.items()},
-        "error_of_range": made.error,
-        "unmeasured": made.unmeasured,
-    }
+    number = options["number"]
+    export(loop, path, number, force=options["force"], name=options["name"])
+    values = {"directory": str(path), "number": number}
     of_axes = "" if isinstance(loop, Compensator) else f" of the axes {', '.join(loop.stage.axes)},"
-    return Written(values, f"{path}: a compensator{of_axes} of {number}s", table, remarks)
+    return Written(values, f"{path}: a compensator{of_axes} of {number}s")
 
 
 def _write_wasm(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
@@ -80,12 +61,12 @@ def _write_fmu(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
     remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     content = "sources" if remarks else "sources and a binary for Linux x86-64"
     values = {"fmu": str(path), "kind": kind, "binary": not remarks}
-    return Written(values, f"{path}: an FMU of the {kind}, {content}", (), remarks)
+    return Written(values, f"{path}: an FMU of the {kind}, {content}", remarks)
 
 
 # By suffix; a path without one is a folder of C, as is any with a suffix that is not here.
 TARGETS = {
-    "": Target("C for one axis", _write_c, ("preview", "number", "name", "measure"), None),
+    "": Target("C for one axis", _write_c, ("preview", "number", "name"), None),
     ".wasm": Target("WebAssembly", _write_wasm, ("preview",), wasm_files),
     ".fmu": Target("an FMU", _write_fmu, ("preview", "kind")),
 }

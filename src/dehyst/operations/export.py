@@ -55,7 +55,6 @@ def export(
     period: float | None = None,
     preview: Annotated[bool, _of_one, _of("preview"), _of_loop] = False,
     name: Annotated[str | None, _of("name")] = None,
-    measure: Annotated[bool, _of("measure")] = True,
     kind: Annotated[Literal["compensator", "actuator"], _of("kind")] = "compensator",
     start: Start = _TOP,
 ) -> Result:
@@ -81,8 +80,6 @@ def export(
     name
         Prefix of files, type and functions, so that several models fit into one firmware; default: piezo,
         or stage for several axes.
-    measure
-        Compile the export and report its size and the error due to floats; takes seconds.
     kind
         Kind of FMU: compensator (displacement to voltage), or virtual actuator.
     start
@@ -122,7 +119,7 @@ def export(
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
     if kind != "actuator":
         remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
-    chosen = {"number": number, "name": name, "measure": measure, "force": run.force, "kind": kind}
+    chosen = {"number": number, "name": name, "force": run.force, "kind": kind}
     written = target.write(compensator, directory, chosen)
     remarks += [*written.remarks]
     begin = [ExportedStart.of(loop) for loop in loops]
@@ -137,7 +134,7 @@ def export(
     if kind != "actuator":
         fields |= known.merged([slew.fields() for slew in slews])
         words = [[*own, slew.words] for own, slew in zip(words, slews, strict=True)]
-    lines = [written.line, *known.prefixed(words), *written.table]
+    lines = [written.line, *known.prefixed(words)]
     return Result({**fields, "warnings": remarks}, lines, warnings=remarks)
 
 
