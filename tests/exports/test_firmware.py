@@ -577,7 +577,7 @@ def test_on_the_command_line(tmp_path):
 
     status, out, err = exported("--json", "--slew-rate", "2e4", "--period", "1e-3")
     assert status == 0, err
-    told = json.loads(out)
+    assert json.loads(out)["number"] == "double"
     compensator = Compensator(
         made.actuator, (0, 250), 2e4, period=1e-3, state=made.actuator.turned(plain_records.STROKE)
     )

@@ -228,5 +228,5 @@ def test_initial_displacements_are_those_of_the_corners_of_the_polytope():
     actuator = plain_records.plant(6)
     rho, kappa = actuator.slip.breakaway, actuator.slip.stiffness
     held = [float(kappa @ (rho * signs)) for signs in product((-1.0, 1.0), repeat=6)]
-    places = [actuator.relaxed(-volts, extrapolate=True).displacement for volts in held]
+    places = [actuator.relaxed(-volts, extrapolate=True).deformation for volts in held]
     assert initial_displacements(actuator) == pytest.approx((min(places), max(places)), rel=1e-12)

@@ -239,5 +239,5 @@ def initial_displacements(actuator: Actuator) -> tuple[float, float]:
     element holds its breakaway force.
     """
     held = float(actuator.slip.stiffness @ actuator.slip.breakaway)
-    low, high = (actuator.relaxed(volts, extrapolate=True).displacement for volts in (-held, held))
+    low, high = (actuator.relaxed(volts, extrapolate=True).deformation for volts in (-held, held))
     return low, high
