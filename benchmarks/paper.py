@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dehyst.paper import run
-from dehyst.paper.experiment import ELEMENTS, ENERGISED, PEAKS, RELAXED, Experiment, PaperTrial, paper_trial
+from dehyst.paper.experiment import ELEMENTS, ENERGISED, RELAXED, Experiment, PaperTrial, paper_trial
+from dehyst.records import largest
 from dehyst_rivals import GoldfarbCelanovic
 
 RIVAL = {"goldfarb": RELAXED, "goldfarb_energised": ENERGISED}
@@ -17,20 +18,18 @@ RIVAL = {"goldfarb": RELAXED, "goldfarb_energised": ENERGISED}
 def rival_trial(found: Experiment, start: str) -> PaperTrial:
     """Fit the model to the first rise from a start."""
     model = GoldfarbCelanovic.fit(found.runs[start].record, elements=ELEMENTS)
-    return paper_trial(found.truth, found.runs[start], model.actuator, "CLOSED_FORM", model.remarks)
+    return paper_trial(found.truth, found.runs[start], model.actuator, "CLOSED_FORM")
 
 
 def add_rival(found: Experiment, rows: list[dict[str, Any]]) -> None:
     """Add the model's numbers to the rows of the summary."""
     for key, start in RIVAL.items():
         trial = rival_trial(found, start)
-        numbers = {loop: trial.errors[loop].true for loop in PEAKS} | {"tracking": trial.tracking.largest}
+        numbers = dict(trial.errors) | {"tracking": largest(trial.tracking.error)}
         if start == RELAXED:
             numbers["shift"] = 1e6 * trial.shift
         for row in rows:
             row[key] = numbers.get(row["key"])
-            if row["key"] in PEAKS:
-                row["against_measurement"][key] = trial.errors[row["key"]].measured
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from dehyst._io import read_json
 from dehyst.paper import experiment, tables
 from dehyst.paper import run as paper
 from dehyst.paper.tables import MODELS
-from dehyst.records import read_table
+from dehyst.records import largest
 
 pytestmark = pytest.mark.slow
 NUMBERS = range(3, 13)
@@ -92,7 +92,7 @@ def page(folder):
 
 
 @pytest.mark.nightly
-def test_every_figure_is_there_in_three_formats(folder):
+def test_every_figure_is_there_in_two_formats(folder):
     for name in FIGURES:
         svg = ET.parse(folder / f"{name}.svg").getroot()
         width, height = (float(svg.get(key).removesuffix("pt")) / 72 for key in ("width", "height"))
@@ -101,20 +101,6 @@ def test_every_figure_is_there_in_three_formats(folder):
         png = (folder / f"{name}.png").read_bytes()
         assert png[:8] == b"\x89PNG\r\n\x1a\n" and png[-8:-4] == b"IEND"
         assert int.from_bytes(png[16:20], "big") == pytest.approx(600 * width, abs=1)
-        table = read_table(folder / f"{name}.csv")
-        assert len(table.columns) >= 2
-        for column in table.columns:
-            assert not column.fault and np.isfinite(column.data).all()
-
-
-def test_the_data_of_a_figure_is_what_was_measured(folder, result):
-    run = result.asymmetric.runs["relaxed"]
-    table = read_table(folder / "fig07.csv")
-    np.testing.assert_array_equal(table.column("voltage"), run.record.voltage)
-    np.testing.assert_allclose(table.column("displacement", "displacement_um"), run.record.displacement, rtol=1e-15)
-    simulated = table.column("displacement", "breakpoints_um")
-    again = result.asymmetric.trials["breakpoints"].actuator.simulate(run.record.voltage).displacement
-    np.testing.assert_allclose(simulated, again, atol=1e-18)
 
 
 def test_the_page_says_the_results(page, numbers):
@@ -149,39 +135,25 @@ def test_the_page_stands_alone_and_refers_to_nothing_missing(page, folder):
     assert not {"script", "link", "iframe", "object", "embed", "base", "img"} & set(page.tags)
     assert "@import" not in text and not re.findall(r"url\((?!#)", text)
     assert "default-src 'none'" in text
-    linked = {link for tag, key, link in page.attributes if tag == "a" and key == "href"}
-    # Those of the list of contents aside.
-    linked = {link for link in linked if not link.startswith("#")}
-    assert linked == {path.name for path in folder.iterdir()} - {"index.html"}
-
-
-def test_the_page_names_every_discrepancy(page):
-    words = re.sub(r"\s+", " ", "".join(page.text))
-    for part in (
-        "Where this differs from the paper, and why",
-        "T/km = 30 nm/V",
-        "strongly negative",
-        "k₁₀",
-        "10.1115/1.2192819",
-        "directions of the stiffnesses",
-        "Rayleigh",
-    ):
-        assert part in words
-    assert not re.search(r"\bnan\b|\{|\}|None", words)
 
 
 def test_the_virtual_actuator_is_what_the_paper_reports(numbers):
     assert value(numbers, "asymmetric", "nominal", "actuator") == pytest.approx(13.63, abs=0.05)
     assert value(numbers, "asymmetric", "range", "actuator") == pytest.approx(16.152, abs=0.005)
     assert value(numbers, "asymmetric", "spacing", "breakpoints") == pytest.approx(1.615, abs=0.001)
-    assert numbers["asymmetric"]["floors_percent"]["symmetric_width"] > 0.2
-    assert numbers["symmetric"]["floors_percent"]["symmetric_width"] < 1e-3
 
 
-def test_the_papers_method_errs_by_its_first_segment(numbers):
+def test_the_papers_method_errs_by_its_first_segment(result, numbers):
+    """A model through every break point misses a branch by what straight segments between them miss."""
+    found = result.symmetric
+    time, run = found.runs["relaxed"].record.time, found.runs["relaxed"]
+    falling = (time >= 2.5 * 100) & (time <= 3 * 100)
+    y, v = run.true[falling], run.record.voltage[falling]
+    knots = np.linspace(y[0], y[-1], 11)
+    chord = np.interp(v[::-1], np.interp(knots, y[::-1], v[::-1])[::-1], knots[::-1])[::-1]
+    missed = 100 * np.abs(chord - y).max() / found.truth.stroke
     for loop in ("major", "medium", "small"):
-        chord = numbers["symmetric"]["floors_percent"]["chords_10"]
-        assert value(numbers, "symmetric", loop, "breakpoints") == pytest.approx(chord, rel=0.03)
+        assert value(numbers, "symmetric", loop, "breakpoints") == pytest.approx(missed, rel=0.03)
 
 
 def test_the_whole_record_is_as_good_as_was_asked_where_nothing_is_open_and_the_class_fits(numbers):
@@ -192,19 +164,15 @@ def test_the_whole_record_is_as_good_as_was_asked_where_nothing_is_open_and_the_
     assert value(numbers, "asymmetric", "major", "record_tops") > 0.2
 
 
-def test_no_model_is_better_than_its_class(numbers):
-    floor = numbers["asymmetric"]["floors_percent"]["symmetric_width"]
-    assert all(row["major"] > floor for row in numbers["asymmetric"]["limits"])
-
-
 def test_the_shift_is_that_of_equation_10(result):
     for found in result.experiments.values():
-        shift = found.shift
+        # By Eq. 10 from measured numbers: minus the reading at t = 0 of a sensor not zeroed again.
+        rest = found.runs["relaxed"].zero - found.runs["pre-energised"].zero
         # Two samples set the two zeros in both numbers: what is left is the mean of the noise of two records.
-        assert shift.loop == pytest.approx(shift.rest, abs=3e-10)
-        assert shift.deviation == pytest.approx(np.sqrt(2) * found.truth.noise, rel=0.05)
+        assert found.shift.mean() == pytest.approx(rest, abs=3e-10)
+        assert found.shift.std() == pytest.approx(np.sqrt(2) * found.truth.noise, rel=0.05)
     predicted = result.symmetric.trials["record_tops"].shift
-    assert predicted == pytest.approx(result.symmetric.shift.loop, rel=0.02)
+    assert predicted == pytest.approx(result.symmetric.shift.mean(), rel=0.02)
 
 
 def test_physical_constants_are_the_papers(result):
@@ -227,7 +195,7 @@ def test_errors_start_at_the_first_peak_and_count_every_loop(result):
     assert spans[-1].stop == len(run.record)
     trial = result.asymmetric.trials["record"]
     worst = 100 * np.abs(trial.simulated[spans[1]] - run.true[spans[1]]).max() / 16.152e-6
-    assert trial.errors["medium"].true == pytest.approx(worst, rel=1e-12)
+    assert trial.errors["medium"] == pytest.approx(worst, rel=1e-12)
 
 
 def test_tracking_is_what_the_truth_does_with_the_voltage(result):
@@ -247,8 +215,8 @@ def test_the_same_seed_gives_the_same_numbers(monkeypatch, numbers):
     monkeypatch.setattr(experiment, "PLANS", experiment.PLANS[:1])
     again = experiment.run(experiment.virtual_actuator(), lambda _: None)
     first = numbers["asymmetric"]["limits"][0]
-    assert again.trials["breakpoints"].errors["medium"].true == first["medium"]
-    assert again.trials["breakpoints"].tracking.largest == first["tracking"]
+    assert again.trials["breakpoints"].errors["medium"] == first["medium"]
+    assert largest(again.trials["breakpoints"].tracking.error) == first["tracking"]
 
 
 @pytest.mark.nightly

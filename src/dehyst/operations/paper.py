@@ -9,17 +9,14 @@ from dehyst.operations.declaration import operation
 from dehyst.operations.run import Result, Run
 from dehyst.paper import Paper
 from dehyst.paper import run as experiment
-from dehyst.paper.tables import summary
+from dehyst.paper.tables import MODELS, summary
 
 _TITLES = {
     "asymmetric": "Virtual E-280.10",
     "symmetric": "The same without its asymmetric map: these errors come from the method, not from the model class",
 }
 _WIDTHS = (9, 12, 13, 12)
-_HEADS = (
-    ("paper", "ours, by", "ours, whole", "with more"),
-    ("", "its method", "record", "loops"),
-)
+_HEADS = (("paper", "ours, by", "ours, whole", "with more"), ("", "its method", "record", "loops"))
 
 
 @operation()
@@ -45,12 +42,10 @@ def _table(found: Paper) -> list[str]:
         lines.append(f"{_TITLES[key]} (errors against the truth)")
         lines += [f"  {'':<42}{_cells(head)}" for head in _HEADS]
         for row in summary(one):
-            cells = [row.models.get(name) for name in ("breakpoints", "record", "record_tops")]
-            if row.actuator is not None:
-                cells = [row.actuator, None, None] if not row.models else cells
+            cells = [row.models.get(name) for name in MODELS] if row.models else [row.actuator, None, None]
             texts = ("" if value is None else f"{value:.3f}" for value in (row.paper, *cells))
             unit = "um" if row.unit == "µm" else row.unit
-            lines.append(f"  {row.words + ', ' + unit:<42}{_cells(texts)}")
+            lines.append(f"  {row.quantity + ', ' + unit:<42}{_cells(texts)}")
         lines.append("")
     return lines
 

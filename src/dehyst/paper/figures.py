@@ -1,8 +1,8 @@
-"""Figs. 3 to 12 of the paper for a virtual actuator: drawings, captions and their data."""
+"""Figs. 3 to 12 of the paper for a virtual actuator; its schematics are on the theory page of the documentation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -27,16 +27,15 @@ _LINES: dict[str, dict[str, Any]] = {
 _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _Place: TypeAlias = Literal["", "upper left", "upper right"]
-# What draws on the axes; tables by suffix of the file's name, or the only one; size and number of the axes.
-_Figure = tuple[Callable[..., None], Mapping[str, Any], dict[str, Any]]
+# What draws on the axes; size and number of the axes.
+_Figure = tuple[Callable[..., None], dict[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
 class Plate:
     """A figure of the paper for the virtual actuator.
 
-    `number`: the paper's. `wide`: whether it takes two columns of a journal. `data`: tables by suffix of the file's
-    name ("" for the main one), each columns by name with their units.
+    `number`: the paper's. `wide`: whether it takes two columns of a journal.
     """
 
     number: int
@@ -44,7 +43,6 @@ class Plate:
     caption: str
     wide: bool
     drawing: Drawing
-    data: Mapping[str, Mapping[str, Array]]
 
     @property
     def name(self) -> str:
@@ -57,18 +55,17 @@ def plates(found: Experiment, symmetric: Experiment, progress: Progress) -> Iter
 
     Raise `MissingExtraError` if matplotlib is not installed.
     """
-    for number, (title, caption, make) in _FIGURES.items():
+    for number, (make, title, caption) in _FIGURES.items():
         progress(f"drawing Fig. {number} of {max(_FIGURES)}")
-        draw, data, layout = make(found, symmetric)
-        drawing = plots.drawing(f"paper{number}", draw, **layout)
-        tables = data if "" in data else {"": data}
-        yield Plate(number, title, caption, layout["size"][0] > COLUMN, drawing, tables)
+        draw, layout = make(found, symmetric)
+        wide = layout["size"][0] > COLUMN
+        yield Plate(number, title, caption, wide, plots.drawing(f"paper{number}", draw, **layout))
 
 
-def _major(found: Experiment) -> tuple[Array, Array, Array]:
-    """Return time [s], voltage [V] and displacement [um] of the major loop."""
-    record = found.runs[RELAXED].cut("major")
-    return record.time, record.voltage, 1e6 * record.displacement
+def _major(found: Experiment, start: str = RELAXED) -> tuple[Array, Array]:
+    """Return voltage [V] and displacement [um] of the major loop."""
+    record = found.runs[start].cut("major")
+    return record.voltage, 1e6 * record.displacement
 
 
 def _finish(
@@ -97,7 +94,7 @@ def _legend_above(ax: Axes) -> None:
 
 
 def _typical_loop(found: Experiment, _: Experiment) -> _Figure:
-    time, v, y = _major(found)
+    v, y = _major(found)
     rise, loop = slice(0, CYCLE // 2 + 1), slice(CYCLE // 2, CYCLE // 2 + CYCLE + 1)
 
     def draw(ax: Axes) -> None:
@@ -108,15 +105,13 @@ def _typical_loop(found: Experiment, _: Experiment) -> _Figure:
             ax.annotate("", (v[k + 12], y[k + 12]), (v[k - 12], y[k - 12]), arrowprops=arrow)
         _finish(ax, _VOLTAGE, _DISPLACEMENT, "upper left", xlim=(-5, 207))
 
-    return draw, {"time_s": time, "voltage_V": v, "displacement_um": y}, {"size": (COLUMN, 2.7)}
+    return draw, {"size": (COLUMN, 2.7)}
 
 
 def _antisymmetry(found: Experiment, symmetric: Experiment) -> _Figure:
-    v, y = (column[-CYCLE - 1 :] for column in _major(found)[1:])
-    loop = found.loops[0]
+    v, y = (column[-CYCLE - 1 :] for column in _major(found))
+    loop, pairs = found.loops[0], np.arange(1, ELEMENTS)
     peak, ends = PEAKS["major"], 1e6 * (loop.bottom + loop.top)
-    pairs = np.arange(1, ELEMENTS)
-    off, off_symmetric = found.midpoints, symmetric.midpoints
     hollow: dict[str, Any] = {"marker": "s", "ms": 3.4, "lw": 0.8, "ls": _DASHED, "mfc": "white"}
 
     def draw(left: Axes, right: Axes) -> None:
@@ -126,22 +121,17 @@ def _antisymmetry(found: Experiment, symmetric: Experiment) -> _Figure:
             left.plot(branch[1:-1, 1], 1e6 * branch[1:-1, 0], ls="none", marker="o", ms=3, mfc=face, mec=INK, mew=0.7)
         left.plot(peak / 2, ends / 2, marker="+", ms=9, mew=1.1, color=INK, ls="none", label="centre")
         _finish(left, _VOLTAGE, _DISPLACEMENT, "upper left", "(a)")
-        right.axhline(0, color=INK, lw=0.6)
-        right.plot(pairs, off, marker="o", ms=4, lw=0.8, color=plots.MEASURED, label="virtual E-280.10")
-        right.plot(pairs, off_symmetric, label="without its asymmetric map", color=plots.FALLING, **hollow)
-        ends_of_y = (None, 1.45 * off.max() + 0.5)
-        _finish(right, "pair of break points i", "midpoint less v₀/2 (V)", "upper right", "(b)", ylim=ends_of_y)
-        right.set_xticks(pairs)
+        right.plot(pairs, found.midpoints, marker="o", ms=4, lw=0.8, color=plots.MEASURED, label="virtual E-280.10")
+        right.plot(pairs, symmetric.midpoints, label="without its asymmetric map", color=plots.FALLING, **hollow)
+        ends_of_y = (None, 1.45 * found.midpoints.max() + 0.5)
+        x, y_label = "pair of break points i", "midpoint less v₀/2 (V)"
+        _finish(right, x, y_label, "upper right", "(b)", zero=True, ylim=ends_of_y, xticks=pairs)
 
-    data = {
-        "": {"voltage_V": v, "displacement_um": y, "turned_voltage_V": peak - v, "turned_displacement_um": ends - y},
-        "-midpoints": {"i": pairs, "off_V": off, "without_map_off_V": off_symmetric},
-    }
-    return draw, data, {"size": (PAGE, 2.9), "columns": 2}
+    return draw, {"size": (PAGE, 2.9), "columns": 2}
 
 
 def _break_points(found: Experiment, _: Experiment) -> _Figure:
-    v, y = (column[-CYCLE - 1 :] for column in _major(found)[1:])
+    v, y = (column[-CYCLE - 1 :] for column in _major(found))
     loop = found.loops[0]
     down, up = (np.column_stack([1e6 * b[:, 0], b[:, 1]]) for b in (loop.descending, loop.ascending))
     step, marked, inner = 1e6 * loop.range / ELEMENTS, 4, range(1, ELEMENTS)
@@ -166,22 +156,16 @@ def _break_points(found: Experiment, _: Experiment) -> _Figure:
         ax.text(210, down[marked, 0] - step / 2, f"2δ keq/km = {step:.3f} µm", ha="right", va="center", fontsize=8)
         note("y(T₀/2), v₀", down[0], (-6, 5), "right")
         note("y(T₀)", up[0], (-6, -3), "right")
-        ax.set(xlabel=_VOLTAGE, ylabel=_DISPLACEMENT, xlim=(-22, 236), ylim=(y.min() - 1, y.max() + 1.6))
-        ax.set_xticks(np.arange(0, 201, 25))
+        limits: dict[str, Any] = {"xlim": (-22, 236), "ylim": (y.min() - 1, y.max() + 1.6)}
+        _finish(ax, _VOLTAGE, _DISPLACEMENT, "upper left", xticks=np.arange(0, 201, 25), **limits)
         ax.grid(visible=False)
-        ax.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
 
-    points = {"i": np.arange(ELEMENTS + 1.0)}
-    for name, branch in (("descending", down), ("ascending", up)):
-        points |= {f"{name}_displacement_um": branch[:, 0], f"{name}_voltage_V": branch[:, 1]}
-    return draw, {"": {"voltage_V": v, "displacement_um": y}, "-break-points": points}, {"size": (PAGE, 4.2)}
+    return draw, {"size": (PAGE, 4.2)}
 
 
 def _initial_states(found: Experiment, _: Experiment) -> _Figure:
-    runs = {start: found.runs[start].cut("major") for start in (RELAXED, ENERGISED)}
-    time, v = runs[RELAXED].time, runs[RELAXED].voltage
-    relaxed, energised = (1e6 * record.displacement for record in runs.values())
-    moved, half = energised - relaxed, CYCLE // 2
+    (v, relaxed), energised, half = _major(found), _major(found, ENERGISED)[1], CYCLE // 2
+    moved = energised - relaxed
 
     def draw(left: Axes, right: Axes) -> None:
         plots.line(left, v, relaxed, color=plots.MEASURED, lw=1.2, label="relaxed")
@@ -193,11 +177,10 @@ def _initial_states(found: Experiment, _: Experiment) -> _Figure:
         for key in ("breakpoints", "record_tops"):
             style = {**_LINES[key], "label": f"Eq. 10, {_LINES[key]['label']}"}
             right.axhline(1e6 * found.trials[key].shift, **style)
-        lowest = 1e6 * found.shift.loop - 0.25
+        lowest = 1e6 * found.shift.mean() - 0.25
         _finish(right, _VOLTAGE, "pre-energised less relaxed (µm)", "upper right", "(b)", ylim=(lowest, 0.25))
 
-    data = {"time_s": time, "voltage_V": v, "relaxed_um": relaxed, "energised_um": energised}
-    return draw, data, {"size": (PAGE, 2.9), "columns": 2}
+    return draw, {"size": (PAGE, 2.9), "columns": 2}
 
 
 def _loops(found: Experiment, _: Experiment) -> _Figure:
@@ -225,26 +208,21 @@ def _loops(found: Experiment, _: Experiment) -> _Figure:
             _finish(upper, "", _DISPLACEMENT if legend else "", legend, title)
             _finish(lower, _VOLTAGE, "residual (% of range)" if legend else "", legend, zero=True)
 
-    data = {"time_s": run.record.time, "voltage_V": v, "displacement_um": 1e6 * y, "true_um": 1e6 * run.true}
-    data |= {f"{key}_um": 1e6 * found.trials[key].simulated for key in shown}
-    return draw, data, {"size": (PAGE, 4.4), "rows": 2, "columns": 3, "share": True}
+    return draw, {"size": (PAGE, 4.4), "rows": 2, "columns": 3, "share": True}
 
 
 def _parallel_spring(found: Experiment, _: Experiment) -> _Figure:
     p, other = (physical(found, key) for key in ("breakpoints", "record_10"))
-    x, other_x = 1e6 * p.deformation, 1e6 * other.deformation
-    linear = p.equivalent_stiffness * p.deformation
+    x, linear = 1e6 * p.deformation, p.equivalent_stiffness * p.deformation
 
     def draw(ax: Axes) -> None:
         ax.plot(x, p.parallel, color=INK, lw=1.2, marker="o", ms=3, label="h = keq x + g")
         ax.plot(x, linear, color=plots.MEASURED, lw=1.0, ls=_DASHED, label="keq x")
         ax.plot(x, p.nonlinear, color=plots.SIMULATED, lw=1.0, marker="s", ms=2.6, label="g")
-        ax.plot(other_x, other.parallel, color=_GREEN, lw=1.0, ls=_DOTTED, label="h, whole record")
+        ax.plot(1e6 * other.deformation, other.parallel, color=_GREEN, lw=1.0, ls=_DOTTED, label="h, whole record")
         _finish(ax, "deformation x (µm)", "force (N)", "upper left", zero=True)
 
-    data = {"x_um": x, "h_N": p.parallel, "linear_N": linear, "g_N": p.nonlinear}
-    data |= {"whole_record_x_um": other_x, "whole_record_h_N": other.parallel}
-    return draw, data, {"size": (COLUMN, 2.9)}
+    return draw, {"size": (COLUMN, 2.9)}
 
 
 def _right_extreme(found: Experiment, _: Experiment) -> _Figure:
@@ -253,133 +231,124 @@ def _right_extreme(found: Experiment, _: Experiment) -> _Figure:
     v, y = run.record.voltage[last], 1e6 * run.record.displacement[last]
     step, peak = 1e6 * found.loops[0].range / ELEMENTS, PEAKS["medium"]
     near = y > y.max() - 1.35 * step
-    simulated = {key: 1e6 * found.trials[key].simulated[last] for key in ("breakpoints", "record_tops")}
     dots: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3, "mfc": "none", "mec": plots.MEASURED, "mew": 0.6}
 
     def draw(ax: Axes) -> None:
         ax.plot(v[near], y[near], label="measured", **dots)
-        for key, values in simulated.items():
-            ax.plot(v[near], values[near], **_LINES[key])
+        for key in ("breakpoints", "record_tops"):
+            ax.plot(v[near], 1e6 * found.trials[key].simulated[last][near], **_LINES[key])
         ends = (y.max() - step, y.max())
         _span(ax, peak + 2.4, *ends)
         ax.text(peak + 3.2, sum(ends) / 2, "first\nsegment", va="center", fontsize=8)
-        _finish(ax, _VOLTAGE, _DISPLACEMENT, "upper left")
-        ax.set(xlim=(None, peak + 15), ylim=(None, y.max() + 0.55 * step))
+        limits: dict[str, Any] = {"xlim": (None, peak + 15), "ylim": (None, y.max() + 0.55 * step)}
+        _finish(ax, _VOLTAGE, _DISPLACEMENT, "upper left", **limits)
 
-    data = {"voltage_V": v, "displacement_um": y, **{f"{key}_um": values for key, values in simulated.items()}}
-    return draw, data, {"size": (COLUMN, 3.0)}
+    return draw, {"size": (COLUMN, 3.0)}
+
+
+_TRACKED = ("breakpoints", "record_tops")
 
 
 def _control_voltages(found: Experiment, _: Experiment) -> _Figure:
     time, nominal = found.nominal.time, found.nominal.voltage
-    sent = {key: found.trials[key].tracking.voltage for key in ("breakpoints", "record_tops")}
 
     def draw(upper: Axes, lower: Axes) -> None:
         plots.line(upper, time, nominal, **_LINES["nominal"])
-        for key, voltage in sent.items():
+        for key in _TRACKED:
+            voltage = found.trials[key].tracking.voltage
             plots.line(upper, time, voltage, **_LINES[key])
             plots.line(lower, time, voltage - nominal, **_LINES[key])
         _finish(upper, "", _VOLTAGE, letter="(a)", ylim=(-8, 208))
         _finish(lower, _TIME, "less nominal (V)", letter="(b)", zero=True)
         _legend_above(upper)
 
-    data = {"time_s": time, "nominal_V": nominal, **{f"{key}_V": voltage for key, voltage in sent.items()}}
-    return draw, data, {"size": (COLUMN, 4.0), "rows": 2, "share": True}
+    return draw, {"size": (COLUMN, 4.0), "rows": 2, "share": True}
 
 
 def _trajectories(found: Experiment, _: Experiment) -> _Figure:
     time, wanted = found.nominal.time, 1e6 * found.nominal.wanted
-    tried = {key: found.trials[key].tracking for key in ("breakpoints", "record_tops")}
-    reached = {key: 1e6 * one.reached for key, one in {"nominal": found.nominal, **tried}.items()}
+    tried = {"nominal": found.nominal} | {key: found.trials[key].tracking for key in _TRACKED}
 
     def draw(ax: Axes) -> None:
         plots.line(ax, time, wanted, color=_GREY, lw=3.2, alpha=0.5, label="wanted")
-        for key, y in reached.items():
-            plots.line(ax, time, y, **_LINES[key])
+        for key, tracking in tried.items():
+            plots.line(ax, time, 1e6 * tracking.reached, **_LINES[key])
         _finish(ax, _TIME, _DISPLACEMENT)
         _legend_above(ax)
 
-    data = {"time_s": time, "wanted_um": wanted, **{f"{key}_um": y for key, y in reached.items()}}
-    return draw, data, {"size": (COLUMN, 3.1)}
+    return draw, {"size": (COLUMN, 3.1)}
 
 
 def _tracking_errors(found: Experiment, symmetric: Experiment) -> _Figure:
-    time, nominal, keys = found.nominal.time, found.nominal.error, ("breakpoints", "record_tops")
+    time = found.nominal.time
 
     def draw(upper: Axes, middle: Axes, lower: Axes) -> None:
-        plots.line(upper, time, nominal, **_LINES["nominal"])
-        for ax, shown, tried in ((upper, keys, found), (middle, keys[1:], found), (lower, keys[1:], symmetric)):
-            for key in shown:
+        plots.line(upper, time, found.nominal.error, **_LINES["nominal"])
+        for ax, tried in ((upper, found), (middle, found), (lower, symmetric)):
+            for key in _TRACKED:
                 plots.line(ax, time, tried.trials[key].tracking.error, **_LINES[key])
         for ax, text in ((upper, "(a)"), (middle, "(b) magnified"), (lower, "(c) without the asymmetric map")):
             _finish(ax, _TIME if ax is lower else "", "error (% of range)", letter=text, zero=True)
         _legend_above(upper)
         lower.set_ylim(middle.get_ylim())
 
-    data = {"time_s": time, "nominal_percent": nominal}
-    for prefix, tried in (("", found), ("without_map_", symmetric)):
-        data |= {f"{prefix}{key}_percent": tried.trials[key].tracking.error for key in keys}
-    return draw, data, {"size": (COLUMN, 5.4), "rows": 3, "share": True, "heights": (1.25, 1.0, 1.0)}
+    return draw, {"size": (COLUMN, 5.4), "rows": 3, "share": True, "heights": (1.25, 1.0, 1.0)}
 
 
-# By the paper's number; Figs. 1 and 2, schematics, are those of the theory page of the documentation.
-_FIGURES: dict[int, tuple[str, str, Callable[[Experiment, Experiment], _Figure]]] = {
-    3: (
-        "A typical hysteresis loop",
-        "From the relaxed state. 0 V leads back to the residual displacement.",
-        _typical_loop,
-    ),
+# By the paper's number: what makes it, its title and its caption.
+_FIGURES: dict[int, tuple[Callable[[Experiment, Experiment], _Figure], str, str]] = {
+    3: (_typical_loop, "A typical hysteresis loop", "From the relaxed state. 0 V leads to the residual displacement."),
     4: (
+        _antisymmetry,
         "Anti-symmetry",
         "(a) The loop and its image under a half-turn about its centre; break points of the descending (full) and the "
         "ascending branch (hollow). Lemma 2: without the nonlinear spring the two coincide. (b) Distance of the "
         "midpoints of pairs of break points from the centre, with and without the asymmetric map.",
-        _antisymmetry,
     ),
     5: (
+        _break_points,
         "Break points and segments",
         "The range from y(T₀) to y(T₀/2) in N equal parts. The paper's method uses only these points of the loop; its "
         "model is straight between a turning point and the first of them, the loop is not.",
-        _break_points,
     ),
     6: (
+        _initial_states,
         "Initial states",
         "(a) The same voltage from the relaxed state, and after a voltage that was applied and removed. (b) The "
         "difference, constant from the first peak on (Eq. 10), and the models' predictions of it.",
-        _initial_states,
     ),
     7: (
-        "Loops measured and simulated",
-        "The major and the small loop were fitted, the medium one only simulated. Below: measured minus simulated in "
-        "the last cycle.",
         _loops,
+        "Loops measured and simulated",
+        "The major and the small loop were fitted, the medium one was not. Below: measured minus simulated in the "
+        "last cycle.",
     ),
     8: (
+        _parallel_spring,
         "The parallel spring",
         "h = keq x + g rises everywhere: Assumption I holds. With the paper's constants g is strongly negative; only h "
         "matters.",
-        _parallel_spring,
     ),
     9: (
-        "Right extreme of a minor loop",
-        "The medium loop, held out, where it turns. The model is straight until the first element slips.",
         _right_extreme,
+        "Right extreme of a minor loop",
+        "The medium loop where it turns. The model is straight until the first element slips.",
     ),
     10: (
+        _control_voltages,
         "Control voltages",
         "(a) Voltages for a raised cosine over the full range. (b) What inverse control adds to the nominal ratio.",
-        _control_voltages,
     ),
     11: (
+        _trajectories,
         "Trajectories",
         "The path wanted, and the true displacement with the voltages of Fig. 10, after one cycle that makes the state "
         "known.",
-        _trajectories,
     ),
     12: (
+        _tracking_errors,
         "Tracking errors",
         "Reached minus wanted. (c) is for an actuator that differs only in having no asymmetric map: the difference "
         "from (b) is due to the model class.",
-        _tracking_errors,
     ),
 }

@@ -1,18 +1,16 @@
-"""Comparison of the paper's numbers with this package: the summary, the limits of the errors, and Table 1."""
+"""Comparison of the paper's numbers with this package: the summary, every identification, and Table 1."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst._types import Array
-from dehyst._views.fields import json_values
 from dehyst.model import Physical
-from dehyst.paper import experiment
-from dehyst.paper.experiment import CYCLES, DRIVE, PEAKS, PLANS, PRE_ENERGISED, Experiment
+from dehyst.paper.experiment import PEAKS, PLANS, PRE_ENERGISED, Experiment
+from dehyst.records import largest
 
 # Sec. 4.2: T [N/V], km and ke [N/m].
 CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
@@ -31,61 +29,47 @@ MODELS = {
     "record": ("Whole record", "N = 40, same records"),
     "record_tops": ("Whole record", "N = 40, descending tops added"),
 }
-_ACTUATOR = "highest_V=highest width asymmetry bend plays"
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A row of the summary.
+class Quantity(NamedTuple):
+    """A row of the summary, with values by model, where it needs one; errors are against the truth.
 
-    `actuator`: value measured on the virtual actuator, if no model is needed. `models`: value by model, where it
-    applies; errors are against the truth. `against_noise`: the same against the noisy measurement.
+    `actuator`: value measured on the virtual actuator, if no model is needed. `paper`: the paper's number, if it gives
+    one.
     """
 
     key: str
-    words: str
+    quantity: str
     unit: str
-    actuator: float | None = None
-    models: Mapping[str, float] = field(default_factory=dict)
-    against_noise: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def paper(self) -> float | None:
-        """The paper's number, if it gives one."""
-        return PAPER.get(self.key)
+    actuator: float | None
+    models: Mapping[str, float]
+    paper: float | None
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        models = {key: self.models.get(key) for key in MODELS}
-        against = json_values(self, "against_measurement=against_noise")
-        return {**json_values(self, "key quantity=words unit paper actuator"), **models, **against}
+        by_model = {key: self.models.get(key) for key in MODELS}
+        return {key: value for key, value in self._asdict().items() if key != "models"} | by_model
 
 
 def summary(found: Experiment) -> tuple[Quantity, ...]:
     """Return the paper's numbers and those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
-    errors = [
-        Quantity(
-            loop,
-            f"Model error, {loop} loop ({peak:g} V)",
-            "%",
-            models={key: trial.errors[loop].true for key, trial in trials.items()},
-            against_noise={key: trial.errors[loop].measured for key, trial in trials.items()},
-        )
+    tracked = {key: largest(trial.tracking.error) for key, trial in trials.items()}
+    spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items()}
+    shifted = {key: 1e6 * trial.shift for key, trial in trials.items()}
+    by_eq_10, moved = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)", 1e6 * float(found.shift.mean())
+    rows: list[tuple[str, str, str, float | None, Mapping[str, float]]] = [
+        (loop, f"Model error, {loop} loop ({peak:g} V)", "%", None, {key: trials[key].errors[loop] for key in MODELS})
         for loop, peak in PEAKS.items()
     ]
-    tracked = {key: trial.tracking.largest for key, trial in trials.items()}
-    spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items()}
-    moved = {key: 1e6 * trial.shift for key, trial in trials.items()}
-    shift = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"
-    return (
-        *errors,
-        Quantity("tracking", "Tracking error, inverse control", "%", models=tracked),
-        Quantity("nominal", "Tracking error, nominal ratio", "%", found.nominal.largest),
-        Quantity("spacing", "Spacing of break points", "µm", models=spacing),
-        Quantity("range", "Range of the major loop", "µm", 1e6 * found.loops[0].range),
-        Quantity("shift", shift, "µm", 1e6 * found.shift.loop, models=moved),
-    )
+    rows += [
+        ("tracking", "Tracking error, inverse control", "%", None, tracked),
+        ("nominal", "Tracking error, nominal ratio", "%", largest(found.nominal.error), {}),
+        ("spacing", "Spacing of break points", "µm", None, spacing),
+        ("range", "Range of the major loop", "µm", 1e6 * found.loops[0].range, {}),
+        ("shift", by_eq_10, "µm", moved, shifted),
+    ]
+    return tuple(Quantity(*row, PAPER.get(row[0])) for row in rows)
 
 
 def limits(found: Experiment) -> list[dict[str, Any]]:
@@ -93,18 +77,9 @@ def limits(found: Experiment) -> list[dict[str, Any]]:
     rows = []
     for plan in PLANS:
         trial = found.trials[plan.key]
-        plan_values = json_values(plan, "key whole elements norm descending_tops=tops perfect_sensor=noiseless")
-        errors = {loop: trial.errors[loop].true for loop in PEAKS} | {"tracking": trial.tracking.largest}
-        rows.append({**plan_values, **errors, "outcome": trial.outcome})
+        tracking = {"tracking": largest(trial.tracking.error), "outcome": trial.outcome}
+        rows.append(plan._asdict() | dict(trial.errors) | tracking)
     return rows
-
-
-def floors(found: Experiment) -> dict[str, float]:
-    """Return lower bounds of the error of any model [% of the range]; see `dehyst.paper.experiment`."""
-    symmetric = experiment.symmetric_width_floor(found.exact)
-    chords = {f"chords_{n}": experiment.chord_error(found.exact, n) for n in (10, 20, 40)}
-    parabola = experiment.parabola_chord_error(PAPER["nominal"], 10)
-    return {"symmetric_width": symmetric, **chords, "parabola_chords_10": parabola}
 
 
 def physical(found: Experiment, key: str) -> Physical:
@@ -126,28 +101,9 @@ def table1(found: Experiment) -> dict[str, Array]:
 
 
 def as_dict(found: Experiment) -> dict[str, Any]:
-    """Return all results of one actuator as JSON values."""
-    truth, moved = found.truth, found.shift
-    noise = {"noise_nm": 1e9 * truth.noise, "seed": truth.seed}
+    """Return all tables of one actuator as JSON values."""
     return {
-        "actuator": {"stroke_um": 1e6 * truth.stroke, **json_values(truth, _ACTUATOR), **noise},
         "summary": [row.as_dict() for row in summary(found)],
         "limits": limits(found),
-        "floors_percent": floors(found),
-        "shift_um": {"loop": 1e6 * moved.loop, "deviation": 1e6 * moved.deviation, "rest": 1e6 * moved.rest},
         "table1": {key: column.tolist() for key, column in table1(found).items()},
-        "remarks": {key: list(trial.remarks) for key, trial in found.trials.items()},
-        "clamped_samples": {key: trial.tracking.clamped for key, trial in found.trials.items()},
-    }
-
-
-def protocol() -> dict[str, Any]:
-    """Return the protocol as JSON values."""
-    return {
-        "frequency_Hz": DRIVE.frequency,
-        "sample_rate_Hz": DRIVE.rate,
-        "cycles": CYCLES,
-        "peaks_V": dict(PEAKS),
-        "pre_energised_V": PRE_ENERGISED,
-        "constants": dict(CONSTANTS),
     }

@@ -2,7 +2,7 @@
 
 from dehyst.report import plots
 from dehyst.report.comparison_page import write_comparison
-from dehyst.report.html import MINUS, Row, bullets, document, table
+from dehyst.report.html import MINUS, Row, document, table
 from dehyst.report.pages import write_record_page, write_stage_report
 from dehyst.report.plots import COLUMN, INK, PAGE, Drawing
 from dehyst.report.report import write_calibration, write_report
