@@ -59,20 +59,17 @@ def test_the_first_advice_closes_what_is_open():
     major = plain_records.loops(PLANT, MAJOR * 2)
     fit = dehyst.identify(major, elements=10, delay=0.0)
     assert fit.outcome is Outcome.UNDETERMINED
-    advice = advise(Evidence.from_records(fit.actuator, major))
-    best = advice[0]
+    evidence, limits = Evidence.from_records(fit.actuator, major), fit.actuator.limits
+    best = advise(evidence, limits)[0]
     assert (best.determined, best.of) == (9, 9)
     voltage = best.excitation.voltage
     added = plain_records.driven(PLANT, voltage, name="added", state=PLANT.turned(0.0, rising=False))
     again = dehyst.identify([major, added], elements=10, delay=0.0, shared_datum=True)
     assert again.outcome is Outcome.IDENTIFIED
     assert plain_records.stiffness_error(again.actuator, PLANT) < 1e-6
-    assert all(one.seconds <= 7 for one in advise(Evidence.from_records(fit.actuator, major), seconds=7.0))
-    assert all(
-        one.excitation.voltage_range[1] <= 120
-        for one in advise(Evidence.from_records(fit.actuator, major), limits=(0, 120))
-    )
-    assert advise(Evidence.from_records(again.actuator, [major, added])) == ()
+    assert all(one.seconds <= 7 for one in advise(evidence, limits, 7.0))
+    assert all(one.excitation.voltage_range[1] <= 120 for one in advise(evidence, (0, 120)))
+    assert advise(Evidence.from_records(again.actuator, [major, added]), limits) == ()
 
 
 def trapped(truth, cycles):

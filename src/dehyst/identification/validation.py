@@ -315,20 +315,17 @@ def prepare_for(actuator: Actuator, record: Record) -> Prepared:
     return prepare(actuator.at_reference(record), ringing=known.ringing).without_lag(known.sensor_lag)
 
 
-def compare_all(
-    actuator: Actuator, records: Record | Sequence[Record]
-) -> tuple[tuple[RecordComparison, ...], float, float]:
+def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[RecordComparison, ...], float]:
     """Compare an actuator with the records that it was identified from, by the options of its identification.
 
     Returns
     -------
-    tuple of RecordComparison, float, float
-        One for each record, the range of the widest loop [m], and the least allowed slope of the spring [V/m].
+    tuple of RecordComparison, float
+        One for each record, and the range of the widest loop [m].
     """
     prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification or Identification()
-    spans = [high - low for low, high in (item.span() for item in prepared)]
-    stroke, widest = max(spans), prepared[int(np.argmax(spans))].record
+    stroke = max(high - low for low, high in (item.span() for item in prepared))
     datum = 0.0 if known.shared_datum else None
     # Where branches creep, a drift of the record would be counted twice.
     drift = known.drift and actuator.creep is None
@@ -336,7 +333,7 @@ def compare_all(
         compared = tuple(
             compare(actuator, item, stroke, datum=datum, drifting=drift and item.can_drift) for item in prepared
         )
-    return compared, stroke, float(np.ptp(widest.voltage)) / stroke * known.slope_floor
+    return compared, stroke
 
 
 def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:

@@ -8,6 +8,8 @@ from dehyst._types import Array, Mask
 
 # Parts of the largest term: a step, and a multiplier, that are rounding; and a ridge, for rows may be dependent.
 _STILL, _FLAT, _DEPENDENT = 1e-10, 1e-9, 1e-14
+# Steps after which a program ends where it is.
+_STEPS = 2000
 
 
 class StepwiseProgram:
@@ -17,15 +19,19 @@ class StepwiseProgram:
     feasible before the first step and after each.
     """
 
-    def __init__(self, least: Array, matrix: Array, lower: Array, x: Array) -> None:
+    def __init__(self, gram: Array, image: Array, least: Array, matrix: Array, lower: Array, x: Array) -> None:
+        self._gram, self._image = gram, image
         self.least, self.matrix, self.lower = least, matrix, lower
         self.x = np.maximum(x, least)
         self._fixed: Mask = self.x <= least
         self._active: list[int] = []
 
-    def begin(self, gram: Array, image: Array) -> None:
-        """Set another objective; the point and its active limits stay."""
-        self._gram, self._image = gram, image
+    def minimum(self) -> Array:
+        """Return the point (m,) of the least objective."""
+        for _ in range(_STEPS):
+            if self.step():
+                break
+        return self.x
 
     def step(self) -> bool:
         """Go to the minimum on the active limits, or to the first other limit on the way there.

@@ -103,7 +103,7 @@ def insight(
             allowed,
             homing=homing,
             band=band,
-            advice=() if allowed is None else advise(evidence, limits=allowed, seconds=seconds),
+            advice=() if allowed is None else advise(evidence, allowed, seconds),
             start=start if band is not None else None,
             opened=opened,
             temperatures=cover,

@@ -50,7 +50,7 @@ class Evidence:
         RecordError, IdentifyError
             If a record cannot be used.
         """
-        compared, stroke, _ = compare_all(actuator, records)
+        compared, stroke = compare_all(actuator, records)
         sliding = 2 * actuator.slip.breakaway < stroke * (1 - 1e-9)
         return cls(actuator, compared, replace(Grid.of_actuator(actuator), sliding=sliding), stroke)
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._threads import one_thread
-from dehyst._validation import interval
 from dehyst._views.fields import json_values
 from dehyst.identification import cycle_time
 from dehyst.records import Record
@@ -54,17 +53,15 @@ class Suggestion:
         return json_values(self, "words command seconds determined of weakest_V_per_V=weakest")
 
 
-def advise(
-    evidence: Evidence, *, limits: tuple[float, float] | None = None, seconds: float | None = None
-) -> tuple[Suggestion, ...]:
+def advise(evidence: Evidence, limits: tuple[float, float], seconds: float | None = None) -> tuple[Suggestion, ...]:
     """Rank a menu of excitations by the stiffness directions that they would determine, how well, and in what time.
 
     Parameters
     ----------
     evidence : Evidence
         The present records and model. The model predicts the motion of each excitation, at the rate of the records.
-    limits : (float, float), optional
-        Voltages allowed [V]; default: those of the model.
+    limits : (float, float)
+        Voltages allowed [V].
     seconds : float, optional
         Longest duration of an excitation [s]; default: no limit.
 
@@ -76,19 +73,12 @@ def advise(
     Raises
     ------
     ModelError
-        If there are no limits, or the time is not positive.
+        If the time is not positive.
     """
-    given = evidence.actuator.limits if limits is None else interval(limits)
-    if given is None:
-        raise ModelError(
-            "no voltage limits: the model has none and none were given",
-            hint="give limits (low, high)",
-            change=("limits",),
-        )
     if seconds is not None and not seconds > 0:
         raise ModelError(argument="seconds", got=seconds, need="a positive time")
     # A base of 7e-15 V, as records leave it, is 0 V.
-    low, high = given
+    low, high = limits
     allowed = (0.0 if abs(low) < 1e-9 * (high - low) else low, high)
     cycle = min(cycle_time(one.record.record) for one in evidence.comparisons)
     drive = Sampling(frequency=1 / cycle, sample_rate=_SAMPLES_A_CYCLE / cycle, base=allowed[0], limits=allowed)

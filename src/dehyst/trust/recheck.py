@@ -18,7 +18,6 @@ from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of,
 from dehyst.model import Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
 from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, Slow, find_changes
-from dehyst.trust.judgement import judge
 
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
@@ -289,7 +288,7 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         errors, trace = errors_of(actuator, compared, "validation")
     slow = _slow(prepared, trace) if origin.drift and prepared.can_drift else ()
     error, drift = _steadied(trace, slow if actuator.creep is None else ())
-    before = judge(actuator).parts.get("training") or None
+    before = origin.largest_error or None
     promise, _ = promised(actuator, record.voltage, record.time, record.temperature)
     known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
     changes = find_changes(trace, slow, known, _PART * goal / 100 * stroke)

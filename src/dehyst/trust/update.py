@@ -35,8 +35,6 @@ _NOT_VISITED = 0.02
 # Size of the strain of a branch of creep before a record, as a part of the reach, and of an error that is not noise, of
 # the stroke.
 _STRAINED, _DOUBT = 0.3, 5e-4
-# Steps of the program.
-_STEPS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,12 +316,8 @@ class _Rows:
             return weights.initial
         gram, image = sums[:-1, :-1], sums[:-1, -1]
         prior = weights.prior(np.diag(self.whole)[:-1], _SMALL * strength, strength)
-        program = StepwiseProgram(weights.least, *weights.limits, weights.initial)
-        program.begin(gram + prior, image + prior @ weights.initial)
-        for _ in range(_STEPS):
-            if program.step():
-                break
-        return program.x
+        image = image + prior @ weights.initial
+        return StepwiseProgram(gram + prior, image, weights.least, *weights.limits, weights.initial).minimum()
 
     def strength(self) -> float:
         """Return the prior strength with the least cross-validation error; infinite if no update helps."""

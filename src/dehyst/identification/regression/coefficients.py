@@ -70,18 +70,15 @@ class Coefficients:
             raise ValueError("these coefficients are those of an actuator; fit a regression for an answer")
         return self.solution
 
-    def to_actuator(self, grid: Grid, first: float, *, every_part: bool = False, **others: Any) -> Actuator:
+    def to_actuator(self, grid: Grid, first: float, **others: Any) -> Actuator:
         """Return the actuator that has these coefficients on a grid.
 
-        `first`: the spring's voltage at its first knot [V]. `every_part`: whether creep branches and smooth elements
-        that hold nothing stay, negative stiffnesses as zero. `**others`: further arguments of `Actuator`.
+        Creep branches and smooth elements that hold nothing are left out. `first`: the spring's voltage at its first
+        knot [V]. `**others`: further arguments of `Actuator`.
         """
         branches = grid.time_constants.size
-        if every_part:
-            internal, kept = np.maximum(self.internal, 0.0), np.ones(self.internal.size, dtype=bool)
-        else:
-            mean_slope = float(self.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
-            internal, kept = self.internal, self.internal > _NOTHING * mean_slope
+        mean_slope = float(self.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
+        internal, kept = self.internal, self.internal > _NOTHING * mean_slope
         creep, smooth = kept[:branches], kept[branches:]
         tau = grid.drive[:1] + np.concatenate([[0.0], np.cumsum(self.transformer * np.diff(grid.drive))])
         return Actuator(
