@@ -18,7 +18,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import highspy  # noqa: F401
 import numpy as np
 import scipy.interpolate
 import scipy.linalg

@@ -11,7 +11,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import highspy  # noqa: F401
 import numpy as np
 import scipy.linalg
 import scipy.optimize  # noqa: F401

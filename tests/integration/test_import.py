@@ -11,7 +11,7 @@ import pytest
 
 import dehyst
 
-HEAVY = {"scipy", "highspy", "matplotlib", "h5py", "pyarrow", "nptdms", "click", "pandas", "threadpoolctl"}
+HEAVY = {"scipy", "matplotlib", "h5py", "pyarrow", "nptdms", "click", "pandas", "threadpoolctl"}
 
 
 def loaded_by(statement):

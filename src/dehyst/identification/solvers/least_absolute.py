@@ -257,18 +257,18 @@ def dual_value(problem: Problem, pull: Array, dual: PrimalDual, x: Array) -> tup
 
 
 def _by_highs(problem: Problem, pull: Array, pair: PrimalDual) -> PrimalDual:
-    n, q = problem.rows.shape
-    m = problem.lower.size
-    limits = np.where(np.arange(q) < problem.free, -pull, -np.inf), -pull
+    """Solve the dual program, whose multipliers are the coefficients."""
+    n, m, p = problem.goal.size, problem.lower.size, problem.free
     box = np.append(-np.ones(n), np.zeros(m)), np.append(np.ones(n), np.full(m, np.inf))
     both, cost = np.vstack([problem.rows, problem.matrix]).T, -np.append(problem.goal, problem.lower)
-    solution = highs.minimum(cost, box, both, limits, solver="ipm")
+    program = cost, box, (both[:p], -pull[:p]), (both[p:], -pull[p:])
+    solution = highs.minimum(*program, "highs-ipm")
     if not solution.optimal:
-        solution = highs.minimum(cost, box, both, limits)
+        solution = highs.minimum(*program)
     if not solution.optimal:
         return replace(pair, status=solution.status, optimal=False)
-    x = -solution.row_dual
-    x[problem.free :] = np.maximum(x[problem.free :], 0.0)
+    x = -solution.multipliers
+    x[p:] = np.maximum(x[p:], 0.0)
     return PrimalDual(_polished(problem, pull, x), solution.value[:n], solution.value[n:], solution.status)
 
 

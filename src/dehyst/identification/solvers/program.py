@@ -107,8 +107,14 @@ def _scaled_limits(
 
 def _answer(problem: Problem, norm: Norm) -> Answer:
     """Solve a scaled program."""
-    q, above = problem.unknowns, np.full(problem.lower.size, np.inf)
-    bounds = np.where(np.arange(q) < problem.free, -np.inf, 0.0), np.full(q, np.inf)
-    if above.size and not highs.minimum(np.zeros(q), bounds, problem.matrix, (problem.lower, above)).optimal:
+    if problem.lower.size and not _can_be_kept(problem):
         return problem.failed("no coefficients that are not negative keep the inequalities")
     return least_absolute(problem) if norm == "l1" else least_squares(problem)
+
+
+def _can_be_kept(problem: Problem) -> bool:
+    """Whether some coefficients that are not negative keep the inequalities."""
+    q = problem.unknowns
+    bounds = np.where(np.arange(q) < problem.free, -np.inf, 0.0), np.full(q, np.inf)
+    none = np.zeros((0, q)), np.zeros(0)
+    return highs.minimum(np.zeros(q), bounds, none, (-problem.matrix, -problem.lower)).optimal
