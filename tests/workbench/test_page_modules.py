@@ -252,13 +252,12 @@ def path(rng, legs):
 
 
 def test_modules_become_one_script_without_two_names_that_are_equal(modules):
-    for names in (["report.js"], ["path_trial.js"], ["report.js", "path_trial.js"]):
-        script = files.script(*names)
-        assert re.search(r"^(import|export) ", script, re.M) is None
-        assert len(re.findall(r"^class Chart ", script, re.M)) == 1
-        (modules / "one.mjs").write_text(script)
-        done = subprocess.run(["node", "--check", "one.mjs"], cwd=modules, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+    script = files.script("report.js")
+    assert re.search(r"^(import|export) ", script, re.M) is None
+    assert len(re.findall(r"^class Chart ", script, re.M)) == 1
+    (modules / "one.mjs").write_text(script)
+    done = subprocess.run(["node", "--check", "one.mjs"], cwd=modules, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_numbers_are_written_for_people(run):
@@ -285,7 +284,6 @@ def test_numbers_are_written_for_people(run):
         assert.deepEqual(ticks([0, 1], 5).map(([, text]) => text), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
         assert.deepEqual(ticks([-3, 1], 4, { log: true }).map(([, text]) => text), ["0.001", "0.01", "0.1", "1", "10"]);
         assert.equal(ticks([0, 1], 5, { log: true }).length, 4);
-        assert.deepEqual(ticks([0.8, 4.2], 9, { counted: true }).map(([, text]) => text), ["1", "2", "3", "4"]);
         assert.equal(numberFrom("", "Goal", { optional: true }), null);
         assert.equal(numberFrom("0", "Rounds", { least: 0 }), 0);
         assert.throws(() => numberFrom("0", "Goal", { above: 0 }), /Goal: got 0, need a number above 0/);

@@ -1,20 +1,14 @@
-"""Sections on an actuator: its parts, a path that a reader drags, and measurements along a path."""
+"""Sections on an actuator: its parts, and measurements along a path."""
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
-from dehyst.control import Compensator, PossibleStart
-from dehyst.exports import wasm_module
-from dehyst.identification import Fit
 from dehyst.model import (
     Actuator,
     GradedSlip,
@@ -26,10 +20,10 @@ from dehyst.model import (
     parts_of,
     step_response,
 )
-from dehyst.records import largest, turning_points
+from dehyst.records import largest
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Kind, Series, stems, steps
-from dehyst.report.html import MINUS, Applet, Charts, Part, Row, length, length_unit, number
+from dehyst.report.html import MINUS, Charts, Part, Row, length, length_unit, number
 
 if TYPE_CHECKING:
     from dehyst.calibration import TrackedPath
@@ -206,70 +200,6 @@ def _slip_and_spring(actuator: Actuator) -> dict[str, str]:
         "Slip elements": html.table(("i", "ρᵢ (µm)", "κᵢ (V/µm)", "fᵢ = κᵢ ρᵢ (V)"), elements, texts=0),
         "Knots of the parallel spring": html.table(("Knot", "y (µm)", "η (V)"), knots, texts=0),
     }
-
-
-SAMPLES = 2001
-_SECONDS, _LEGS, _HALVINGS = 1.0, 8, 12
-# Samples in which turning points are looked for, and how far a voltage goes back at one, as a share of its range.
-_ENOUGH, _BAND = 20_000, 0.1
-
-
-def path_trial(fit: Fit) -> Applet | str:
-    """Return the section; nothing without an actuator that has limits."""
-    actuator = fit.actuator
-    if not isinstance(actuator, Actuator) or actuator.limits is None:
-        return ""
-    # The module has no input for a temperature: at the reference.
-    made = _compensator(replace(actuator, thermal=None), _duration(fit))
-    if made is None:
-        return ""
-    compensator, seconds = made
-    moving = ", or where inertia or a delay is not compensated" if actuator.dynamics is not None or actuator.lag else ""
-    expected = fit.expectation
-    caption = (
-        "Drag the points, or change the limits: this page computes the voltage itself. The model stands for the "
-        f"actuator here, so that dehyst misses the path only where a voltage is clamped{moving}; the band is the "
-        "error of the model to expect. The path is drawn among the turning points of the records, too."
-    )
-    if actuator.thermal is not None:
-        caption += f" All of this is at {actuator.thermal.reference:.3g} degC."
-    data = {
-        "module": base64.b64encode(wasm_module(compensator)).decode("ascii"),
-        "samples": SAMPLES,
-        "duration": seconds,
-        "band": None if expected is None or not math.isfinite(expected.largest) else 1e6 * expected.largest,
-    }
-    body = (
-        f'<div class="applet">\n<h2>Try a path</h2>\n<p class="caption">{html.escape(caption)}</p>\n'
-        '<section id="path-trial"></section>\n</div>'
-    )
-    return Applet(body, "path_trial.js", "path-data", data)
-
-
-def _duration(fit: Fit) -> float:
-    """Return how long a path may take [s]: a multiple of the legs of the first record, rounded to one digit."""
-    trace = fit.traces[0] if fit.traces else None
-    if trace is None or not trace.time.size:
-        return _SECONDS
-    voltage = trace.voltage[:: 1 + trace.voltage.size // _ENOUGH]
-    turns = max(len(turning_points(voltage, _BAND * float(np.ptp(voltage)))), 1)
-    seconds = _LEGS * float(trace.time[-1] - trace.time[0]) / turns
-    return float(f"{seconds:.1g}") if seconds > 0 else _SECONDS
-
-
-def _compensator(actuator: Actuator, seconds: float) -> tuple[Compensator, float] | None:
-    """Return a compensator that begins at the bottom, and its duration: shorter if a resonance needs that."""
-    start = PossibleStart.named(actuator, "bottom").state
-    for _ in range(_HALVINGS):
-        try:
-            compensator = Compensator(actuator, period=seconds / (SAMPLES - 1), state=start)
-            # Both raise where this model cannot be computed with.
-            _ = compensator.tables(), compensator.reach
-        except ModelError:
-            seconds /= 2
-        else:
-            return compensator, seconds
-    return None
 
 
 _COLOURS: tuple[Colour, ...] = ("simulated", "measured")

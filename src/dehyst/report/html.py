@@ -8,11 +8,11 @@ import math
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from dehyst._io import GENERATOR
 from dehyst._views import html as notebook
-from dehyst.report.charts import Chart, ChartData, in_page
+from dehyst.report.charts import Chart, ChartData
 from dehyst.web import files
 
 escape = notebook.escape
@@ -21,7 +21,6 @@ Row: TypeAlias = "Sequence[str | tuple[str, str]]"
 MINUS = "\N{MINUS SIGN}"
 _FEWEST_CONTENTS = 4
 # The policy forbids the browser any request, whatever a name or a sentence contains.
-_COMPILES = " 'wasm-unsafe-eval'"
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
@@ -50,48 +49,24 @@ class Charts:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Applet:
-    """A section that a script of `web`, by its name, computes by WebAssembly inside the page.
-
-    `body` is HTML, with the heading; the script reads `data` as JSON from the element with the id `name`.
-    """
-
-    body: str
-    script: str
-    name: str
-    data: Mapping[str, Any]
-
-    def html(self, _: ChartData) -> str:
-        """Return the section."""
-        return self.body
-
-
-Part: TypeAlias = str | Charts | Applet
+Part: TypeAlias = str | Charts
 
 
 def document(title: str, parts: Iterable[Part]) -> str:
     """Assemble parts to a self-contained page; a longer page gets a table of contents."""
     data, shown = ChartData(), [part for part in parts if part]
     body = "\n".join(part if isinstance(part, str) else part.html(data) for part in shown)
-    applets = [part for part in shown if isinstance(part, Applet)]
-    modules = [*(["report.js"] if data else []), *(one.script for one in applets)]
     policy, script = _POLICY, ""
-    if modules:
-        source = files.script(*modules)
+    if data:
+        source = files.script("report.js")
         digest = base64.b64encode(hashlib.sha256(source.encode()).digest()).decode()
         # The one script that may run is named by its hash.
-        allowed = f"'sha256-{digest}'{_COMPILES if applets else ''}"
-        policy = f"{_POLICY}; script-src {allowed}"
-        stored = {"chart-data": data.json()} if data else {}
-        stored |= {one.name: in_page(one.data) for one in applets}
-        script = "".join(
-            [
-                *(f'<script type="application/json" id="{name}">{text}</script>\n' for name, text in stored.items()),
-                f'<script type="module">{source}</script>\n',
-                '<noscript><p class="muted">The charts are drawn by a script inside this page; it is switched off.</p>'
-                "</noscript>\n",
-            ]
+        policy = f"{_POLICY}; script-src 'sha256-{digest}'"
+        script = (
+            f'<script type="application/json" id="chart-data">{data.json()}</script>\n'
+            f'<script type="module">{source}</script>\n'
+            '<noscript><p class="muted">The charts are drawn by a script inside this page; it is switched off.</p>'
+            "</noscript>\n"
         )
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'

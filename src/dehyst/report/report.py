@@ -13,7 +13,7 @@ from dehyst._views.html import escape
 from dehyst.identification import Fit, Structure
 from dehyst.model import Actuator
 from dehyst.report import fit_section as of_fit
-from dehyst.report.actuator_section import followed_sections, made_of, path_trial
+from dehyst.report.actuator_section import followed_sections, made_of
 from dehyst.report.html import Part, bullets, document, length, number, table, words
 from dehyst.report.trust_section import sections, turned
 from dehyst.trust import Insight, turn_plane
@@ -100,7 +100,6 @@ def render(
         of_fit.loops(fit),
         of_fit.residuals(fit),
         of_fit.remaining_error(fit),
-        path_trial(fit),
         *trust,
         *of_fit.structures(fit),
         of_fit.errors_table(fit.errors),

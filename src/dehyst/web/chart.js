@@ -20,7 +20,7 @@ for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
 }
 
 // What a chart shows:
-//     x, y    { label, unit, range, log, counted }: with `log` the numbers are exponents of ten, `counted` ones whole
+//     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
 //     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
 //     series  [{ name, colour, x, y, kind, ... }], each of a kind
 //             "line"    width, dash, opacity; `rising` if x rises; `around` is half the height of a band about it

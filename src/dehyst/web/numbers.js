@@ -12,8 +12,8 @@ export function written(value, decimals) {
   return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replaceAll("-", MINUS);
 }
 
-// At most about `most` round values of a range, as [value, text]: with `log` exponents of ten, if `counted` whole ones.
-export function ticks([low, high], most, { log, counted } = {}) {
+// At most about `most` round values of a range, as [value, text]: with `log` exponents of ten.
+export function ticks([low, high], most, { log } = {}) {
   const values = [];
   if (log) {
     const every = Math.ceil((high - low) / Math.max(most, 1));
@@ -23,9 +23,9 @@ export function ticks([low, high], most, { log, counted } = {}) {
     }
     return values.filter(([value]) => value >= low - 1e-9 && value <= high + 1e-9);
   }
-  const rough = Math.max((high - low) / Math.max(most, 1), counted ? 1 : 0);
+  const rough = (high - low) / Math.max(most, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
-  const factor = (counted ? [1, 2, 5, 10] : [1, 2, 2.5, 5, 10]).find((one) => one * power >= rough * (1 - 1e-9)) ?? 10;
+  const factor = [1, 2, 2.5, 5, 10].find((one) => one * power >= rough * (1 - 1e-9)) ?? 10;
   const step = factor * power;
   const decimals = digits(step, factor === 2.5 ? 1 : 0);
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) {

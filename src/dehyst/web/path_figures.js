@@ -126,7 +126,7 @@ function turnsPicture({ plane, branches: all, sentence }) {
 }
 
 // What to expect of a plan: a light and a sentence, then facts. `stroke` and `band` in um.
-export function judged(planned, { stroke, band, turned, light = "green", speed = "" }) {
+export function judged(planned, { stroke, band, turned, light, speed }) {
   const { voltage, steepest, missed, straightMissed, clamps } = planned;
   const share = (um) => `${length(um)} (${percent((100 * um) / stroke)} of the stroke)`;
   const cut = [

@@ -38,11 +38,11 @@ export function reportParts(text) {
   const element = document.createElement("div");
   element.className = "report";
   element.append(...page.querySelector("main").children);
-  for (const one of element.querySelectorAll("h1, nav, .applet")) one.remove();
+  for (const one of element.querySelectorAll("h1, nav")) one.remove();
   for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
   return { element, figures: charts ? drawCharts(element, JSON.parse(charts.textContent)) : [] };
 }
 
 const stored = document.getElementById("chart-data");
 // Those of this page, if it is a report.
-export const pageFigures = stored ? drawCharts(document, JSON.parse(stored.textContent)) : [];
+if (stored) drawCharts(document, JSON.parse(stored.textContent));

@@ -103,8 +103,6 @@ MEASURED = Path(__file__).resolve().parents[3] / "examples" / "measured" / "p885
 _VIRTUAL = "virtual-loops.csv"
 _MEASURED_ON = "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
 _VIRTUAL_ON = "a record of a virtual actuator"
-# What only reports have.
-_APART = ("path_trial.js", "report.css")
 
 
 class PageFiles:
@@ -121,7 +119,7 @@ class PageFiles:
         names, origin = (list(self._examples), _MEASURED_ON) if self._examples else ([_VIRTUAL], _VIRTUAL_ON)
         examples = {"names": names, "origin": origin}
         self._files["declared.js"] = (_declared(examples).encode(), _TYPES[".js"])
-        scripts = sorted(name for name in self._files if name.endswith(".js") and name not in _APART)
+        scripts = sorted(name for name in self._files if name.endswith(".js"))
         links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
         page = (_PAGE / "index.html").read_text(encoding="utf-8")
         self._index = page.replace(_SCRIPTS, links + _SCRIPTS, 1)
