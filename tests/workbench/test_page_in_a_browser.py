@@ -1,7 +1,6 @@
 """The page in a real browser: few clicks from a record to a voltage, keys, errors, and accessibility."""
 
 import json
-import re
 import shutil
 import time
 from itertools import pairwise
@@ -332,26 +331,6 @@ def test_a_phone_has_room_for_all_steps(staged, workbench):
     page.click("#step-records")
     sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
     sync_api.expect(page.locator("#identify")).to_be_visible()
-
-
-def test_only_models_of_the_same_records_are_compared(staged, workbench):
-    page, send = staged
-
-    def another(**about):
-        return lambda state: state["models"].append({**state["models"][0], "id": "m99", "name": "other", **about})
-
-    page.route(re.compile("/api/models/m9."), lambda route: route.continue_(url=re.sub("m9.", "m2", route.request.url)))
-    page.goto(f"{workbench.base}/#model")
-    page.locator("#verdict .outcome").wait_for()
-    for about in ({"train": []}, {"train": ["r77"]}):
-        send(another(**about))
-        sync_api.expect(page.locator("#model .model-choice option")).to_have_count(2)
-        sync_api.expect(page.locator(".comparison")).to_be_hidden()
-    send(another(train=["r1", "r77"]))
-    sync_api.expect(page.locator(".comparison tbody tr")).to_have_count(2)
-    sync_api.expect(page.locator(".comparison .best")).to_have_count(0)
-    send(another(id="m98"))
-    sync_api.expect(page.locator(".comparison .best")).to_have_count(4)
 
 
 def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path):

@@ -3,7 +3,7 @@ import { byId } from "./dom.js";
 import { exportView } from "./exports.js";
 import { modelView } from "./models.js";
 import { pathView } from "./path_step.js";
-import { isSending, recordsView, sendAll } from "./records.js";
+import { recordsView, sendAll } from "./records.js";
 import { connect, session, watch } from "./server.js";
 import { buildSteps } from "./steps.js";
 
@@ -16,20 +16,13 @@ watch(({ folder }) => {
 buildSteps({ records: recordsView, model: modelView, path: pathView, export: exportView });
 
 const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
-const cover = (shown) => {
-  byId("drop-cover").hidden = !shown;
-};
-window.addEventListener("dragenter", (event) => cover(holdsFiles(event)));
-window.addEventListener("dragleave", (event) => event.relatedTarget ?? cover(false));
 window.addEventListener("dragover", (event) => event.preventDefault());
 window.addEventListener("drop", (event) => {
   event.preventDefault();
-  cover(false);
   if (holdsFiles(event)) sendAll(event.dataTransfer.files);
 });
 
-// Leaving the page ends an upload.
 window.addEventListener("beforeunload", (event) => {
-  if (isSending() || session.state.jobs.some((one) => one.status === "running")) event.preventDefault();
+  if (session.state.jobs.some((one) => one.status === "running")) event.preventDefault();
 });
 connect();

@@ -3,7 +3,7 @@ import { DECLARED } from "./declared.js";
 import { byId, h } from "./dom.js";
 import { COLOURS, Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, card, facts, fold, list, remarks, tick } from "./forms.js";
-import { bytes, duration, percent, range, short, whole } from "./numbers.js";
+import { bytes, duration, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
 import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
@@ -44,9 +44,6 @@ export function recordsView({ records }) {
   ];
 }
 
-// Files on their way to the server.
-export const isSending = () => uploads.some((one) => !one.error);
-
 export function sendAll(files) {
   openStep("records");
   for (const file of files) send(file);
@@ -65,17 +62,15 @@ example.onclick = () => {
 };
 
 async function send(file) {
-  const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size, share: 0 };
+  const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size };
   const limit = session.state.upload_limit;
   uploads.push(one);
   try {
     if (limit && file.size > limit) {
       throw new Error(`it has ${bytes(file.size)}, and at most ${bytes(limit)} can be read`);
     }
-    await server.upload(file, (share) => {
-      one.share = share;
-      redraw();
-    });
+    redraw();
+    await server.upload(file);
     uploads.splice(uploads.indexOf(one), 1);
     announce(`${file.name} was sent and is being read.`);
   } catch (error) {
@@ -85,7 +80,7 @@ async function send(file) {
 }
 
 function uploadRow(one) {
-  const { key, name, size, share, error } = one;
+  const { key, name, size, error } = one;
   const dismiss = () => {
     uploads.splice(uploads.indexOf(one), 1);
     redraw();
@@ -94,8 +89,8 @@ function uploadRow(one) {
     const words = h("p.error", { role: "alert" }, `${name} was not sent: ${error}`);
     return h("li", { key }, words, h("button", { type: "button", class: "quiet", onclick: dismiss }, "Dismiss"));
   }
-  const bar = h("progress", { max: "1", value: share, "aria-label": `Upload of ${name}` });
-  return h("li", { key }, h("span", `${name}, ${bytes(size)}: ${percent(100 * share)} sent`), bar);
+  const bar = h("progress", { "aria-label": `Upload of ${name}` });
+  return h("li", { key }, h("span", `${name}, ${bytes(size)}: is being sent`), bar);
 }
 
 // A file that was refused is brought into view once.

@@ -35,21 +35,9 @@ export async function readPath({ id }, file) {
   return (await (await request(path, { method: "PUT", body: file })).json()).points;
 }
 
-// Send a file as it is; `progress` is called with the share that was sent.
-export function upload(file, progress) {
-  return new Promise((resolve, reject) => {
-    const sending = new XMLHttpRequest();
-    sending.open("PUT", `/api/records?name=${encodeURIComponent(file.name)}`);
-    sending.responseType = "json";
-    sending.upload.onprogress = (event) => progress(event.total ? event.loaded / event.total : 0);
-    sending.onerror = () => reject(new Error("The server does not answer; the file was not sent."));
-    sending.onload = () => {
-      if (sending.status < 300) resolve(sending.response);
-      else reject(new Error(sending.response?.error ?? `The server answered with status ${sending.status}.`));
-    };
-    sending.send(file);
-  });
-}
+// Send a file as it is.
+export const upload = (file) =>
+  request(`/api/records?name=${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
 
 // What `create` promises, once a key; the last few are kept, and none that failed.
 export function remembered(kept, key, create, most = 12) {

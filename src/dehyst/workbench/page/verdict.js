@@ -14,12 +14,12 @@ const LIGHTS = {
 };
 export const lightOf = ({ readiness }) => LIGHTS[readiness] ?? ["amber", readiness];
 
-// The cells of a verdict in a table, and their heads; `write` writes a cell of a share in percent.
-export const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
-export function verdictCells(verdict, write = (name) => percent(verdict[name])) {
+// The cells of a verdict in a table, and their heads.
+const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
+function verdictCells(verdict) {
   const [colour, words] = lightOf(verdict);
   const light = h("td.text", h("span", { class: `light ${colour}` }, words));
-  return [light, write("largest_percent"), length(verdict.largest_um), write("rms_percent")];
+  return [light, percent(verdict.largest_percent), length(verdict.largest_um), percent(verdict.rms_percent)];
 }
 
 export function verdictBlock({ verdict }) {
@@ -47,7 +47,7 @@ export function axesBlock({ axes, coupling }) {
   const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
   const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
   const rest = whole ? "This matrix describes all coupling, and is compensated." : "Coupling is more than this matrix.";
-  return h("section.comparison", { "aria-label": "Axes", key: "axes" },
+  return h("section", { "aria-label": "Axes", key: "axes" },
     table("Verdict of each axis", heads, rows),
     h("p.muted", `Coupling: ${pairs.join(", ")}. ${rest}`),
   );
