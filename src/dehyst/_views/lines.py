@@ -1,4 +1,4 @@
-"""One line about an object, for `repr` and `print`."""
+"""One line about an object, for `repr`."""
 
 from __future__ import annotations
 
