@@ -106,7 +106,7 @@ def calibrate(
     bounds, steep = allowed if several else allowed[0], steepest if several else steepest[0]
     with (
         _left(output, again=names is None),
-        run.held or open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument,
+        open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument,
     ):
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")

@@ -75,7 +75,7 @@ def run_path(
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
     warmth = temperature_of(known, None, columns, table, len(wanted), remark=run.note)
     rate = even_rate(path, clock["time_s"])
-    with run.held or open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
+    with open_rig(rig, limits=limits, slew_rate=slew_rate) as instrument:
         device, recorded = instrument.limits, actuator.voltage_range
         bounds = VoltageLimits(max(device.low, recorded[0]), min(device.high, recorded[1]), instrument.slew_rate)
         wanted = wanted + zero_of_path(actuator, (device.low, device.high), zero)

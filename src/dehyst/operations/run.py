@@ -31,11 +31,7 @@ class Run:
         Whether outputs may replace any file.
     known : dict
         JSON values that are known already while it runs, and if it fails.
-    held : context manager or None
-        Yields an open instrument, which an operation uses instead of opening one.
     """
-
-    held: AbstractContextManager[Any] | None = None
 
     def __init__(self) -> None:
         self.command, self.force = "", False
