@@ -1,0 +1,105 @@
+"""What becomes of each laboratory file, trap and innocent twin: write the table once, and compare after each change.
+
+A verdict is what `dehyst.read` makes of a file, with the options that a user knows, then with those that the message
+proposes: the numbers of the record, or the class and the argument of the error.
+
+    python tests/fuzz/verdicts.py write FILE.json
+    python tests/fuzz/verdicts.py compare FILE.json
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path[:0] = [str(Path(__file__).parents[1] / "support")]
+
+import laboratory_containers
+import laboratory_files
+import text_traps
+
+import dehyst
+from dehyst._errors import DehystError
+
+PROPOSALS = 3
+
+
+def specimens() -> Iterator[tuple[str, Any, str, dict[str, Any]]]:
+    """Yield each specimen: its name, the function that writes it, its file's name, and what a user knows of it."""
+    options_of = laboratory_files.options_of
+    for name, (write, words) in laboratory_files.FILES.items():
+        yield f"file {name}", write, name, options_of(words)
+    for kind, table in (("trap", laboratory_containers.TRAPS), ("twin", laboratory_containers.TWINS)):
+        for name, (write, words) in table.items():
+            yield f"{kind} {name}", write, name, options_of(words)
+    for name, trap in text_traps.TRAPS.items():
+        yield f"text trap: {name}", trap.trap, f"a{trap.suffix}", dict(trap.options)
+        yield f"text twin: {name}", trap.twin, f"a{trap.suffix}", dict(trap.twin_options)
+
+
+def verdict(path: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Return what becomes of a file; proposals are taken as they are."""
+    proposed: list[dict[str, str]] = []
+    for _ in range(PROPOSALS):
+        try:
+            record = dehyst.read(path, **options)
+        except DehystError as error:
+            more = getattr(error, "options", None)
+            if not more or more.items() <= options.items():
+                return {"refused": type(error).__name__, "proposed": proposed}
+            proposed.append({key: str(value) for key, value in more.items()})
+            options = options | more
+        else:
+            ends = (record.time[[0, -1]], record.voltage[[0, -1]], record.displacement[[0, -1]])
+            ranges = (np.ptp(record.time), np.ptp(record.voltage), np.ptp(record.displacement))
+            return {
+                "samples": len(record),
+                "ends": [f"{value:.6e}" for pair in ends for value in pair],
+                "ranges": [f"{value:.6e}" for value in ranges],
+                "guessed": sorted(map(str, record.meta.get("guesses", ()))),
+                "remarked": len(record.meta.get("remarks", ())),
+                "proposed": proposed,
+            }
+    return {"refused": "no end of proposals", "proposed": proposed}
+
+
+def verdicts() -> dict[str, Any]:
+    """Return the verdicts of all specimens by name."""
+    found, home = {}, Path.cwd()
+    for name, write, file, options in specimens():
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
+            try:
+                write(Path(file))
+                found[name] = verdict(file, options)
+            finally:
+                os.chdir(home)
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("action", choices=["write", "compare"])
+    parser.add_argument("file", type=Path)
+    arguments = parser.parse_args()
+    found = verdicts()
+    if arguments.action == "write":
+        arguments.file.write_text(json.dumps(found, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
+        print(f"{len(found)} verdicts written")
+        return 0
+    before = json.loads(arguments.file.read_text())
+    changed = [name for name in sorted(before.keys() | found.keys()) if before.get(name) != found.get(name)]
+    for name in changed:
+        print(f"{name}:\n  before {before.get(name)}\n  now    {found.get(name)}")
+    print(f"{len(before) - len(changed)} of {len(before)} verdicts are the same")
+    return int(bool(changed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
