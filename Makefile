@@ -9,7 +9,6 @@
 # make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
 PYTHON ?= python3
-comma := ,
 VENV ?= .venv
 BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
@@ -27,7 +26,7 @@ test: $(VENV)/.test
 nightly: $(VENV)/.test
 	HYPOTHESIS_PROFILE=nightly $(PYTEST) -m "not fuzz" --junitxml=build/test-results/nightly.xml
 
-check: $(VENV)/.check
+check: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -104,17 +103,12 @@ $(VENV)/.test: $(BIN)/python $(WHEEL)/.built $(RIVALS)/.built
 	$(install_rivals)
 	touch $@ $(VENV)/.demo
 
-$(VENV)/.check: $(BIN)/python $(WHEEL)/.built $(RIVALS)/.built
-	$(call install,[test$(comma)check])
-	$(install_rivals)
-	touch $@ $(VENV)/.test $(VENV)/.demo
-
 $(VENV)/.docs: $(BIN)/python $(WHEEL)/.built
 	$(call install,[docs])
 	touch $@ $(VENV)/.demo
 
-$(VENV)/.release: $(BIN)/python $(WHEEL)/.built
-	$(call install,[release])
+$(VENV)/.release: $(BIN)/python .ci/release.txt
+	$(BIN)/python -m pip install --quiet -r .ci/release.txt
 	touch $@
 
 clean:

@@ -13,7 +13,7 @@ import structured_records as wide
 
 from dehyst import ClampWarning, Compensator, Dynamics, MissingExtraError, ModelError
 
-control = pytest.importorskip("control", reason="python-control is not installed; pip install 'dehyst[control]'")
+control = pytest.importorskip("control", reason="python-control is not installed; pip install control")
 
 ROOT = places.ROOT
 PAGE = ROOT / "docs" / "how_to" / "control.md"

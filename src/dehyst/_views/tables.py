@@ -18,7 +18,7 @@ def frame(columns: Mapping[str, Any], **attributes: Any) -> DataFrame:
 
     Raise `MissingExtraError` if pandas is not installed.
     """
-    pandas = library("pandas", "A DataFrame", "tables")
+    pandas = library("pandas", "A DataFrame", "files")
     made = pandas.DataFrame({name: np.array(values) for name, values in columns.items()})
     made.attrs.update(attributes)
     return made

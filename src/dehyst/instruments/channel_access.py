@@ -60,7 +60,7 @@ class ChannelAccess:
         try:
             import aioca
         except ImportError as error:
-            raise MissingExtraError.of("aioca", "epics", "an EPICS rig") from error
+            raise MissingExtraError.of("aioca", "bench", "An EPICS rig") from error
         self.prefix, self.timeout = prefix, timeout
         self._ca: Any = aioca
 

@@ -79,7 +79,9 @@ def _block(
     try:
         import control
     except ImportError as error:
-        raise MissingExtraError.of("python-control", "control", "A block for python-control") from error
+        raise MissingExtraError(
+            "A block needs python-control, which is not installed. Try: pip install control"
+        ) from error
 
     if not isinstance(name, str) or not name:
         raise ModelError(argument="name", got=repr(name), need="a word, such as 'stage'")
