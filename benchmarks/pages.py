@@ -336,7 +336,8 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "README.md": {"benchmarks": readme},
     "paper/paper.md": {"benchmarks": readme, "costs": costs},
     "docs/benchmarks.md": {
-        one.__name__: one for one in (accuracy, baselines, strangers, paper, speed, steps, saturation, calibrations)
+        one.__name__: one
+        for one in (accuracy, baselines, strangers, paper, speed, steps, saturation, temperature, calibrations)
     },
     "docs/how_to/coupled_axes.md": {"coupled": coupled},
     "docs/how_to/creep.md": {"creep": creep},
@@ -344,7 +345,6 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "docs/how_to/control.md": {"loop": loop},
     "docs/explanation/safety.md": {"faults": faults},
     "docs/explanation/trust.md": {"promise": promise, "zeros": zeros},
-    "docs/how_to/identify.md": {"temperature": temperature},
     "docs/how_to/keep_true.md": {"updates": updates},
     "docs/reference/decision_rules.md": {"rules": rules},
 }

@@ -12,7 +12,7 @@ from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.preprocessing.denoising import derivatives, disturbs, left_of, remove_dynamics, remove_jitter
+from dehyst.identification.preprocessing.denoising import derivatives, disturbs, left_of
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import Epoch, Piece, RowSource
 from dehyst.identification.regression.coefficients import Coefficients
@@ -297,16 +297,6 @@ def compare(
 def _denoised(actuator: Actuator, noise: float, stroke: float) -> bool:
     """Whether noise is taken out of the path: Maxwell-slip elements take a displacement of little noise as it is."""
     return actuator.wide or disturbs(noise, stroke)
-
-
-def driving_path(actuator: Actuator, piece: Record, noise: float, stroke: float) -> Record:
-    """Return a measured piece as it drives the elements of an actuator, see `Prepared.driving`.
-
-    `noise`, `stroke`: standard deviation of the sensor, and range of the widest loop [m].
-    """
-    if _denoised(actuator, noise, stroke):
-        return remove_jitter(remove_dynamics(piece, actuator.dynamics), noise, stroke)
-    return piece
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:

@@ -163,25 +163,14 @@ class Regression:
         """Return free columns, columns that are not negative, and target."""
         return self.nuisances(), self.bounded, self.target
 
-    def fit(
-        self,
-        norm: Norm,
-        weights: Array | None = None,
-        equalities: tuple[Array, Array] | None = None,
-        like: Coefficients | None = None,
-    ) -> Coefficients:
+    def fit(self, norm: Norm, weights: Array | None = None, like: Coefficients | None = None) -> Coefficients:
         """Solve the program, inequalities added round by round where they would be violated.
 
-        `equalities` (p, m): combinations of the movable elements' stiffnesses and their values [V], met besides;
-        Maxwell-slip elements only. `like`: another fit of this regression, whose inequalities the first round has.
+        `like`: another fit of this regression, whose inequalities the first round has.
         """
         n, weight = len(self.rows), np.ones(len(self.rows)) if weights is None else weights
         blocks = [(*self.table(), weight)]
         count = blocks[0][0].shape[1]
-        if equalities is not None:
-            combinations, values = equalities
-            strength = np.full(values.size, weight.max() * np.sqrt(n))
-            blocks.append((np.zeros((values.size, count)), self._padded(combinations), values, strength))
         if n >= max(count, 1):
             usual = 1.0 if weights is None else 1 / self.mean_slope
             blocks.append(self.regularization(norm, n, count, usual))
