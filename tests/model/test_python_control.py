@@ -127,28 +127,10 @@ def test_the_functions_depend_on_their_arguments_alone(kind):
         np.testing.assert_array_equal(x, before)
 
 
-def test_every_state_has_a_name():
-    actuator = replace(_made(dynamics=SWING, lag=0.004, delay=0.0125), slip=plain_records.plant(2).slip, state=None)
-    names = [
-        "w",
-        "cart[0]",
-        "cart[1]",
-        *(f"creep[{j}]" for j in range(4)),
-        "y",
-        "y_rate",
-        "push",
-        "sent",
-        "acting",
-        "wished[0]",
-        "wished[1]",
-    ]
-    block = actuator.to_control(period=PERIOD)
-    assert block.state_labels == names
-    block = Compensator(actuator, ANY, period=PERIOD, preview=True).to_control()
-    assert block.state_labels == [*names, *(f"fed[{m}]" for m in range(5))]
-    for name, make in ACTUATORS.items():
-        block = make().to_control(period=PERIOD)
-        assert (block.nstates, len(set(block.state_labels))) == (block.start.size, block.start.size), name
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_every_state_has_a_name(name):
+    for block in (ACTUATORS[name]().to_control(period=PERIOD), tight(ACTUATORS[name](), wanted()).to_control()):
+        assert (block.nstates, len(set(block.state_labels))) == (block.start.size, block.start.size)
 
 
 def test_a_compensators_block_begins_where_the_compensator_is_and_leaves_it_there():
@@ -170,33 +152,6 @@ def test_an_actuators_block_begins_in_a_state():
     assert block.start[0] == state.deformation
     at_rest, _ = play(block, [actuator.voltage(state)])
     assert abs(at_rest[0] - state.deformation) < 0.02 * plain_records.STROKE
-
-
-def chained(actuator, compensator):
-    blocks = compensator.to_control(), actuator.to_control(period=PERIOD)
-    return control.interconnect(blocks, inputs="wanted", outputs="displacement"), [block.start for block in blocks]
-
-
-@pytest.mark.parametrize("name", ["paper's", *wide.STRUCTURES])
-def test_compensator_and_actuator_are_one_within_limits(name):
-    actuator, path = ACTUATORS[name](), wanted(300)
-    chain, start = chained(actuator, Compensator(actuator, ANY, period=PERIOD))
-    found = control.input_output_response(chain, PERIOD * np.arange(path.size), path, start)
-    plain_records.assert_close(found.outputs, path, 1e-12 * plain_records.STROKE)
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.control.compensator.ClampWarning")
-def test_beyond_limits_they_are_the_actuator_under_the_clamped_voltage():
-    actuator, path = ACTUATORS["all"](), wanted(300)
-    compensator = tight(actuator, path)
-    chain, start = chained(actuator, compensator)
-    found = control.input_output_response(chain, PERIOD * np.arange(path.size), path, start)
-    voltage = compensator.run(path)
-    plain_records.assert_close(
-        found.outputs, seen_by_simulate(actuator, voltage, stack=False), 1e-12 * plain_records.STROKE
-    )
-    assert compensator.clamps.limited > 10
-    assert np.abs(found.outputs - path).max() > 0.05 * plain_records.STROKE
 
 
 def test_a_loop_of_blocks_is_the_loop_written_out():
@@ -260,57 +215,53 @@ def test_a_clamp_is_said_once_of_each_kind():
         block.outfcn(0.0, block.start, path[:1], {})  # a look moves nothing and says nothing
 
 
-def test_refusals():
-    actuator, creeping = plain_records.plant(10), _creeping()
-    with pytest.raises(ModelError, match=r"the period \[s\]"):
-        creeping.to_control()
-    for period in (0.0, -1.0, np.nan):
-        with pytest.raises(ModelError, match="period: got"):
-            actuator.to_control(period=period)
-    with pytest.raises(ModelError, match="got 10 carts"):
-        creeping.to_control(period=PERIOD, state=plain_records.plant(10).state)
-    for block in (actuator.to_control(), Compensator(actuator, ANY).to_control()):
-        for bad in (np.nan, np.inf):
-            for function in (block.outfcn, block.updfcn):
-                with pytest.raises(ModelError, match=f"block: got .* = .*{bad}.*, need one finite number"):
-                    function(0.0, block.start, np.array([bad]), {})
-        broken = block.start.copy()
-        broken[1] += 1.0
-        for x in (block.start[:-1], broken, np.full(block.nstates, np.nan)):
-            with pytest.raises(ModelError, match="Give `start`"):
-                block.updfcn(0.0, x, np.array([1e-6]), {})
+def played_once(block, x=None, u=(1e-6,)):
+    block.updfcn(0.0, block.start if x is None else x, u, {})
 
 
-def test_a_linearisation_is_refused():
-    block = plain_records.plant(10).to_control()
-    for start in (block.start, 0):
-        with pytest.raises(ModelError, match="linearize: linearising"):
-            control.linearize(block, start, [100.0], eps=1e-10)
-    with pytest.raises(ModelError, match=r"control.find_operating_point[)]"):
-        control.find_operating_point(block, block.start, [100.0])
-    # Of a loop of blocks the parts are asked, each number of their memory alone.
-    loop = control.interconnect([block], inputs="voltage", outputs="displacement")
-    with pytest.raises(ModelError, match="cart lies"):
-        control.linearize(loop, block.start, [100.0], eps=1e-10)
+def broken(block):
+    x = block.start.copy()
+    x[1] += 1.0
+    return x
 
 
-def test_what_is_no_input_or_name_is_refused():
-    actuator = plain_records.plant(10)
-    for block, what in (actuator.to_control(), "voltage"), (Compensator(actuator, ANY).to_control(), "wanted"):
-        for function in (block.outfcn, block.updfcn):
-            for bad in ([], [1.0, 2.0], None):
-                with pytest.raises(ModelError, match=f"block: got {what} = .*, need one finite number"):
-                    function(0.0, block.start, bad, {})
-            with pytest.raises(ModelError, match=f"block: got .* for {what}, need finite numbers"):
-                function(0.0, block.start, "x", {})
-            with pytest.raises(ModelError, match=r"block: got \['x'\] for the state, need finite numbers"):
-                function(0.0, ["x"], [1e-6], {})
-        with pytest.raises(ModelError, match=rf"block: got {what} = \[\], need one finite number"):
-            block.output(0, block.start, [])
-    for make in (actuator.to_control, Compensator(actuator, ANY).to_control):
-        for name in (5, None, ""):
-            with pytest.raises(ModelError, match="such as 'stage'"):
-                make(name=name)
+BLOCKS = [lambda: plain_records.plant(10).to_control(), lambda: Compensator(plain_records.plant(10), ANY).to_control()]
+
+
+@pytest.mark.parametrize("make", BLOCKS, ids=["actuator", "compensator"])
+@pytest.mark.parametrize(
+    "use",
+    [
+        *(lambda block, u=u: played_once(block, u=u) for u in ([np.nan], [np.inf], [], [1.0, 2.0], None, "x")),
+        *(lambda block, u=u: block.outfcn(0.0, block.start, u, {}) for u in ([np.nan], [], None, "x")),
+        lambda block: played_once(block, block.start[:-1]),
+        lambda block: played_once(block, broken(block)),
+        lambda block: played_once(block, np.full(block.nstates, np.nan)),
+        lambda block: played_once(block, ["x"]),
+        lambda block: block.output(0, block.start, []),
+        lambda block: control.linearize(block, block.start, [100.0], eps=1e-10),
+        lambda block: control.linearize(block, 0, [100.0], eps=1e-10),
+        lambda block: control.find_operating_point(block, block.start, [100.0]),
+    ],
+)
+def test_what_a_block_cannot_be_asked(make, use):
+    with pytest.raises(ModelError):
+        use(make())
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: _creeping().to_control(),
+        *(lambda period=period: plain_records.plant(10).to_control(period=period) for period in (0.0, -1.0, np.nan)),
+        lambda: _creeping().to_control(period=PERIOD, state=plain_records.plant(10).state),
+        *(lambda name=name: plain_records.plant(10).to_control(name=name) for name in (5, None, "")),
+        *(lambda name=name: Compensator(plain_records.plant(10), ANY).to_control(name=name) for name in (5, None, "")),
+    ],
+)
+def test_what_makes_no_block(make):
+    with pytest.raises(ModelError):
+        make()
 
 
 def test_without_python_control_it_says_what_to_install(monkeypatch):
