@@ -253,67 +253,6 @@ struct Loop {
         loop.limited = limited, loop.slewed = slewed, loop.refused = refused;
         loop.offer = DEHYST_NOTHING;
     }
-
-    // All that decides what comes next, and nothing that does not, one number after the other.
-    template <typename Visit> void visit(Visit each) {
-        each(loop.w);
-        for (size_t i = 0; i < core.rho.size(); i++) each(carts()[i]);
-        for (size_t i = 0; i < core.strains_size(); i++) each(strains()[i]);
-        if (!core.output.empty()) each(loop.driven);
-        if (core.tables.inertia) each(loop.y), each(loop.rate), each(loop.input);
-        each(loop.sent);
-        if (model.lag > 0) each(loop.acting), each(loop.intended[0]), each(loop.intended[1]);
-        for (size_t m = 0; m + 1 < tap.size(); m++) each(inputs()[m]);
-    }
-    Output row() {
-        demand_free();
-        std::vector<double> out;
-        visit([&](double one) { out.push_back(one); });
-        return as_array(out);
-    }
-    void place(Input row) {
-        demand_free();
-        size_t size = 0, finite = 0;
-        visit([&](double) { size++; });
-        if (row.size() != size) demand(DEHYST_ERR_SIZE);
-        for (size_t i = 0; i < size; i++) finite += std::isfinite(row(i));
-        if (finite < size) demand(DEHYST_ERR_FINITE);
-        const double *next = row.data();
-        visit([&](double &one) { one = *next++; });
-        loop.offer = DEHYST_NOTHING;
-        const dehyst_state state{{loop.w, carts()}, strains(),  strains() + core.stiffness.size(),
-                                 loop.y,            loop.rate, loop.input};
-        demand(dehyst_check(&core.tables, &state));
-    }
-
-    // Functions of a row: what was in the loop before does not count, what is in it after is of no use.
-    double offered(Input row, double u) {
-        place(row);
-        const double v = dehyst_loop_offer(&model, &loop, memory.data(), u);
-        if (loop.offer == DEHYST_REFUSED) check_offer(u);
-        return v;
-    }
-    Output stepped(Input row_, double u) {
-        place(row_);
-        step(u);
-        return row();
-    }
-    // A voltage that leads farther than can be computed is counted only.
-    void follow(double v) {
-        const unsigned long refused = loop.refused;
-        commit(v);
-        if (loop.refused != refused) throw CoreError("a voltage that leads farther than can be computed");
-    }
-    double reached(Input row, double v) {
-        place(row);
-        follow(v);
-        return displacement();
-    }
-    Output moved(Input row_, double v) {
-        place(row_);
-        follow(v);
-        return row();
-    }
 };
 
 // A float, or NumPy's; what has to be converted first may have a unit, even if it is derived from them.
@@ -385,12 +324,6 @@ void bind_loop(nb::module_ &m) {
         .def("state", &Loop::state)
         .def("rest", &Loop::rest)
         .def("go_on", &Loop::go_on)
-        .def("row", &Loop::row)
-        .def("place", &Loop::place)
-        .def("offered", &Loop::offered)
-        .def("stepped", &Loop::stepped)
-        .def("reached", &Loop::reached)
-        .def("moved", &Loop::moved)
         .def("block", &Loop::block)
         .def("ids", &Loop::ids)
         .def("save", &Loop::save)

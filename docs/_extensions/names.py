@@ -23,6 +23,7 @@ ORDER = (
     "measured_stage",
     "published_equation",
     "control_loop",
+    "python_control",
     "saturating_limits",
     "scan_wave_table",
     "three_axis_scanner",

@@ -15,7 +15,7 @@ from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSli
 from dehyst.control import StateBounds, shortest_homing
 from dehyst.control.planning.states import MajorLoop
 from dehyst.identification import Structure
-from dehyst.trust.prediction_band import top_start
+from dehyst.trust.prediction_band import top_state
 from dehyst.waveforms import Sampling
 from examples import examples
 
@@ -174,7 +174,7 @@ def test_smooth_elements_are_said_to_be_simulated_not_proven():
 @pytest.mark.parametrize("name", [*ORDERED, *TIMED])
 def test_homed_is_at_the_top_of_the_limits(name):
     actuator = {**ORDERED, **TIMED}[name]
-    state = top_start(actuator, LIMITS)(actuator)
+    state = top_state(actuator, LIMITS)
     assert actuator.voltage(state) == pytest.approx(LIMITS[1], abs=0.05 if name in TIMED else 1e-9)
     start = past(actuator, 3, LIMITS[0])
     found = shortest_homing(actuator, present=LIMITS[0], end=LIMITS[1])

@@ -87,7 +87,7 @@ def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
 
 
 @pytest.mark.parametrize("kind", NEEDING_TIME)
-def test_loops_and_blocks_ask_for_the_period(kind):
+def test_loops_ask_for_the_period(kind):
     actuator = anatomy(kind)
     for call in (
         lambda: Compensator(actuator).step(PATH[0]),
@@ -97,8 +97,6 @@ def test_loops_and_blocks_ask_for_the_period(kind):
         lambda: Compensator(actuator).run(PATH),
         lambda: Compensator(actuator).snapshot(),
         lambda: Compensator(actuator).tables(),
-        lambda: Compensator(actuator).to_control(),
-        actuator.to_control,
     ):
         with pytest.raises(ModelError, match=r"give the period \[s\]"):
             call()

@@ -180,15 +180,6 @@ def test_a_wave_table_strokes_outside_is_refused():
         wave_table(ACTUATOR, scan)
 
 
-def test_a_block_refuses_what_simulate_refuses():
-    pytest.importorskip("control")
-    block = ACTUATOR.to_control()
-    assert block.output(0, block.start, [3.0]).size == 1
-    with pytest.raises(ModelError, match=r"identified from 0 to 3\.6 V"):
-        block.output(0, block.start, [100.0])
-    assert ACTUATOR.to_control(extrapolate=True).output(0, block.start, [100.0])[0] > 5e-4
-
-
 @pytest.mark.parametrize("more", [(), ("--table", "table.csv")])
 def test_the_command_names_the_reach_and_writes_nothing(tmp_path, monkeypatch, more):
     monkeypatch.chdir(tmp_path)

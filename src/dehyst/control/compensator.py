@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,20 +25,15 @@ from dehyst.control.limits import (
     unit_hint,
     warn_of_run,
 )
-from dehyst.control.loop import ReadOnly, Snapshot, make_loop, memory_of, preview_filter, set_memory
+from dehyst.control.loop import ReadOnly, Snapshot, make_loop, preview_filter
 from dehyst.control.trajectory import Command, follow, of_axis
 from dehyst.model import (
     ANYWAY,
     Actuator,
     State,
-    compensator_block,
     demand_thermal,
-    labels,
     state_within_limits,
 )
-
-if TYPE_CHECKING:
-    from control import NonlinearIOSystem
 
 
 class Compensator(ReadOnly):
@@ -525,27 +520,6 @@ class Compensator(ReadOnly):
         gain, offset = self.scaling_at(None, displacement.size)
         return np.asarray((displacement - offset) / gain)
 
-    def to_control(self, *, name: str = "compensator") -> NonlinearIOSystem:
-        """Return a python-control block: wanted displacement [m] in, voltage [V] out, starting from the present memory.
-
-        The displacement is in metres, whatever `units` is.
-        The block computes the same bits as this compensator and does not change it. All memory is in the block's state;
-        pass the block's `start`, the present memory, as initial state. The voltage of a sample depends on the
-        displacement of the same sample (direct feedthrough). Clamping gives one warning of each kind and is not
-        counted.
-
-        `name`: name of the block; its input is called "wanted", its output "voltage". Raise `MissingExtraError` if
-        python-control is not installed.
-
-        Returns
-        -------
-        control.NonlinearIOSystem
-            In discrete time with `period`, or with an unspecified period if there is none.
-        """
-        loop = self.new_loop()
-        set_memory(loop, *memory_of(self._loop))
-        return compensator_block(loop, labels(self.actuator.model, self._preview[0].size), self.period, name)
-
     def tables(self) -> dict[str, Array]:
         """Return all numbers that a step reads, as computed by the core; names as in `core/dehyst.h`."""
         return self._loop.tables()
@@ -596,10 +570,6 @@ class Compensator(ReadOnly):
     @cached_property
     def _loop(self) -> Loop:
         """The loop in C, made when first needed, because a trajectory does not need it."""
-        return self.new_loop()
-
-    def new_loop(self) -> Loop:
-        """Return a loop in C in the state at the construction or the last reset."""
         options = {"warns": self._warns, "assumed": self._assumed}
         loop = make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), **options)
         loop.per_metre = self._per_metre

@@ -24,12 +24,10 @@ from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
 from dehyst.model.promise import Validity
-from dehyst.model.python_control import actuator_block
 from dehyst.model.serialization import JsonFile
 from dehyst.records import Record
 
 if TYPE_CHECKING:
-    from control import NonlinearIOSystem
     from matplotlib.axes import Axes
 
 # The voltage of a state is a sum: it has an error of at most this part of the spring's range.
@@ -388,46 +386,6 @@ class Actuator(JsonFile, AbstractModel):
     def displacement(self, state: State | None = None) -> float:
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
         return self.model.displacement(self._start(state))
-
-    def to_control(
-        self,
-        *,
-        period: float | None = None,
-        state: State | None = None,
-        name: str = "actuator",
-        extrapolate: bool = False,
-    ) -> NonlinearIOSystem:
-        """Return a block for python-control: voltage [V] in, displacement [m] out, with one sample per period.
-
-        The block computes what `simulate` does. Its state holds all memory; pass the block's `start` (equal to `state`)
-        as initial state. The displacement of a sample is reached with the voltage of the same sample (direct
-        feedthrough): a controller in a loop with it must use the sample before. `delay` is not part of the block.
-
-        Parameters
-        ----------
-        period : float, optional
-            Seconds between samples; needed with creep, dynamics or a lag.
-        state : State, optional
-            Start; default ``self.state``, with an amplifier at rest.
-        name : str, optional
-            Name of the block; its input is "voltage", its output "displacement".
-        extrapolate : bool, optional
-            As in `simulate`; by default the block raises at such a voltage.
-
-        Returns
-        -------
-        control.NonlinearIOSystem
-            In discrete time, of `period`; of an unspecified period without one.
-
-        Raises
-        ------
-        ModelError
-            If a period is missing, not positive or too long for a resonance, or the state does not fit.
-        MissingExtraError
-            If python-control is not installed.
-        """
-        allowed = None if extrapolate else self._voltages
-        return actuator_block(self.model, self._start(state), period, name, allowed)
 
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float

@@ -1,0 +1,79 @@
+"""
+A loop in python-control
+========================
+
+A compensator and its actuator as blocks whose state holds all memory, with an integral around them.
+"""
+
+import dataclasses
+
+import control
+import matplotlib.pyplot as plt
+import numpy as np
+
+import dehyst
+
+# %%
+# An actuator with creep that has aged: the compensator only knows it as it was.
+knots = np.linspace(0, 16e-6, 5)
+slip = dehyst.MaxwellSlip(1e-6 * np.arange(1, 9), np.linspace(8e5, 1e5, 8))
+creep = dehyst.DisplacementCreep([0.01, 0.1, 1.0], [0.01, 0.01, 0.01])
+actuator = dehyst.Actuator(slip, dehyst.Spring(knots, 8e6 * knots), limits=(-30, 150), displacement_creep=creep)
+aged = dataclasses.replace(actuator, spring=dehyst.Spring(knots, 7.6e6 * knots))
+
+# %%
+# python-control calls the functions of a block in any order. So each call first restores the memory from the state,
+# which is a snapshot as numbers. The output of a sample depends on its input.
+PARTS = ("carts", "creep", "motion", "smooth", "displacement_creep")
+
+
+def block(loop, inputs, outputs, advance):
+    first = loop.snapshot()
+    ends = np.cumsum([1, *(getattr(first.state, part).size for part in PARTS)])
+
+    def numbers():
+        now = loop.snapshot()
+        return np.concatenate([[now.state.deformation], *(getattr(now.state, part) for part in PARTS), now.rest])
+
+    def advanced(x, u):
+        (deformation,), *parts, rest = np.split(x, ends)
+        loop.restore(dataclasses.replace(first, state=dehyst.State(deformation, *parts), rest=rest))
+        return advance(u[0])
+
+    def update(t, x, u, params):
+        advanced(x, u)
+        return numbers()
+
+    def output(t, x, u, params):
+        return advanced(x, u)
+
+    states = ends[-1] + first.rest.size
+    made = control.NonlinearIOSystem(update, output, inputs=inputs, outputs=outputs, states=states, dt=loop.period)
+    return made, numbers()
+
+
+def played(voltage):
+    plant.commit(voltage)
+    return plant.displacement
+
+
+compensator = dehyst.Compensator(actuator, period=1e-3, state=actuator.relaxed(), warns=False)
+plant = dehyst.Compensator(aged, (-1000, 1000), period=1e-3, state=aged.relaxed())
+inverse, inverse_start = block(compensator, "wanted", "voltage", compensator.step)
+stage, stage_start = block(plant, "voltage", "displacement", played)
+
+# %%
+# The integral adds what is missing to the displacement that the compensator is given, one sample late.
+time = 1e-3 * np.arange(600)
+setpoint = 4e-6 * (1 - np.cos(2 * np.pi * 5 * time))
+error = control.summing_junction(["setpoint", "-displacement"], "error")
+total = control.summing_junction(["setpoint", "correction"], "wanted")
+figure, axes = plt.subplots()
+for gain, label in ((0.0, "compensator alone"), (0.05, "with an integral")):
+    integral = control.ss(1, gain, 1, 0, 1e-3, inputs="error", outputs="correction")
+    loop = control.interconnect([integral, inverse, stage, error, total], inputs="setpoint", outputs="displacement")
+    answer = control.input_output_response(loop, time, setpoint, [[0.0], inverse_start, stage_start])
+    axes.plot(1e3 * time, 1e9 * (answer.outputs - setpoint), label=label)
+axes.set(xlabel="time (ms)", ylabel="error (nm)")
+axes.legend()
+plt.show()
