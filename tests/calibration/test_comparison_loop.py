@@ -1,7 +1,6 @@
 """Whether records on disk are of the actuator that is connected: one loop is played again before they are kept."""
 
 import hashlib
-import json
 import subprocess
 from dataclasses import replace
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from calibration_listener import Heard
 from plain_records import plant
-from rehearsal import DEHYST, Served
+from rehearsal import DEHYST
 
 from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst._io import unwritten
@@ -327,26 +326,6 @@ def test_a_second_model_under_the_same_file_name_is_another_rig(tmp_path):
 def calibrated(address, out):
     command = [*DEHYST, "calibrate", address, "-o", str(out), "--options", '{"rounds": 0}']
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-
-
-@pytest.mark.nightly  # as a rig of one's own below
-def test_a_second_actuator_behind_the_emulator_is_refused(tmp_path):
-    """Two processes, two files of one name: status 2, and nothing of the folder is touched."""
-    for name, scale in (("a", 1.0), ("b", 0.6)):
-        (tmp_path / name).mkdir()
-        as_model(scale).save(tmp_path / name / "model.json")
-    first_model, second_model = (str(tmp_path / name / "model.json") for name in ("a", "b"))
-    with Served("--actuator", first_model, "--speed", "20") as served, open_rig(served.address) as rig:
-        first = rig.identity
-        Session(tmp_path / "out", rig, NullProgress()).record(Plan().excitations(rig).look(), "look")
-    before = contents(tmp_path / "out")
-    with Served("--actuator", second_model) as served:
-        done = calibrated(served.address, tmp_path / "out")
-    assert done.returncode == 2, done.stderr
-    assert f"holds a calibration of {first}" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert contents(tmp_path / "out") == before
-    assert json.loads((tmp_path / "out" / "campaign.json").read_text())["rig"] == first
 
 
 def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):

@@ -38,16 +38,6 @@ def test_a_table_the_figures_and_a_page(folder):
     assert "Models compared" in (folder / "page.html").read_text()
 
 
-def test_without_a_record_to_judge_by_a_part_is_held_out(folder):
-    arguments = ["compare", "tops.csv", "three.csv", "--only", "two branches", "--only", "linear ratio", "--json"]
-    status, out, _ = run(*arguments, cwd=folder)
-    found = json.loads(out)
-    assert (status, found["held_out_by_itself"]) == (0, True)
-    assert found["training"] == found["validation"] == ["tops", "three"]
-    assert [one["role"] for one in found["models"][0]["errors"]] == ["training"] * 2 + ["validation"] * 2
-    assert found["best"]["model"] == "two branches"
-
-
 def test_a_failure_of_dehysts_own_model_is_the_status(folder, monkeypatch):
     def fails(*_, **__):
         raise IdentifyError("no model")

@@ -2,21 +2,16 @@
 
 import json
 import pickle
-import re
-from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
 from summaries import anatomy
 from virtual_loops import record_loops
 
-import dehyst
 from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
 from dehyst.cli import main
 from dehyst.cli.commands import OperationCommand
-from dehyst.control import PossibleStart
 from dehyst.operations.registry import find
-from dehyst.operations.start import start_words
 from dehyst.records import write_record
 
 
@@ -101,24 +96,6 @@ def test_columns_are_suggested_as_data(folder, monkeypatch):
     assert error["suggestion"].keys() == {"time", "voltage", "voltage_scale", "displacement"}
     (command,) = error["commands"]
     assert command.startswith("dehyst show units.csv --columns ")
-
-
-def test_the_help_of_knots_is_what_is_done():
-    shown = CliRunner().invoke(main, ["identify", "--help"]).stdout
-    assert re.search(r"knots \(N\) [^.]*\bN \+ 1\b[^.]*\b41\b", " ".join(shown.split()))
-    record = record_loops()[0]
-    for elements, knots in ((20, 21), (50, 41)):
-        fit = dehyst.identify(record, elements=elements, norm="l2", delay=0.0)
-        assert fit.actuator.spring.displacement.size == knots
-
-
-def test_the_start_is_said_alike_and_within_the_limits():
-    """The state at the top of the spring is held by a little more than the highest voltage of the records."""
-    actuator = replace(anatomy("plain"), limits=(0.0, 150.0))
-    top = PossibleStart.named(actuator, "top")
-    assert actuator.voltage(top.state) > 160
-    begin = top.within(actuator, None)
-    assert start_words(actuator, top) == start_words(actuator, top, begin) == "(coming from the top, 150 V)"
 
 
 @pytest.mark.parametrize("name", ["limits", "knots", "delay"])

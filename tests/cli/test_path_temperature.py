@@ -118,25 +118,6 @@ def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
     assert not [one for one in own if "temperature_C" in one]
 
 
-def test_a_path_in_another_unit_is_told_by_its_size(folder):
-    """Metres under a name in micrometres."""
-    columns = {"time_s": TIME, "displacement_um": 5e-6 - 4e-6 * np.cos(np.pi * TIME)}
-    write_columns(folder / "metres.csv", columns)
-    for more in ((), ("--zero", "mean"), ("--zero", "5")):
-        found, _ = follow(folder, "model.json", "metres.csv", *more)
-        assert len([one for one in found["warnings"] if "in metres" in one]) == 1
-        known, _ = follow(folder, "model.json", "path.csv", *more, status=None)
-        assert not [one for one in known["warnings"] if "in metres" in one]
-
-
-def test_limits_beyond_the_records_are_reported_as_used(folder):
-    inside, _ = follow(folder, "model.json", "warm.csv", "--limits", "0", "200")
-    beyond, _ = follow(folder, "model.json", "warm.csv", "--limits", "-50", "400")
-    assert (inside["limits_V"], beyond["limits_V"]) == ([0, 200], [-50, 400])
-    (more,) = set(beyond["warnings"]) - set(inside["warnings"])
-    assert all(one in more for one in ("-50 to 400 V", "0 to 200 V"))
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

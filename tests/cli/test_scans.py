@@ -81,25 +81,6 @@ def test_an_axis_of_a_raster_and_steps(folder):
     assert run("scan", *steps, "--cycles", 2, "-o", "raster.csv", cwd=folder)[0] == 0
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        ("spiral", "--frequency", 1, "--revolutions", 3, *rare(constant="angular"), "--y-low", 1, "--y-high", 11),
-        ("lissajous", "--frequency", 2, "--ratio", 3, 4, *rare(phase=0), "--y-low", 5, "--y-high", 6),
-    ],
-)
-def test_two_axes_in_the_middle_of_what_is_given(folder, kind):
-    name, *more = kind
-    assert run("scan", name, "--low", 2, "--high", 12, *more, "-o", "figure.csv", cwd=folder)[0] == 0
-    y = rows_of(folder / "figure.csv")["y_um"]
-    low, high = more[-3], more[-1]
-    assert y[0] == pytest.approx(0.5 * (low + high)) and y.max() == pytest.approx(high, abs=0.01)
-
-
-def rows_of(path):
-    return {column.name: column.data for column in read_table(path).columns}
-
-
 def test_rows_that_are_not_the_scans_are_refused(folder):
     """Its first line would otherwise hide what was changed; without it the rows are a path."""
     head, names, *lines = (folder / "scan.csv").read_text().splitlines()
@@ -125,12 +106,6 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
     for damaged in ({}, {"dehyst": 1}):
         (folder / "damaged.csv").write_text("\n".join([f"{SCAN}{json.dumps(damaged)}", *lines, ""]))
         assert "remove that line" in refused(*words, cwd=folder)["hint"]
-
-
-def test_what_is_clamped_ends_with_status_1(folder):
-    given = ("scan.csv", "--limits", 0, 100, "--table", "t.csv", "--start", "relaxed")
-    status, told = result("compensate", "model.json", *given, "-o", "o.csv", cwd=folder)
-    assert status == 1 and told["clamped"] > 0
 
 
 @pytest.mark.parametrize(
@@ -189,16 +164,6 @@ def test_wrong_options_of_compensate_are_named(folder, arguments, argument):
 def test_wrong_options_of_scan_are_named(tmp_path, arguments, argument):
     assert refused("scan", *arguments, "-o", "o.csv", cwd=tmp_path)["argument"] == argument
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_long_homing_is_told_before_it_is_written(folder):
-    given = ("scan.csv", "--home", "--table", "t.csv", "-o", "long.csv")
-    _, out, err = run("compensate", "slow.json", *given, "--json", cwd=folder)
-    told, table = json.loads(out), np.loadtxt(folder / "long.csv", delimiter=",", skiprows=1)
-    assert f"{told['samples']} rows" in err and f"{told['homing_samples']} rows" in err
-    assert told["samples"] == len(table) < 5e5 and told["homing_s"] > 200
-    first = table[table[:, 1] == 1][0]
-    assert first[0] == pytest.approx(told["homing_s"], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ import dehyst
 from dehyst.model import Identification, Stage
 from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
-from dehyst.records import signals as slew
 
 SPEED = 50.0
 PLAIN = replace(plain_records.plant(6), limits=(0.0, 200.0), recorded_slew_rate=SPEED)
@@ -54,15 +53,6 @@ def factors(result):
     return [one for one in result["warnings"] if "times the speed of the model's records" in one]
 
 
-def test_a_path_with_two_columns_of_time_is_refused(folder):
-    """It was taken for a path without times, whose slew rate is not limited."""
-    text = (folder / "fast.csv").read_text()
-    (folder / "twice.csv").write_text("\n".join(f"{line.split(',')[0]},{line}" for line in text.splitlines()))
-    status, _, err = run("compensate", "model.json", "twice.csv", "-o", "twice-voltage.csv", cwd=folder)
-    assert status == 2 and "time_s" in err
-    assert not (folder / "twice-voltage.csv").exists()
-
-
 @pytest.mark.parametrize("start", [(), ("--start", "top"), ("--start", "bottom"), ("--home",), ("--no-home",)])
 @pytest.mark.parametrize("path", ["slow", "fast"])
 def test_the_speed_of_the_records_is_the_default(folder, path, start):
@@ -82,55 +72,6 @@ def test_the_factor_is_that_of_the_path(folder):
     voltage = table.column("voltage")[result["homing_samples"] :]
     factor = float(remark.split(" V/s, ")[1].split(" times")[0])
     assert factor == pytest.approx(np.abs(np.diff(voltage)).max() / 0.01 / SPEED, rel=0.1) and factor > 3
-
-
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
-        ("model", ("fast.csv", "--start", "top")),
-        ("model", ("fast.csv",)),
-        ("model", ("scan-2.csv", "--table", "table.csv")),
-        ("stage", ("fast_axes.csv", "--columns", "x=x_um, y=y_um")),
-    ],
-)
-def test_a_path_that_is_held_back_says_so_and_names_the_ways_out(folder, model, words):
-    status, out, err = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", cwd=folder)
-    assert status == 1 and "slew rate" in out.splitlines()[0]
-    assert "held back" in err and "5 %" in err
-    assert "--slew-rate V/S" in out and "--slew-rate none" in out
-    status, out, _ = run("compensate", f"{model}.json", *words, "-o", f"{model}.csv", "--slew-rate", "none", cwd=folder)
-    assert "missed" not in out.splitlines()[0]
-
-
-def test_the_margin_is_that_of_the_stored_speed(folder):
-    _, out, _ = run("compensate", "model.json", "slow.csv", "-o", "out.csv", cwd=folder)
-    assert f"a margin of {100 * (slew.MARGIN - 1):.0f} %" in out.splitlines()[1]
-    _, result, table = compensated(folder, "fast.csv")
-    path = {one.name: one.data for one in table.columns}
-    assert result["missed_um"] == pytest.approx(np.abs(path["expected_um"] - path["displacement_um"]).max(), rel=1e-6)
-
-
-def test_a_single_sample_is_refused_in_words_of_the_command(folder):
-    write_columns(folder / "one.csv", {"time_s": np.zeros(1), "displacement_um": np.full(1, 5.0)})
-    status, _, err = run("compensate", "model.json", "one.csv", "-o", "o.csv", cwd=folder)
-    assert status == 2 and "--period" not in err and "Compensator" not in err
-
-
-def test_a_slew_rate_that_is_given_counts(folder):
-    status, result, table = compensated(folder, "fast.csv", "--slew-rate", 1000)
-    assert (status, result["slew_V_per_s"], result["slew_from"]) == (0, 1000, "option")
-    assert SPEED < steepest(table) <= 1000 * (1 + 1e-6)
-    assert len(factors(result)) == 1
-
-
-def test_the_remark_names_the_bound_that_holds(folder):
-    status, result, _ = compensated(folder, "fast.csv", "--slew-rate", 1.5 * SPEED)
-    assert status == 1
-    (remark,) = factors(result)
-    assert f"held back to {1.5 * SPEED:.4g} V/s" in remark
-    status, result, _ = compensated(folder, "slow.csv", "--slew-rate", 0.1 * SPEED)
-    assert status == 1 and not factors(result)
-    assert any("held back to" in one for one in result["warnings"])
 
 
 @pytest.mark.parametrize(
@@ -203,13 +144,6 @@ def test_without_a_speed_or_a_time_nothing_bounds_and_that_is_said(folder, model
     status, result, _ = compensated(folder, f"{path}.csv", model=f"{model}.json")
     assert (status, result["slew_V_per_s"], result["slew_from"]) == (0, None, origin)
     assert "not limited" in run("compensate", f"{model}.json", f"{path}.csv", "-o", "out.csv", cwd=folder)[1]
-
-
-def test_scans_and_their_tables_are_bounded_with_their_homing(folder):
-    for words in (("scan-0.1.csv",), ("scan-0.1.csv", "--table", "table.csv"), ("scan-2.csv",)):
-        status, result, table = compensated(folder, *words)
-        assert result["slew_V_per_s"] == SPEED and steepest(table) <= SPEED * (1 + 1e-6)
-        assert status == len(factors(result)) == (words == ("scan-2.csv",))
 
 
 @pytest.mark.parametrize("start", [(), ("--start", "top"), ("--no-home",)])
@@ -290,12 +224,6 @@ def test_each_axis_has_a_present_voltage_of_its_own(folder, more):
     for wrong in ("z=3", "x=a", "x=900"):
         status, _, err = run("compensate", "stage.json", *words, "-o", "o.csv", "--present", wrong, cwd=folder)
         assert status == 2 and "--present" in err
-
-
-def test_a_wrong_slew_rate_is_refused(folder):
-    for wrong in ("fast", "-1", "0", "inf", "nan"):
-        status, _, err = run("compensate", "model.json", "slow.csv", "-o", "o.csv", "--slew-rate", wrong, cwd=folder)
-        assert status == 2 and "slew" in err
 
 
 def test_an_identification_stores_the_speed_of_its_records():

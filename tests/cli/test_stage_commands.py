@@ -9,12 +9,11 @@ import coupled_stage
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from command_line import refused, result
+from command_line import refused
 
 from dehyst.cli import main
 from dehyst.model import Stage
 from dehyst.records import Record, read, read_table, write_columns
-from dehyst.records.tables import axis_columns, text_of
 from dehyst.trust import start_of
 
 AXES = "x=vx_V:x_um, y=vy_V:y_um"
@@ -71,19 +70,6 @@ def test_simulate_and_compensate_undo_each_other(folder):
         assert np.allclose(reached, path[f"{axis}_um"], rtol=0, atol=1e-6)
 
 
-def test_axes_are_taken_by_their_names(folder):
-    words = ["compensate", folder / "stage.json", folder / "named-path.csv", "--no-home"]
-    path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
-    write_columns(folder / "named-path.csv", path)
-    run(*words, "-o", folder / "named.csv")
-    run(*words, "-o", folder / "turned.csv", "--columns", "y=vy_V:y_um, x=vx_V:x_um")
-    assert (folder / "named.csv").read_bytes() == (folder / "turned.csv").read_bytes()
-    other = ("--columns", "a=vx_V:x_um, b=vy_V:y_um", "-o", folder / "n.csv")
-    assert refused(*words, *other)["argument"] == "axes"
-    twice = refused(*words, "--columns", "x=x_um, y=x_um", "-o", folder / "n.csv")
-    assert (twice["argument"], twice["got"]) == ("axes", "x=x_um, y=x_um")
-
-
 def test_bare_columns_are_taken_by_their_names_too(folder):
     words = ["compensate", folder / "stage.json", folder / "bare-path.csv", "--no-home"]
     path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
@@ -119,19 +105,6 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     assert "top needs 120" in named["warnings"][0]
     assert named["start"]["x"]["name"] == "top"
     assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
-
-
-def test_voltages_that_were_written_are_a_start_of_records_with_other_names(folder):
-    renamed = replace(Stage.load(folder / "stage.json"), recorded_columns=("x=CH1:S1", "y=CH2:S2"))
-    renamed.save(folder / "renamed.json")
-    t = np.arange(0, 5, 0.02)
-    write_columns(folder / "u.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
-    run("compensate", folder / "renamed.json", folder / "u.csv", "-o", folder / "first.csv")
-    words = ["compensate", folder / "renamed.json", folder / "u.csv", "--start", folder / "first.csv"]
-    found = result_of(run(*words, "-o", folder / "second.csv", "--json"))
-    assert all(one["name"] == "first.csv" for one in found["start"].values())
-    for one, other in (("v", "CH1:S1"), ("vx_V", "vx_V")):
-        assert refused(*words, "-o", folder / "third.csv", "--columns", f"x={one}:x_um, y=vy_V:{other}")
 
 
 def test_each_axis_starts_as_a_record_began(folder):
@@ -221,25 +194,6 @@ def test_a_rig_has_a_slew_rate_even_if_none_is_given(given, remarks, used):
     assert planned["slew_rate_V_per_s"] == used
 
 
-def test_one_axis_of_a_rig_of_ones_own_may_be_named(tmp_path):
-    rig = "from fake_rig import FakeRig\n\n\ndef make(limits=None, slew_rate=None):\n"
-    (tmp_path / "own.py").write_text(
-        f"{rig}    return FakeRig((0, 100), axis='1', limits=limits, slew_rate=slew_rate)\n"
-    )
-    words = ["calibrate", tmp_path / "own.py:make", "--axes", "1", "--dry-run", "--json"]
-    assert result_of(run(*words))["limits_V"] == [0, 100]
-    planned = result_of(run(*words, "--limits", "1=0", "80", "--slew-rate", "30"))
-    assert (planned["limits_V"], planned["slew_rate_V_per_s"]) == ([0, 80], 30)
-
-
-def test_an_export_begins_where_its_limits_lead(folder):
-    words = ["export", folder / "stage.json", folder / "c", "--limits", "0", "100", "--json"]
-    result = result_of(run(*words))
-    assert "top needs 120" in result["warnings"][0]
-    assert result["begins"]["y"]["voltage_V"] <= 100
-    assert "slowly between 0 and 100" in (folder / "c" / "README.md").read_text()
-
-
 def test_an_interrupted_identification_of_axes_reports_that_nothing_is_written(folder, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -249,20 +203,6 @@ def test_an_interrupted_identification_of_axes_reports_that_nothing_is_written(f
     done = CliRunner().invoke(main, [str(word) for word in words])
     assert "nothing was written" in done.output
     assert not (folder / "never.json").exists()
-
-
-def test_a_scan_moves_two_axes(folder):
-    path = folder / "path-of-scan.csv"
-    run("scan", "lissajous", "--low", "4", "--high", "9", "--frequency", "0.5", "-o", path)
-    run("compensate", folder / "stage.json", path, "-o", folder / "scan.csv")
-    table = read_table(folder / "scan.csv")
-    for axis in "xy":
-        assert np.ptp(table.column("displacement", f"{axis}_um")) > 4e-6
-
-
-def test_a_voltage_beyond_its_limit_ends_with_status_1(folder):
-    words = ["compensate", folder / "stage.json", folder / "stage.csv", "-o", folder / "w.csv", "--limits", "0", "60"]
-    assert "CLAMPED" in run(*words, status=1)
 
 
 def test_show_check_and_insight(folder):
@@ -282,12 +222,6 @@ def test_excite_writes_axes_one_after_the_other_then_together(tmp_path):
     alone = (x > 1) & (y == 0)
     assert alone.mean() > 0.2
     assert ((x > 1) & (y > 1)).mean() > 0.1
-
-
-def test_a_single_axis_warns_of_the_other_voltage(folder):
-    given = ("--columns", "voltage=vx_V, displacement=x_um", "--structure", "maxwell_slip")
-    _, found = result("identify", folder / "stage.csv", *given)
-    assert "'vy_V'" in found["remarks"][0]
 
 
 def test_options_that_a_stage_does_not_take_are_refused(folder):
@@ -359,27 +293,6 @@ def test_a_stage_is_simulated_from_a_start_after_a_homing_and_late(folder):
     assert after["start"]["x"]["name"] == "stage.csv"
 
 
-def test_the_zero_and_the_present_voltage_of_a_stage(folder):
-    t = np.arange(0, 5, 0.02)
-    write_columns(folder / "z.csv", {"time_s": t, "x_um": 3 + np.sin(t), "y_um": 4 + np.sin(t)})
-    words = ["compensate", folder / "stage.json", folder / "z.csv", "--home", "--slew-rate", "300"]
-    run(*words, "-o", folder / "z0.csv", "--present", "20")
-    table = read_table(folder / "z0.csv")
-    assert table.column("voltage", "vx_V")[0] == table.column("voltage", "vy_V")[0] == 20
-    run(*words, "-o", folder / "z1.csv", "--zero", "2")
-    moved = read_table(folder / "z1.csv").column("displacement", "x_um")[-len(t) :]
-    assert np.allclose(moved, 1e-6 * (5 + np.sin(t)), rtol=0, atol=1e-14)
-
-
-def test_axes_whose_columns_are_not_named_get_a_proposal(folder):
-    stage = Stage.load(folder / "stage.json")
-    replace(stage, axes=("1", "2"), recorded_columns=()).save(folder / "numbered.json")
-    write_columns(folder / "unnamed.csv", {"time_s": np.arange(3.0), "x_um": np.ones(3), "y_um": np.ones(3)})
-    words = ["compensate", folder / "numbered.json", folder / "unnamed.csv", "-o", folder / "numbered.csv"]
-    assert '--columns "1=x_um, 2=y_um"' in run(*words, status=2)
-    run(*words, "--columns", "1=x_um, 2=y_um", "--no-home")
-
-
 def in_other_units(folder, name, columns, *, scales=(1, 1, 1, 1)):
     """Write the columns of a table of both axes by other names, divided by scales."""
     table = read_table(folder / name)
@@ -419,17 +332,6 @@ def test_a_record_with_scales_is_checked_with_and_without_columns(folder, scaled
     assert other["axes"]["y"] != own["axes"]["y"]
 
 
-def test_identify_keeps_the_scales_of_axes(folder, scaled):
-    record, axes = scaled
-    words = ["--columns", axes, "-o", folder / "again.json", "--structure", "maxwell_slip"]
-    CliRunner().invoke(main, [str(word) for word in ("identify", record, *words)])
-    kept = axis_columns(text_of(Stage.load(folder / "again.json").recorded_columns))
-    assert [one[1:] for one in kept] == [
-        ("Mx:V", "x_um", "15 V/V", None),
-        ("vy_V", "y_um", "2 V/V", "-1 um/um"),
-    ]
-
-
 def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
     write_columns(folder / "plain.csv", {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)})
     for name in ("stage", "scaled"):
@@ -437,17 +339,6 @@ def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
         run("simulate", folder / f"{name}.json", folder / "stage-v.csv", "-o", folder / f"{name}-y.csv")
     assert (folder / "stage-v.csv").read_bytes() == (folder / "scaled-v.csv").read_bytes()
     assert (folder / "stage-y.csv").read_bytes() == (folder / "scaled-y.csv").read_bytes()
-
-
-def test_a_path_takes_units_and_scales_of_each_axis(folder):
-    x, y = np.linspace(4.0, 8.0, 50), np.linspace(9.0, 6.0, 50)
-    write_columns(folder / "bare.csv", {"first": x, "second": y / -2})
-    write_columns(folder / "um.csv", {"x_um": x, "y_um": y})
-    words = ["compensate", folder / "stage.json", "--no-home"]
-    run(*words, folder / "um.csv", "-o", folder / "um-v.csv")
-    given = ["--columns", "x=first:um, y=second:um*-2um/um"]
-    run(*words, folder / "bare.csv", *given, "-o", folder / "bare-v.csv")
-    assert (folder / "um-v.csv").read_bytes() == (folder / "bare-v.csv").read_bytes()
 
 
 def test_the_columns_that_a_message_proposes_are_taken(folder):
@@ -458,30 +349,6 @@ def test_the_columns_that_a_message_proposes_are_taken(folder):
     moved = read_table(folder / "cn-v.csv").column("displacement", "y_um")
     assert np.allclose(moved, 1e-6 * np.linspace(9.0, 6.0, 50), rtol=0, atol=1e-15)
     assert "x=NAME" in run(*words, "--columns", "x=first, y=second", status=2)
-
-
-def test_a_start_from_a_record_takes_the_scales_of_its_columns(folder, scaled):
-    record, _ = scaled
-    write_columns(
-        folder / "s.csv", {"time_s": np.arange(50) * 0.02, "vx_V": np.full(50, 40.0), "vy_V": np.full(50, 30.0)}
-    )
-    words = [folder / "s.csv", "-o", folder / "s-y.csv", "--json"]
-    plain = result_of(run("simulate", folder / "stage.json", *words, "--start", folder / "stage.csv"))
-    own = result_of(run("simulate", folder / "scaled.json", *words, "--start", record))
-    for axis in "xy":
-        pairs = zip(plain["state"][axis].items(), own["state"][axis].values(), strict=True)
-        for (name, before), after in pairs:
-            assert np.allclose(before, after, rtol=1e-6, atol=1e-12), name
-
-
-def test_a_record_in_which_an_axis_stands_still_is_refused_by_its_axis(folder):
-    table = read(folder / "stage.csv", axes=AXES)
-    still = replace(table, voltage=table.voltage * [1.0, 0.0])
-    write(folder / "still.csv", still)
-    for words in (["check"], ["update", "-o", folder / "u.json"]):
-        found = refused(words[0], folder / "stage.json", folder / "still.csv", *words[1:])
-        assert found["kind"] == "RecordError"
-        assert "axis y" in found["message"]
 
 
 def test_a_key_is_no_axis_and_a_bound_is_given_once(folder):

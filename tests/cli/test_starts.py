@@ -4,9 +4,8 @@ import json
 from itertools import pairwise
 
 import numpy as np
-import places
 import pytest
-from command_line import WRITTEN, rare, run
+from command_line import WRITTEN, run
 
 import dehyst
 from dehyst import Actuator, Record
@@ -67,15 +66,6 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
         assert 100 * error <= got["start"]["model_error_percent"]
 
 
-def test_the_line_says_what_is_left_and_how_long_the_homing_is(folder):
-    status, out, _ = run("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
-    first, slew, second, promised, *_ = out.splitlines()
-    assert slew == "slew rate: not limited"
-    assert status == 0 and "(homed first from 0 V, " in first and " samples, " in first
-    assert second.startswith("unknown start: after the homing it leaves less than 0.001 % of the stroke open; ")
-    assert promised.startswith("expect this path ")
-
-
 def test_compensate_promises_what_the_records_tested_of_the_path(folder):
     """One judgement: the promise of this path, and what an unknown start leaves open."""
     _, got = answer(
@@ -92,12 +82,6 @@ def test_compensate_promises_what_the_records_tested_of_the_path(folder):
     )
 
 
-def test_a_path_without_time_is_homed_without_time(folder):
-    _, got = answer("compensate", "model.json", "timeless.csv", "-o", "v.csv", cwd=folder)
-    assert read_table(folder / "v.csv").names == ("phase", "displacement_um", "voltage_V", "expected_um")
-    assert got["homing_samples"] > 0 and got["homing_s"] is None
-
-
 def test_without_a_homing_the_error_is_reported(folder):
     given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none")
     _, got = answer(*given, cwd=folder)
@@ -107,11 +91,6 @@ def test_without_a_homing_the_error_is_reported(folder):
     assert "the model's error" in line
     assert f" % after {got['start']['settled_s']:.4g} s: give --start or --home" in line
     assert "phase" not in read_table(folder / "v.csv").names
-
-
-def test_a_present_voltage_begins_the_homing(folder):
-    answer("compensate", "model.json", "path.csv", "-o", "v.csv", "--present", 60, cwd=folder)
-    assert column(folder, "v.csv", "voltage_V")[0] == 60
 
 
 def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
@@ -142,15 +121,6 @@ def test_a_simulation_from_an_unknown_start_is_bounded(folder):
     assert 0 < settled < 250 and got["start"]["settled_s"] == pytest.approx(0.01 * settled)
 
 
-def test_a_simulation_is_homed_on_request_only(folder):
-    write_columns(folder / "short.csv", {"voltage_V": np.linspace(40, 90, 20)})
-    _, got = answer("simulate", "model.json", "short.csv", "-o", "s.csv", cwd=folder)
-    assert (got["samples"], got["homing_samples"]) == (20, 0)
-    status, got = answer("simulate", "model.json", "short.csv", "-o", "s.csv", "--home", cwd=folder)
-    assert status == 0 and got["certified"] and got["samples"] == 20 + got["homing_samples"]
-    np.testing.assert_allclose(column(folder, "s.csv", "voltage_V")[-20:], np.linspace(40, 90, 20), rtol=WRITTEN)
-
-
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_a_record_is_a_start(folder, model):
     """The second half of a record, predicted from the first."""
@@ -164,24 +134,6 @@ def test_a_record_is_a_start(folder, model):
     assert status == 0 and "end of first.csv" in out
     came = column(folder, "s.csv", "expected_um")
     assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
-
-
-def test_a_start_from_a_record_takes_the_given_columns_and_scales(folder):
-    """A low-voltage command to an amplifier, in the record of the start as in the file of voltages."""
-    actuator = Actuator.load(folder / "model.json")
-    voltage = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 0, 200), np.linspace(0, 120, 150)])
-    time, y = np.arange(550) * 0.05, actuator.simulate(voltage).displacement
-    moved = {"displacement_um": 1e6 * y}
-    write_columns(folder / "volts.csv", {"time_s": time, "out": voltage / 20, **moved})
-    write_columns(folder / "plain.csv", {"time_s": time, "voltage_V": voltage, **moved})
-    onward = np.linspace(120, 60, 40)
-    write_columns(folder / "onward.csv", {"time_s": np.arange(40) * 0.05, "out": onward / 20})
-    columns, states = ("--columns", "voltage=out*20"), {}
-    for start in ("volts.csv", "plain.csv"):
-        given = ("simulate", "model.json", "onward.csv", "-o", "s.csv", "--start", start, *columns)
-        states[start] = answer(*given, cwd=folder)[1]["state"]
-    for name, values in states["plain.csv"].items():
-        np.testing.assert_allclose(states["volts.csv"][name], values, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
@@ -210,26 +162,6 @@ def test_a_record_is_a_start_as_it_began(folder, model):
     assert np.abs(column(folder, "v.csv", "voltage_V") - voltage[:100]).max() < 0.01 * 200
     status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", "as:same.csv", cwd=folder)
     assert status == 2, err
-
-
-def test_insight_predicts_a_path_from_a_start(folder):
-    """From the state in which a record began, the voltages are those of compensate."""
-    given = ("insight", "model.json", "loops.csv", "--trajectory", "path.csv", "-o", "band.csv")
-    plan = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--slew-rate", "none")
-    voltages = {}
-    for start in ("as:loops.csv", "bottom"):
-        answer(*plan, "--start", start, cwd=folder)
-        voltages[start] = column(folder, "v.csv", "voltage_V")
-    assert np.abs(voltages["as:loops.csv"] - voltages["bottom"]).max() > 1
-    _, got = answer(*given, "--start", "as:loops.csv", cwd=folder)
-    assert got["start"] == "as:loops.csv" and got["judgement"]["start_m"] == 0
-    np.testing.assert_allclose(column(folder, "band.csv", "voltage_V"), voltages["as:loops.csv"], atol=1e-9)
-    # Voltages alone may leave the state open.
-    write_columns(folder / "few.csv", {"voltage_V": np.array([0.0, 40.0, 10.0, 30.0])})
-    _, got = answer(*given, "--start", "few.csv", cwd=folder)
-    assert got["judgement"]["start_m"] > 0 and any("few.csv leaves" in one for one in got["warnings"])
-    status, _, err = run("insight", "model.json", "loops.csv", "--start", "top", cwd=folder)
-    assert status == 2 and "--start: has no effect" in err
 
 
 def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
@@ -286,17 +218,6 @@ def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
     assert status in (0, 1) and "history.csv: 1 of 3 voltages" in err
 
 
-def test_a_homing_beyond_the_records_is_said(folder):
-    """Limits that are wider than the model's let the homing go there."""
-    scan = ("triangle", "--low", 3, "--high", 10, "--frequency", 5)
-    assert run("scan", *scan, "-o", "scan.csv", cwd=folder)[0] == 0
-    for path in (("path.csv",), ("scan.csv", "--table", "t.csv")):
-        for limits, said in ((("--limits", "-500", "500"), True), ((), False)):
-            status, _, err = run("compensate", "creep.json", *path, "-o", "w.csv", *limits, cwd=folder)
-            assert status in (0, 1)
-            assert ("homing" in err and "identified range" in err) == said
-
-
 @pytest.mark.parametrize("command", ["simulate", "compensate", "check", "insight"])
 def test_arguments_in_the_wrong_order_are_explained(folder, command):
     output = ("-o", "x.csv") if command in ("simulate", "compensate") else ()
@@ -315,61 +236,3 @@ def test_a_start_that_is_nothing_is_refused(folder, command):
     assert status == 2 and "loops.csv" in err
     status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "top", "--home", cwd=folder)
     assert status == 2 and "--start: got it with --home" in err
-
-
-def test_a_wave_table_is_homed_unless_the_start_is_known(folder):
-    assert run("scan", "triangle", "--low", 3, "--high", 10, "--frequency", 5, "-o", "scan.csv", cwd=folder)[0] == 0
-    scan = ("scan.csv", "--table", "t.csv", "-o", "o.csv")
-    _, got = answer("compensate", "model.json", *scan, cwd=folder)
-    assert got["homing_samples"] > 0 and got["start"]["largest_difference_percent"] < 1e-3
-    _, got = answer("compensate", "model.json", *scan, "--no-home", cwd=folder)
-    assert got["homing_samples"] == 0 and got["start"]["largest_difference_percent"] > 5
-    _, got = answer("compensate", "model.json", *scan, "--start", "top", cwd=folder)
-    assert got["homing_samples"] == 0 and got["start"] == {"name": "top"}
-
-
-def test_an_export_begins_where_a_record_ends(folder):
-    given = ("export", "model.json", "firmware", "--start", "loops.csv", "--json")
-    status, out, err = run(*given, cwd=folder)
-    assert status == 0, err
-    record = dehyst.read(folder / "loops.csv")
-    stroke = np.ptp(Actuator.load(folder / "model.json").reach)
-    assert abs(json.loads(out)["begins"]["displacement_m"] - record.displacement[-1]) < 0.02 * stroke
-
-
-def test_identify_reports_where_each_record_began(folder):
-    _, got = answer("identify", "loops.csv", "--options", '{"norm": "l2"}', "--structure", "maxwell_slip", cwd=folder)
-    (error,) = got["errors"]
-    assert len(error["starts"]) == 1
-    # What comes before the loops is left out.
-    first = dehyst.read(folder / "loops.csv").displacement[error["left_out"]] + error["datum_m"]
-    assert error["starts"][0]["deformation_m"] == pytest.approx(first, abs=1e-7)
-    assert len(error["starts"][0]["carts_m"]) == got["options"]["elements"]
-
-
-def test_measured_records_end_to_end(tmp_path):
-    given = ("--structure", "maxwell_slip", *rare(elements=10, norm="l2"), "-o", "model.json")
-    assert run("identify", places.DATA / "major.csv", *given, cwd=tmp_path)[0] in (0, 1)
-    low, high = Actuator.load(tmp_path / "model.json").reach
-    time = np.arange(500) * 0.01
-    wanted = 1e6 * (low + (high - low) * (0.5 - 0.3 * np.cos(2 * np.pi * time / 2.5)))
-    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
-    status, got = answer("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=tmp_path)
-    assert status == 0 and got["certified"] and got["homing_samples"] > 0
-    status, got = answer("simulate", "model.json", "v.csv", "-o", "s.csv", cwd=tmp_path)
-    # Nothing is known before the homing, and all is after it.
-    assert got["start"]["first_difference_percent"] > 5 and got["start"]["settled_s"] < 1.5
-    _, got = answer(
-        "simulate", "model.json", "v.csv", "-o", "s.csv", "--start", places.DATA / "major.csv", cwd=tmp_path
-    )
-    assert got["start"] == {"name": "major.csv"}
-
-
-def test_a_long_homing_is_said(folder):
-    slow = dehyst.Creep([3.0, 100.0], [2e5, 4e5])
-    plain = Actuator.load(folder / "model.json")
-    dehyst.Actuator(plain.slip, plain.spring, limits=plain.limits, creep=slow).save(folder / "slow.json")
-    given = ("compensate", "slow.json", "path.csv", "-o", "v.csv")
-    _, _, err = run(*given, cwd=folder)
-    assert "--start FILE needs no homing" in err
-    assert "needs no homing" not in run(*given, "--home", cwd=folder)[2]

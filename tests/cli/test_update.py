@@ -3,7 +3,6 @@
 import json
 
 import checked_loops as loops
-import numpy as np
 import pytest
 from command_line import run
 
@@ -42,20 +41,3 @@ def test_json_holds_the_changes_and_the_promise(folder):
     (gain,) = [change for change in found["changes"] if change["name"] == "gain"]
     assert gain["counts"]
     assert found["promise"]["largest_m"] >= found["promise"]["rms_m"] > 0
-
-
-def test_a_model_that_is_still_true_is_written_as_it_was(folder):
-    status, out, _ = run("update", "model.json", "same.csv", "-o", "same.json", "--json", cwd=folder)
-    assert (status, json.loads(out)["used"]) == (0, False)
-    old, same = (dehyst.Actuator.load(folder / name) for name in ("model.json", "same.json"))
-    assert np.array_equal(same.slip.stiffness, old.slip.stiffness)
-    assert np.array_equal(same.spring.voltage, old.spring.voltage)
-
-
-def test_another_actuator_is_refused(folder):
-    record = dehyst.read(folder / "same.csv")
-    write_record(folder / "other.csv", dehyst.Record(record.time, record.voltage, 3.0 * record.displacement, "other"))
-    status, out, err = run("update", "model.json", "other.csv", "-o", "other.json", cwd=folder)
-    assert (status, out) == (2, "")
-    assert "not updated" in err
-    assert not (folder / "other.json").exists()

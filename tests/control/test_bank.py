@@ -164,19 +164,6 @@ def test_a_state_that_does_not_fit_is_refused_and_changes_nothing():
             assert one.as_dict() == same.as_dict()
 
 
-def test_one_state_is_that_of_all():
-    (one,) = mixed(4, 1, kinds=("plain",))
-    start = one.simulate([0.0, 50.0, 20.0]).state
-    voltages = [Bank([one] * 3, states=states).step([1e-6] * 3) for states in (start, [start] * 3)]
-    np.testing.assert_array_equal(*voltages)
-
-
-def test_voltages_that_lead_too_far_are_refused():
-    bank = Bank(mixed(1, 3, kinds=("plain",)))
-    with pytest.raises(ModelError, match=r"sample 1 of actuator 1 is 1e\+300"):
-        bank.simulate([[0.0, 1.0, 2.0], [0.0, 1e300, 2.0]])
-
-
 def test_it_writes_into_an_array_that_is_given():
     bank = Bank(mixed(1, 9, kinds=("plain",)))
     row = paths(bank.actuators, 1, 1, beyond=0)[0]

@@ -175,19 +175,6 @@ def test_what_would_do_beyond_too_narrow_limits(actuator, seed):
         assert shortest_homing(actuator, limits=lower, present=present).certified is enough
 
 
-def test_too_narrow_limits_in_words():
-    homing = shortest_homing(PLANT, limits=(0, 100))
-    assert homing.turns == (0.0, 100.0, 0.0)
-    assert not homing.certified
-    assert homing.unknown == tuple(range(10))
-    assert re.fullmatch(
-        r"not certified: leaves elements 1 to 9 of 10 unknown, by up to [\d.]+ um; "
-        r"[\d.]+ V above 100 V, or [\d.]+ V below 0 V, would suffice",
-        homing.remarks[0],
-    )
-    assert homing.width == pytest.approx(plain_records.STROKE - MajorLoop(PLANT).least_range(0, 100), rel=1e-9)
-
-
 def test_an_element_without_stiffness_is_homed_where_the_limits_allow_it():
     """rho_N is half the range and 0 to 200 V just covers it; a volt less leaves it unknown, and it does not matter."""
     just = shortest_homing(PLANT, limits=(0, 200))

@@ -222,27 +222,6 @@ def test_the_structure_of_everything_is_homed_too():
     assert found.certified
 
 
-def test_the_command_says_what_is_left_and_compensation_starts_from_there(tmp_path):
-    from click.testing import CliRunner
-
-    from dehyst.cli import main
-
-    model, path, voltage = (str(tmp_path / name) for name in ("model.json", "path.csv", "voltage.csv"))
-    replace(CREEPING, limits=(0.0, 260.0)).save(model)
-    made = CliRunner().invoke(main, ["excite", "homing", "--model", model, "-o", voltage, "--hold", "900"])
-    assert made.exit_code == 0
-    assert re.search(r"certified: the displacement is known to [0-9.e-]+ um after it", made.stdout)
-    short = CliRunner().invoke(main, ["excite", "homing", "--model", model, "-o", voltage, "--hold", "1"])
-    assert short.exit_code == 1
-    assert re.search("instead of 1 s would suffice", short.stderr)
-    np.savetxt(
-        path, np.c_[np.arange(50.0), np.linspace(3, 9, 50)], delimiter=",", comments="", header="time_s,displacement_um"
-    )
-    sent = CliRunner().invoke(main, ["compensate", model, path, "-o", voltage, "--start", "homed", "--force"])
-    assert sent.exit_code == 0
-    assert "(homed, at " in sent.stdout
-
-
 @pytest.mark.parametrize("damping", [0.05, 2.0])
 def test_a_mass_comes_to_rest_at_the_limits(damping):
     """Twelve time constants of its slower root."""

@@ -95,37 +95,6 @@ def test_a_clamped_axis_does_not_falsify_the_others():
     assert [sum(one) for one in loop.clamps] == [int(held[:, 0].sum()), 0, 0]
 
 
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_two_clamped_axes_leave_the_third_exact():
-    wanted, model = path(np.random.default_rng(5)), stage()
-    loop = StageCompensator(model, limits=[(-150.0, 22.0), (3.0, 15.0), None])
-    begin = loop.states
-    voltage = np.array([loop.step(row) for row in wanted])
-    missed = np.abs(model.simulate(voltage, states=begin).displacement - wanted).max(axis=0)
-    assert missed[:2].min() > 1e-7
-    assert missed[2] < 1e-15
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-@pytest.mark.parametrize("options", [{"limits": [(-150.0, 22.0), None, None]}, {"slew_rate": [None, 250.0, None]}])
-def test_a_clamped_whole_path_equals_its_steps(options):
-    wanted, model = path(np.random.default_rng(6)), stage()
-    loop = StageCompensator(model, period=1e-3, **options)
-    commands = loop.trajectory(wanted)
-    voltage, clamped = (np.column_stack([getattr(one, name) for one in commands]) for name in ("voltage", "clamped"))
-    slow, quick = (StageCompensator(model, period=1e-3, **options) for _ in range(2))
-    stepped = np.array([slow.step(row) for row in wanted])
-    assert np.array_equal(quick.run(wanted), stepped)
-    assert quick.clamps == slow.clamps
-    assert clamped.any()
-    assert not any(one.followed for one in commands)
-    assert np.allclose(voltage, stepped, rtol=0, atol=1e-7)
-    reached = model.simulate(voltage, states=loop.states).displacement
-    assert np.allclose(np.column_stack([one.displacement for one in commands]), reached, rtol=0, atol=1e-13)
-    assert max(one.missed for one in commands if not one.clamped.any()) < 1e-13
-    assert any(one.warnings for one in commands)
-
-
 def random_loop(rng, most=0.15):
     """Limits and slew rates so narrow that every axis is clamped now and then, and couplings of up to `most`."""
     size = int(rng.integers(2, 5))
@@ -164,10 +133,11 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
     rng = np.random.default_rng(seed)
     loop = random_loop(rng)
     wanted = path(rng, 200, len(loop.stage.axes))
-    commands, voltage, clamped = loop.trajectory(wanted), [], []
+    commands, ran, voltage, clamped = loop.trajectory(wanted), loop.clone().run(wanted), [], []
     for row in wanted:
         voltage.append(loop.step(row))
         clamped.append(loop.clamped)
+    assert np.array_equal(ran, voltage)
     for j, one in enumerate(commands):
         held = np.array(clamped)[:, j]
         assert held.any()
@@ -227,26 +197,7 @@ def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_b
         assert axis.state.deformation < dehyst.Compensator(one, limits).state.deformation - 1e-8
 
 
-def test_a_first_step_that_is_held_back_names_the_voltage_assumed_of_each_axis():
-    options = {"period": 1e-3, "slew_rate": [1e3] * 3}
-    loop = StageCompensator(stage(), **options)
-    begins = loop.voltage.tolist()
-    with pytest.warns(dehyst.ClampWarning) as caught:
-        loop.step([0.0, 0.0, 0.0])
-    assert [one.message.assumed for one in caught] == begins
-    given = StageCompensator(stage(), **options, states=[one.state for one in stage().actuators])
-    with pytest.warns(dehyst.ClampWarning) as caught:
-        given.step([0.0, 0.0, 0.0])
-    assert [one.message.assumed for one in caught] == [None] * 3
-
-
-def test_a_clamped_step_warns_of_its_axis_and_of_what_is_wanted_of_it():
-    loop = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
-    with pytest.warns(dehyst.ClampWarning) as caught:
-        for _ in range(3):
-            loop.step([6e-6, 3e-6, 2e-6])
-    assert [str(one.message).split(",")[0] for one in caught] == ["CLAMPED: axis x: 6 um wanted"]
-    assert caught[0].message.assumed is None
+def test_a_clamp_that_is_made_an_error_moves_no_axis():
     other = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
     with warnings.catch_warnings():
         warnings.simplefilter("error", dehyst.ClampWarning)
@@ -255,20 +206,6 @@ def test_a_clamped_step_warns_of_its_axis_and_of_what_is_wanted_of_it():
             other.step([6e-6, 3e-6, 2e-6])
     assert [sum(one) for one in other.clamps] == [0, 0, 0]
     assert all(np.array_equal(a.state.carts, b.state.carts) for a, b in zip(before, other.snapshot(), strict=True))
-
-
-def test_a_clamped_path_says_by_how_much_its_axis_is_missed_and_not_its_actuator():
-    wanted, model = path(np.random.default_rng(9)), stage()
-    loop = StageCompensator(model, limits=[(-150.0, 22.0), None, None])
-    commands = loop.trajectory(wanted)
-    assert commands[0].clamped.any()
-    for one, column in zip(commands, wanted.T, strict=True):
-        missed = np.abs(column - one.displacement).max()
-        said = [words for words in one.warnings if "missed" in words]
-        assert one.missed == missed
-        assert [f" {1e6 * missed:.4g} um" in words for words in said] == [True] * bool(one.clamped.any())
-    alone = loop.compensators[0].trajectory(wanted @ model.decoupling[0])
-    assert f"{alone.missed:.4g}" != f"{commands[0].missed:.4g}"
 
 
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
@@ -415,31 +352,6 @@ def warm_stage():
     cold = stage()
     pairs = zip(cold.actuators, THERMALS, strict=True)
     return replace(cold, actuators=tuple(replace(one, thermal=part) for one, part in pairs))
-
-
-@pytest.mark.parametrize("temperature", ["warm", [25.0], [[20.0, 21.0]], [20.0, 21.0, 22.0, 23.0]])
-def test_a_temperature_that_is_not_one_for_all_or_for_each_is_refused(temperature):
-    loop = StageCompensator(warm_stage())
-    loop.set_temperature([20.0, 21.0, 22.0])
-    before = [one.scaling for one in loop.compensators]
-    with pytest.raises(dehyst.ModelError) as caught:
-        loop.set_temperature(temperature)
-    assert caught.value.argument == "temperature" and [one.scaling for one in loop.compensators] == before
-
-
-class Labelled:
-    """An array whose unit is a label, and is lost where NumPy makes an array of it."""
-
-    units = "degF"
-
-    def __array__(self, dtype=None, copy=None):
-        return np.array([50.0, 68.0, 86.0], dtype)
-
-
-def test_a_temperature_with_a_unit_is_refused():
-    loop = StageCompensator(warm_stage())
-    with pytest.raises(dehyst.ModelError, match="degF"):
-        loop.set_temperature(Labelled())
 
 
 @pytest.mark.parametrize("shape", [(), (300,), (300, 3)])

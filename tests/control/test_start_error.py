@@ -294,27 +294,6 @@ def test_a_voltage_is_homed_before_too():
     assert steps.max() < 0.05 * (LIMITS[1] - LIMITS[0])
 
 
-def test_wrong_requests_are_refused_in_sentences():
-    compensator = Compensator(PLAIN)
-    with pytest.raises(RecordError, match="present: got 900 V"):
-        plan_path(compensator, [1e-6], present=900.0, home=True)
-    with pytest.raises(RecordError, match="path: got no samples"):
-        plan_path(compensator, [], home=True)
-    with pytest.raises(ModelError, match="time"):
-        plan_path(compensator, [1e-6, 2e-6], time=[0.0, 0.0], home=True)
-    with pytest.raises(ModelError, match="start: got 'middle'"):
-        PossibleStart.named(PLAIN, "middle")
-
-
-def test_without_a_homing_a_known_start_has_the_way_that_it_has_by_default():
-    """The slew rate does not allow the path to begin with a jump."""
-    loop = Compensator(PLAIN, slew_rate=500.0, period=0.01)
-    wanted, start = STROKE * (0.5 + 0.2 * np.sin(0.03 * np.arange(200))), PossibleStart.named(PLAIN, "bottom")
-    led, default = (plan_path(loop, wanted, start=start, home=home) for home in (False, None))
-    np.testing.assert_array_equal(led.voltage, default.voltage)
-    assert led.homing is None and led.first > 0 and np.abs(np.diff(led.voltage)).max() <= 5.0 * (1 + 1e-9)
-
-
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("name", ACTUATORS)
 def test_a_planned_path_has_the_gain_and_the_offset_of_its_compensator(name, known):

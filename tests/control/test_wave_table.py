@@ -249,13 +249,6 @@ def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     assert np.abs(made - played.displacement)[-800:].max() <= table.error + table.unknown + 1e-4 * strokes(TRIANGLE)
 
 
-def test_a_short_homing_is_sampled_as_the_scan_is():
-    table = wave_table(ACTUATORS["creep"], TRIANGLE)
-    assert table.homing.sample_rate == table.sample_rate
-    played = table.played(1)
-    np.testing.assert_allclose(played.time, np.arange(played.time.size) / table.sample_rate, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     "options, said",
     [
@@ -271,20 +264,6 @@ def test_a_short_homing_is_sampled_as_the_scan_is():
 def test_what_cannot_be_is_refused(options, said):
     with pytest.raises(RecordError, match=said):
         wave_table(PLAIN, **{"scan": TRIANGLE, "state": PLAIN.relaxed(20.0), **options})
-
-
-def test_creep_that_no_start_up_can_outlast_is_said_so():
-    slow = replace(PLAIN, creep=Creep([1e5], [2e6]))
-    table = wave_table(slow, TRIANGLE, state=slow.relaxed(20.0), cycles=1)
-    assert "NOT SETTLED: after 1 cycle" in table.warnings[-1]
-    assert table.warnings[-1].endswith("but a start-up has 12500 cycles at most; play the table for that time first")
-
-
-def test_a_clipped_table_that_is_not_settled_says_that_no_number_is_known():
-    slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
-    table = wave_table(slow, TRIANGLE, limits=(0.0, 120.0), state=slow.relaxed(20.0))
-    assert table.clamped and not table.settled and table.cycles == 47
-    assert [number in table.warnings[-1] for number in ("47 cycles", "100000 samples", "96 cycles")] == [True] * 3
 
 
 def test_creep_without_clipping_is_followed_for_a_thousand_cycles():

@@ -1,6 +1,5 @@
 """FMUs as files: valid, whole, built from their own sources, made by the command line and by the documentation."""
 
-import json
 import os
 import re
 import shutil
@@ -15,7 +14,6 @@ import numpy as np
 import places
 import plain_records
 import pytest
-from command_line import run
 from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 from fmu_runner import (
@@ -27,13 +25,11 @@ from fmu_runner import (
     Slave,
     actuator_voltages,
     compensators,
-    displacements,
     fmpy,
     voltages,
 )
 
 from dehyst import Compensator, FileFormatError, ModelError
-from dehyst.control import PossibleStart
 from dehyst.exports import SourceOnlyWarning, export_fmu
 from examples import spanning
 
@@ -117,11 +113,6 @@ def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
     assert validate_fmu(str(tmp_path / "a.fmu")) == []
 
 
-def test_the_licence_goes_with_it(fmus):
-    _, folder = fmus("plain", "actuator")
-    assert "MIT License" in (folder / "documentation" / "licenses" / "license.txt").read_text()
-
-
 @pytest.mark.nightly
 def test_any_name_makes_an_fmu(tmp_path):
     odd = replace(plain_records.plant(3), name='Möbius "<&> 100 %\n\x00 7')
@@ -143,69 +134,6 @@ def test_refusals(tmp_path):
     with pytest.raises(FileFormatError, match="got 7"):
         export_fmu(ALL["plain"], 7)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_of_others_is_replaced(tmp_path, monkeypatch):
-    monkeypatch.setenv("CC", str(tmp_path / "absent" / "cc"))
-    path = tmp_path / "x.fmu"
-    path.write_text("mine")
-    for _ in range(2):
-        with pytest.warns(SourceOnlyWarning):
-            export_fmu(ALL["plain"], path)
-        assert zipfile.is_zipfile(path)
-    ALL["plain"].actuator.save(tmp_path / "model.json")
-    options = "--limits", 0, 100, "--period", 1
-    assert run("export", "model.json", "x.fmu", "--force", *options, cwd=tmp_path)[0] == 0
-    with pytest.raises(FileFormatError, match="is a folder"), pytest.warns(SourceOnlyWarning):
-        export_fmu(ALL["plain"], (tmp_path / "folder.fmu").mkdir() or tmp_path / "folder.fmu")
-
-
-def test_the_command_line_writes_both_kinds(tmp_path):
-    compensator = ALL["creep"]
-    compensator.actuator.save(tmp_path / "model.json")
-    low, high = compensator.limits
-    options = "--limits", low, high, "--slew-rate", compensator.slew_rate, "--period", PERIOD
-    status, out, err = run("export", "model.json", "c.fmu", *options, cwd=tmp_path)
-    assert status == 0
-    assert out.startswith("c.fmu: an FMU of the compensator, sources and a binary for Linux x86-64")
-    assert "outside the limits" in err
-    options = "--period", PERIOD, "--kind", "actuator", "--json"
-    status, out, err = run("export", "model.json", "a.fmu", *options, cwd=tmp_path)
-    assert (status, err) == (0, "")
-    told = json.loads(out)
-    begins = told.pop("begins")
-    assert told == {"fmu": "a.fmu", "kind": "actuator", "binary": True, "warnings": []}
-    state = PossibleStart.named(compensator.actuator, "top").state
-    assert begins["voltage_V"] == compensator.actuator.voltage(state)
-    assert begins["displacement_m"] == state.deformation
-    for name in ("c", "a"):
-        assert validate_fmu(str(tmp_path / f"{name}.fmu")) == []
-    with Slave(fmpy.extract(tmp_path / "a.fmu", tmp_path / "a")) as slave:
-        volts = actuator_voltages("creep")
-        y = slave.run(volts)
-    expected = displacements("creep", volts, PossibleStart.named(compensator.actuator, "top").state)
-    np.testing.assert_allclose(y, expected, rtol=0, atol=1e-12 * plain_records.STROKE)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--number", "float"], "--number"),
-        (["--name", "x"], "--name"),
-        (["--kind", "actuator", "--preview"], "--preview"),
-        (
-            ["--limits", "0", "100"],
-            "is there already",
-        ),
-    ],
-)
-def test_the_command_line_refuses(tmp_path, options, words):
-    ALL["plain"].actuator.save(tmp_path / "model.json")
-    (tmp_path / "x.fmu").write_text("mine")
-    status, _, err = run("export", "model.json", "x.fmu", *options, cwd=tmp_path)
-    assert status == 2
-    assert words in err
-    assert (tmp_path / "x.fmu").read_text() == "mine"
 
 
 @pytest.mark.nightly

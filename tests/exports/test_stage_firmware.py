@@ -1,6 +1,5 @@
 """The compensator of a stage as C: the bits of Python, whichever axes are clamped."""
 
-import shutil
 import subprocess
 from dataclasses import replace
 
@@ -9,14 +8,11 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records
-from click.testing import CliRunner
 from compiled_exports import STRICT, need
 
-from dehyst import DisplacementCreep, FileFormatError, ModelError, Stage, StageCompensator, Thermal, export
-from dehyst.cli import main
-from dehyst.exports.firmware import CONFIG, CORE, code
+from dehyst import DisplacementCreep, ModelError, Stage, StageCompensator, Thermal, export
+from dehyst.exports.firmware import code
 from dehyst.exports.golden_trace import Call, golden_trace
-from dehyst.exports.naming import shipped
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -145,12 +141,6 @@ def test_random_steps_have_the_same_bits(compensator, tmp_path):
     assert compiled_exports.must_run(["./driver"], tmp_path).strip() == told_by_python(compensator, middle, half)
 
 
-def test_the_core_is_the_one_that_python_runs():
-    files = code(plain_stage())
-    assert set(files) == {"stage.c", "stage.h", *CORE, CONFIG}
-    assert all(files[name] == shipped(name) for name in CORE)
-
-
 def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
     need("gcc")
     files = code(plain_stage(), name="scanner") | compiled_exports.plain_code("focus")
@@ -165,84 +155,12 @@ def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
     compiled_exports.must_run(["./both"], tmp_path)
 
 
-@pytest.mark.parametrize(
-    "axes",
-    [
-        ("x", "y", "z"),
-        ("1", "2", "3"),
-        ("do", "int", "x.y"),
-        ("x", "X", "z"),
-        ("int", "step", "loop"),
-        ("x", "x_step", "z"),
-    ],
-)
+@pytest.mark.parametrize("axes", ["1 2 3", "do int x.y", "x X z", "int step loop", "x x_step z"])
 def test_axes_of_any_names_compile(axes, tmp_path):
     need("gcc", "make")
-    stage = Stage(plain_stage().stage.actuators, COUPLING, axes)
+    stage = Stage(plain_stage().stage.actuators, COUPLING, tuple(axes.split()))
     export(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", name="table")
     assert make(tmp_path / "c", "check")[0] == 0
-
-
-def test_c_plus_plus_reads_the_header(tmp_path):
-    need("g++")
-    for name, text in code(plain_stage()).items():
-        (tmp_path / name).write_text(text)
-    (tmp_path / "a.cpp").write_text('#include "stage.h"\nstage s;\nint main() { return stage_begin(&s); }\n')
-    compiled_exports.must_run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "a.cpp"], tmp_path)
-
-
-def test_an_earlier_export_is_replaced_only_by_force_and_other_files_never(tmp_path):
-    folder = tmp_path / "c"
-    export(plain_stage(), folder)
-    with pytest.raises(FileFormatError, match="earlier export"):
-        export(plain_stage(), folder)
-    export(plain_stage(), folder, force=True)
-    (folder / "own.c").write_text("")
-    with pytest.raises(FileFormatError, match=r"files \(own.c\)"):
-        export(plain_stage(), folder, force=True)
-
-
-@pytest.mark.parametrize("name", ["int", "dehyst_x", "2x", "a b"])
-def test_a_name_that_is_none_in_c_is_refused(name):
-    with pytest.raises(ModelError, match="name: got"):
-        code(plain_stage(), name=name)
-
-
-def test_what_is_no_compensator_of_a_stage_is_refused():
-    with pytest.raises(ModelError, match="got Stage, need a Compensator"):
-        code(plain_stage().stage)
-
-
-class TestCommand:
-    """`dehyst export` of a stage file."""
-
-    @pytest.fixture
-    def file(self, tmp_path):
-        plain_stage().stage.save(tmp_path / "stage.json")
-        return tmp_path / "stage.json"
-
-    @staticmethod
-    def run(*words, status=0):
-        done = CliRunner().invoke(main, [str(word) for word in words])
-        assert done.exit_code == status, done.output
-        return done.output
-
-    def test_it_writes_a_folder_that_replays(self, file, tmp_path):
-        need("gcc", "make")
-        words = self.run("export", file, tmp_path / "c", "--limits", 0, 150)
-        assert "a compensator of the axes x, y, z" in words
-        assert make(tmp_path / "c", "check")[0] == 0
-        shutil.rmtree(tmp_path / "c")
-
-    @pytest.mark.parametrize(
-        "options",
-        [("--kind", "actuator"), ("--number", "float"), ("--preview",), ("--start", "x.csv")],
-    )
-    def test_what_is_for_single_actuators_is_refused(self, file, tmp_path, options):
-        (tmp_path / "x.csv").write_text("voltage_V\n0\n")
-        given = [tmp_path / "x.csv" if one == "x.csv" else one for one in options]
-        self.run("export", file, tmp_path / "c", *given, status=2)
-        assert not (tmp_path / "c").exists()
 
 
 def test_creep_in_displacement_is_refused():

@@ -11,14 +11,11 @@ import compiled_exports
 import numpy as np
 import places
 import pytest
-from click.testing import CliRunner
-from command_line import run
 from compiled_exports import KINDS
 from node_programs import column, exported, node
 
 import dehyst
 from dehyst import Compensator, FileFormatError, ModelError, Thermal
-from dehyst.cli import main
 from dehyst.exports import export_wasm, wasm_module
 from dehyst.exports.golden_trace import Call, golden_trace
 from dehyst.exports.naming import shipped, shipped_bytes
@@ -226,13 +223,6 @@ def test_limits_and_slew_rate_may_be_others(tmp_path):
     assert json.loads(said) == [[30, 90], 1e4, 1e-3, *loop.clamps]
 
 
-def test_units_do_not_matter_and_the_compensator_does_not_change():
-    made = compiled_exports.plain()
-    other = made.clone("um")
-    other.step(3.0)
-    assert wasm_module(other) == wasm_module(made)
-
-
 # What is refused
 
 REFUSED = """
@@ -374,26 +364,7 @@ def test_only_compensators_and_names_of_modules_are_taken(tmp_path):
         export_wasm(compiled_exports.plain(), tmp_path / "stage.js")
 
 
-def test_files_of_others_are_kept(tmp_path):
-    compiled_exports.plain().actuator.save(tmp_path / "model.json")
-    words = ["export", str(tmp_path / "model.json"), str(tmp_path / "stage.wasm")]
-    for name in ("stage.wasm", "stage.js", "stage.d.ts"):
-        (tmp_path / name).write_text("mine")
-        done = CliRunner().invoke(main, words)
-        assert (done.exit_code, name in done.stderr) == (2, True), done.output
-        assert {path.name for path in tmp_path.iterdir()} == {name, "model.json"}
-        (tmp_path / name).unlink()
-
-
 # The files
-
-
-def test_files_are_replaced(tmp_path):
-    (tmp_path / "stage.js").write_text("mine")
-    export_wasm(compiled_exports.plain(), tmp_path / "stage.wasm")
-    assert {path.name for path in tmp_path.iterdir()} == {"stage.wasm", "stage.js", "stage.d.ts"}
-    dehyst.export_wasm(compiled_exports.plain(), tmp_path / "stage.wasm")
-    assert 'from "./stage.js"' in (tmp_path / "stage.js").read_text()
 
 
 def test_a_name_ends_no_comment(tmp_path):
@@ -411,31 +382,6 @@ def test_the_types_have_every_member():
         about = json.loads(text[text.index(b'{"format"') : text.index(b"}}") + 2])
         assert all(re.search(rf"^  {name}: ", types, re.MULTILINE) for name in about)
         assert about["needsPeriod"] == (kind in ("creep", "all", "moving", "behind"))
-
-
-def test_the_command_writes_what_the_function_writes(tmp_path):
-    compensator = compiled_exports.plain()
-    actuator = replace(compensator.actuator, name="a \N{MICRO SIGN}m <stage>", limits=(0, 200))
-    actuator.save(tmp_path / "model.json")
-    status, out, err = run("export", "model.json", "stage.wasm", "--start", "top", "--json", cwd=tmp_path)
-    assert (status, err) == (0, "")
-    said = json.loads(out)
-    assert (said["wasm"], said["script"], said["types"]) == ("stage.wasm", "stage.js", "stage.d.ts")
-    assert said["bytes"] == (tmp_path / "stage.wasm").stat().st_size
-    program = "console.log(JSON.stringify(new Compensator(module).about))"
-    about = json.loads(node(tmp_path, program)) if shutil.which("node") else {"name": actuator.name}
-    assert about["name"] == actuator.name
-    for options in (
-        ["--name", "stage"],
-        ["--number", "float"],
-        ["--kind", "actuator"],
-    ):
-        assert run("export", "model.json", "other.wasm", *options, cwd=tmp_path)[0] == 2
-    (tmp_path / "other.js").write_text("mine")
-    status, _, err = run("export", "model.json", "other.wasm", cwd=tmp_path)
-    assert status == 2 and "other.js: is there already" in err
-    assert not (tmp_path / "other.wasm").exists()
-    assert run("export", "model.json", "other.wasm", "--force", cwd=tmp_path)[0] == 0
 
 
 def test_a_temperature_gives_the_bits_of_python(tmp_path):

@@ -81,12 +81,6 @@ def test_an_unknown_name_is_an_attribute_error():
         _ = dehyst.identification_of
 
 
-def test_the_version_is_the_distributions():
-    from importlib.metadata import version
-
-    assert version("dehyst") == dehyst.__version__
-
-
 def test_errors_are_both_ours_and_the_builtin_one():
     for error in (dehyst.ModelError, dehyst.RecordError, dehyst.IdentifyError, dehyst.FileFormatError):
         assert issubclass(error, dehyst.DehystError)

@@ -5,18 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import strategies as our
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring
-from dehyst._validation import plain
-from dehyst.cli import main
-from dehyst.control import wave_table
 from dehyst.instruments import Samples
 from dehyst.instruments.samples import admitted
-from dehyst.waveforms import Triangle, standard
+from dehyst.waveforms import standard
 
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.
 KNOTS = np.linspace(-119e-6, -74e-6, 10)
@@ -118,16 +114,6 @@ def test_the_reach_is_that_of_a_compensator():
     assert ACTUATOR.voltage_range == (0.0, 3.6)
 
 
-def test_voltages_of_another_actuator_are_refused():
-    with pytest.raises(
-        ModelError,
-        match=r"voltage: got 0 to 100 V, the model was identified from 0 to 3.6 V; .*"
-        "extrapolate",
-    ):
-        ACTUATOR.simulate([0, 50, 100])
-    assert ACTUATOR.simulate([0, 100], extrapolate=True).displacement[-1] > 5e-4
-
-
 def test_limits_too_wide_to_be_computed_with_leave_the_spring():
     wide = replace(ACTUATOR, limits=(-1e299, 1e299))
     np.testing.assert_array_equal(wide.compensate(PATH).voltage, ACTUATOR.compensate(PATH).voltage)
@@ -167,31 +153,6 @@ def test_a_loop_does_not_raise_but_asks(method, slew):
     assert "micrometres" not in str(seen[0].message)
     with pytest.warns(ClampWarning, match="in micrometres"):
         assert np.all(np.abs(Compensator(ACTUATOR).run([2.0, 12.0])) <= 3.6)
-
-
-def test_a_loop_takes_the_largest_number_there_is():
-    with pytest.warns(ClampWarning, match="nanometres"):
-        assert Compensator(ACTUATOR).step(1e300) == 3.6
-
-
-def test_a_wave_table_strokes_outside_is_refused():
-    scan = Triangle(2e-6, 12e-6, 10, sample_rate=1000)
-    with pytest.raises(ModelError, match="got 2 to 12 um, the model"):
-        wave_table(ACTUATOR, scan)
-
-
-@pytest.mark.parametrize("more", [(), ("--table", "table.csv")])
-def test_the_command_names_the_reach_and_writes_nothing(tmp_path, monkeypatch, more):
-    monkeypatch.chdir(tmp_path)
-    ACTUATOR.save("model.json")
-    scan = ["triangle", "--low", "2", "--high", "12", "--frequency", "10", "-o", "scan.csv"]
-    assert CliRunner().invoke(main, ["scan", *scan]).exit_code == 0
-    ran = CliRunner().invoke(main, ["compensate", "model.json", "scan.csv", *more, "-o", "out.csv"])
-    said = f"{ran.output}{ran.exception}"
-    assert ran.exit_code != 0
-    assert "got 2 to 12" in said
-    assert "extrapolate" not in said
-    assert not (tmp_path / "out.csv").exists()
 
 
 # Quantities with units
@@ -247,8 +208,3 @@ def test_complex_numbers_are_refused(values):
         ACTUATOR.compensate(values)
     with pytest.raises(RecordError, match="displacement: got complex numbers"):
         dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
-
-
-def test_plain_arrays_pass_as_they_are():
-    for values in (PATH, [1.0, 2.0], (1, 2), 1.0, "x", None):
-        assert plain(values, "displacement") is values

@@ -91,25 +91,11 @@ def test_without_axes_there_is_a_new_figure_of_pyplot_each_time(things):
         pyplot.switch_backend(backend)
 
 
-def test_a_title_of_the_user_stays(things):
-    ax = axes()
-    ax.set_title("mine")
-    assert things["record"].plot(ax=ax).get_title() == "mine"
-
-
 def test_the_record_s_numbers_are_drawn_in_micrometres(things):
     record = things["record"]
     (line,) = record.plot("loop", ax=axes()).lines
     y = line.get_ydata()
     assert (np.nanmin(y), np.nanmax(y)) == pytest.approx(np.array(record.displacement_range) * 1e6, rel=1e-3)
-
-
-def test_residuals_are_all_drawn(things):
-    fit = things["fit"]
-    ax = fit.plot("residuals", ax=axes())
-    assert sum(line.get_xdata().size for line in ax.lines[:2]) == sum(trace.time.size for trace in fit.traces)
-    ax = fit.plot("residuals in time", ax=axes())
-    assert len(ax.get_legend().get_texts()) == len(fit.traces)
 
 
 def test_the_loops_of_an_actuator_lie_within_its_limits(things):

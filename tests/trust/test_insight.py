@@ -99,9 +99,3 @@ def test_an_assessment_of_records_that_determine_everything_warns_of_nothing():
     assert found.trustworthy
     assert found.warnings() == ()
     assert found.homing.certified
-
-
-def test_arguments_in_the_wrong_order_are_explained():
-    record = Record(np.arange(3.0), np.arange(3.0), np.arange(3.0) * 1e-6)
-    with pytest.raises(dehyst.ModelError, match=r"actuator.*Record.*Actuator"):
-        insight(record, record)

@@ -116,27 +116,3 @@ def test_a_creeping_model_asks_for_the_time_of_a_trajectory():
     with pytest.raises(ModelError, match="answer depends") as refused:
         insight(fit.actuator, record, trajectory=trajectory()[0])
     assert "time" in refused.value.change
-
-
-def test_the_command(tmp_path):
-    from click.testing import CliRunner
-
-    from dehyst.cli import main
-    from dehyst.records import write_columns
-
-    _, fit, record = looked("creep")
-    path, time = trajectory()
-    model, data, wanted, band = (str(tmp_path / name) for name in ("m.json", "r.csv", "w.csv", "b.csv"))
-    fit.actuator.save(model)
-    write_columns(
-        data, {"time_s": record.time, "voltage_V": record.voltage, "displacement_um": record.displacement * 1e6}
-    )
-    write_columns(wanted, {"time_s": time, "displacement_um": path * 1e6})
-    said = CliRunner().invoke(main, ["insight", model, data, "--trajectory", wanted, "-o", band, "--all"])
-    assert said.exit_code in (0, 1)
-    for words in (
-        "not judged from the voltage alone",
-        "Causes of",
-    ):
-        assert words in said.stdout
-    assert (tmp_path / "b.csv").read_text().startswith("time_s,wanted_um,voltage_V")

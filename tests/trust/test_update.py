@@ -109,15 +109,6 @@ def test_a_record_counts_in_the_promise_even_if_it_teaches_nothing(old, parts):
     assert made.actuator.slip is model.slip
 
 
-def test_an_update_that_did_not_help_is_not_advised_again(old):
-    made = dehyst.update(old, driven(aged(-0.07, 0.25), ONE_LOOP, seed=1))
-    again = replace(made, used=False)
-    assert any(change.counts for change in again.changes)
-    for one in (made, again):
-        assert not any("dehyst update" in sentence for sentence in one.sentences())
-    assert any("dehyst update" in sentence for sentence in again.recheck.change_sentences())
-
-
 def test_what_a_record_does_not_visit_is_named_and_stays(old):
     stage = aged(-0.07, 0.0)
     made = dehyst.update(old, driven(stage, (0, 0.5, 0, 0.5, 0, 0.5, 0), seed=1))
