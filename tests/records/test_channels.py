@@ -11,7 +11,6 @@ from dehyst import FileFormatError, RecordError
 from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.preprocessing.preparation import block_means
 from dehyst.records import Record, Recording, read, write_columns, write_record
-from dehyst.records.record import Channel
 
 N = 120
 T = np.arange(N) * 0.01
@@ -213,15 +212,6 @@ def test_a_second_file_may_have_them(tmp_path):
     assert one.values == pytest.approx(TEMPERATURE)
 
 
-# Tables
-
-
-def test_a_dataframe_has_all_channels():
-    frame = RECORD.to_dataframe()
-    assert list(frame.columns) == [*FILE, *OTHERS]
-    assert Record(T, V, Y).to_dataframe().attrs == {"name": "record"}
-
-
 # Recordings
 
 
@@ -240,12 +230,6 @@ def test_a_recording_keeps_them(tmp_path):
     assert_all(read(tmp_path / "a.csv"))
     with pytest.raises(FileFormatError, match=r"others: got .*unit"):
         Recording(tmp_path / "c.csv", others=["temperature"])
-
-
-def test_a_channel_by_itself():
-    one = Channel("temperature", "degC", "temperature", "", TEMPERATURE)
-    assert (one.column, one.fault) == ("temperature_C", "")
-    assert Channel("Room", "degC", "temperature", "", TEMPERATURE).column == "Room_degC"
 
 
 @pytest.mark.parametrize(("temperature", "remarks"), [(20.0, 0), (295.0, 1), (180.0, 0), (400.0, 0)])

@@ -159,13 +159,6 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
     assert samples_of(glitches(time, v, unmoved)) == set(range(650, 650 + width))
 
 
-@pytest.mark.parametrize(("sample", "beside"), [(0, [1]), (1, [0, 2]), (1700, [1699])])
-def test_a_glitch_is_reported_with_the_voltages_beside_it(sample, beside):
-    (found,) = glitches(CLEAN.time, with_voltage(CLEAN, [sample], -500.0).voltage, CLEAN.displacement)
-    assert (found.voltage, found.time) == (-500.0, CLEAN.time[sample])
-    assert found.neighbours == tuple(CLEAN.voltage[beside])
-
-
 @pytest.mark.parametrize("lag", [0, 1])
 @pytest.mark.parametrize("width", [1, 3])
 def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):
@@ -178,11 +171,7 @@ def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):
     assert samples_of(glitches(np.arange(1200.0), v, still)) == set(range(width))
 
 
-@pytest.mark.parametrize(
-    "samples",
-    [[1100], [50], [0], [1700], [100], [200], [301, 302], [600, 700, 1400]],
-    ids=["counted", "lead-in", "first", "last", "turn left out", "turn counted", "two together", "three apart"],
-)
+@pytest.mark.parametrize("samples", [[0], [200], [600, 700, 1400]], ids=["first", "turn counted", "three apart"])
 def test_a_glitch_widens_no_limits_and_spoils_no_fit(samples, clean_fit):
     fit = fitted(with_voltage(CLEAN, samples, 500.0))
     assert fit.actuator.limits == clean_fit.actuator.limits == (0.0, 200.0)
@@ -200,47 +189,16 @@ def test_a_glitch_widens_no_limits_and_spoils_no_fit(samples, clean_fit):
 
 @pytest.mark.parametrize("voltage", [500.0, -300.0])
 @pytest.mark.parametrize(("first", "width"), [(1100, 6), (820, 10), (1000, 20), (1330, 20)])
-def test_a_channel_that_drops_out_for_longer_widens_no_limits(first, width, voltage, clean_fit):
+def test_a_channel_that_drops_out_for_longer_is_a_glitch(first, width, voltage):
     samples = list(range(first, first + width))
     record = with_voltage(CLEAN, samples, voltage)
     assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
-    fit = fitted(record)
-    assert fit.actuator.limits == (0.0, 200.0)
-    assert fit.errors[0].rms == pytest.approx(clean_fit.errors[0].rms, rel=0.05)
-    assert any(f"glitch at samples {first} to {first + width - 1}" in said for said in fit.repairs)
 
 
 def test_what_lies_between_two_long_glitches_is_none():
     samples = [*range(1020, 1030), *range(1045, 1055)]
     record = with_voltage(CLEAN, samples, 500.0)
     assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
-
-
-def test_the_sentence_has_sample_time_value_and_neighbours():
-    fit = fitted(with_voltage(CLEAN, [1100], 500.0))
-    before, after = CLEAN.voltage[1099], CLEAN.voltage[1101]
-    assert fit.repairs == (
-        f"loops: voltage glitch at sample 1100 ({CLEAN.time[1100]:.6g} s): 500 V between {before:.6g} and "
-        f"{after:.6g} V; the displacement does not follow: left out.",
-    )
-    many = with_voltage(CLEAN, 150 * np.arange(1, 10), 500.0)
-    assert len([said for said in fitted(many).repairs if "glitch" in said]) == 5
-    assert "glitches, of 500 to 500" in fitted(many).repairs[4]
-    assert any("sample 150" in said for said in many.problems())
-
-
-def test_a_glitch_in_a_start_up_transient_is_left_out_too():
-    t = np.arange(1200)
-    y = plain_records.STROKE * (0.5 + 0.5 * np.cos(2 * np.pi * t / 97.3))
-    steady = plain_records.record(plain_records.plant(10), y, name="sine")
-    moved = steady.displacement + np.where(t < 30, 0.1 * plain_records.STROKE, 0)
-    starting = replace(steady, displacement=moved)
-    fit = fitted(with_voltage(starting, [12], -500.0))
-    assert fit.actuator.limits == fitted(starting).actuator.limits
-    assert [("glitch at sample 12" in said, "start-up transient" in said) for said in fit.repairs[:2]] == [
-        (True, False),
-        (False, True),
-    ]
 
 
 def test_a_wider_model_from_a_record_with_glitches_is_that_of_the_clean_one():
@@ -321,8 +279,9 @@ def test_a_range_that_few_samples_reach_is_reported(samples):
     assert "lie above 180 V, the highest" in said
 
 
-@pytest.mark.parametrize("cycle", [10, 30, 100, 1000])
-@pytest.mark.parametrize("turns", ["MAJOR", "DESCENDING_TOPS", "THREE_LOOPS", "REVERSAL_CURVES"])
+@pytest.mark.parametrize(
+    ("turns", "cycle"), [("MAJOR", 10), ("DESCENDING_TOPS", 30), ("THREE_LOOPS", 100), ("REVERSAL_CURVES", 1000)]
+)
 def test_loops_of_any_kind_have_no_rare_voltages(turns, cycle):
     path = (*plain_records.MAJOR, *getattr(plain_records, turns))
     fit = fitted(plain_records.loops(plain_records.plant(10), path, samples=max(cycle // 2, 10)), elements=5)

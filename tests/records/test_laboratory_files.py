@@ -1,17 +1,14 @@
 """Files as laboratories have them: read at the first try, or with the options that the first message names."""
 
-import sys
-
 import laboratory_files
 import numpy as np
 import pytest
 from laboratory_files import FILES, RATE, UM, N, T, V, Y, assert_measured, options_of
 
-from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst._errors import FileFormatError
 from dehyst.records import read, read_table
 from dehyst.records.formats.timestamps import clock_of, is_moment, moment
-from dehyst.records.tables import GAIN, GUESS, Choice, ColumnsError, joined, notes_on
-from dehyst.records.tables import RATE as RATE_WANTED
+from dehyst.records.tables import Choice, ColumnsError, joined
 
 
 def tried(path, options):
@@ -56,13 +53,6 @@ def test_a_workbook(tmp_path):
     assert_measured(read(tmp_path / "a.xlsx"))
 
 
-def test_without_openpyxl_a_workbook_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
-    laboratory_files.write_xlsx(tmp_path / "a.xlsx", [["a"], [1.0]])
-    with pytest.raises(MissingExtraError, match=r"Reading .xlsx files"):
-        read(tmp_path / "a.xlsx")
-
-
 # Names and units
 
 
@@ -92,17 +82,6 @@ def test_a_hint_names_a_plausible_unit(tmp_path, values, unit):
     assert record.stroke == pytest.approx(np.ptp(Y), rel=1e-6)
     assert record.meta["guesses"].keys() == {"displacement"}
     assert "guesses" not in read(path, displacement=f"y:{unit}").meta
-
-
-@pytest.mark.parametrize(
-    ("value", "explained"), [(RATE_WANTED, RATE_WANTED), (f"y:{GAIN}", GAIN), (f"y:um{GUESS}", ""), ("y:um", "")]
-)
-def test_each_placeholder_of_a_hint_is_explained_and_no_other(value, explained):
-    notes = notes_on({"time": "t", "displacement": value})
-    assert [mark for mark in (RATE_WANTED, GAIN) if f"Replace {mark} " in " ".join(notes)] == [explained] * bool(
-        explained
-    )
-    assert any(f"A {GUESS} " in note for note in notes) == value.endswith(GUESS)
 
 
 def test_no_hint_where_no_unit_is_plausible(tmp_path):
@@ -167,18 +146,6 @@ def test_scales_that_are_none(tmp_path, scale):
         read(path, displacement_scale=scale)
 
 
-def test_a_scale_for_another_unit_is_refused(tmp_path):
-    path = text(tmp_path, "time_s,voltage_V,y_um\n0,1,2\n1,3,4\n")
-    with pytest.raises(FileFormatError, match="the scale 10 um/V"):
-        read(path, displacement_scale="10 um/V")
-
-
-def test_implausible_ranges_are_reported(tmp_path):
-    path = text(tmp_path, "time_s,voltage_V,y_um\n" + laboratory_files.rows(T, V, UM))
-    record = read(path, voltage_scale="100 V/V", displacement="y_um")
-    assert any("voltage reaches 1e+04 V, unusual" in sentence for sentence in record.problems())
-
-
 def test_names_for_all_columns(tmp_path):
     path = text(tmp_path, laboratory_files.rows(0 * T, T, UM, V))
     record = read(path, columns="-,time:s,displacement:um,voltage:V")
@@ -206,14 +173,6 @@ def test_names_for_all_columns(tmp_path):
 def test_no_row_with_a_fault_is_taken_for_a_header(tmp_path, content):
     with pytest.raises(FileFormatError, match="line 2 "):
         read(text(tmp_path, content))
-
-
-def test_a_fault_in_a_row_names_its_line(tmp_path):
-    laboratory_files.tektronix(tmp_path / "a.csv")
-    lines = (tmp_path / "a.csv").read_text().split("\n")
-    lines[20] = "1,2"
-    with pytest.raises(FileFormatError, match="line 21 has 2 cells"):
-        read(text(tmp_path, "\n".join(lines)))
 
 
 def test_timestamps():

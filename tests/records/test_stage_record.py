@@ -32,11 +32,6 @@ def test_a_file_is_read_as_its_axes_are(tmp_path):
         assert np.array_equal(record.axis(j).displacement, single.displacement)
 
 
-def test_a_column_of_two_axes_is_named():
-    with pytest.raises(dehyst.FileFormatError, match="got 'vx_V' twice"):
-        axis_columns("vx_V:x_um vx_V:y_um")
-
-
 def test_columns_without_units_are_to_be_named_in_their_order(tmp_path):
     path = written(tmp_path)
     text = path.read_text()
@@ -119,24 +114,19 @@ def test_columns_that_are_no_axes_are_refused(axes):
         axis_columns(axes)
 
 
-def test_a_column_that_is_missing_is_named(tmp_path):
-    with pytest.raises(dehyst.FileFormatError, match="vz_V"):
-        dehyst.read(written(tmp_path), axes="vx_V:x_um vz_V:y_um")
-
-
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change",
     [
-        ({"displacement": RECORD.displacement[:, :1]}, "one row a sample and one column an axis"),
-        ({"displacement": RECORD.displacement * np.nan}, "not finite"),
-        ({"axes": ("x",)}, "need 2 different names"),
-        ({"axes": ("x", "x")}, "need 2 different names"),
-        ({"time": RECORD.time[::-1]}, "time"),
+        {"displacement": RECORD.displacement[:, :1]},
+        {"displacement": RECORD.displacement * np.nan},
+        {"axes": ("x",)},
+        {"axes": ("x", "x")},
+        {"time": RECORD.time[::-1]},
     ],
 )
-def test_arrays_that_make_no_record_are_refused(change, words):
+def test_arrays_that_make_no_record_are_refused(change):
     arrays = {"time": RECORD.time, "voltage": RECORD.voltage, "displacement": RECORD.displacement}
-    with pytest.raises(dehyst.RecordError, match=words):
+    with pytest.raises(dehyst.RecordError):
         dehyst.Record(**{**arrays, **change})
 
 

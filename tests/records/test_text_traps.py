@@ -7,7 +7,7 @@ from laboratory_files import UM, T, V, Y
 from text_traps import FAST, HEAD, NM, NOISE, NOISY, TRAPS, comma, drive, point, stamps, table
 
 import dehyst
-from dehyst._errors import DecimalSignError, DehystError, FileFormatError
+from dehyst._errors import DehystError, FileFormatError
 from dehyst.records import read, read_table
 from dehyst.records.formats.timestamps import clock_of, moment
 
@@ -61,14 +61,6 @@ def test_every_innocent_twin_is_read(name, tmp_path, monkeypatch):
 # The decimal sign
 
 
-@pytest.mark.parametrize("decimal", [";", "", ",."])
-def test_another_decimal_sign_is_refused(decimal, tmp_path):
-    (tmp_path / "a.csv").write_text("time_s,voltage_V,displacement_um\n0,1,2\n1,2,3\n")
-    with pytest.raises(FileFormatError) as caught:
-        read(tmp_path / "a.csv", decimal=decimal)
-    assert caught.value.argument == "decimal"
-
-
 @pytest.mark.parametrize(
     ("name", "decimal"),
     [
@@ -89,15 +81,6 @@ def test_a_stated_decimal_sign_resolves_it(name, decimal, tmp_path):
     trap.trap(path)
     assert f'"{decimal}"' in end_of(path, {}, 0)[1]
     assert is_right(read(path, decimal=decimal))
-
-
-def test_both_readings_are_possible_where_no_cell_decides(tmp_path):
-    trap = TRAPS["commas before three digits, nothing else"]
-    trap.trap(tmp_path / "a.txt")
-    with pytest.raises(DecimalSignError):
-        read(tmp_path / "a.txt")
-    large, small = (read(tmp_path / "a.txt", decimal=sign).stroke for sign in (".", ","))
-    assert large == pytest.approx(1000 * small)
 
 
 @pytest.mark.parametrize(

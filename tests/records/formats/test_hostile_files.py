@@ -320,26 +320,6 @@ def test_hostile_cells_take_no_time(tmp_path, run):
     assert clock.process_time() - began < SECONDS
 
 
-@pytest.mark.parametrize(
-    ("name", "parts"),
-    [
-        ("drive_V", ("drive", "V")),
-        ("drive [V]", ("drive", "V")),
-        (" drive__ ( V ) ", ("drive", "V")),
-        ("a [b] (c)", ("a", "b] (c")),
-        ("drive [V", ("drive [V", "")),
-        ("[V]", ("", "V")),
-        ("drive[]", ("drive", "")),
-        ("x] [V]", ("x]", "V")),
-        ("V]", ("V]", "")),
-        ("[", ("[", "")),
-        ("", ("", "")),
-    ],
-)
-def test_the_same_parts_as_ever(name, parts):
-    assert Column(name, np.zeros(2)).parts == parts
-
-
 def test_many_blank_lines_before_a_comment(tmp_path):
     began = clock.process_time()
     assert len(read(text(tmp_path, f"{HEAD}\n{BODY}" + "\n" * 200_000 + "% end\n"))) == N
