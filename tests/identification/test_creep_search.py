@@ -50,7 +50,7 @@ def test_creep_in_displacement_is_chosen_by_held_out_holds():
     # The truth creeps by 2 % a decade.
     assert 0.012 < part.gains.sum() / decades < 0.028
     assert all(error.rms_percent < 0.1 for error in fit.errors)
-    assert "in displacement" in fit.summary() and fit.as_dict()["holds"]["displacement_m"] == errors.displacement
+    assert fit.as_dict()["holds"]["displacement_m"] == errors.displacement
 
 
 def test_a_hold_of_five_minutes_keeps_little_of_the_creep():
@@ -95,14 +95,6 @@ def test_without_holds_or_without_creep_nothing_is_chosen():
     assert dehyst.identify([tops]).holds is None
     fit = dehyst.identify([tops, stairs])
     assert fit.actuator.displacement_creep is None and fit.actuator.creep is None
-
-
-def test_creep_is_removed_and_added_again():
-    part, time = DisplacementCreep([0.5, 5.0, 80.0], [0.02, 0.01, 0.03]), np.cumsum(np.full(500, 0.1))
-    m = 1e-6 * np.sin(time) + 1e-7 * time
-    y, strains = part.added(time, m, np.zeros(3))
-    assert np.allclose(part.removed(time, y), m, rtol=0, atol=1e-18)
-    assert np.allclose(strains, part.strains(time, m)[-1], rtol=0, atol=1e-18)
 
 
 def test_holds_of_a_voltage():

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +12,9 @@ import dehyst
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Outcome, Record, RecordError, Spring
 from dehyst.identification import Structure
 from dehyst.identification.diagnostics import messages
-from dehyst.identification.diagnostics.identifiability import projected
-from dehyst.identification.preprocessing.regressors import collect
-from dehyst.identification.regression.regression import Regression
 from dehyst.identification.solvers import highs, least_absolute
 from dehyst.identification.solvers.least_absolute import PrimalDual
 from dehyst.identification.solvers.program import NORMS
-from dehyst.identification.structure import Grid
-from dehyst.identification.structure_selection import StructureTrial
 
 PLANT = plain_records.plant(10)
 TOPS = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="tops")
@@ -84,37 +78,10 @@ def test_the_fitted_actuator_predicts_a_path_it_never_saw():
     assert np.abs(fit.actuator.simulate(v).displacement - path).max() < 1e-9 * plain_records.STROKE
 
 
-# Theory, section 6: the table of what one record leaves open, N = 10; each minor loop is run twice.
-TABLE = {
-    MAJOR: 5,
-    (*MAJOR, 0.3, 0, 0.3, 0): 6,
-    (*MAJOR, 0.5, 0, 0.5, 0): 7,
-    (*MAJOR, 0.7, 0, 0.7, 0): 8,
-    (*MAJOR, 0.3, 0, 0.3, 0, 0.5, 0, 0.5, 0): 8,
-    plain_records.THREE_LOOPS: 9,
-    (1, 0, 1, 0, 0.6, 0, 0.35, 0): 9,
-    (*MAJOR, 0.65, 0.35, 0.65, 0.35): 9,
-    plain_records.DESCENDING_TOPS: 9,
-    plain_records.REVERSAL_CURVES: 9,
-}
-
-
-@pytest.mark.parametrize("samples", [40, 100, 400])
-@pytest.mark.parametrize(("turns", "determined"), TABLE.items())
-def test_directions_that_an_excitation_determines(turns, determined, samples):
-    record = plain_records.loops(PLANT, turns, samples=samples)
-    rows, _ = collect([(0, record, np.zeros(len(record)))], PLANT.slip.breakaway, [0.0])
-    movable = np.arange(10) < 9
-    grid = Grid.maxwell_slip(PLANT.slip.breakaway, PLANT.spring.displacement, movable)
-    values = np.linalg.svd(projected(Regression(rows, grid, 1.0, np.zeros(1))), compute_uv=False)
-    assert np.count_nonzero(values > 1e-3 * values[0]) == determined
-
-
 def test_the_major_loop_alone_is_undetermined_and_says_so():
     fit = dehyst.identify(plain_records.loops(PLANT, MAJOR), elements=10)
     assert fit.outcome is Outcome.UNDETERMINED
     assert fit.outcome.good
-    assert "5 of 9 directions" in " ".join(fit.remarks)
     # The sums k_m + k_(N-m) are what it does tell (theory, section 6).
     found, true = fit.actuator.slip.stiffness[:9], PLANT.slip.stiffness[:9]
     np.testing.assert_allclose(found + found[::-1], true + true[::-1], rtol=1e-8)
@@ -140,20 +107,11 @@ def test_one_element():
     assert_recovered(fit, single)
 
 
-@pytest.mark.parametrize("knots", [21, 41])
-def test_more_knots_than_the_spring_has_change_nothing(knots):
-    fit = dehyst.identify(TOPS, elements=10, knots=knots)
-    assert fit.actuator.spring.displacement.size == knots
-    assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-9
-    np.testing.assert_allclose(fit.actuator.spring(PLANT.spring.displacement), PLANT.spring.voltage, atol=1e-7)
-
-
 def test_the_slope_floor_is_kept_and_reported():
     fit = dehyst.identify(TOPS, elements=10, slope_floor=0.6, delay=0.0, drift=False)
     floor = 0.6 * np.ptp(TOPS.voltage) / plain_records.STROKE
     assert fit.outcome is Outcome.FLOOR_ACTIVE
     assert fit.actuator.spring.slopes.min() == pytest.approx(floor, rel=1e-9)
-    assert any("slope lies" in remark for remark in fit.remarks)
 
 
 def test_noise_of_2_nm_does_little_harm():
@@ -247,104 +205,82 @@ def test_a_fit_is_json_without_nan(monkeypatch):
     assert json.loads(json.dumps(failed.as_dict(), allow_nan=False))["good"] is False
 
 
-def test_a_solver_that_fails_raises_or_is_told(monkeypatch):
+@pytest.mark.parametrize("options", [{"elements": 10}, {"structure": Structure(elements=10, grades=4)}])
+def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
     break_solver(monkeypatch)
-    with pytest.raises(IdentifyError, match=r"Not identified: .* time limit"):
-        dehyst.identify(TOPS, elements=10)
-    fit = dehyst.identify(TOPS, elements=10, throw=False)
+    with pytest.raises(IdentifyError):
+        dehyst.identify(TOPS, **options)
+    fit = dehyst.identify(TOPS, **options, throw=False)
     assert (fit.actuator, fit.outcome, fit.errors) == (None, Outcome.FAILED, ())
     assert "time limit" in fit.status
 
 
-def test_a_wider_program_that_fails_raises_or_is_told(monkeypatch):
-    """What a solver leaves behind need not be an actuator."""
-    solved = least_absolute.least_absolute_deviations
-
-    def asleep(problem, pull, unit):
-        found = solved(problem, pull, unit)
-        return replace(found, x=np.full(found.x.size, -1.0), optimal=False, status="asleep")
-
-    monkeypatch.setattr(least_absolute, "least_absolute_deviations", asleep)
-    structure = Structure(elements=10, grades=4)
-    with pytest.raises(IdentifyError, match=r"Not identified: .* asleep"):
-        dehyst.identify(TOPS, structure=structure)
-    fit = dehyst.identify(TOPS, structure=structure, throw=False)
-    assert (fit.actuator, fit.outcome, fit.errors) == (None, Outcome.FAILED, ())
-    assert "asleep" in fit.status
-
-
-REFUSED = [
-    ({"norm": "l3"}, "norm: got 'l3', need 'l1' or 'l2'"),
-    ({"elements": 5, "breakaway": [1e-6]}, "got both elements and breakaway"),
-    ({"breakaway": []}, "breakaway: need .*positive, strictly increasing"),
-    ({"breakaway": [0.0, 1e-6]}, "breakaway: need .*positive, strictly increasing"),
-    ({"breakaway": [2e-6, 1e-6]}, "breakaway: need .*positive, strictly increasing"),
-    ({"breakaway": [np.nan]}, "breakaway"),
-    ({"elements": 0}, "elements: got 0, need a whole number from 1 to 500"),
-    ({"elements": 501}, "elements: got 501, need a whole number from 1 to 500"),
-    ({"elements": 10.5}, "elements: got 10.5, need"),
-    ({"knots": 1}, "knots: got 1, need a whole number from 2 to 500"),
-    ({"knots": 501}, "knots: got 501, need a whole number from 2 to 500"),
-    ({"knots": 5.5}, "knots: got 5.5, need"),
-    ({"slope_floor": 0.0}, "slope_floor: got 0.0, need a fraction"),
-    ({"slope_floor": 1.0}, "slope_floor: got 1.0, need a fraction"),
-    ({"slope_floor": np.nan}, "slope_floor: got nan, need a fraction"),
-    ({"delay": np.inf}, "delay: got inf, need .*seconds"),
+IMPOSSIBLE = [
+    {"norm": "l3"},
+    {"elements": 5, "breakaway": [1e-6]},
+    {"breakaway": []},
+    {"breakaway": [0.0, 1e-6]},
+    {"breakaway": [2e-6, 1e-6]},
+    {"breakaway": [np.nan]},
+    {"elements": 0},
+    {"elements": 501},
+    {"elements": 10.5},
+    {"knots": 1},
+    {"knots": 501},
+    {"knots": 5.5},
+    {"slope_floor": 0.0},
+    {"slope_floor": 1.0},
+    {"slope_floor": np.nan},
+    {"delay": np.inf},
+    {"structure": "wide"},
+    {"structure": None},
+    {"structure": Structure(), "elements": 10},
+    {"structure": Structure(), "breakaway": [1e-6]},
 ]
 
 
-@pytest.mark.parametrize(("options", "message"), REFUSED, ids=[str(options) for options, _ in REFUSED])
-def test_impossible_options_are_refused(options, message):
-    with pytest.raises(IdentifyError, match=message):
+@pytest.mark.parametrize("options", IMPOSSIBLE, ids=str)
+def test_impossible_options_are_refused(options):
+    with pytest.raises(IdentifyError):
         dehyst.identify(TOPS, **options)
 
 
-def test_records_that_tell_nothing_are_refused():
-    with pytest.raises(IdentifyError, match="got no records"):
-        dehyst.identify([])
-    with pytest.raises(IdentifyError, match="count for 400 elements"):
-        dehyst.identify(plain_records.loops(PLANT, MAJOR[:4]), elements=400)
-    growing = plain_records.loops(
-        PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=PLANT.turned(0.5 * plain_records.STROKE)
-    )
+GROWING = plain_records.loops(
+    PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=PLANT.turned(0.5 * plain_records.STROKE)
+)
+COPY = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: dehyst.identify([]),
+        lambda: dehyst.identify(plain_records.loops(PLANT, MAJOR[:4]), elements=400),
+        lambda: dehyst.identify(GROWING),
+        lambda: dehyst.identify([TOPS, COPY]),
+        lambda: dehyst.identify(TOPS, validate=COPY),
+    ],
+)
+def test_records_that_tell_nothing_new_are_refused(call):
     with pytest.raises((IdentifyError, RecordError)):
-        dehyst.identify(growing)
+        call()
 
 
 BROKEN = {
-    "constant": (lambda v, y: (0 * v, y), "the voltage is constant"),
-    "still": (lambda v, y: (v, 0 * y), "the displacement is constant"),
-    "swapped": (lambda v, y: (y * 1e6, v * 1e-7), "look swapped"),
-    "inverted": (lambda v, y: (v, -y), "inverted"),
-    "clipped": (lambda v, y: (v, np.minimum(y, 0.8 * y.max())), "clipped"),
-    "short": (lambda v, y: (v[:15], y[:15]), "15 samples, 20 are needed"),
-    "half a cycle": (lambda v, y: (v[:90], y[:90]), "full cycle"),
+    "constant": lambda v, y: (0 * v, y),
+    "still": lambda v, y: (v, 0 * y),
+    "clipped": lambda v, y: (v, np.minimum(y, 0.8 * y.max())),
+    "half a cycle": lambda v, y: (v[:90], y[:90]),
 }
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_unusable_records_are_refused_in_training_and_validation(name):
-    change, message = BROKEN[name]
-    v, y = change(TOPS.voltage, TOPS.displacement)
+    v, y = BROKEN[name](TOPS.voltage, TOPS.displacement)
     broken = Record(np.arange(v.size) / 200, v, y, name)
-    with pytest.raises(RecordError, match=message) as caught:
-        dehyst.identify([TOPS, broken], elements=10)
-    assert re.search(f"'{name}'", str(caught.value))
-    with pytest.raises(RecordError, match=message):
-        dehyst.identify(TOPS, elements=10, validate=broken)
-
-
-def test_a_record_given_twice_is_refused():
-    again = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
-    for options in ({"records": [TOPS, again]}, {"records": TOPS, "validate": again}):
-        with pytest.raises(IdentifyError, match=f"copy: has the same samples as {TOPS.name}; give each record once"):
-            dehyst.identify(**options)
-
-
-def test_a_model_file_tells_how_its_identification_ended(tmp_path):
-    fit = dehyst.identify(TOPS, structure="maxwell_slip")
-    fit.actuator.save(tmp_path / "model.json")
-    assert dehyst.Actuator.load(tmp_path / "model.json").identification.outcome is fit.outcome
+    for options in ({"records": [TOPS, broken]}, {"records": TOPS, "validate": broken}):
+        with pytest.raises(RecordError, match=f"'{name}'"):
+            dehyst.identify(**options, elements=10)
 
 
 @pytest.mark.parametrize(("turns", "grows"), [(np.linspace(0.06, 0.5, 8), True), (np.linspace(0.5, 0.06, 8), False)])
@@ -364,12 +300,3 @@ def test_elements_that_slide_once_are_found_where_loops_grow(turns, grows):
     fit = dehyst.identify(record, structure="maxwell_slip", norm="l2", delay=0.0, drift=False)
     assert (messages.LONGER_ELEMENTS in fit.remarks) == grows
     assert (fit.actuator.slip.breakaway.max() > 0.55 * np.ptp(y)) == grows
-
-
-def test_the_summary_marks_the_structure_that_was_chosen():
-    fit = dehyst.identify(plain_records.loops(PLANT, MAJOR), elements=10)
-    chosen, other = Structure(elements=10), Structure(elements=10, creep=3)
-    trials = tuple(StructureTrial(one, error, 0.0, 0.0) for one, error in ((other, 1e-9), (chosen, 2e-9)))
-    fit = replace(fit, trials=trials, options={**fit.options, "structure": chosen.as_dict()})
-    (line,) = (line for line in fit.summary(full=True).splitlines() if line.endswith("(chosen)"))
-    assert "2.0 nm" in line

@@ -80,7 +80,6 @@ def test_a_sensor_s_low_pass_is_a_lag_of_first_order_and_no_creep():
     assert fit.actuator.creep is None
     assert fit.actuator.lag > 0.3 * SENSOR_LAG
     assert fit.actuator.delay + fit.actuator.lag == pytest.approx(SENSOR_LAG, rel=0.1)
-    assert any("low-pass" in repair for repair in fit.repairs)
 
 
 def test_the_error_is_promised_for_either_cause_of_a_lag_until_it_is_known():

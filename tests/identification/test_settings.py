@@ -18,14 +18,8 @@ def test_a_count_is_taken_between_its_bounds_and_only_there(value, least, most):
         assert _validation.count(value, "cells", least, most) == value
         assert type(_validation.count(np.int32(value), "cells", least, most)) is int
     else:
-        with pytest.raises(IdentifyError, match=rf"cells: got {value}, need a whole number from {least} to {most}"):
+        with pytest.raises(IdentifyError):
             _validation.count(value, "cells", least, most)
-
-
-def test_a_count_without_end():
-    assert _validation.count(10**9, "starts", most=None) == 10**9
-    with pytest.raises(IdentifyError, match=r"starts: got 0, need a whole number from 1$"):
-        _validation.count(0, "starts", most=None)
 
 
 @given(st.floats(-2, 2))
@@ -33,15 +27,13 @@ def test_a_fraction_lies_between_0_and_1(value):
     if 0 < value < 1:
         assert _validation.fraction(value, "floor") == value
     else:
-        with pytest.raises(IdentifyError, match="fraction between 0 and 1"):
+        with pytest.raises(IdentifyError):
             _validation.fraction(value, "floor")
 
 
 def test_a_fraction_may_begin_elsewhere():
     assert _validation.fraction(0, "smoothing", 0.0) == 0.0
     assert _validation.fraction(Fraction(1, 3), "smoothing") == pytest.approx(1 / 3)
-    with pytest.raises(IdentifyError, match="number from 1e-06 to below 1"):
-        _validation.fraction(1e-7, "floor", 1e-6)
 
 
 @given(NO_NUMBERS)
@@ -58,15 +50,24 @@ def test_what_is_no_number_is_refused_everywhere(value):
 
 def test_seconds_bounds_and_words():
     assert _validation.seconds(0, "delay") == 0.0
+    assert _validation.count(10**9, "starts", most=None) == 10**9
     assert _validation.between(np.float64(4), "spacing", 0.5, 4) == 4.0
     _validation.choice("l1", "norm", ("l1", "l2"))
     np.testing.assert_array_equal(_validation.vector((1, 2.5), "breakaway", error=IdentifyError), [1, 2.5])
-    with pytest.raises(IdentifyError, match=r"shape \(1, 1\)"):
-        _validation.vector([[1.0]], "breakaway", error=IdentifyError)
-    for wrong in (-1e-9, float("inf")):
-        with pytest.raises(IdentifyError, match="seconds, 0 or more"):
-            _validation.seconds(wrong, "delay")
-    with pytest.raises(IdentifyError, match=r"exponent between 0.5 and 4"):
-        _validation.between(4.1, "spacing", 0.5, 4, "an exponent")
-    with pytest.raises(IdentifyError, match="norm: got 'l3', need 'l1' or 'l2'"):
-        _validation.choice("l3", "norm", ("l1", "l2"))
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        lambda: _validation.vector([[1.0]], "breakaway", error=IdentifyError),
+        lambda: _validation.count(0, "starts", most=None),
+        lambda: _validation.seconds(-1e-9, "delay"),
+        lambda: _validation.seconds(float("inf"), "delay"),
+        lambda: _validation.between(4.1, "spacing", 0.5, 4, "an exponent"),
+        lambda: _validation.choice("l3", "norm", ("l1", "l2")),
+        lambda: _validation.fraction(1e-7, "floor", 1e-6),
+    ],
+)
+def test_what_lies_beyond_is_refused(check):
+    with pytest.raises(IdentifyError):
+        check()

@@ -103,42 +103,25 @@ def test_any_other_part_makes_it_no_longer_plain(change):
 
 
 @pytest.mark.parametrize(
-    ("structure", "words"),
+    "options",
     [
-        (Structure(), "20 elements"),
-        (Structure(spacing=2.0), "20 elements, dense where loops are small"),
-        (Structure(elements=5, grades=4), "5 elements and graded in 4 segments"),
-        (
-            Structure(spacing=2.0, grades=4, transformer=10, creep=9, smooth=True),
-            "20 elements, dense where loops are small, graded in 4 segments, a transformer of 10 segments, "
-            "9 creep branches and smooth elements",
-        ),
+        {"elements": 0},
+        {"elements": 501},
+        {"elements": 2.5},
+        {"grades": 0},
+        {"grades": True},
+        {"knots": 1},
+        {"transformer": -1},
+        {"transformer": 1},
+        {"creep": 51},
+        {"creep": "9"},
+        {"spacing": 0.4},
+        {"spacing": float("nan")},
+        {"spacing": "dense"},
+        {"smooth": "no"},
     ],
+    ids=str,
 )
-def test_words(structure, words):
-    assert structure.words == words
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"elements": 0}, "elements: got 0, need a whole number from 1 to 500"),
-        ({"elements": 501}, "elements: got 501, need a whole number from 1 to 500"),
-        ({"grades": 0}, "grades: got 0, need a whole number from 1 to 50"),
-        ({"knots": 1}, "knots: got 1, need a whole number from 2 to 500"),
-        ({"transformer": -1}, "transformer: got -1, need a whole number from 0 to 200"),
-        ({"transformer": 1}, "transformer: got 1, need 0 or at least two segments: one segment is a straight line"),
-        ({"creep": 51}, "creep: got 51, need a whole number from 0 to 50"),
-        ({"spacing": 0.4}, "spacing: got 0.4, need an exponent between 0.5 and 4"),
-        ({"spacing": float("nan")}, "spacing: got nan, need an exponent between 0.5 and 4"),
-        ({"elements": 2.5}, "elements: got 2.5, need a whole number from 1 to 500"),
-        ({"grades": True}, "grades: got True, need a whole number from 1 to 50"),
-        ({"creep": "9"}, "creep: got '9', need a whole number from 0 to 50"),
-        ({"spacing": "dense"}, "spacing: got 'dense', need an exponent between 0.5 and 4"),
-        ({"smooth": "no"}, "smooth: got 'no', need True or False"),
-    ],
-)
-def test_impossible_numbers_are_refused(options, message):
-    with pytest.raises(IdentifyError) as refused:
+def test_impossible_numbers_are_refused(options):
+    with pytest.raises(IdentifyError, match=next(iter(options))):
         Structure(**options)
-    assert str(refused.value) == message

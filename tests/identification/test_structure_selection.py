@@ -146,15 +146,3 @@ def test_a_plain_actuator_keeps_the_plain_structure(noise):
     run = IdentificationRun(Settings(), list(frame.training), [], lambda _: None)
     best, _ = run.search(frame, Structure())
     assert replace(best, smoothing=START.smoothing) == START
-
-
-def test_a_trial_says_what_it_was():
-    one = StructureTrial(Structure(creep=3), 1e-9, 2e-9, 0.5)
-    assert one.as_dict() == {
-        "structure": Structure(creep=3).as_dict(),
-        "words": "20 elements and 3 creep branches",
-        "parameters": 42,
-        "held_out_m": 1e-9,
-        "training_m": 2e-9,
-        "seconds": 0.5,
-    }

@@ -14,7 +14,6 @@ from dehyst import Record, State
 from dehyst.identification import Structure
 from dehyst.identification.lag_search import find_lag
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.preprocessing.regressors import internal_states
 from dehyst.identification.run import IdentificationRun
 from dehyst.identification.settings import Settings
 from dehyst.virtual import BoucWenActuator
@@ -50,23 +49,6 @@ def test_a_record_that_begins_unrelaxed_is_told():
     assert frame.regression(CREEPING).strained == (1,)
     # Without creep there is nothing that a start could be of.
     assert frame.regression(Structure()).strained == ()
-
-
-def test_a_record_goes_on_from_its_lead():
-    """What a piece moves along its path is what it would have moved had the lead not been cut off."""
-    plant = wide.plant(wide.STRUCTURES["all"])
-    record = plant.record()
-    whole = internal_states(plant.grid, record, None)
-    cut = 200
-    lead, piece = record.slice(0, cut), record.slice(cut, len(record))
-    moved, fades = plant.grid.moved, plant.grid.time_constants.size
-    led, alone = internal_states(plant.grid, piece, lead), internal_states(plant.grid, piece, None)
-    assert led.shape == (len(piece), moved + fades)
-    np.testing.assert_allclose(led, whole[cut:], rtol=0, atol=1e-12)
-    assert np.abs(led - alone)[:, :moved].max() > 0.01 * plain_records.STROKE
-    # Apart from it in time, a lead says nothing.
-    late = replace(piece, time=piece.time + 1.0)
-    np.testing.assert_allclose(internal_states(plant.grid, late, lead), alone, rtol=0, atol=1e-12)
 
 
 def test_the_lead_of_a_transient_counts_in_the_fit():
@@ -133,13 +115,6 @@ def test_loops_of_falling_height_are_one_speed(pace, shape):
     played = descending_tops(100, drive=drive)
     y = BoucWenActuator(highest=100.0).play(played.voltage, time=played.time)
     assert not wide.frame([Record(played.time, played.voltage, y)]).supports_creep()
-
-
-def test_rows_are_thinned_evenly_to_what_was_asked():
-    frame = wide.frame([creeping().record()])
-    whole, thin = frame.regression(CREEPING), frame.regression(CREEPING, 500)
-    every = len(whole.rows) // 500
-    np.testing.assert_array_equal(thin.rows.displacement, whole.rows.displacement[::every])
 
 
 def test_times_are_those_of_the_finest_and_the_longest_record():

@@ -9,8 +9,7 @@ import structured_records as wide
 import tracking_trials
 
 import dehyst
-from dehyst import Creep, Dynamics, IdentifyError, Outcome, Record, State
-from dehyst.identification import Structure
+from dehyst import Creep, Dynamics, Outcome, Record, State
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.validation import compare, errors_of, initial_state, state_after, without_offset
 
@@ -67,13 +66,6 @@ def test_smooth_elements_that_are_strained_at_the_start_are_found(closing, part)
     )
     matters = 100 * np.ptp(moved - unstrained) / plain_records.STROKE
     assert missed(actuator, Record(plant.time, voltage, moved, "strained")) < 0.1 * matters
-
-
-def test_a_branch_of_no_stiffness_changes_nothing():
-    plant = wide.plant(wide.STRUCTURES["creep"])
-    creep = plant.actuator.creep
-    more = Creep(np.append(creep.time_constants, 1.0), np.append(creep.stiffness, 0.0))
-    assert missed(replace(plant.actuator, creep=more), plant.record()) < EXACT
 
 
 @pytest.mark.parametrize("name", ["smooth", "all"])
@@ -172,33 +164,6 @@ def test_creep_on_a_grid_of_its_own_is_met_nearly():
     assert fit.actuator.creep.time_constants[-1] < plant.actuator.creep.time_constants[-1]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"structure": "wide"},
-            "structure: got 'wide', need 'auto', 'maxwell_slip' or a dehyst.Structure",
-        ),
-        (
-            {"structure": None},
-            "structure: got None, need 'auto', 'maxwell_slip' or a dehyst.Structure",
-        ),
-        (
-            {"structure": Structure(), "elements": 10},
-            "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
-        ),
-        (
-            {"structure": Structure(), "breakaway": [1e-6]},
-            "structure: it has elements and knots of its own; leave elements, breakaway and knots out",
-        ),
-    ],
-)
-def test_what_is_no_structure_is_refused(options, message):
-    with pytest.raises(IdentifyError) as refused:
-        dehyst.identify(plain_records.loops(plain_records.plant(), plain_records.MAJOR), **options)
-    assert str(refused.value) == message
-
-
 @pytest.mark.parametrize("options", [{"elements": 10}, {"knots": 8}])
 def test_what_only_the_papers_class_knows_asks_for_it(options):
     record = plain_records.loops(plain_records.plant(), plain_records.DESCENDING_TOPS)
@@ -215,10 +180,6 @@ def test_without_inner_loops_the_papers_class_is_kept():
     assert found.outcome is Outcome.UNDETERMINED
     assert found.trials == ()
     assert not found.actuator.wide
-    assert any(
-        remark.startswith("Structures with more parts were not tried: the turning points determine 5 of 9")
-        for remark in found.remarks
-    )
     assert (
         found.actuator.slip.stiffness.tolist()
         == dehyst.identify(record, structure="maxwell_slip").actuator.slip.stiffness.tolist()

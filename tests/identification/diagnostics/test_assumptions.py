@@ -1,7 +1,6 @@
 """What a model takes for granted: laws of loops, floors that noise keeps, and every verdict."""
 
 import json
-import re
 from dataclasses import replace
 from functools import cache
 
@@ -15,8 +14,8 @@ from strategies import SEEDS, make_slip
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Outcome, Record, Spring
-from dehyst.identification import Check, Fit, RecordErrors, Verdict
-from dehyst.identification.diagnostics.branches import Family, Mirrored, averaged_at, creep, families, gaps, voltage_at
+from dehyst.identification import Fit, RecordErrors, Verdict
+from dehyst.identification.diagnostics.branches import Mirrored, averaged_at, creep, families, gaps
 from dehyst.identification.diagnostics.checks import model_checks
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.virtual import PlayActuator
@@ -147,14 +146,6 @@ def test_a_reading_is_exact_on_a_line_and_keeps_the_noise_it_says():
     assert gain.max() < 0.1
 
 
-def test_a_reading_from_few_samples_is_their_interpolation():
-    branch = (np.linspace(1, 0, 11), np.linspace(5, 0, 11) ** 2)
-    places = np.array([0.12, 0.5, 0.77])
-    voltage, gain = averaged_at(branch, places, 0.05)
-    np.testing.assert_allclose(voltage, voltage_at(branch, places))
-    assert gain.tolist() == [1, 1, 1]
-
-
 # Floors that noise keeps.
 
 
@@ -242,37 +233,20 @@ def test_verdicts_of_an_identification(kind):
     )
     for check in found:
         assert (check.verdict is UNKNOWN and check.name != "Assumption I") == (check.value is None)
-        assert check.sentence.endswith(".") and "nan" not in check.sentence
-        assert len(check.sentence) < 400
 
 
 def test_a_fit_holds_its_checks_as_json():
     fit = identified("play")
     told = json.loads(json.dumps(fit.as_dict(), allow_nan=False))["checks"]
     assert [item["name"] for item in told] == list(NAMES)
-    assert told[3] == {
-        "name": "Symmetry of the width",
-        "verdict": "FAILS",
-        "value": fit.checks[3].value,
-        "floor": fit.checks[3].floor,
-        "unit": "% of range",
-        "sentence": fit.checks[3].sentence,
-    }
+    assert (told[3]["verdict"], told[3]["value"]) == ("FAILS", fit.checks[3].value)
     assert Fit(None, Outcome.FAILED).as_dict()["checks"] == []
 
 
-def test_assumption_i_says_where_the_slope_is_least_and_where_nothing_was_seen():
+def test_assumption_i_is_of_the_least_slope():
     check = looked_at(CURVED, plain_records.loops(CURVED, plain_records.MAJOR), floor=1e5)["Assumption I"]
-    slopes, knots = CURVED.spring.slopes, CURVED.spring.displacement * 1e6
-    least = int(slopes.argmin())
     assert (check.verdict, check.unit, check.floor) == (HOLDS, "V/um", pytest.approx(0.1))
-    assert check.value == pytest.approx(slopes.min() * 1e-6)
-    assert (
-        f"V/um, {100 * slopes.min() * plain_records.STROKE / np.ptp(CURVED.spring.voltage):.3g} % of its mean"
-        in check.sentence
-    )
-    assert f"at {knots[least]:.4g} to {knots[least + 1]:.4g} um" in check.sentence
-    assert "spring continues" in check.sentence
+    assert check.value == pytest.approx(CURVED.spring.slopes.min() * 1e-6)
 
 
 def test_assumption_i_is_not_known_where_the_slope_lies_on_its_floor():
@@ -281,7 +255,6 @@ def test_assumption_i_is_not_known_where_the_slope_lies_on_its_floor():
     check = fit.checks[0]
     assert check.verdict is UNKNOWN
     assert check.value == pytest.approx(check.floor, rel=1e-6)
-    assert "smaller slope_floor" in check.sentence
 
 
 def test_assumption_ii_tells_what_stands_still_in_minor_records():
@@ -292,12 +265,8 @@ def test_assumption_ii_tells_what_stands_still_in_minor_records():
         minors.append(plain_records.record(CURVED, y, state=state, name=f"minor {top}"))
     check = looked_at(CURVED, plain_records.loops(CURVED, plain_records.MAJOR, name="major"), *minors)["Assumption II"]
     assert (check.verdict, check.value) == (HOLDS, 100)
-    # Nine elements have stiffness; 2 rho_i = i / 10 of the stroke.
-    assert "major: 9 of the 9 elements" in check.sentence
-    assert "slide in 2 other records, 3 in minor 0.3" in check.sentence
     alone = looked_at(CURVED, *minors)["Assumption II"]
     assert (alone.verdict, alone.value) == (FAILS, pytest.approx(500 / 9))
-    assert "widest needs 14.4" in alone.sentence
 
 
 def test_assumption_ii_holds_for_elements_about_to_slide_at_the_ends_of_a_noisy_loop():
@@ -308,42 +277,10 @@ def test_assumption_ii_holds_for_elements_about_to_slide_at_the_ends_of_a_noisy_
     assert (check.verdict, check.value) == (HOLDS, 100)
 
 
-def test_assumption_ii_of_no_elements():
-    slip = MaxwellSlip(CURVED.slip.breakaway, np.zeros(10))
-    check = looked_at(Actuator(slip, CURVED.spring), plain_records.loops(CURVED, plain_records.MAJOR))["Assumption II"]
-    assert (check.verdict, check.value) == (HOLDS, None)
-
-
 def test_anti_symmetry_does_not_prove_a_linear_spring():
     odd = Spring(plain_records.STROKE * np.linspace(0, 1, 4), [40, 90, 110, 160])
     found = looked_at(CURVED, plain_records.loops(Actuator(CURVED.slip, odd), plain_records.MAJOR))
     assert found["Anti-symmetry"].verdict is HOLDS
-    assert "does not prove that the spring is linear" in found["Anti-symmetry"].sentence
-
-
-def test_anti_symmetry_is_split_in_what_the_spring_takes_up_and_what_not():
-    curved, play = (by_name(identified(kind).checks)["Anti-symmetry"] for kind in ("curved", "play"))
-    middle, width = (
-        [
-            float(x)
-            for x in re.search(r"middle line contributes (\S+) %.* width contributes (\S+) %", check.sentence).groups()
-        ]
-        for check in (curved, play)
-    )
-    assert middle[0] == pytest.approx(curved.value, rel=0.1) and middle[1] < 1e-9
-    assert width[0] == pytest.approx(play.value, rel=0.1)
-    assert width[1] == pytest.approx(by_name(identified("play").checks)["Symmetry of the width"].value / 2, rel=0.02)
-
-
-def test_the_larger_loop_of_more_cycles_is_looked_at():
-    one = plain_records.loops(CURVED, (1, 0, 1, 0), name="one")
-    many = plain_records.loops(CURVED, plain_records.MAJOR * 2, name="many")
-    minor = plain_records.loops(CURVED, (1, *(0.5, 0) * 6), name="minor")
-    assert looked_at(CURVED, minor, one, many)["Anti-symmetry"].sentence.startswith(
-        "many: the widest loop (16 um, 5 cycles)"
-    )
-    single = looked_at(CURVED, one)["Anti-symmetry"]
-    assert "1 cycle)" in single.sentence and "One cycle" in single.sentence
 
 
 def test_an_open_loop_is_told_no_better_than_it_is_open():
@@ -356,7 +293,7 @@ def test_an_open_loop_is_told_no_better_than_it_is_open():
     assert check.verdict is HOLDS
 
 
-@pytest.mark.parametrize("asymmetry", [-0.2, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("asymmetry", [-0.2, 0.1])
 def test_an_asymmetric_width_foretells_the_errors(asymmetry):
     record = driven(PlayActuator(asymmetry=asymmetry, noise=0), [1, 1, 1, 1])
     fit = dehyst.identify(record, elements=30, slope_floor=0.05)
@@ -365,16 +302,7 @@ def test_an_asymmetric_width_foretells_the_errors(asymmetry):
     assert error <= fit.errors[0].largest_percent
     check = by_name(fit.checks)["Symmetry of the width"]
     assert check.verdict is FAILS
-    assert (
-        f"expect largest errors on it of {check.value / 4:.2g} % at least, of {check.value / 2:.2g} %" in check.sentence
-    )
     assert 0.7 * check.value / 2 < error < 1.5 * check.value / 2
-
-
-def test_a_truth_with_a_symmetric_map_has_a_symmetric_width():
-    found = looked_at(CURVED, driven(PlayActuator(asymmetry=0.0), [1, 1, 1, 1]))
-    assert found["Symmetry of the width"].verdict is HOLDS
-    assert found["Anti-symmetry"].verdict is HOLDS
 
 
 def test_loops_that_stay_open():
@@ -384,7 +312,6 @@ def test_loops_that_stay_open():
     # Cycles of 200 samples at 200 Hz: 1 s, 0.4 % of the stroke.
     assert check.verdict is FAILS
     assert check.value == pytest.approx(0.4, rel=0.03)
-    assert "walks: " in check.sentence and "stays open" in check.sentence
     assert looked_at(CURVED, record)["Loop closure"].value < 1e-9
 
 
@@ -412,8 +339,6 @@ def test_a_drift_is_found_whatever_the_model(percent):
     found = looked_at(CURVED, record)
     assert found["No drift"].verdict is FAILS
     assert found["No drift"].value == pytest.approx(abs(percent), rel=0.1)
-    assert "it was left in" in found["No drift"].sentence
-    assert "set aside" in looked_at(CURVED, record, drift=1e-8)["No drift"].sentence
     # Set aside, it leaves the loop its symmetry.
     assert found["Symmetry of the width"].verdict is HOLDS
 
@@ -437,9 +362,7 @@ def test_held_out_records_are_looked_at_for_drift_only():
     held_out = crept(plain_records.loops(CURVED, plain_records.MAJOR * 3, name="held out"), 1.0)
     found = by_name(dehyst.identify(training, elements=10, validate=held_out).checks)
     assert found["No drift"].verdict is FAILS
-    assert found["No drift"].sentence.startswith("held out: ")
-    for name in NAMES[1:5]:
-        assert "held out" not in found[name].sentence
+    assert [found[name].verdict for name in NAMES[3:5]] == [HOLDS, HOLDS]
 
 
 def test_gaps_in_time_do_not_join_loops():
@@ -447,20 +370,6 @@ def test_gaps_in_time_do_not_join_loops():
     late = replace(record, time=record.time + 3.0 * (np.arange(len(record)) > 750))
     found = looked_at(CURVED, late)
     assert (found["Loop closure"].verdict, found["Anti-symmetry"].verdict) == (HOLDS, FAILS)
-
-
-def test_a_verdicts_words():
-    assert [verdict.value for verdict in Verdict] == ["holds", "does not hold", "not known"]
-    check = Check("x", UNKNOWN, None, None, "%", "Nothing.")
-    assert check.as_dict() == {
-        "name": "x",
-        "verdict": "UNKNOWN",
-        "value": None,
-        "floor": None,
-        "unit": "%",
-        "sentence": "Nothing.",
-    }
-    assert isinstance(families(plain_records.loops(CURVED, plain_records.MAJOR))[0], Family)
 
 
 @pytest.mark.nightly

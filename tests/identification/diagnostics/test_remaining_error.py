@@ -36,7 +36,6 @@ def test_a_vibration_is_named_with_frequency_and_size():
     found = of(1e-8 * np.sin(2 * np.pi * 3.1 * TIME) + 2e-9 * RNG.normal(size=TIME.size))
     assert found.frequency == pytest.approx(3.1, abs=0.05)
     assert found.vibration_amplitude == pytest.approx(1e-8, rel=0.1)
-    assert "a vibration of 3.1 Hz, " in found.sentence(1e-5)
 
 
 def test_the_model_s_part_is_located_by_direction_and_level():
@@ -45,8 +44,7 @@ def test_the_model_s_part_is_located_by_direction_and_level():
     error = 1e-8 * falling_low + 1e-10 * RNG.normal(size=TIME.size)
     found = remaining_error(Trace("a", "training", TIME, VOLTAGE, path + error, path))
     assert int(np.argmax(np.abs(found.means))) == 3
-    assert "lowest third" in found.sentence(1e-5)
-    assert len(found.as_dict()["means"]) == 6
+    assert len(found.means) == 6
 
 
 def test_harmonics_of_a_periodic_voltage_are_the_model_s():

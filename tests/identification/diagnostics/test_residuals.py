@@ -9,7 +9,6 @@ import structured_records
 from dehyst import identify
 from dehyst.identification import RecordErrors, Structure, Trace, Verdict
 from dehyst.identification.diagnostics.checks import model_checks
-from dehyst.report.report import render
 
 STROKE = 10e-6
 PLANT = structured_records.plant(structured_records.STRUCTURES["graded, transformer"])
@@ -40,19 +39,18 @@ def test_noise_alone_is_not_a_pattern():
 
 
 @pytest.mark.parametrize(
-    ("pattern", "name", "value", "words"),
+    ("pattern", "name", "value"),
     [
-        (lambda place, side, time: 0.6 * side, "Width", 0.6, "lie up to 1.2 % of the stroke apart"),
-        (lambda place, side, time: 0.8 * (place > 0.917), "Middle line", 0.65, "of the stroke off, most at 15"),
-        (lambda place, side, time: 0.5 * np.log10(time.clip(0.01)), "No drift", 0.5, "drifts by 0."),
+        (lambda place, side, time: 0.6 * side, "Width", 0.6),
+        (lambda place, side, time: 0.8 * (place > 0.917), "Middle line", 0.65),
+        (lambda place, side, time: 0.5 * np.log10(time.clip(0.01)), "No drift", 0.5),
     ],
 )
-def test_patterns_are_found(pattern, name, value, words):
+def test_patterns_are_found(pattern, name, value):
     checks = left(pattern)
     assert checks[name].verdict is Verdict.FAILS
     assert checks[name].value == pytest.approx(value, rel=0.1)
     assert checks[name].floor < 0.2 * value
-    assert words in checks[name].sentence
     others = {"Width", "Middle line", "No drift"} - {name}
     assert all(checks[other].value < 0.3 * value for other in others)
 
@@ -60,7 +58,6 @@ def test_patterns_are_found(pattern, name, value, words):
 def test_what_is_small_does_not_matter():
     checks = left(lambda place, side, time: 0.09 * side, noise=0.001)
     assert checks["Width"].verdict is Verdict.HOLDS
-    assert "which does not matter" in checks["Width"].sentence
 
 
 def test_a_transformer_left_out_shows_in_the_middle_or_the_width():
@@ -73,9 +70,6 @@ def test_a_transformer_left_out_shows_in_the_middle_or_the_width():
     bad = {check.name: check for check in model_checks(poor.actuator, (), poor.traces, poor.errors)}
     assert all(check.verdict is Verdict.HOLDS for check in good.values())
     assert Verdict.FAILS in (bad["Width"].verdict, bad["Middle line"].verdict)
-    text = render(right)
-    assert "Rising branches" in text
-    assert "Anti-symmetry" not in text
 
 
 def test_the_least_slope_is_that_of_a_branch():
@@ -94,4 +88,3 @@ def test_elements_that_never_slide_are_told():
     errors = RecordErrors("small", "training", 400, 0, 0, 0, 0, 0, STROKE, 0, 0, 0)
     (sliding,) = (one for one in model_checks(ACTUATOR, (), [trace], [errors]) if one.name == "Sliding elements")
     assert sliding.verdict is Verdict.FAILS
-    assert "wider loop" in sliding.sentence

@@ -70,10 +70,6 @@ def test_noise_is_no_transient(sigma):
     assert cleaning.transient(sine(noise=noise)) == 0
 
 
-def test_a_little_drift_is_no_transient():
-    assert cleaning.transient(sine(drift=0.002)) == 0
-
-
 @pytest.mark.parametrize("length", [10, 30, 45])
 def test_a_start_up_transient_is_left_out_and_only_it(length):
     record = sine()
@@ -91,7 +87,6 @@ def test_a_transient_is_told_and_does_no_harm():
     fit = dehyst.identify(Record(record.time, record.voltage, y, "warm-up"), elements=10)
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-9
     assert len(fit.repairs) == 1
-    assert "(40 samples)" in fit.repairs[0]
     assert fit.errors[0].samples + fit.errors[0].left_out == len(record)
 
 
@@ -105,17 +100,7 @@ def test_a_gap_that_may_hide_a_reversal_cuts_the_record(start, stop):
     fit = dehyst.identify(without(TOPS, start, stop), elements=10)
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-9
     assert plain_records.spring_error(fit.actuator, PLANT) < 1e-9
-    length = (stop - start + 1) / 200
-    assert fit.repairs == (
-        f"tops: a gap of {length:.4g} s after {(start - 1) / 200:.4g} s may hide a reversal; the record was cut there.",
-    )
-
-
-def test_a_short_gap_on_a_slope_is_bridged():
-    slow = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, samples=400, name="slow")
-    fit = dehyst.identify(without(slow, 2050, 2055), elements=10)
-    assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-9
-    assert fit.repairs == ("slow: a gap of 0.03 s after 10.24 s was bridged.",)
+    assert len(fit.repairs) == 1
 
 
 def test_a_pause_between_two_repetitions_is_not_mentioned():
@@ -128,22 +113,11 @@ def test_a_pause_between_two_repetitions_is_not_mentioned():
     assert ([len(piece) for piece in pieces], said) == ([len(twice)], [])
 
 
-def test_many_gaps_are_summed_up():
-    slow = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, samples=400, name="slow")
-    for start in range(8000, 2000, -900):
-        slow = without(slow, start, start + 200)
-    pieces, said = cleaning.split_at_gaps(slow)
-    assert [len(said), len(pieces)] == [5, 8]
-    assert said[-1] == "slow: 3 more gaps, 7 cuts in all."
-    assert sum(len(piece) for piece in pieces) == len(slow)
-
-
 @pytest.mark.parametrize("samples", [1, at_night(2), at_night(3), at_night(0.5), 1.37, at_night(2.75)])
 def test_a_delay_is_found_to_a_hundredth_of_a_sample(samples):
     record = lagging(samples)
     fit = dehyst.identify(record, elements=10)
     assert fit.actuator.delay / record.sample_time == pytest.approx(samples, abs=0.01)
-    assert any("lags the voltage" in said for said in fit.repairs)
     # In the middle of a leg of 100 samples a sample is 1.6 % of the stroke: a hundredth of one is 0.016 %. A part of a
     # sample cannot be had exactly: PCHIP rounds the kinks that v(t) has where an element lets go. Its slope changes by
     # 37 % there at most (this plant), and a chord over a kink is off by 0.37 x 1.6 % / 4 = 0.15 % of the stroke.
@@ -154,13 +128,6 @@ def test_a_delay_is_found_to_a_hundredth_of_a_sample(samples):
 
 def test_a_displacement_that_leads_is_given_no_delay():
     assert dehyst.identify(lagging(-1), elements=10).actuator.delay == 0
-
-
-def test_a_delay_of_whole_samples_that_is_given_costs_nothing():
-    fit = dehyst.identify(lagging(3), elements=10, delay=0.015)
-    assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-9
-    assert fit.actuator.delay == 0.015
-    assert "(3 samples, given)" in " ".join(fit.repairs)
 
 
 @pytest.mark.parametrize("knots", [2, 4])
@@ -174,7 +141,7 @@ def test_a_shifted_sensor_zero_is_found(norm):
     fit = dehyst.identify([TOPS, three], elements=10, norm=norm)
     assert fit.errors[1].datum == pytest.approx(0.1 * plain_records.STROKE, abs=1e-8 * plain_records.STROKE)
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-6
-    assert fit.repairs == ("three: fits best with its sensor's zero moved by 1.6 um; it was moved.",)
+    assert len(fit.repairs) == 1
 
 
 def test_a_shifted_sensor_zero_that_is_denied_makes_the_stiffnesses_wrong():
@@ -201,8 +168,7 @@ def test_several_shifted_sensor_zeros_are_found():
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-5
 
 
-@pytest.mark.parametrize("delay", [0.0, None])
-@pytest.mark.parametrize("part", [0.002, 0.01, -0.02])
+@pytest.mark.parametrize(("part", "delay"), [(0.002, 0.0), (0.01, None), (-0.02, 0.0)])
 def test_creep_in_the_logarithm_of_time_is_set_aside(part, delay):
     volts = part * plain_records.VOLTS * cleaning.drift_curve(TOPS, 0.0)
     record = Record(TOPS.time, TOPS.voltage - volts, TOPS.displacement, "creeping")
@@ -212,7 +178,6 @@ def test_creep_in_the_logarithm_of_time_is_set_aside(part, delay):
     assert error.largest_percent < 1e-6
     # A volt held back is displacement gained at the model's slope, steeper than the loop's mean by up to a half.
     assert 0.6 < error.drift / (part * plain_records.STROKE) < 1.1
-    assert any("creeps by" in said for said in fit.repairs)
     assert error.rms_with_drift > 100 * error.rms
 
 

@@ -9,9 +9,6 @@ import structured_records as wide
 
 from dehyst import Record
 from dehyst.identification.preprocessing.regressors import collect, epochs, internal_states
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.regression import Regression
-from dehyst.identification.structure import Grid
 
 RANDOM_RECORDS = 300
 
@@ -114,17 +111,6 @@ def test_carts_that_stand_still_add_displacement_less_the_middle():
         assert rows.stuck[mine][:, unknown].all()
 
 
-def test_stuck_carts_give_the_slope_that_the_voltage_has():
-    actuator = plain_records.plant(6)
-    rows, _ = rows_of(actuator, plain_records.loops(actuator, plain_records.THREE_LOOPS, samples=400))
-    model = Coefficients.from_actuator(actuator)
-    regression = Regression(rows, Grid.of_actuator(actuator, np.ones(6, bool)), 0.0, np.zeros(1))
-    y, v, slope = regression.axis, rows.voltage, regression.slope(model)
-    same = np.flatnonzero((np.diff(slope) == 0) & (np.abs(np.diff(y)) > 1e-4 * plain_records.STROKE))
-    assert same.size > 0.8 * len(rows)
-    np.testing.assert_allclose(np.diff(v)[same] / np.diff(y)[same], slope[same], rtol=1e-9)
-
-
 @pytest.mark.parametrize("level", [1e-5, 1e-4, 1e-3])
 def test_noise_on_the_voltage_makes_no_epochs(level):
     actuator = plain_records.plant(10)
@@ -165,17 +151,6 @@ def test_pieces_of_several_records_are_stacked_and_told_apart():
     assert set(rows.epoch[rows.record == 1]) == set(range(first, first + len(found[1])))
     taken = np.concatenate([np.arange(e.start, e.stop) for e in found[1]])
     np.testing.assert_array_equal(rows.drift[rows.record == 1], taken)
-
-
-@pytest.mark.parametrize("most", [1, 7, 100, 10**6])
-def test_thinned_rows_are_every_so_many_th(most):
-    actuator = plain_records.plant(5)
-    rows, _ = rows_of(actuator, plain_records.loops(actuator, plain_records.MAJOR))
-    few = rows.thinned(most)
-    step = max(1, len(rows) // most)
-    for name in rows.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(few, name), getattr(rows, name)[::step])
-    assert min(most, len(rows)) <= len(few) <= max(2 * most, 2)
 
 
 @pytest.mark.parametrize("name", ["plain", "creep", "smooth", "all"])

@@ -40,21 +40,6 @@ def test_even_densities_and_straight_slopes_are_smooth(spacing):
     np.testing.assert_allclose(regularization_rows(own, SLOPE) @ even, 0, atol=1e-12 / SLOPE)
 
 
-@pytest.mark.parametrize("changes", [{}, {"grades": 1}, {"transformer": 0}, {"creep": 0, "smooth": True}])
-def test_there_is_a_row_for_each_pair_of_neighbours(changes):
-    own = grid(**changes)
-    rows = regularization_rows(own, SLOPE)
-    count, segments, spring = int(own.movable.sum()), own.segments, own.knots.size - 1
-    drive = max(own.drive.size - 2, 0)
-    assert rows.shape == (
-        count * (segments - 1) + (count - 1) * segments + spring - 2 + max(drive - 2, 0),
-        count * segments + spring + own.moved + drive,
-    )
-    moved = slice(count * segments + spring, count * segments + spring + own.moved)
-    assert not rows[:, moved].any()
-    assert all(row.any() for row in rows)
-
-
 def test_differences_by_hand():
     own, rng = grid(creep=0), np.random.default_rng(5)
     rho = own.breakaway[own.movable]
