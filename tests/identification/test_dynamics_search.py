@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from dehyst import Dynamics, Record
 from dehyst.identification.preprocessing.denoising import derivatives, remove_dynamics
-from dehyst.identification.regression.fold_sums import training_errors
-from dehyst.identification.training_data import Lagging, dynamics_of, find_dynamics
+from dehyst.identification.training_data import find_dynamics
 
 PLANT = plain_records.plant(20, seed=2)
 STEP, PERIOD = 1e-4, 0.02
@@ -33,18 +32,6 @@ def driven(actuator, *, delay=0, noise=0.0, step=STEP):
 
 def with_dynamics(resonance, damping):
     return replace(PLANT, dynamics=Dynamics(2 * np.pi * resonance, damping))
-
-
-@given(frequency=st.floats(10, 1e5), damping=st.floats(0, 2))
-def test_as_a_part_of_an_actuator(frequency, damping):
-    """The law y + damping y' + mass y'' is the one that Dynamics.lead adds."""
-    law = 2 * damping / frequency, 1 / frequency**2
-    dynamics = dynamics_of(*law)
-    assert dynamics.frequency == pytest.approx(frequency)
-    assert dynamics.damping == pytest.approx(damping)
-    velocity, acceleration = np.array([3.0, -2.0]), np.array([5.0, 7.0])
-    lead = law[0] * velocity + law[1] * acceleration
-    np.testing.assert_allclose(dynamics.lead(velocity, acceleration), lead, rtol=1e-9)
 
 
 def test_without_mass_there_are_no_dynamics():
@@ -114,20 +101,3 @@ def test_cycles_of_many_samples_are_not_searched():
     y = PLANT.simulate(v, state=PLANT.relaxed()).displacement
     frame = wide.frame([Record(np.arange(v.size) * STEP, v, y)])
     assert frame.with_inertia() is frame
-
-
-def test_a_mass_that_is_not_worth_it_is_left_out():
-    """The search itself, whatever led to it."""
-    record = driven(PLANT, noise=1e-4 * plain_records.STROKE)
-    frame = wide.frame([record])
-    tried = []
-
-    training_error = training_errors()
-
-    def error(lagging):
-        tried.append(lagging)
-        return training_error(replace(frame, lagging=lagging).regression(wide.STRUCTURES["plain"], 1000))
-
-    assert find_dynamics(error, 0.0, STEP, PERIOD) == Lagging()
-    assert 10 < len(tried) < 100
-    assert all(one.delay >= 0 and (one.dynamics is None or one.dynamics.damping >= 0) for one in tried)

@@ -8,7 +8,6 @@ import pytest
 
 import dehyst
 from dehyst import Actuator
-from dehyst.control import PossibleStart, plan_path, plan_voltage
 from dehyst.identification.temperature import temperature_effect
 
 STROKE = plain_records.STROKE
@@ -115,30 +114,6 @@ def test_a_record_without_temperature_is_remarked(warm):
 def test_the_range_of_temperatures_is_known_to_the_model(warm):
     low, high = warm.actuator.identification.validity.temperatures
     assert (low, high) == (pytest.approx(15, abs=0.2), pytest.approx(45, abs=0.2))
-
-
-def test_a_whole_path_has_a_temperature_at_each_sample(warm):
-    actuator, thermal = warm.actuator, warm.actuator.thermal
-    loop = dehyst.Compensator(actuator, slew_rate=2e4, period=0.005, units="um")
-    path = np.linspace(1.0, 12.0, 200) + np.sin(np.arange(200) / 9)
-    warmth = np.linspace(18.0, 42.0, path.size)
-    state = actuator.turned(1e-6, extrapolate=True)
-    command = loop.trajectory(path, temperature=warmth, state=state)
-    expected = actuator.compensate(1e-6 * path, temperature=warmth, state=state)
-    np.testing.assert_allclose(command.voltage, expected.voltage, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(command.displacement[~command.clamped], path[~command.clamped], rtol=1e-14)
-    assert command.promise.by_temperature == 0
-    assert loop.trajectory(path, state=state).promise.by_temperature > 0.03 * STROKE
-    planned = plan_path(loop, path, temperature=warmth, home=True)
-    after = planned.voltage[planned.first :]
-    played = actuator.simulate(planned.voltage, state=planned.start.state).displacement
-    first = planned.first
-    np.testing.assert_allclose(planned.displacement[first:], path, rtol=1e-12)
-    found = thermal.warmed(played[first:], warmth)
-    np.testing.assert_allclose(1e6 * found, path, atol=1e-6)
-    seen = plan_voltage(loop, after, temperature=warmth, start=PossibleStart("known", (planned.start.state,)))
-    assert np.all(seen.error.lowest <= seen.error.highest)
-    assert seen.expected.shape == after.shape
 
 
 def test_temperatures_in_use_that_records_do_not_have_are_named(warm):

@@ -60,25 +60,6 @@ def test_simulate_agrees_with_the_oracle(stack, motion):
     same_state(got.state, State(known.y, known.carts, known.y - known.z), 10 * metres)
 
 
-@given(motion=our.motions(our.actuators(1, 20)), seed=our.SEEDS)
-def test_one_grade_is_a_plain_element(motion, seed):
-    actuator, state, path = motion
-    slip = actuator.slip
-    knots = np.sort(np.random.default_rng(seed).uniform(*actuator.spring.displacement[[0, -1]], 2))
-    graded = Actuator(GradedSlip(slip.breakaway, knots, slip.stiffness[:, None]), actuator.spring)
-    volts, metres = scales(actuator, state, path)
-    plain = actuator.compensate(path, state=state, extrapolate=True)
-    plain_records.assert_close(graded.compensate(path, state=state, extrapolate=True).voltage, plain.voltage, volts)
-    plain_records.assert_close(
-        graded.simulate(plain.voltage, state=state, extrapolate=True).displacement, path, 2 * metres
-    )
-    plain_records.assert_close(
-        graded.slip.friction,
-        slip.friction,
-        EXACT * max(slip.friction.max(), slip.stiffness.max() * our.span_of(actuator)),
-    )
-
-
 @given(motion=our.wider_motions({"creep": True}, max_samples=30), parts=st.integers(2, 5))
 def test_samples_added_on_a_straight_path_change_nothing(motion, parts):
     """Creep is exact for a displacement that is linear in time between samples."""
@@ -152,20 +133,6 @@ def test_dissipation_of_graded_elements(actuator, seed, width):
     volts, _ = scales(wider, wider.turned(bottom, extrapolate=True), loop)
     assert lost >= 0
     plain_records.assert_close(area, lost, loop.size * volts * (top - bottom))
-
-
-@given(motion=our.wider_motions({"creep": True, "graded": False}, max_samples=60))
-def test_creep_gives_back_no_more_than_it_stored(motion):
-    """Work done on branch j over a step, with y straight, is c s tau (dy - dd): it exceeds what is stored, c d^2/2."""
-    actuator, _, time, path = motion
-    assume(path.size > 1)
-    creep = actuator.creep
-    d = creep.strains(time, path)
-    dy, dt = np.diff(path)[:, None], np.diff(time)[:, None]
-    work = (dy / dt * creep.time_constants * (dy - np.diff(d, axis=0))).cumsum(axis=0)
-    stored = 0.5 * d[1:] ** 2
-    allowance = 1e-9 * (creep.time_constants / dt.min() + 1) * (np.ptp(path) ** 2 * path.size)
-    assert np.all(work >= stored - allowance)
 
 
 @given(motion=our.wider_motions(max_samples=0), seed=our.SEEDS)

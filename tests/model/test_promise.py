@@ -100,6 +100,8 @@ def test_a_model_file_keeps_it():
     model = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, STROKE], [0.0, 100.0])).with_identification(validity=TOPS)
     again = Actuator.from_dict(model.as_dict())
     assert again.identification.validity.as_dict() == TOPS.as_dict()
+    warm = replace(TOPS, temperatures=(15.0, 45.0))
+    assert Validity.from_dict(warm.as_dict()).temperatures == (15.0, 45.0)
 
 
 def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount():
@@ -138,16 +140,16 @@ def test_temperatures_to_record_cover_those_in_use(tested, used, reference, need
     assert temperatures_to_record(tested, used, reference) == needed
 
 
-def test_temperatures_survive_a_file():
-    warm = replace(TOPS, temperatures=(15.0, 45.0)).as_dict()
-    assert Validity.from_dict(warm).temperatures == (15.0, 45.0)
-    with pytest.raises(ModelError):
-        Validity.from_dict(warm | {"temperatures_degC": [45.0, 15.0]})
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("rms_m", -1.0), ("rms_m", "x"), ("limits_V", [1, 0]), ("legs_V", [[0.0, float("nan")]]), ("new", [0])],
+    [
+        ("rms_m", -1.0),
+        ("rms_m", "x"),
+        ("limits_V", [1, 0]),
+        ("legs_V", [[0.0, float("nan")]]),
+        ("new", [0]),
+        ("temperatures_degC", [45.0, 15.0]),
+    ],
 )
 def test_impossible_values_are_refused(key, value):
     with pytest.raises(ModelError):

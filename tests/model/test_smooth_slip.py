@@ -257,15 +257,6 @@ def test_after_a_long_motion_they_are_as_long_as_they_get():
     assert ACTUATOR.voltage(turned) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
 
 
-def test_relaxed_they_hold_nothing():
-    relaxed = ACTUATOR.relaxed(30.0)
-    assert relaxed.deformation == pytest.approx(4e-6, rel=1e-14)
-    assert ACTUATOR.voltage(relaxed) == pytest.approx(30.0, rel=1e-14)
-    moved = ACTUATOR.simulate([30.0], state=relaxed).state
-    assert moved.smooth.shape == (2,)
-    plain_records.assert_close(moved.smooth, [0, 0], 1e-20)
-
-
 @pytest.mark.parametrize(
     "make",
     [

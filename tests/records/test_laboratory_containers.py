@@ -9,7 +9,6 @@ import pytest
 from laboratory_containers import NM, TRAPS, TWINS
 from laboratory_files import N, T, V, Y, assert_measured, options_of
 
-from dehyst import Record, identify
 from dehyst._errors import FileFormatError, RecordError
 from dehyst.records import read, read_table, write_columns, write_record
 from dehyst.records.tables import ColumnsError
@@ -96,17 +95,6 @@ def test_stated_guesses_that_are_none_are_ignored(line, tmp_path):
     assert "guesses" not in read(tmp_path / "a.csv").meta
 
 
-def test_a_guess_is_repeated_by_the_verdict(tmp_path):
-    path = tmp_path / "a.csv"
-    write_record(path, Record(T, V, Y))
-    path.write_text(path.read_text().replace("displacement_um", "y"))
-    fit = identify([read(path, displacement="y:um?")], structure="maxwell_slip", elements=4, throw=False)
-    assert [words for words in fit.remarks if "guessed, verify" in words] == [fit.remarks[0]]
-    assert fit.options["records"][0]["guesses"].keys() == {"displacement"}
-    fit = identify([read(path, displacement="y:um")], structure="maxwell_slip", elements=4, throw=False)
-    assert not [words for words in fit.remarks if "guessed" in words]
-
-
 def test_guesses_of_several_axes_name_the_axis(tmp_path):
     write_columns(tmp_path / "a.csv", {"time_s": T, "vx_V": V, "vy_V": V[::-1], "x_um": Y * 1e6, "y_um": Y[::-1] * 1e6})
     record = read(tmp_path / "a.csv", axes="vx_V?:x_um vy_V:y_um?")
@@ -186,10 +174,6 @@ def test_the_header_of_an_oscilloscope_states_the_step(tmp_path):
         assert "guesses" not in record.meta
 
 
-def test_columns_of_a_sheet_keep_their_fields(tmp_path):
-    write, _ = TWINS["rows.xlsx"]
-    write(tmp_path / "a.xlsx")
-    ends = [column.ends for column in read_table(tmp_path / "a.xlsx").columns]
-    assert ends[0] == ("0", repr(float(T[-1])))
+def test_units_after_slashes_of_a_sheet(tmp_path):
     laboratory_files.write_xlsx(tmp_path / "b.xlsx", [["t/s", "U/V", "Position/nm"], *np.c_[T, V, Y * 1e9].tolist()])
     assert_measured(read(tmp_path / "b.xlsx"))

@@ -15,7 +15,7 @@ from strategies import SEEDS, make_slip
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Outcome, Record, Spring
 from dehyst.identification import Fit, RecordErrors, Verdict
-from dehyst.identification.diagnostics.branches import Mirrored, averaged_at, creep, families, gaps
+from dehyst.identification.diagnostics.branches import Mirrored, creep, families, gaps
 from dehyst.identification.diagnostics.checks import model_checks
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.virtual import PlayActuator
@@ -133,17 +133,6 @@ def test_a_play_truths_width_by_a_second_way():
 
 
 # Readings of branches.
-
-
-def test_a_reading_is_exact_on_a_line_and_keeps_the_noise_it_says():
-    y = np.sort(np.random.default_rng(0).uniform(0, 1, 400))
-    places = np.linspace(0.05, 0.95, 19)
-    voltage, gain = averaged_at((y, 3 + 2 * y), places, 0.05)
-    np.testing.assert_allclose(voltage, 3 + 2 * places, rtol=1e-12)
-    noise = np.random.default_rng(1).normal(size=(4000, y.size))
-    read = np.array([averaged_at((y, row), places, 0.05)[0] for row in noise])
-    np.testing.assert_allclose(read.var(axis=0), gain, rtol=0.1)
-    assert gain.max() < 0.1
 
 
 # Floors that noise keeps.

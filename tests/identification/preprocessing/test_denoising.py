@@ -65,14 +65,6 @@ def test_without_noise_nothing_changes(seed, hold):
         assert np.abs(smoothed.displacement - true).max() < 1e-12 * plain_records.STROKE
 
 
-def test_twice_is_as_good_as_once():
-    record, _ = made(3, noise=NOISE)
-    once = monotone(record)
-    np.testing.assert_allclose(
-        monotone(once).displacement, once.displacement, rtol=0, atol=1e-15 * plain_records.STROKE
-    )
-
-
 @pytest.mark.parametrize(("samples", "kept"), [(40, 17 / 35), (200, 25 / 143)])
 def test_jitter_falls_without_a_bias(samples, kept):
     """A parabola through 5 neighbours keeps 17/35 of the variance, through 13 of them 25/143; order takes from that."""
@@ -120,14 +112,6 @@ def test_creep_in_a_hold_goes_one_way():
         assert np.all(sign * np.diff(smoothed[start + 8 : start + 195]) >= 0)
         errors = [np.std((one - y)[start : start + 200]) for one in (smoothed, noisy.displacement)]
         assert errors[0] < 0.5 * errors[1]
-
-
-def test_parabolas_come_first_only_where_noise_counts():
-    record, _ = made(5, noise=NOISE)
-    quiet = remove_jitter(record, 1e-4 * plain_records.STROKE, plain_records.STROKE)
-    np.testing.assert_array_equal(quiet.displacement, monotone(record).displacement)
-    loud = remove_jitter(record, NOISE, plain_records.STROKE)
-    assert np.abs(loud.displacement - quiet.displacement).max() > 0.1 * NOISE
 
 
 def test_smooth_elements_are_not_dragged_by_jitter():

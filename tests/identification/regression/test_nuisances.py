@@ -1,6 +1,6 @@
 """Searches of one number: a lower bound of a convex cost, and a delay with as few fits as it needs."""
 
-from math import inf, sqrt
+from math import sqrt
 
 import numpy as np
 import pytest
@@ -32,10 +32,6 @@ def test_a_convex_function_lies_above_its_bound(case):
     low, high = min(places), max(places)
     bound = _least_of_convex({x: function(x) for x in places})
     assert bound <= function(np.linspace(low, high, 2001)).min() + 1e-9
-
-
-def test_values_that_are_not_convex_have_no_bound():
-    assert _least_of_convex({0.0: 0.0, 1.0: 2.0, 2.0: 2.5, 3.0: 2.6}) == -inf
 
 
 def test_the_bound_is_exact_between_two_lines():
