@@ -59,7 +59,7 @@ def as_model(scale=1.0):
     """An identified actuator, and the same with another stroke."""
     data = replace(plant(), limits=(0.0, 90.0)).as_dict()
     for part in (data["spring"], data["slip"], data["state"]):
-        for key in ("displacement_m", "breakaway_m", "carts_m"):
+        for key in ("displacement_m", "deformation_m", "breakaway_m", "carts_m"):
             if key in part:
                 part[key] = (scale * np.asarray(part[key])).tolist()
     data["slip"]["stiffness_V_per_m"] = [value / scale for value in data["slip"]["stiffness_V_per_m"]]
