@@ -67,6 +67,9 @@ class Ageing:
         elif kind.__name__ in WIDENED:
             for name in WIDENED[kind.__name__]:
                 setattr(one, name, wider * self.new[name])
+        elif kind.__name__ == "Rayleigh":
+            one.strength = wider * kind.strength
+            one.reversible = kind.reversible - 0.9 * (wider - 1) * kind.strength
         else:
             one.strengths = tuple(wider * strength for strength in kind.strengths)
 
