@@ -7,6 +7,7 @@ which the sensors measured. One stage has coupling with hysteresis of its own, w
 
 import argparse
 import json
+import sys
 import tempfile
 import threading
 import time
@@ -18,8 +19,10 @@ from strangers import truths
 from dehyst.calibration import calibrate
 from dehyst.instruments import open_rig
 from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualBench, VirtualStage
-from dehyst.virtual.emulator import Controller, Server
 from dehyst.virtual.stage import spread_coupling
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+from emulator import Controller, Server
 
 OUTPUT = Path(__file__).parent / "calibrated_axes.json"
 HIGHEST, STROKES, NOISE = (100.0, 120.0, 150.0), (16e-6, 20e-6, 12e-6), 2e-9

@@ -1,4 +1,4 @@
-"""The whole experiment over a socket: `dehyst rig serve` and `dehyst calibrate`, two processes, as in the README.
+"""The whole experiment over a socket: an emulated controller and `dehyst calibrate`, two processes.
 
 A real controller's text protocol on TCP, and a real IOC on Channel Access, each before a virtual actuator that no model
 is an instance of. Writes `calibration.json`: the measured errors along a path, and seconds from start to end.
@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 OUTPUT = Path(__file__).parent / "calibration.json"
+SERVE = Path(__file__).parents[1] / "tests" / "support" / "serve_emulator.py"
 DEHYST = Path(sys.executable).parent / "dehyst"
 # Actuator, link, and seconds of the instrument in each second: those that wait for creep are let run faster.
 CASES = (("play", "pi", 1), ("play", "epics", 1), ("preisach", "pi", 1), ("creep", "pi", 5), ("boucwen", "pi", 1))
@@ -24,7 +25,7 @@ PREFIX = "BENCH"
 def measure(actuator: str, link: str, speed: float) -> dict:
     """One calibration on an emulated instrument."""
     epics = ["--epics", PREFIX] if link == "epics" else []
-    serve = [DEHYST, "rig", "serve", "--port", "0", "--actuator", actuator, "--speed", str(speed), *epics]
+    serve = [sys.executable, SERVE, "--port", "0", "--actuator", actuator, "--speed", str(speed), *epics]
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "serve.txt"
         with told.open("w") as output:

@@ -67,7 +67,7 @@ def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = F
 
 def stopped_with(fault: str) -> Callable[[Path], Outcome]:
     """Return a rehearsal of Ctrl-C in mid-wave with a fault from its first samples on."""
-    return lambda folder: against(folder, (*_SLOW, "--fault", f"{fault}@20"), act=sent(INTERRUPT))
+    return lambda folder: against(folder, ("--speed", "1", "--fault", f"{fault}@20"), act=sent(INTERRUPT))
 
 
 def nobody(address: str, folder: Path) -> Outcome:

@@ -1,4 +1,4 @@
-"""A fault rehearsed: `dehyst rig serve` and `dehyst calibrate` as two real processes, and its outcome."""
+"""A fault rehearsed: an emulated controller and `dehyst calibrate` as two real processes, and its outcome."""
 
 import contextlib
 import re
@@ -15,23 +15,25 @@ from pathlib import Path
 
 from dehyst import DehystError, read
 
+SERVE = (sys.executable, str(Path(__file__).parents[1] / "tests" / "support" / "serve_emulator.py"))
 DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
 # Seconds after which a command hangs, on however busy a machine.
 _PATIENCE = 600.0
 _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
 _COUNTED = re.compile(r", ([\d ]+) samples")
 _TALLY = re.compile(
-    r"put out (?P<lowest>\S+) to (?P<highest>\S+) V, largest step \S+ V, steepest (?P<steepest>\S+) V/s, now at "
+    r"put out (?P<lowest>\S+) to (?P<highest>\S+) V, largest step (?P<step>\S+) V, steepest (?P<steepest>\S+) V/s, now at "
     r"(?P<now>\S+) V(, (?P<refused>\d+) requests refused)?, (?P<told>\d+) samples reported"
 )
 
 
 @dataclass
 class PutOut:
-    """The emulator's own report: voltages put out [V], the steepest [V/s], and the number of samples reported."""
+    """The emulator's own report: voltages put out and largest step [V], the steepest [V/s], and samples reported."""
 
     lowest: float
     highest: float
+    step: float
     steepest: float
     now: float
     refused: int
@@ -59,17 +61,17 @@ class Outcome:
 
 
 class Served:
-    """`dehyst rig serve` on any free port; at its end it reports what it has put out."""
+    """The emulator on any free port; at its end it reports what it has put out."""
 
     def __init__(self, *options: str) -> None:
-        command = [*DEHYST, "rig", "serve", "--port", "0", *options]
+        command = [*SERVE, "--port", "0", *options]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self.lines: list[tuple[float, str]] = []
         self._serving = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         if not self._serving.wait(_PATIENCE) or "pi://" not in self.lines[0][1]:
-            raise RuntimeError(f"dehyst rig serve: {self.lines}")
+            raise RuntimeError(f"no emulator: {self.lines}")
         self.address = re.search(r"pi://\S+", self.lines[0][1])[0]
 
     def __enter__(self) -> "Served":

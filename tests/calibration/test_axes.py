@@ -158,7 +158,7 @@ class TestPlan:
 
 
 class TestCommand:
-    """`dehyst calibrate --axes` and `dehyst rig serve --axes`."""
+    """`dehyst calibrate --axes`."""
 
     @staticmethod
     def run(*words, status=0):

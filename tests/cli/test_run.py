@@ -8,11 +8,8 @@ import pytest
 from command_line import run
 
 import dehyst
-from dehyst.instruments import open_rig
-from dehyst.operations.registry import find
-from dehyst.operations.run import Run, perform
 from dehyst.records import read_table, write_columns
-from dehyst.virtual import AgeingCourse, PlayActuator
+from dehyst.virtual import PlayActuator
 
 RIG = """
 from dehyst.instruments.simulated import SimulatedRig
@@ -165,14 +162,3 @@ def test_the_temperature_of_a_path_counts(folder):
     words = ("run", "sim://play", "--model", "model.json", "--path", "warm.csv")
     status, _, err = run(*words, "--columns", "temperature=temperature_C", cwd=folder)
     assert status == 2 and "temperature" in err
-
-
-def test_an_instrument_that_records_no_temperature_refuses_kelvins():
-    """The way out that the error names has the channel."""
-    ageing = AgeingCourse(-7, kelvins=20)
-    with pytest.raises(dehyst.RigError) as refused:
-        perform(find("rig serve"), {"port": 0, "seconds": 0.0, "ageing": ageing}, Run())
-    assert refused.value.argument == "ageing"
-    (address,) = (word for word in str(refused.value).split() if word.startswith("sim://"))
-    with open_rig(address) as rig:
-        assert rig.others == ("temperature_C",)

@@ -51,7 +51,6 @@ def test_addresses_that_are_none(tmp_path):
         ("rubbish", "not the address of a rig"),
         ("a.py:", "not the address"),
         ("epics://", "need the prefix"),
-        ("sim://", "need play"),
         ("missing.py:make", "does not exist"),
     ]:
         with pytest.raises(RigError, match=why):

@@ -9,6 +9,7 @@ import warnings
 
 import numpy as np
 import pytest
+from emulator import Controller, Fault, Rehearsal, Server
 from fake_gcs import FakeController
 from faulty_link import KINDS, Meddling, PipeLink, Proxy, QuickRig
 from hand_clock import Hand
@@ -17,7 +18,6 @@ from dehyst._errors import DehystError
 from dehyst.instruments import DeviceError, LinkError, SensorError, open_rig
 from dehyst.instruments.pi import PiRig
 from dehyst.virtual import PlayActuator, VirtualBench
-from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
 from dehyst.waveforms import Excitation
 
 DEVICE, ALLOWED = (-20.0, 120.0), (0.0, 60.0)

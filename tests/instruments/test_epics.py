@@ -1,20 +1,17 @@
 """The EPICS rig against a real IOC over real Channel Access, faults among them."""
 
-import os
 import signal
-import subprocess
 import sys
 import time
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("softioc", reason="softioc is not installed: there is no EPICS server to test against")
 pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel Access client")
-from ioc_process import IocProcess, port
+from ioc_process import IocProcess
 
 from dehyst import ClampWarning, MissingExtraError, RecordError
 from dehyst.instruments import DeviceError, LinkError, RigError, SensorError
@@ -328,23 +325,3 @@ def test_two_rigs_of_one_ioc(rig, ioc):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert rig.set_voltage(3.0) == 3.0
-
-
-def test_served_by_the_command():
-    """Two terminals: `dehyst rig serve --epics`, and a rig."""
-    number = port()
-    command = [Path(sys.executable).with_name("dehyst"), "rig", "serve", "--port", "0", "--epics", f"CLI{number}"]
-    environment = {**os.environ, "EPICS_CAS_SERVER_PORT": str(number)}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            # Channel Access looks for a server less and less often: it must be there first.
-            said = server.stdout.readline()
-            with EpicsRig.connect(f"CLI{number}", timeout=30.0) as rig:
-                assert rig.set_voltage(12.0) == 12.0
-                assert len(rig.play(cosine(top=50.0))) == 1000
-        finally:
-            server.send_signal(signal.SIGTERM)
-            said += server.communicate(timeout=30)[0]
-    assert f"serving epics://CLI{number}" in said
-    assert "put out 0 to 49.9999 V" in said
-    assert server.returncode == 0

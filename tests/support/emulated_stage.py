@@ -3,11 +3,11 @@
 from contextlib import contextmanager
 
 import numpy as np
+from emulator import Controller, Fault, Rehearsal, Server
+from emulator.faults import actual_limits
 
 from dehyst.instruments import open_rig
 from dehyst.virtual import PlayActuator, PreisachActuator, VirtualBench, VirtualStage
-from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
-from dehyst.virtual.emulator.faults import actual_limits
 from dehyst.virtual.stage import spread_coupling
 
 COUPLING = np.eye(3) + spread_coupling(3, 0.05)
@@ -41,6 +41,5 @@ def served(*faults, speed=20.0, stage=None, **options):
 @contextmanager
 def rig_of(server, axes="1,2,3", **options):
     with open_rig(f"pi://127.0.0.1:{server.port}/{axes}", **options) as rig:
-        # None of them is faster.
-        rig._device_speed = 20.0
+        rig._device_speed = server.controller.instrument._speed
         yield rig

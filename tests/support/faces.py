@@ -64,9 +64,6 @@ FACES = {
             AgeingActuator AgeingCourse BoucWenActuator PlayActuator PreisachActuator VirtualBench
             VirtualStage
         """,
-        "virtual.emulator": """
-            Controller Fault Rehearsal Server
-        """,
         "waveforms": """
             Excitation Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps
             Triangle descending_tops homing minor_loop raised_cosine reversal_curves

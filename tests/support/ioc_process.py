@@ -11,13 +11,16 @@ import subprocess
 import sys
 import time
 
+import places
+
 PREFIX = "BENCH"
 _PROGRAM = """
 import json, sys, threading, time, types
+sys.path.insert(0, sys.argv[3])
 import dehyst
 from dehyst import VoltageLimits
 from dehyst.virtual import PlayActuator, VirtualBench
-from dehyst.virtual.emulator.epics_ioc import serve_ioc
+from emulator.epics_ioc import serve_ioc
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
 model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
 truth = dehyst.Actuator.load(model) if model else PlayActuator(**actuator)
@@ -98,7 +101,7 @@ class IocProcess:
         self.prefix = f"{PREFIX}{self.port}"
         began = time.perf_counter()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options)],
+            [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options), str(places.SUPPORT)],
             env={**os.environ, "EPICS_CAS_SERVER_PORT": str(self.port)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -2,12 +2,12 @@
 
 from contextlib import contextmanager
 
+from emulator import Controller, Server
 from fake_gcs import Clock
 from faulty_link import PipeLink, QuickRig
 
 from dehyst.instruments.pi import PiRig
 from dehyst.virtual import PlayActuator, VirtualBench
-from dehyst.virtual.emulator import Controller, Server
 
 LOW, HIGH = -20.0, 100.0
 

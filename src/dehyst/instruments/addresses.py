@@ -29,8 +29,8 @@ def open_rig(
         ``pi://host:port``, ``pi://host:port/axis`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
         ``epics://PREFIX``: process variables with this prefix.
         ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual actuator,
-        without a link, as fast as it computes. ``sim://play?gain=-5,kelvins=20,seconds=600`` changes with time, as of
-        ``dehyst rig serve --ageing``, and records its temperature.
+        without a link, as fast as it computes. ``sim://play?gain=-5,kelvins=20,seconds=600`` changes with time, and
+        records its temperature.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
     axes : sequence of str, optional
@@ -126,10 +126,8 @@ def _sim(name: str, options: _Options) -> AbstractRig:
     from dehyst.model import Actuator
     from dehyst.virtual import AgeingActuator, AgeingCourse, virtual_actuator
 
-    if not name:
-        raise RigError("sim://: need play, creep, preisach, boucwen or /path/to/model.json after it")
     name, _, changes = name.partition("?")
-    truth = virtual_actuator(name)
+    truth = virtual_actuator(name or "play")
     if changes:
         if isinstance(truth, Actuator):
             raise RigError(f"sim://{name}?{changes}: a model does not change with time; need play, creep, ...")

@@ -1,4 +1,4 @@
-"""A rig behind EPICS Channel Access: the IOC of `dehyst rig serve --epics`, or a laboratory's own."""
+"""A rig behind EPICS Channel Access: a laboratory's own IOC, by names of its process variables."""
 
 from __future__ import annotations
 

@@ -1,17 +1,12 @@
-"""`calibrate` and `rig serve`: the whole experiment on an instrument, and emulated instruments to rehearse it."""
+"""`calibrate`: the whole experiment on an instrument."""
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
-import dehyst._validation as check
 from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_alike, format_of
 from dehyst.calibration import Calibration, Plan
@@ -21,20 +16,12 @@ from dehyst.calibration.plan import entries, read_voltage
 from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
-from dehyst.model import Actuator
 from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
 from dehyst.operations.declaration import Folder, Input, Only, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_calibration, write_stage_report
-from dehyst.virtual import AgeingActuator, AgeingCourse, ModelledActuator, VirtualActuator, VirtualBench, VirtualStage
-from dehyst.virtual.bench import BenchAxis
-from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
-from dehyst.virtual.emulator.epics_ioc import serve_ioc
-from dehyst.virtual.emulator.faults import actual_limits
-from dehyst.virtual.modelled import virtual_actuator
-from dehyst.virtual.stage import spread_coupling
 
 REPORT = "report.html"
 
@@ -213,163 +200,3 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
             word = f"axis {axis:6s} " if axis else ""
             yield f"  {name:12s} {word}largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %"
     yield f"{'stage' if several else 'model'}.json, report.html, calibration.json and records: {output}"
-
-
-_coupled = Only(lambda given: given.get("axes", 1) > 1, "with one axis")
-
-
-@operation(name="rig serve", returns=False, rare=("hysteretic", "noise", "wave_points", "host", "ageing"))
-def serve(
-    run: Run,
-    *,
-    actuator: str = "play",
-    axes: int = 1,
-    coupling: Annotated[float, _coupled] = 4.0,
-    hysteretic: Annotated[float, _coupled] = 0.0,
-    host: str = "127.0.0.1",
-    port: int = 50000,
-    limits: tuple[float, float] | None = None,
-    slew_rate: float | None = None,
-    speed: float = 1.0,
-    noise: float | None = None,
-    ageing: AgeingCourse | None = None,
-    wave_points: int = 65536,
-    fault: tuple[str, ...] = (),
-    seconds: float | None = None,
-    epics: Annotated[str | None, Only(lambda given: given.get("axes", 1) == 1, "with several axes")] = None,
-) -> Result:
-    """Serve an emulated piezo controller that speaks GCS 2.0 over TCP.
-
-    At the end it prints the range and steps of its output voltages.
-
-    Parameters
-    ----------
-    actuator
-        Actuator to drive: play, creep, preisach or boucwen, which are not instances of a dehyst model, or a model file.
-        With several axes: one for all, or one for each (play,preisach,boucwen).
-    axes
-        Number of axes of one body, 1 to 6, with coupled displacements; each has a channel and a wave generator.
-    coupling
-        Largest displacement of one axis by another [%].
-    hysteretic
-        Additional coupling [%] by elements whose loops have another shape than the actuators' loops.
-    host
-        Interface to listen on; 0.0.0.0 for all.
-    port
-        TCP port; 0: any free port.
-    limits
-        Voltages [V]; default: the actuator's.
-    slew_rate
-        Of the amplifier [V/s]; default: not limited.
-    speed
-        Speed of the instrument: its seconds for each second of real time.
-    noise
-        Of the sensor [nm]; default: the actuator's, 2 nm.
-    ageing
-        Changes of each actuator that grow until a time has passed: of its gain [%], of the width of its loop [%], of
-        the sensor's zero [% of the stroke]; and this time [s of the instrument]; default: none. Kelvins are for
-        sim:// only: this instrument records no temperature.
-    wave_points
-        Largest number of samples of wave generator and recorder.
-    fault
-        A fault to rehearse, NAME@WHEN: after a number of samples of a wave (drop@2000) or a time (unplug@3.5s); without
-        @WHEN, in the middle of the first wave. NAME: drop, silence, garble, truncate, error, narrow, saturate, unplug,
-        refuse, stall. May be repeated.
-    seconds
-        Stop after this time [s]; default: at Ctrl-C.
-    epics
-        Also serve the same instrument by EPICS Channel Access, with this prefix.
-    """
-    check.between(axes, "axes", 1, 6)
-    check.between(coupling, "coupling", 0, 30, "a share in %")
-    check.between(hysteretic, "hysteretic", 0, 30, "a share in %")
-    check.between(port, "port", 0, 65535)
-    check.between(speed, "speed", 1e-9, 1e6)
-    check.between(0.0 if noise is None else noise, "noise", 0, 1e6, "nanometres")
-    check.between(wave_points, "wave_points", 2, 10_000_000)
-    check.between(seconds or 0.0, "seconds", 0, 1e9, "seconds")
-    if ageing is not None and ageing.kelvins:
-        raise RigError(
-            argument="ageing",
-            got=f"kelvins={ageing.kelvins:g}",
-            need="none, as this instrument records no temperature",
-            hint=f"the rig sim://{actuator.split(',', maxsplit=1)[0]}?{ageing} records it",
-        )
-    names = actuator.split(",")
-    if len(names) not in (1, axes):
-        raise RigError(argument="actuator", got=f"{len(names)} for {axes} axes", need="one, or one for each")
-    rehearsed = [Fault.parse(text) for text in fault]
-    shares = coupling / 100, hysteretic / 100
-    bench = {"slew_rate": slew_rate, "speed": speed, "wave_points": wave_points, "record_points": wave_points}
-    instrument, ranges = _instrument(
-        names * axes if len(names) == 1 else names,
-        rehearsed,
-        limits,
-        shares,
-        **bench,
-        noise=None if noise is None else 1e-9 * noise,
-        ageing=ageing,
-    )
-    lock, rehearsal = threading.Lock(), Rehearsal(rehearsed, report=lambda words: run.say(f"fault: {words}"))
-    controller = Controller(instrument, reported_limits=ranges)
-    server = Server(controller, host=host, port=port, lock=lock, rehearsal=rehearsal)
-    if epics is not None:
-        serve_ioc(instrument, epics, lock)
-        run.say(f"serving epics://{epics}")
-    with _stop_by_signal(server):
-        words = ", ".join(dict.fromkeys(f"{low:g} to {high:g} V" for low, high in ranges))
-        path = "" if axes == 1 else "/" + ",".join(one.name for one in controller.axes)
-        run.say(f"serving {actuator}, {words}, on pi://{host}:{server.port}{path}")
-        server.serve(seconds)
-    lines = [f"{'' if axes == 1 else f'axis {one.name}: '}{_tally(one.bench)}" for one in controller.axes]
-    lines[-1] += f", {controller.rows_sent} samples reported"
-    return Result({}, lines)
-
-
-def _instrument(
-    names: Sequence[str],
-    faults: Sequence[Fault],
-    limits: tuple[float, float] | None,
-    shares: tuple[float, float],
-    *,
-    ageing: AgeingCourse | None,
-    **options: Any,
-) -> tuple[VirtualBench, list[tuple[float, float]]]:
-    """Return the virtual bench, and the limits [V] that it reports of each axis."""
-    driven, own = zip(*map(_driven, names), strict=True)
-    reported = [limits or one for one in own]
-    driven = driven if ageing is None else tuple(AgeingActuator(one, ageing) for one in driven)
-    device, count = driven[0], len(driven)
-    if count > 1:
-        table, second = (spread_coupling(count, share) for share in shares)
-        device = VirtualStage(driven, np.eye(count) + table, hysteretic=second)
-    return VirtualBench(device, limits=[actual_limits(one, faults) for one in reported], **options), reported
-
-
-def _driven(name: str) -> tuple[VirtualActuator, tuple[float, float]]:
-    """Return an actuator, and its own limits [V]."""
-    driven = virtual_actuator(name)
-    if isinstance(driven, Actuator):
-        modelled = ModelledActuator(driven)
-        return modelled, driven.limits or (0.0, modelled.highest)
-    return driven, (0.0, driven.highest)
-
-
-@contextmanager
-def _stop_by_signal(server: Server) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM stop the server instead of the program."""
-    before = {number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _tally(axis: BenchAxis) -> str:
-    log, present = axis.log, axis.voltage
-    refused = f", {log.refused} requests refused" if log.refused else ""
-    return (
-        f"put out {log.lowest:.6g} to {log.highest:.6g} V, largest step {log.largest_step:.4g} V, steepest "
-        f"{log.steepest:.6g} V/s, now at {present:.6g} V{refused}"
-    )

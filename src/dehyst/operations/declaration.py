@@ -274,7 +274,7 @@ def documented(thing: Any) -> dict[str, str]:
 class Operation:
     """A function from files to files, with the declaration of its parameters.
 
-    `name`: words of its command, such as "rig serve". `summary`, `help`: first and further sentences of its help.
+    `name`: word of its command. `summary`, `help`: first and further sentences of its help.
     `details`: whether its result has more lines than the answer. `returns`: whether it has a JSON result.
     """
 

@@ -24,7 +24,6 @@ JOURNEY: dict[str, dict[str, Entry]] = {
         "excite": Entry("waves:excite", "Write the voltage of an excitation to play"),
         "show": Entry("show:show", "How a file is understood, with a drawing"),
         "calibrate": Entry("bench:calibrate", "Do the whole experiment on an instrument"),
-        "rig serve": Entry("bench:serve", "Serve an emulated instrument"),
     },
     "Identify and know": {
         "identify": Entry("identify:identify", "Fit a model to recorded loops"),

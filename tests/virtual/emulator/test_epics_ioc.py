@@ -9,11 +9,11 @@ import pytest
 
 pytest.importorskip("softioc", reason="softioc is not installed: there is no EPICS server to test")
 aioca = pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel Access client")
+from emulator.epics_ioc import serve_ioc  # noqa: E402
 from ioc_process import IocProcess  # noqa: E402
 
 from dehyst.instruments import RigError  # noqa: E402
 from dehyst.virtual import PlayActuator, VirtualBench  # noqa: E402
-from dehyst.virtual.emulator.epics_ioc import serve_ioc  # noqa: E402
 
 LOOP = asyncio.new_event_loop()
 

@@ -57,6 +57,7 @@ SAID = {
 # Nobody spoke to the controller, or nothing was sent; or it was not dehyst that left it where it is.
 SILENT = ("taken", "beyond", "file", "narrow")
 ELSEWHERE = {"astray": 150.0}
+READBACKS = ("zero", "shift", "invert", "blank")
 # Those who cannot count what came: some was under way, or had no room.
 UNCOUNTED = ("kill", "full")
 
@@ -136,6 +137,9 @@ def _look_at_voltages(name, put):
     assert put.now == ELSEWHERE.get(name, 0.0)
     if name not in ELSEWHERE and name != "servo":
         assert put.steepest <= SLEW
+    if name in READBACKS:
+        # Of the wave and of a ramp; and of 10 ms in which the wave went on.
+        assert put.step <= 3 * 0.01 * SLEW
     if name in SILENT:
         assert put.highest == 0
     assert put.refused == (name == "narrow")

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from emulator import Controller
+from emulator.gcs_controller import COMMANDS
 from hand_clock import Hand
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
-from dehyst.virtual.emulator import Controller
-from dehyst.virtual.emulator.gcs_controller import COMMANDS
 from dehyst.virtual.stage import spread_coupling
 from examples import examples
 

@@ -11,13 +11,14 @@ import time
 from contextlib import contextmanager, suppress
 
 import numpy as np
+import places
 import pytest
+from emulator import Controller, Fault, Rehearsal, Server
+from emulator.faults import actual_limits
 
 from dehyst._errors import ModelError
 from dehyst.instruments import LinkError
 from dehyst.virtual import PlayActuator, VirtualBench
-from dehyst.virtual.emulator import Controller, Fault, Rehearsal, Server
-from dehyst.virtual.emulator.faults import actual_limits
 
 SOON = 60.0
 
@@ -164,7 +165,7 @@ def test_100_abrupt_disconnects_leave_it_serving():
 
 
 def test_a_client_that_takes_no_answers_hangs_nothing(monkeypatch):
-    monkeypatch.setattr("dehyst.virtual.emulator.gcs_server._PATIENCE", 0.5)
+    monkeypatch.setattr("emulator.gcs_server._PATIENCE", 0.5)
     with served(record_points=20000, wave_points=20000, speed=1000) as server:
         deaf = connect(server)
         start_wave(deaf)
@@ -293,9 +294,9 @@ def test_a_fault_comes_in_the_middle_of_the_first_wave_unless_told():
 
 @contextmanager
 def command(*options):
-    """`dehyst rig serve` as a process, and its port."""
+    """The emulator as a process, and its port."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "from dehyst.cli import main; main()", "rig", "serve", "--port", "0", *options],
+        [sys.executable, places.SUPPORT / "serve_emulator.py", "--port", "0", *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -314,7 +315,7 @@ def command(*options):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_ends_with_the_tally_of_its_voltages(number):
-    with command("--limits", "-10", "90", "--options", '{"noise": 1}') as (process, port):
+    with command("--limits", "-10", "90") as (process, port):
         with Line(port) as line:
             line.send("SVA 1 -5")
             line.send("SVA 1 64")
@@ -336,14 +337,6 @@ def test_the_command_ends_by_itself_and_tells_its_faults():
         said, _ = process.communicate(timeout=120)
     assert process.returncode == 0
     assert said.startswith("fault: unplug: the sensor is unplugged\nput out 0 to 0 V")
-
-
-def test_a_model_file_is_served_within_its_limits(tmp_path):
-    from plain_records import plant
-
-    plant().save(tmp_path / "model.json")
-    with command("--actuator", str(tmp_path / "model.json"), "--seconds", "20") as (_, port), Line(port) as line:
-        assert line.ask("VMA? 1") == "1=200\n"
 
 
 def test_somebody_elses_client_identifies_sets_and_reads():

@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Self
 
 from dehyst._errors import LinkError
-from dehyst.virtual.emulator.faults import Rehearsal
-from dehyst.virtual.emulator.gcs_controller import Controller
+from emulator.faults import Rehearsal
+from emulator.gcs_controller import Controller
 
 PORT = 50000
 # Seconds between updates of the instrument, and until a client that takes no answers is disconnected.

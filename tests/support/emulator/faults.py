@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst.virtual.bench import VirtualBench
-from dehyst.virtual.emulator.gcs_controller import Controller, GcsError
+from emulator.gcs_controller import Controller, GcsError
 
 FAULTS = {
     "drop": "the connection is lost",

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
-from dehyst._errors import DehystError, MissingExtraError, RigError
+from dehyst._errors import DehystError, RigError
 from dehyst._types import Array
 from dehyst.virtual.bench import VirtualBench
 
@@ -180,8 +180,8 @@ def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManage
 
     It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST is set, and on the port of
     EPICS_CAS_SERVER_PORT. `prefix`: of the names of all process variables, without the colon that follows it. `lock`:
-    held around every use of the instrument. Raise `MissingExtraError` if softioc is not installed, `RigError` if this
-    process already serves an instrument, or the prefix cannot begin a name.
+    held around every use of the instrument. Raise `RigError` if this process already serves an instrument, or the
+    prefix cannot begin a name.
     """
     if _running:
         raise RigError(
@@ -193,10 +193,8 @@ def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManage
         )
     for name, value in _LOOPBACK.items():
         os.environ.setdefault(name, value)
-    try:
-        from softioc import asyncio_dispatcher, builder, softioc
-    except ImportError as error:
-        raise MissingExtraError.of("softioc", "epics", "an EPICS server") from error
+    from softioc import asyncio_dispatcher, builder, softioc
+
     ioc = Ioc(instrument, prefix, lock)
     _running.append(ioc)
     dispatcher = asyncio_dispatcher.AsyncioDispatcher()

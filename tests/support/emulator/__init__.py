@@ -1,8 +1,8 @@
 """Emulated controllers: a virtual bench (`dehyst.virtual.bench`) behind the protocols of laboratories."""
 
-from dehyst.virtual.emulator.faults import Fault, Rehearsal
-from dehyst.virtual.emulator.gcs_controller import Controller
-from dehyst.virtual.emulator.gcs_server import Server
+from emulator.faults import Fault, Rehearsal
+from emulator.gcs_controller import Controller
+from emulator.gcs_server import Server
 
 __all__ = [
     "Controller",
