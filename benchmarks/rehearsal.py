@@ -22,8 +22,8 @@ _PATIENCE = 600.0
 _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
 _COUNTED = re.compile(r", ([\d ]+) samples")
 _TALLY = re.compile(
-    r"put out (?P<lowest>\S+) to (?P<highest>\S+) V, largest step (?P<step>\S+) V, steepest (?P<steepest>\S+) V/s, now at "
-    r"(?P<now>\S+) V(, (?P<refused>\d+) requests refused)?, (?P<told>\d+) samples reported"
+    r"put out (?P<lowest>\S+) to (?P<highest>\S+) V, largest step (?P<step>\S+) V, steepest (?P<steepest>\S+) V/s, "
+    r"now at (?P<now>\S+) V(, (?P<refused>\d+) requests refused)?, (?P<told>\d+) samples reported"
 )
 
 

@@ -366,6 +366,7 @@ def test_a_wave_timed_by_the_device_is_brought_back_from_where_it_is_by_now_if_i
     rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0, sleep=None)
     clock.monotonic = lambda: clock.now
     monkeypatch.setattr("dehyst.instruments.base.time", clock)
+    monkeypatch.setattr("dehyst.instruments.output.time", clock)
 
     def unplugged():
         raise OSError("unplugged")

@@ -139,7 +139,7 @@ def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
     controller = FakeController(limits=DEVICE)
     rig = QuickRig(PipeLink(controller), limits=ALLOWED, patience=0.02, slew_rate=2000.0)
     # Its time goes on while it is waited for.
-    rig._device_speed = 1e3
+    rig._device_speed = 20.0
     rig.set_voltage(30.0)
     pipe, left = rig._client._link._socket, rng.randint(1, 60)
     receive, send = pipe.recv, pipe.sendall

@@ -230,7 +230,7 @@ def test_an_old_error_is_forgotten(ioc):
 
 def test_without_aioca(monkeypatch):
     monkeypatch.setitem(sys.modules, "aioca", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[epics\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[bench\]'"):
         EpicsRig.connect("BENCH")
 
 

@@ -14,9 +14,9 @@ from plain_records import plant
 from dehyst import Actuator, DehystError, ModelError
 from dehyst.instruments import DeviceError
 from dehyst.model import Creep, Dynamics
-from dehyst.virtual import BoucWenActuator, ModelledActuator, PlayActuator, PreisachActuator, VirtualBench
+from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualBench
 from dehyst.virtual.bench import Extremes
-from dehyst.virtual.modelled import virtual_actuator
+from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 
 PERIOD = 5e-5
 TRUTHS = {

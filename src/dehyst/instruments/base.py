@@ -10,16 +10,17 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeAlias, TypeVar, final
+from typing import Any, Self, TypeAlias, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
+from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError, SensorError
 from dehyst._types import Array
 from dehyst._validation import for_each, interval, number
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.instruments.interrupts import shielded
+from dehyst.instruments.output import Output
 from dehyst.instruments.samples import (
     READBACK_TOLERANCE,
     Listener,
@@ -83,26 +84,6 @@ class VoltageNote(str):
         note = super().__new__(cls, text)
         note.safe = safe
         return note
-
-
-class _Output(NamedTuple):
-    """Voltages (n,) [V] that a device puts out: the first at a time `since` [s], the others after it at a `rate` [Hz].
-
-    It may be ahead: at a `pace` [Hz] from an `earliest` time [s] on.
-    """
-
-    voltage: Array
-    rate: float = 0.0
-    since: float = 0.0
-    pace: float = 0.0
-    earliest: float = 0.0
-
-    def now(self) -> tuple[float, float, float]:
-        """Return the present voltage [V] by this, and the lowest and the highest that it may be."""
-        now, last = time.monotonic(), self.voltage.size - 1
-        likely = min(int((now - self.since) * self.rate), last)
-        possible = self.voltage[: min(int((now - self.earliest) * self.pace), last) + 1]
-        return float(self.voltage[likely]), float(possible.min()), float(possible.max())
 
 
 class AbstractRig(ABC):
@@ -171,8 +152,8 @@ class AbstractRig(ABC):
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
-        # The voltage [V] known last and those that the device plays after it.
-        self._known_output: _Output | None = None
+        self._known_output: Output | None = None
+        self._stopped_itself = False  # whether the device may have stopped its wave
         self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
         self._unread = False  # whether the voltage could not be read at the end of the last retreat
         self._host_paced = False  # whether the host sends each voltage of the wave
@@ -291,10 +272,10 @@ class AbstractRig(ABC):
                 count, after = 0, float(batches[-1].time[-1]) if batches else -math.inf
                 self._host_paced = False
                 wave = partial(self._wave, piece, rate)
-                patience, latest = _PATIENCE + 2 * len(piece) / rate, time.monotonic()
-                for one, column in zip(self.rigs, columns_of(piece), strict=True):
-                    # Until a sample comes, it is not known when the wave begins.
-                    one._known_output = _Output(column, 0.0, latest, self._device_speed * rate, latest)
+                patience = _PATIENCE + 2 * len(piece) / rate
+                outputs = [Output(column, rate, self._device_speed) for column in columns_of(piece)]
+                for one, output in zip(self.rigs, outputs, strict=True):
+                    one._known_output = output
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
                 with closing(
                     inspected(self.name, wave, piece, spans=spans, after=after, axes=axes, patience=patience)
@@ -308,14 +289,10 @@ class AbstractRig(ABC):
                             )
                         batches.append(samples)
                         count += samples.time.size
-                        before, latest = latest, time.monotonic()
-                        played = 0.0 if self._host_paced else rate
-                        # A batch may have been recorded just after the one before came; a virtual device has a time of
-                        # its own.
-                        frequency = samples.time.size / max(latest - before, 1e-9)
-                        pace = max(self._device_speed * rate, frequency) if played else 0.0
-                        for one, column in zip(self.rigs, columns_of(piece[count - 1 :]), strict=True):
-                            one._known_output = _Output(column, played, latest, pace, before)
+                        for one, output in zip(self.rigs, outputs, strict=True):
+                            output.observe(count)
+                            if self._host_paced:
+                                one._puts_out(float(output.voltage[count - 1]))
                         listen(samples)
                         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
@@ -386,6 +363,7 @@ class AbstractRig(ABC):
         errors: list[Exception] = []
         ramps = []
         with shielded(defer=True):
+            begin = time.monotonic()
             for one in self.rigs:
                 foreseen = False
                 try:
@@ -402,7 +380,9 @@ class AbstractRig(ABC):
                         errors[-1].__cause__ = error
                 # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
                 if not foreseen:
-                    ramps.append(one._ramping(one.safe, retreating=True))
+                    output = one._known_output
+                    stopped = output.stopped(begin, anywhere=self._stopped_itself) if output else None
+                    ramps.append(one._ramping(one.safe, stopped, retreating=True))
             self._ramp(ramps, errors, retreating=True)
         return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
@@ -483,9 +463,12 @@ class AbstractRig(ABC):
             # After a contradicted reading alone, the end of each ramp was sent.
             raise next((error for error in found if not isinstance(error, ReadbackError)), found[0])
 
-    def _ramping(self, end: float, *, retreating: bool = False) -> Iterator[None]:
+    def _ramping(
+        self, end: float, stopped: tuple[float, float, float] | None = None, *, retreating: bool = False
+    ) -> Iterator[None]:
         """Ramp from the known output to `end`, within the slew rate and in steps of a hundredth of the range.
 
+        `stopped`: where a wave was stopped: likely, at the lowest and at the highest [V].
         Yields before each step, so that the caller waits a tick. Raise `ReadbackError` if the reading contradicts what
         was sent, before the ramp or after it; when `retreating`, only after it, and `end` is sent in any case.
         """
@@ -495,11 +478,11 @@ class AbstractRig(ABC):
         if self._known_output is None:
             present = self._standing()
         else:
-            present, lowest, highest = self._known_output.now()
+            last = float(self._known_output.voltage[-1])
+            present, lowest, highest = stopped or (last, last, last)
             try:
                 read = yield from self._confirmed(present, lowest, highest)
                 if lowest < highest:
-                    # A wave was stopped at one of these voltages.
                     present = min(max(read, lowest), highest)
             except RigError as error:
                 if not retreating:
@@ -537,7 +520,7 @@ class AbstractRig(ABC):
 
     def _puts_out(self, voltage: float) -> None:
         """Remember that a `voltage` [V] is put out now."""
-        self._known_output = _Output(np.array([voltage]))
+        self._known_output = Output(np.array([voltage]))
 
     def _confirmed(self, sent: float, low: float, high: float) -> Generator[None, None, float]:
         """Return the reading [V] once it is near `low` to `high`; yield before each further one, as it may be late.
@@ -593,6 +576,7 @@ class AbstractRig(ABC):
         """Retreat after a `cause` if the link still works, else close it; return the outcome."""
         of, to = (f" {word} the axes {', '.join(self.axes)}" if self._parts else "" for word in ("of", "to"))
         safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
+        self._stopped_itself = isinstance(cause, RigError) and not isinstance(cause, SensorError)
         try:
             self.retreat()
             if any(one._unread for one in self.rigs):

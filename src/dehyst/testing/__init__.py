@@ -1,8 +1,7 @@
 """The rehearsal of a rig: what every driver must do before it moves hardware, as tests for pytest.
 
 A subclass of `RigContract` gives a candidate, and runs as any class of tests. Instruments to test on: `FakeInstrument`,
-the virtual actuators and `VirtualBench` of `dehyst.virtual`, and the emulated controller of `dehyst.virtual.emulator`,
-whose `Rehearsal` has faults on its link.
+the virtual actuator and `VirtualBench` of `dehyst.virtual`.
 """
 
 from dehyst.testing.instrument import FakeInstrument

@@ -12,7 +12,7 @@ from dehyst.virtual.ageing import AgeingActuator, AgeingCourse
 from dehyst.virtual.base import VirtualActuator
 from dehyst.virtual.bench import Extremes, VirtualBench
 from dehyst.virtual.bouc_wen import BoucWenActuator
-from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
+from dehyst.virtual.modelled import virtual_actuator
 from dehyst.virtual.plays import PlayActuator
 from dehyst.virtual.preisach import PreisachActuator
 from dehyst.virtual.stage import VirtualStage
