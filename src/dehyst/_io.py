@@ -1,10 +1,4 @@
-"""Files and folders: read strictly, written wholly or not at all.
-
-A file is written as a draft in its folder and then renamed. In a command, it replaces an existing file only if both
-begin alike, or with --force. Files begin alike if both are JSON of the same "format", name dehyst as their generator,
-are NumPy archives with the same first array, are tables with a computed displacement, or are text with the same first
-line, such as the header of a table.
-"""
+"""Files and folders: read strictly, written wholly or not at all, as a draft in the folder that is then renamed."""
 
 from __future__ import annotations
 
@@ -18,7 +12,6 @@ import stat
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from contextvars import ContextVar
 from math import isfinite
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -46,19 +39,6 @@ VERSION = 1
 OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
-# HTML, SVG, FMU and WebAssembly.
-_GENERATED = re.compile(
-    rb'<!DOCTYPE html>.{0,2000}?<meta name="generator" content="dehyst |<\?xml.{0,1500}?<dc:title>dehyst '
-    rb'|PK\x03\x04.{0,1500}?generationTool="dehyst |\x00asm.{0,16}dehyst\.about',
-    re.DOTALL,
-)
-_BINARY = (b"<", b"PK", b"\0", b"PAR1", b"\x89")
-# Where a ZIP archive has the length and the name of its first file.
-_ZIP_LENGTH, _ZIP_NAME = slice(26, 28), 30
-_HEADER = re.compile(r"\w+_\w+([,\t]\w+)*|\w+([,\t]\w+)*[,\t]\w+_\w+")
-# How the text of an export begins.
-_COMMENT = re.compile(r"[-#;%*/(!]{1,3} ?dehyst: ")
-_PROTECTS: ContextVar[bool] = ContextVar("protects", default=False)
 # Types of data that are no file.
 _ARRAYS = ("DataFrame", "ndarray")
 # A model has some hundred numbers, a calibration's results some ten thousand.
@@ -88,20 +68,20 @@ def unwritten(path: PathLike, error: OSError) -> FileFormatError:
 def write_atomically(path: PathLike, data: str | bytes) -> None:
     """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
 
-    Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced and keeps its mode; in a
-    command only if it begins like the new one (`demand_alike`). Raise `FileFormatError` if the folder is missing or not
-    writable, or the path is a folder.
+    Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced and keeps its mode.
+    Raise `FileFormatError` if the folder is missing or not writable, or the path is a folder or a disk.
     """
     content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
     try:
         mode = _mode_of(path)
         if mode is not None and stat.S_ISDIR(mode):
             raise FileFormatError(f"{path}: this is a folder; add a file name")
+        if mode is not None and stat.S_ISBLK(mode):
+            raise FileFormatError(f"{path}: is a disk; give the name of a file")
         # A device such as /dev/null, or a pipe, is written to, never replaced.
         if mode is not None and not stat.S_ISREG(mode):
             Path(path).write_bytes(content)
             return
-        demand_alike(path, content)
         # A link keeps pointing at its file.
         target = Path(os.path.realpath(path))
         if not target.parent.is_dir():
@@ -164,112 +144,45 @@ def path_of(value: object, what: str = "path") -> Path:
     raise FileFormatError(argument=what, got=repr(value), need=f"{need}, as 'loops.csv' or a pathlib.Path")
 
 
-@contextmanager
-def protecting(*, force: bool) -> Iterator[None]:
-    """Let `demand_alike` refuse, unless forced, within this context; outside of it, outputs replace any file."""
-    token = _PROTECTS.set(not force)
-    try:
-        yield
-    finally:
-        _PROTECTS.reset(token)
-
-
-def demand_alike(path: PathLike, content: bytes | None = None) -> None:
-    """Raise `FileFormatError` if a file to replace does not begin like its new content; an empty file may be replaced.
-
-    Without `content`, which is not known before a computation, accept any file that may be an earlier output. Only the
-    commands protect files, see `protecting`.
-    """
-    try:
-        mode = _mode_of(path)
-        if mode is not None and stat.S_ISBLK(mode):
-            raise FileFormatError(f"{path}: is a disk; give the name of a file")
-        if not _PROTECTS.get() or mode is None or not stat.S_ISREG(mode) or not Path(path).stat().st_size:
-            return
-    except OSError as error:
-        raise unwritten(path, error) from error
-    kind = _kind(_sample(path))
-    if kind is not None and content is not None and kind == _kind(content):
-        return
-    if kind is not None and content is None:
-        known = kind.startswith(("dehyst", "table of a model")) or kind.endswith(".npy")
-        if known or _COMMENT.match(kind) or _HEADER.fullmatch(kind):
-            return
-    raise FileFormatError(
-        f"{path}: is there already, and does not begin as the new file; give another name, or --force to replace it"
-    )
-
-
 def format_of(path: PathLike) -> str | None:
     """Return the "format" at the beginning of a JSON file, or of the path of a scan; None for any other file."""
-    match = _FORMAT.match(_sample(path))
+    try:
+        if not Path(path).is_file():
+            return None
+        with Path(path).open("rb") as stream:
+            match = _FORMAT.match(stream.read(_HEAD))
+    except OSError:
+        return None
     return (match[1] or match[2]).decode() if match else None
 
 
-def demand_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> None:
-    """Raise `FileFormatError` unless a folder is new, empty, or has a `marker` file that is JSON of the format `kind`.
+def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool = False) -> None:
+    """Raise `FileFormatError` unless a folder is new, empty, or has a file `marker`, JSON of the format `kind`.
 
-    `option`: the option of the command that sets the folder.
+    That file is of an earlier run. `force`: the folder may hold any files.
     """
     try:
-        names = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
+        held = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
     except FileNotFoundError:
         return
     except NotADirectoryError as error:
-        words = f"cannot be made a folder (it is a file); give another one with {option}"
-        raise FileFormatError(f"{folder}: {words}") from error
+        raise FileFormatError(f"{folder}: cannot be made a folder (it is a file); give another name") from error
     except OSError as error:
         raise unwritten(folder, error) from error
-    if names and format_of(Path(folder) / marker) != kind:
-        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        raise FileFormatError(
-            f"{folder}: holds other files ({', '.join(names[:3])}{more}); give the name of a new or an empty folder "
-            f"with {option}"
-        )
+    if held and not force and format_of(Path(folder) / marker) != kind:
+        named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
+        raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder")
 
 
-def make_own_folder(folder: PathLike, marker: str, kind: str, *, option: str = "-o") -> Path:
-    """Return a folder that may be written to, created if necessary; raise as `demand_own_folder` does."""
-    demand_own_folder(folder, marker, kind, option=option)
+def made_folder(folder: PathLike) -> Path:
+    """Return a folder, made if necessary; raise FileFormatError if it cannot be made."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        words = f"cannot be made a folder ({error.strerror}); give another one with {option}"
-        raise FileFormatError(f"{folder}: {words}") from error
+        raise FileFormatError(
+            f"{folder}: cannot be made a folder ({error.strerror}); give another name, or check the rights"
+        ) from error
     return Path(folder)
-
-
-def _kind(content: bytes) -> str | None:
-    """Return a key that is equal for files that begin alike; None if the kind is not visible."""
-    head = content[:_HEAD]
-    if match := _FORMAT.match(head):
-        return (match[1] or match[2]).decode()
-    if _GENERATED.match(head):
-        return "dehyst"
-    if head.startswith(b"PK\3\4"):
-        name = head[_ZIP_NAME : _ZIP_NAME + int.from_bytes(head[_ZIP_LENGTH], "little")].decode(errors="replace")
-        return name if name.endswith(".npy") else None
-    if head.startswith(_BINARY):
-        return None
-    first = head.partition(b"\n")[0].decode(errors="replace").strip()
-    names = first.replace("\t", ",").split(",")
-    if any("expected_" in name for name in names):
-        return "table of a model"
-    # Options of a command may add these columns.
-    return ",".join(name for name in names if name not in ("time_s", "phase"))
-
-
-def _sample(path: PathLike) -> bytes:
-    """Return the first and the last bytes of a regular file; no bytes if it cannot be read."""
-    try:
-        if not Path(path).is_file():
-            return b""
-        with Path(path).open("rb") as stream:
-            head = stream.read(_HEAD)
-            stream.seek(max(len(head), stream.seek(0, 2) - _HEAD))
-            return head + stream.read(_HEAD)
-    except OSError:
-        return b""
 
 
 @contextmanager

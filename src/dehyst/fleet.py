@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dehyst._errors import DehystError, FileFormatError, LinkError, MissingExtraError, library
-from dehyst._io import PathLike, path_of, protecting, reading_errors, write_atomically
+from dehyst._io import PathLike, path_of, reading_errors, write_atomically
 from dehyst._text import counted
 from dehyst._threads import one_thread
 from dehyst._types import Progress
@@ -268,9 +268,7 @@ def _write(path: Path, rows: list[_Row]) -> None:
     kinds = {name: arrow.float64() if name in NUMBERS else arrow.string() for name in COLUMNS}
     content = io.BytesIO()
     parquet.write_table(arrow.Table.from_pylist(rows, schema=arrow.schema(kinds)), content, compression="zstd")
-    # A command protects files of others; this table was read as one of a fleet.
-    with protecting(force=True):
-        write_atomically(path, content.getvalue())
+    write_atomically(path, content.getvalue())
 
 
 def dask_setup(_worker: Any) -> None:

@@ -20,7 +20,8 @@ AXES = "x=vx_V:x_um, y=vy_V:y_um"
 
 
 def run(*words, status=0):
-    done = CliRunner().invoke(main, [str(word) for word in words])
+    force = ["--force"] if "-o" in words and "--force" not in words else []
+    done = CliRunner().invoke(main, [*map(str, words), *force])
     assert done.exit_code == status, done.output
     return done.output
 

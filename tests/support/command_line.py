@@ -14,6 +14,7 @@ from dehyst.cli import main
 
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 TIMEOUT = 600
+OUTPUTS = {"-o", "--output", "--report", "--table", "--traces"}
 # Commands write twelve significant digits: a number moves by this part of itself at most.
 WRITTEN = 5e-12
 
@@ -23,10 +24,16 @@ def rare(**values):
     return "--options", json.dumps(values)
 
 
-def run(*arguments, cwd=None):
-    """Return exit status, standard output and standard error of a dehyst command, run in this process."""
+def run(*arguments, cwd=None, keep=False):
+    """Return exit status, standard output and standard error of a dehyst command, run in this process.
+
+    An output of an earlier command of the test is replaced, unless `keep`.
+    """
+    words = list(map(os.fspath, map(_text, arguments)))
+    if not keep and OUTPUTS & {*words} and "--force" not in words:
+        words.append("--force")
     with contextlib.chdir(cwd or Path.cwd()):
-        done = CliRunner().invoke(main, list(map(os.fspath, map(_text, arguments))))
+        done = CliRunner().invoke(main, words)
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
     return done.exit_code, done.stdout, done.stderr

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dehyst._errors import FileFormatError, RecordError
-from dehyst._io import PathLike, demand_version, read_json, unwritten, write_json
+from dehyst._io import PathLike, demand_version, made_folder, read_json, unwritten, write_json
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.calibration.comparison_loop import Agreement, agreement, replay
@@ -225,12 +225,7 @@ def claimed(folder: Path, rig: str, axis: str) -> Path:
     Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
     """
     records, path = folder / "records", folder / "campaign.json"
-    try:
-        records.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileFormatError(
-            f"{folder}: cannot be made a folder ({error.strerror}); give another one with -o"
-        ) from error
+    made_folder(records)
     instrument: dict[str, Any] = {"rig": rig, "axis": axis}
     if not os.path.lexists(path):
         write_json(path, {"format": FORMAT, "version": 1, **instrument})
@@ -261,14 +256,3 @@ def set_aside(path: Path) -> list[Path]:
     except OSError as error:
         raise unwritten(aside, error) from error
     return [aside]
-
-
-def made_folder(path: Path) -> Path:
-    """Return the folder of this name, created if necessary; raise FileFormatError on failure."""
-    try:
-        path.mkdir(exist_ok=True)
-    except FileExistsError as error:
-        raise FileFormatError(f"{path}: is a file where a folder is needed; move it elsewhere") from error
-    except OSError as error:
-        raise unwritten(path, error) from error
-    return path

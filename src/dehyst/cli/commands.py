@@ -117,7 +117,7 @@ class OperationCommand(click.Command):
             text = f"JSON or TOML with {names}: a file, or JSON itself; see below."
             params.append(click.Option(["--options"], metavar="FILE|JSON", help=text))
         if operation.writes:
-            params.append(click.Option(["--force"], is_flag=True, help="Replace files of another kind too."))
+            params.append(click.Option(["--force"], is_flag=True, help="Replace files that exist."))
         if operation.details:
             params.append(click.Option(["--all", "details"], is_flag=True, help="Print all that was found."))
         if operation.returns:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import shutil
-import tempfile
 from itertools import accumulate
 from pathlib import Path
 from string import Template
@@ -18,15 +16,12 @@ from dehyst._version import __version__
 from dehyst.control import Compensator, StageCompensator
 from dehyst.exports.golden_trace import Loop, golden_trace, trace_header
 from dehyst.exports.model_header import ExportedStart, ModelText, Number, config_header, demand_compensator
-from dehyst.exports.naming import DEFAULT, demand_name, name_in, printable, shipped, text_of
+from dehyst.exports.naming import DEFAULT, demand_name, printable, shipped, text_of
 
 STAGE_NAME = "stage"
 SOURCES = ("piezo.c", "dehyst.c")
 CORE = ("dehyst.c", "dehyst.h", "dehyst_model.h")
 CONFIG = "dehyst_config.h"
-# Files of an export besides the two that have its name.
-_FILES = {*CORE, CONFIG, "check.c", "trace.h", "Makefile", "README.md", "LICENSE"}
-_BUILT = re.compile(r".*\.(o|ci|su)|check_program")
 # Lines of the templates in whose place the generated text comes.
 _SIZES, _NUMBERS, _TEMPERATURE = "/* sizes */\n", "/* numbers */\n", "/* temperature */\n"
 _TEMPERATURES_DECLARED = """\
@@ -150,10 +145,9 @@ def export(
     directory: PathLike,
     number: Number = "double",
     *,
-    force: bool = False,
     name: str | None = None,
 ) -> Path:
-    """Write a compensator as C: the whole folder, or nothing.
+    """Write a compensator as C: a whole folder, or nothing.
 
     Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs
     it; `dehyst_config.h` with the number type; and the model, `piezo.c` and `piezo.h`, with its numbers and functions.
@@ -165,11 +159,9 @@ def export(
     compensator : Compensator or StageCompensator
         The export starts in the compensator's state at construction or last reset. The compensator does not change.
     directory : path
-        A new or an empty folder.
+        A folder; made if necessary. Files of the same names in it are replaced, others stay.
     number : {'double', 'float'}, optional
         float: every number is rounded once. Coupled axes need double.
-    force : bool, optional
-        Replace an earlier export. A folder with other files is always refused.
     name : str, optional
         Name in C of the type and the calls, by default piezo, or stage, so that several models fit into one firmware:
         the files of the model are then NAME.c and NAME.h, and macros begin with it.
@@ -185,7 +177,7 @@ def export(
         If `compensator` is not a Compensator, the number type is invalid, floats cannot hold this model, or the name is
         not valid in C or has a meaning there.
     FileFormatError
-        If `directory` is not a path, the folder holds other files, or it cannot be written.
+        If `directory` is not a path, is a file, or cannot be written.
     """
     folder = path_of(directory)
     files, own = code(compensator, number, name), _name(compensator, name)
@@ -194,7 +186,7 @@ def export(
     target = folder.resolve()
     draft = draft_of(target)
     try:
-        _demand_free(folder, force)
+        _demand_place(folder)
         draft.mkdir()
         trace = golden_trace(compensator)
         files |= {"trace.h": trace_header(trace, _LEAST, _MOST), "LICENSE": shipped("LICENSE")}
@@ -207,41 +199,23 @@ def export(
     return folder
 
 
-def _demand_free(folder: Path, force: bool) -> None:
-    """Refuse a folder with files that an export does not write, and without `force` an earlier export."""
+def _demand_place(folder: Path) -> None:
+    """Refuse a folder in no folder, and a file."""
     if not folder.resolve().parent.is_dir():
         raise FileFormatError(f"{folder}: the folder {folder.parent} does not exist; create it first")
-    if not folder.exists():
-        return
-    if not folder.is_dir():
+    if folder.exists() and not folder.is_dir():
         raise FileFormatError(f"{folder}: is a file, need the name of a folder")
-    present = sorted(path.name for path in folder.iterdir())
-    earlier = name_in(folder)
-    exported = _FILES | {f"{earlier or DEFAULT}.c", f"{earlier or DEFAULT}.h"}
-    foreign = [name for name in present if name not in exported and not _BUILT.fullmatch(name)]
-    if foreign or (present and earlier is None):
-        named = ", ".join((foreign or present)[:3])
-        raise FileFormatError(
-            f"{folder}: holds other files ({named}); an export replaces its folder whole, so own files must live "
-            "outside it: give the name of a new or an empty folder"
-        )
-    if present and not force:
-        raise FileFormatError(f"{folder}: holds an earlier export; give another name, or --force to replace it")
 
 
 def _put(draft: Path, target: Path) -> None:
-    """Move the draft to its place, and remove what was there."""
+    """Move the draft to its place, or its files into a folder that is there."""
     settle_folder(draft)
-    if not target.exists():
-        draft.rename(target)
+    if target.exists():
+        for path in draft.iterdir():
+            path.replace(target / path.name)
+        settle_folder(target)
     else:
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".dehyst-") as old:
-            kept = target.rename(Path(old) / "old")
-            try:
-                draft.rename(target)
-            except OSError:
-                kept.rename(target)
-                raise
+        draft.rename(target)
     settle_folder(target.parent)
 
 

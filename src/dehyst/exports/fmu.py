@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 from xml.sax.saxutils import escape
 
 from dehyst._errors import FileFormatError, ModelError
-from dehyst._io import PathLike, demand_alike, path_of, write_atomically
+from dehyst._io import PathLike, path_of, write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.firmware import CONFIG, CORE
@@ -97,7 +97,6 @@ def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensat
         raise ModelError(argument="kind", got=repr(kind), need=" or ".join(map(repr, get_args(Kind))))
     if path_of(path).suffix != ".fmu":
         raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
-    demand_alike(path)
     if kind == "actuator":
         # The same actuator in the same state, for any voltage.
         state = compensator.initial_state

@@ -27,7 +27,7 @@ class Target(NamedTuple):
 
     `words`: its name in messages. `write`: function that writes a compensator to a path with a dictionary of options.
     `options`: those options of the command that not all kinds have. `files`: function that returns all files of a path;
-    None for a folder whose export checks its files itself.
+    None for a folder.
     """
 
     words: str
@@ -38,7 +38,7 @@ class Target(NamedTuple):
 
 def _write_c(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
     number = options["number"]
-    export(loop, path, number, force=options["force"], name=options["name"])
+    export(loop, path, number, name=options["name"])
     values = {"directory": str(path), "number": number}
     of_axes = "" if isinstance(loop, Compensator) else f" of the axes {', '.join(loop.stage.axes)},"
     return Written(values, f"{path}: a compensator{of_axes} of {number}s")

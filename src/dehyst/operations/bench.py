@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from dehyst._errors import DehystError, RigError
-from dehyst._io import demand_alike, format_of
+from dehyst._io import demand_own_folder
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
-from dehyst.calibration.experiment import RESULTS, STAGE_RESULTS
 from dehyst.calibration.plan import entries, read_voltage
 from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
-from dehyst.operations.declaration import Folder, Input, Only, Values, beside, operation
+from dehyst.operations.declaration import Continued, Input, Only, Values, beside, operation
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
@@ -42,7 +41,7 @@ def calibrate(
     run: Run,
     rig: str,
     *,
-    output: Folder = Path("dehyst-calibration"),
+    output: Continued = Path("dehyst-calibration"),
     axes: str | None = None,
     limits: tuple[Limit, ...] = (),
     slew_rate: tuple[Slew, ...] = (),
@@ -65,8 +64,8 @@ def calibrate(
     Parameters
     ----------
     output
-        Folder for records, model and report. With one axis, complete records in it are not played again, except one
-        loop that must agree with them.
+        Folder for records, model and report: new, empty, or an earlier calibration's. With one axis, complete records
+        in it are not played again, except one loop that must agree with them.
     axes
         Calibrate these axes of one body together, as 1,2,3: coupling, model and path of all axes; default: one axis.
     limits
@@ -85,9 +84,8 @@ def calibrate(
     steepest = [None if one is None else one.number for one in rates]
     played = tuple(read_voltage(path, max_bytes=columns.max_bytes).excitation for path in protocol)
     plan = Plan(protocol=played, frequency=frequency, hold=hold, rounds=rounds, goal=goal)
-    if not dry_run and format_of(output / "campaign.json") != FORMAT:
-        for name in (*(STAGE_RESULTS if names else RESULTS), REPORT):
-            demand_alike(output / name)
+    if not dry_run:
+        demand_own_folder(output, "campaign.json", FORMAT, force=run.force)
     # A rig of one axis need not know lists.
     several = len(every) > 1
     bounds, steep = allowed if several else allowed[0], steepest if several else steepest[0]

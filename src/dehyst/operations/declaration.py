@@ -30,7 +30,10 @@ class OperationError(DehystError, ValueError):
 
 
 class Role(Enum):
-    """Role of a path in an operation: read, written, a folder of several outputs, or an output that is continued."""
+    """Role of a path in an operation: read, written, a folder of several outputs, or an output that it continues.
+
+    `perform` refuses outputs that exist; an operation looks itself at those that it continues.
+    """
 
     INPUT = "input"
     OUTPUT = "output"

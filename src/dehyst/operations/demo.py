@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_json
+from dehyst._io import PathLike, demand_own_folder, made_folder, write_json
 from dehyst._types import Array, Progress
 from dehyst.control import Compensator
 from dehyst.identification import Fit, identify
-from dehyst.operations.declaration import operation
+from dehyst.operations.declaration import Continued, operation
 from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
@@ -21,7 +21,7 @@ from dehyst.waveforms import Sampling, descending_tops, raised_cosine, wanted_pa
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
 # A folder with this file is the demo's.
-_OWN = ("demo.json", "dehyst-demo")
+OWN = ("demo.json", "dehyst-demo")
 # The paper: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
 
@@ -91,19 +91,11 @@ def journey(progress: Progress = lambda _: None) -> Demo:
     )
 
 
-def demand_folder(folder: PathLike) -> None:
-    """Raise FileFormatError if a folder is neither new, nor empty, nor of an earlier demo."""
-    demand_own_folder(folder, *_OWN)
-
-
 def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
-    """Write the records, the model, the path, the numbers and the report to a folder; return the paths.
-
-    Raise `FileFormatError` if the folder cannot be made, or contains files that are not of a demo.
-    """
-    target = make_own_folder(folder, *_OWN)
+    """Write the records, the model, the path, the numbers and the report to a folder; return the paths."""
+    target = made_folder(folder)
     # First, so that the folder counts as the demo's even if it is not finished.
-    write_json(target / "demo.json", {"format": _OWN[1], "version": 1, **demo.as_dict()})
+    write_json(target / OWN[0], {"format": OWN[1], "version": 1, **demo.as_dict()})
     for record in demo.records:
         write_record(target / f"{record.name}.csv", record)
     demo.fit.actuator.save(target / "model.json")
@@ -124,17 +116,17 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
 
 
 @operation()
-def demo(run: Run, *, output: Path = Path("dehyst-demo"), report: bool = True) -> Result:
+def demo(run: Run, *, output: Continued = Path("dehyst-demo"), report: bool = True) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator.
 
     Parameters
     ----------
     output
-        Folder for the files: new, empty, or an earlier demo's.
+        Folder for the files: new, empty, or an earlier demo's; any other with --force.
     report
         Draw the report.
     """
-    demand_folder(output)
+    demand_own_folder(output, *OWN, force=run.force)
     result = journey(run.progress)
     run.progress("writing")
     written = write(result, output, report=report)

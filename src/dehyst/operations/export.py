@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from dehyst._io import demand_alike
 from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
 from dehyst.exports.model_header import ExportedStart
@@ -91,9 +90,7 @@ def export(
         need = "a folder for several axes" if is_stage(model) else f"a folder for C, or a file that ends in {files}"
         raise OperationError(argument="directory", got=str(directory), need=need)
     if target.files is not None:
-        demand_outputs([model], target.files(directory))
-        for path in target.files(directory):
-            demand_alike(path)
+        demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
     bounds: list[Any] = limits_of(known.axes, limits)
     begins, remarks = starts_of(known, start, bounds, AS_FOUND)
@@ -119,7 +116,7 @@ def export(
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
     if kind != "actuator":
         remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
-    chosen = {"number": number, "name": name, "force": run.force, "kind": kind}
+    chosen = {"number": number, "name": name, "kind": kind}
     written = target.write(compensator, directory, chosen)
     remarks += [*written.remarks]
     begin = [ExportedStart.of(loop) for loop in loops]

@@ -8,7 +8,7 @@ from pathlib import Path
 from dehyst.fleet import identify_fleet
 from dehyst.operations.declaration import Continued, Input, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
-from dehyst.operations.run import Result, Run
+from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.records import Record
 
 
@@ -34,6 +34,7 @@ def fleet(
         Address of a Dask scheduler, as tcp://host:8786; default: a process for each processor.
     """
     columns.demand(RECORD, "on a fleet")
+    demand_outputs(records, [output], force=True)
     given = records[0] if len(records) == 1 else records
     read = partial(_record, columns)
     found = identify_fleet(given, output, scheduler=scheduler, read=read, again=run.force, progress=run.progress)

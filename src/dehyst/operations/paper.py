@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from dehyst.operations.declaration import operation
+from dehyst._io import demand_own_folder
+from dehyst.operations.declaration import Continued, operation
 from dehyst.operations.run import Result, Run
 from dehyst.paper import Paper
 from dehyst.paper import run as experiment
@@ -20,15 +21,15 @@ _HEADS = (("paper", "ours, by", "ours, whole", "with more"), ("", "its method", 
 
 
 @operation()
-def paper(run: Run, *, output: Path = Path("dehyst-paper")) -> Result:
+def paper(run: Run, *, output: Continued = Path("dehyst-paper")) -> Result:
     """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results.
 
     Parameters
     ----------
     output
-        Folder for the files: new, empty, or one of an earlier run.
+        Folder for the files: new, empty, or one of an earlier run; any other with --force.
     """
-    experiment.demand_folder(output)
+    demand_own_folder(output, *experiment.OWN, force=run.force)
     result = experiment.run(run.progress)
     written = experiment.write(result, output, run.progress)
     lines = [*_table(result), f"Written to {output}/: open index.html"]

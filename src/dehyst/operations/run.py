@@ -1,4 +1,4 @@
-"""A run of an operation: its progress reports, its result, and which files it may replace."""
+"""A run of an operation: its progress reports, its result, and that a file that exists is kept."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError, Terminated
-from dehyst._io import demand_alike, format_of, protecting
+from dehyst._io import format_of, is_draft
 from dehyst.operations.declaration import Operation, OperationError, Role
 
 # Formats of models, of one axis and several.
@@ -28,7 +28,7 @@ class Run:
     command : str
         The equivalent command, for reports.
     force : bool
-        Whether outputs may replace any file.
+        Whether outputs may replace files.
     known : dict
         JSON values that are known already while it runs, and if it fails.
     """
@@ -133,25 +133,25 @@ class Result:
 
 
 def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force: bool = False) -> Result:
-    """Run an operation with the given values; with `force` it may replace any file.
+    """Run an operation with the given values; with `force` it may replace files.
 
     Raises
     ------
     DehystError
-        A parameter has no effect, an output is an input or would replace another file, or the operation's own error.
+        A parameter has no effect, an output is an input or exists, or the operation's own error.
     """
     operation.check(values)
     _demand_order(operation, values)
     run.command, run.force = shlex.join(operation.command(values)), force
-    with protecting(force=force):
-        outputs = list(operation.paths(values, Role.OUTPUT, Role.CONTINUED))
-        if force and not outputs and not any(operation.paths({**operation.defaults, **values}, Role.FOLDER)):
-            raise OperationError("has no effect without an output", argument="force", hint="leave it out")
-        demand_outputs(operation.paths(values, Role.INPUT), outputs)
-        for output in operation.paths(values, Role.OUTPUT):
-            demand_alike(output)
-        result: Result = operation.function(run, **values)
-        return result
+    outputs = list(operation.paths(values, Role.OUTPUT))
+    others = operation.paths({**operation.defaults, **values}, Role.FOLDER, Role.CONTINUED)
+    if force and not outputs and not any(others):
+        raise OperationError("has no effect without an output", argument="force", hint="leave it out")
+    demand_outputs(operation.paths(values, Role.INPUT), outputs, force=force)
+    for folder in operation.paths(values, Role.FOLDER):
+        _demand_empty(folder, force)
+    result: Result = operation.function(run, **values)
+    return result
 
 
 def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
@@ -168,8 +168,8 @@ def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
                 raise FileFormatError(f"{files[0]}: is no model, but {other} is one; give MODEL first, then {files[0]}")
 
 
-def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
-    """Raise an error for outputs that are inputs, share a name or lack a folder.
+def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], *, force: bool) -> None:
+    """Raise an error for outputs that are inputs, share a name, lack a folder, or exist without `force`.
 
     Raises
     ------
@@ -187,6 +187,19 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path]) -> None:
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if not Path(os.path.realpath(output)).parent.is_dir():
             raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
+        # A device such as /dev/null, and a pipe, are written to.
+        if output.is_file() and not force:
+            raise FileFormatError(f"{output}: is there already; give another name, or --force to replace it")
+
+
+def _demand_empty(folder: Path, force: bool) -> None:
+    """Raise an error for a folder with files without `force`, which replaces only files that are written."""
+    held = sorted(path.name for path in folder.iterdir() if not is_draft(path.name)) if folder.is_dir() else []
+    if held and not force:
+        named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
+        raise FileFormatError(
+            f"{folder}: holds files already ({named}); give another name, or --force to replace those that are written"
+        )
 
 
 def _same(first: Path, second: Path) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dehyst._io import PathLike, demand_own_folder, make_own_folder, write_atomically, write_json
+from dehyst._io import PathLike, made_folder, write_atomically, write_json
 from dehyst._types import Progress
 from dehyst._views.html import escape
 from dehyst.paper import experiment, tables
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dehyst.paper.figures import Plate
 
 # A folder with this file is one of the paper's.
-_OWN = ("results.json", "dehyst-paper")
+OWN = ("results.json", "dehyst-paper")
 _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymmetric map"}
 _TITLE = "The paper's experiment on a virtual actuator"
 _SOURCE = (
@@ -74,29 +74,23 @@ def run(progress: Progress = lambda _: None) -> Paper:
     return Paper(of("asymmetric"), of("symmetric"))
 
 
-def demand_folder(folder: PathLike) -> None:
-    """Raise FileFormatError if a folder is neither new, nor empty, nor of an earlier run."""
-    demand_own_folder(folder, *_OWN)
-
-
 def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) -> list[Path]:
     """Write every figure (SVG, PNG), the numbers and a page to a folder; return the paths.
 
     Files are index.html, results.json with the numbers of all tables, and figNN.svg and .png. Each is written wholly or
     not at all, the page last, and none if a figure cannot be drawn. Each figure is reported to `progress` before it is
-    drawn. Raise `FileFormatError` if the folder cannot be made or written to, or holds files that are not of this
-    experiment. Raise `MissingExtraError` if matplotlib is not installed.
+    drawn. Raise `FileFormatError` if the folder cannot be made or written to, `MissingExtraError` without matplotlib.
     """
     from dehyst.paper.figures import plates
 
-    target = make_own_folder(folder, *_OWN)
+    target = made_folder(folder)
     drawn = list(plates(result.asymmetric, result.symmetric, progress))
     progress("writing")
     # First, so that the folder counts as the paper's even if it is not finished.
-    write_json(target / _OWN[0], {"format": _OWN[1], "version": 1, **result.as_dict()})
+    write_json(target / OWN[0], {"format": OWN[1], "version": 1, **result.as_dict()})
     written = [path for plate in drawn for path in plate.drawing.save(target / plate.name)]
     write_atomically(target / "index.html", page(result, drawn))
-    return [target / "index.html", *written, target / _OWN[0]]
+    return [target / "index.html", *written, target / OWN[0]]
 
 
 def page(result: Paper, plates: Sequence[Plate]) -> str:

@@ -12,11 +12,12 @@ from typing import Any, BinaryIO
 
 from dehyst._errors import FileFormatError
 from dehyst._io import (
+    demand_own_folder,
     demand_version,
     draft_of,
     is_draft,
     lock,
-    make_own_folder,
+    made_folder,
     read_json,
     unwritten,
     write_atomically,
@@ -59,7 +60,8 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         new = not path.exists()
-        self.path = make_own_folder(path, STATE, FORMAT, option="FOLDER").resolve()
+        demand_own_folder(path, STATE, FORMAT)
+        self.path = made_folder(path).resolve()
         self.privacy = _made_private(self.path, new=new)
         if not (self.path / STATE).exists():
             self.save({})
