@@ -80,7 +80,7 @@ def test_an_output_is_written_once_and_again_by_force(folder):
     for command, output in (
         (["excite", "raised-cosine", "10", "-o", "o.csv"], "o.csv"),
         (["simulate", "model.json", "voltage.csv", "-o", "s.csv"], "s.csv"),
-        (["export", "model.json", "c", "--no-measure", "--limits", "0", "100"], "c/piezo.c"),
+        (["export", "model.json", "c", "--limits", "0", "100"], "c/piezo.c"),
         (["export", "model.json", "x.wasm", "--limits", "0", "100"], "x.js"),
     ):
         assert run(*command, cwd=folder)[0] == 0
@@ -95,7 +95,7 @@ def test_an_output_is_written_once_and_again_by_force(folder):
 def test_force_keeps_other_files_of_a_folder(folder):
     (folder / "c").mkdir()
     (folder / "c" / "notes.txt").write_text("mine")
-    command = ["export", "model.json", "c", "--no-measure", "--limits", "0", "100", "--force"]
+    command = ["export", "model.json", "c", "--limits", "0", "100", "--force"]
     assert run(*command, cwd=folder)[0] == 0
     assert (folder / "c" / "notes.txt").read_text() == "mine"
     assert (folder / "c" / "piezo.c").exists()
