@@ -178,6 +178,8 @@ def made_folder(folder: PathLike) -> Path:
     """Return a folder, made if necessary; raise FileFormatError if it cannot be made."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise FileFormatError(f"{folder}: is a file where a folder is needed; give another name, or move it") from error
     except OSError as error:
         raise FileFormatError(
             f"{folder}: cannot be made a folder ({error.strerror}); give another name, or check the rights"

@@ -178,7 +178,7 @@ REFUSED = {
     "campaign.json too deep": (lambda folder: (folder / "campaign.json").write_text("[" * 10**5), r"campaign\.json"),
     "campaign.json of others": (lambda folder: (folder / "campaign.json").write_text('{"rig": [1]}'), "give another"),
     "campaign.json a folder": (lambda folder: to_a_folder(folder / "campaign.json"), "this is a folder"),
-    "records a file": (records_a_file, "cannot be made a folder"),
+    "records a file": (records_a_file, r"records: is a file where a folder is needed"),
     "set-aside a file": (aside_a_file, r"set-aside: is a file where a folder is needed"),
     "comparisons a file": (lambda folder: (folder / "records/comparisons").write_text("x"), "comparisons: is a file"),
 }

@@ -13,7 +13,6 @@ DEFAULT = "piezo"
 _RENAMED = ("piezo.c", "piezo.h", "check.c")
 _CODE_WORD = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 _NOT_CODE = re.compile(r'/\*.*?\*/|"(?:\\.|[^"\\])*"', re.DOTALL)
-_TITLE = re.compile(r"/\* The (?:actuator|stage) '.*', made by dehyst ")
 _NAME, _MOST = re.compile(r"[A-Za-z]\w*", re.ASCII), 40
 _KEYWORDS = (
     "alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl concept const consteval "
@@ -71,15 +70,6 @@ def text_of(text: str, name: str) -> str:
 def printable(name: str) -> str:
     """Return the name of a model for a line of text, without characters that XML or a terminal cannot show."""
     return "".join(letter if letter.isprintable() else " " for letter in name).strip() or "actuator"
-
-
-def name_in(folder: Path) -> str | None:
-    """Return the name of the model whose export a folder holds; None if it holds no export."""
-    names = []
-    for path in sorted(folder.glob("*.h")):
-        with path.open(encoding="utf-8", errors="replace") as stream:
-            names += [path.stem] if _TITLE.match(stream.readline()) else []
-    return names[0] if len(names) == 1 else None
 
 
 def shipped(name: str) -> str:

@@ -52,7 +52,7 @@ SAID = {
     "deaf": (0,),
     "kill": (-signal.SIGKILL,),
     "full": (2, r"\S+/look.csv: cannot be written \(File too large\); make room there", SAFE, GOES_ON),
-    "file": (2, r"\S+: cannot be made a folder \(Not a directory\); give another one with -o"),
+    "file": (2, r"\S+: cannot be made a folder .*give another name"),
 }
 # Nobody spoke to the controller, or nothing was sent; or it was not dehyst that left it where it is.
 SILENT = ("taken", "beyond", "file", "narrow")
