@@ -1,0 +1,117 @@
+"""The size of the house: lines, names, options and words, each with a budget that only falls.
+
+Numbers here may be lowered, never raised: who needs more of one thing takes it from another of the same kind, or
+removes something. What there is: `PYTHONPATH=tests/support python tests/integration/test_budget.py`.
+"""
+
+import places
+import pytest
+from faces import FACES
+
+from dehyst.operations.registry import ENTRIES, find
+
+FOUNDATION = "foundation"
+# Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
+ROOMS = {
+    "baselines": 729,
+    "calibration": 1388,
+    "cli": 697,
+    "control": 4485,
+    "exports": 1392,
+    "fleet": 310,
+    "foundation": 1423,
+    "identification": 10019,
+    "instruments": 2893,
+    "model": 3714,
+    "operations": 4451,
+    "paper": 1089,
+    "records": 5096,
+    "report": 1973,
+    "testing": 492,
+    "trust": 2918,
+    "virtual": 1315,
+    "waveforms": 1888,
+    "web": 50,
+    "workbench": 2645,
+}
+HOUSE = {
+    "lines of Python": 48967,
+    "files of Python": 235,
+    "lines of C and C++": 5715,
+    "lines of JavaScript and CSS": 3089,
+    "lines of tests": 43582,
+    "lines of benchmarks": 6595,
+    "words of docs": 37945,
+    "public names": 138,
+    "commands": 16,
+    "options": 139,
+    "lines of packages/rivals": 1908,
+}
+
+
+def files(folder, *suffixes):
+    """The files of a folder that somebody wrote, by suffix."""
+    left_out = {"build", "gallery", "api", "__pycache__"}
+    found = (path for path in folder.rglob("*") if path.suffix in suffixes)
+    return [path for path in found if not left_out & {*path.relative_to(folder).parts}]
+
+
+def lines(paths):
+    return sum(len(path.read_text().splitlines()) for path in paths)
+
+
+def room_of(path):
+    """The folder below the package, or the file that is a room of its own."""
+    first = path.relative_to(places.SOURCES).parts[0]
+    return FOUNDATION if first.startswith("_") else first.removesuffix(".py")
+
+
+def lines_of_rooms():
+    counts = dict.fromkeys(sorted({room_of(path) for path in files(places.SOURCES, ".py")}), 0)
+    for path in files(places.SOURCES, ".py"):
+        counts[room_of(path)] += lines([path])
+    return counts
+
+
+def sizes():
+    python = files(places.SOURCES, ".py")
+    pages = [path for path in places.DOCS.rglob("*.md") if not {"gallery", "api"} & {*path.parts}]
+    operations = [find(name) for name in ENTRIES]
+    return {
+        "lines of Python": lines(python),
+        "files of Python": len(python),
+        "lines of C and C++": lines(
+            [*files(places.CORE, ".c", ".h"), *files(places.ROOT / "bindings", ".c", ".h", ".cpp", ".py")]
+        ),
+        "lines of JavaScript and CSS": lines(
+            path for path in files(places.SOURCES, ".js", ".css") if "templates" not in path.parts
+        ),
+        "lines of tests": lines(files(places.TESTS, ".py", ".c")),
+        "lines of benchmarks": lines(files(places.BENCHMARKS, ".py")),
+        "words of docs": sum(len(page.read_text().split()) for page in pages),
+        "public names": len({name for names in FACES.values() for name in names}),
+        "commands": len(ENTRIES),
+        "options": sum(not each.positional for operation in operations for each in operation.parameters),
+        "lines of packages/rivals": lines(files(places.ROOT / "packages" / "rivals" / "src", ".py")),
+    }
+
+
+def test_every_room_has_a_budget():
+    assert set(lines_of_rooms()) == set(ROOMS)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_keeps_its_budget(room):
+    assert lines_of_rooms()[room] <= ROOMS[room]
+
+
+@pytest.mark.parametrize("what", HOUSE)
+def test_the_house_keeps_its_budget(what):
+    assert sizes()[what] <= HOUSE[what]
+
+
+if __name__ == "__main__":
+    for title, found, budget in (("room", lines_of_rooms(), ROOMS), ("house", sizes(), HOUSE)):
+        print(f"{title:30} {'is':>8} {'budget':>8}")
+        print(*(f"{name:30} {count:8d} {budget.get(name, 0):8d}" for name, count in found.items()), sep="\n")
+        print()
