@@ -39,9 +39,9 @@ HOUSE = {
     "files of Python": 235,
     "lines of C and C++": 5715,
     "lines of JavaScript and CSS": 3089,
-    "lines of tests": 43582,
+    "lines of tests": 43600,
     "lines of benchmarks": 6595,
-    "words of docs": 37945,
+    "words of docs": 38000,
     "public names": 138,
     "commands": 16,
     "options": 139,
@@ -86,9 +86,9 @@ def sizes():
         "lines of JavaScript and CSS": lines(
             path for path in files(places.SOURCES, ".js", ".css") if "templates" not in path.parts
         ),
-        "lines of tests": lines(files(places.TESTS, ".py", ".c")),
+        "lines of tests": 43600lines(files(places.TESTS, ".py", ".c")),
         "lines of benchmarks": lines(files(places.BENCHMARKS, ".py")),
-        "words of docs": sum(len(page.read_text().split()) for page in pages),
+        "words of docs": 38000sum(len(page.read_text().split()) for page in pages),
         "public names": len({name for names in FACES.values() for name in names}),
         "commands": len(ENTRIES),
         "options": sum(not each.positional for operation in operations for each in operation.parameters),
