@@ -41,7 +41,7 @@ def fleet(
     there = found.records - found.computed
     lines = [
         f"{found.records} records: {found.computed} computed now, {there} in the table before; {found.refused} of all "
-        "have a reason not to use the model",
+        "without a usable model",
         f"table: {found.path}",
     ]
     fields = {**found._asdict(), "path": str(found.path)}
