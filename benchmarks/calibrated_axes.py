@@ -18,11 +18,12 @@ from strangers import truths
 
 from dehyst.calibration import calibrate
 from dehyst.instruments import open_rig
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualBench, VirtualStage
+from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
 from dehyst.virtual.stage import spread_coupling
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from emulator import Controller, Server
+from truths import BoucWenActuator, PreisachActuator
 
 OUTPUT = Path(__file__).parent / "calibrated_axes.json"
 HIGHEST, STROKES, NOISE = (100.0, 120.0, 150.0), (16e-6, 20e-6, 12e-6), 2e-9

@@ -8,6 +8,7 @@ Writes `coupled_axes.json`.
 
 import argparse
 import json
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -17,8 +18,11 @@ from strangers import last_truths, more_truths, truths
 
 import dehyst
 from dehyst.records import Record
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, stage_excitation
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from truths import BoucWenActuator, PreisachActuator
 
 OUTPUT = Path(__file__).parent / "coupled_axes.json"
 HIGHEST = (100.0, 120.0, 100.0)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +16,11 @@ from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.model import AbstractModel, beginning, simulated, timed
 from dehyst.records import Record, largest, percent, rms
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualActuator
+from dehyst.virtual import PlayActuator, VirtualActuator
 from dehyst.waveforms import Excitation, Sampling, descending_tops, raised_cosine, staircase
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from truths import BoucWenActuator, PreisachActuator
 
 _SAMPLES_A_FAST_CYCLE = 100
 _REVERSALS = 40

@@ -9,6 +9,7 @@ import pytest
 from calibration_listener import Heard
 from plain_records import plant
 from rehearsal import DEHYST
+from truths import VIRTUAL, BoucWenActuator, ModelledActuator, PreisachActuator
 
 from dehyst import Actuator, FileFormatError, RecordError, read
 from dehyst._io import unwritten
@@ -19,8 +20,7 @@ from dehyst.calibration.session import NullProgress, Session
 from dehyst.instruments import open_rig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.operations.bench import _left
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
-from dehyst.virtual.modelled import VIRTUAL, fingerprint, virtual_actuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import staircase
 from examples import spanning
 
@@ -287,39 +287,29 @@ def test_the_plan_has_the_loop_and_its_time():
 
 
 def test_an_identity_is_of_what_is_driven_not_of_its_name(tmp_path):
-    one, other = as_model(), as_model(0.6)
-    one.save(tmp_path / "model.json")
-    replace(one, name="stage 3", provenance={"source": "x"}, limits=(0.0, 80.0)).save(tmp_path / "renamed.json")
-    again, renamed = (Actuator.load(tmp_path / f"{name}.json") for name in ("model", "renamed"))
-    assert fingerprint(again) == fingerprint(renamed) == fingerprint(one) == SimulatedRig(one).instrument.serial
-    assert fingerprint(other) != fingerprint(one)
-    named = {fingerprint(virtual_actuator(name)) for name in VIRTUAL}
-    options = {fingerprint(PlayActuator(**each)) for each in ({"creep": 0.02}, {"seed": 1}, {"stroke": 1e-5})}
+    one, other = (ModelledActuator(as_model(*scale)) for scale in ((), (0.6,)))
+    renamed = ModelledActuator(replace(one.actuator, name="stage 3", provenance={"source": "x"}, limits=(0.0, 80.0)))
+    assert renamed.fingerprint() == one.fingerprint() == SimulatedRig(one).instrument.serial
+    assert other.fingerprint() != one.fingerprint()
+    named = {make().fingerprint() for make in VIRTUAL.values()}
+    options = {PlayActuator(**each).fingerprint() for each in ({"creep": 0.02}, {"seed": 1}, {"stroke": 1e-5})}
     assert len(named | options) == len(VIRTUAL) + 3
-    assert fingerprint(PlayActuator(creep=0.01)) == fingerprint(virtual_actuator("creep"))
+    assert PlayActuator(creep=0.01).fingerprint() == VIRTUAL["creep"]().fingerprint()
     driven = PlayActuator()
     driven.play(np.linspace(0, 200, 50))
-    assert fingerprint(driven) == fingerprint(PlayActuator())
+    assert driven.fingerprint() == PlayActuator().fingerprint()
 
 
-def test_a_second_model_under_the_same_file_name_is_another_rig(tmp_path):
-    for name, scale in (("a", 1.0), ("b", 0.6)):
-        (tmp_path / name).mkdir()
-        as_model(scale).save(tmp_path / name / "model.json")
-    (tmp_path / "c.json").write_bytes((tmp_path / "a" / "model.json").read_bytes())
+def test_a_second_model_is_another_rig(tmp_path):
     pace = ExcitationPlan(0, 90, 400.0)
-    with open_rig(f"sim://{tmp_path}/a/model.json") as rig:
-        Session(tmp_path / "out", rig, NullProgress()).record(pace.look(), "look")
+    first, second, same = (SimulatedRig(ModelledActuator(as_model(scale))) for scale in (1.0, 0.6, 1.0))
+    Session(tmp_path / "out", first, NullProgress()).record(pace.look(), "look")
     before = contents(tmp_path / "out")
-    with (
-        open_rig(f"sim://{tmp_path}/b/model.json") as rig,
-        pytest.raises(FileFormatError, match="simulated model-"),
-    ):
-        Session(tmp_path / "out", rig, NullProgress())
+    with pytest.raises(FileFormatError, match="simulated model-"):
+        Session(tmp_path / "out", second, NullProgress())
     assert contents(tmp_path / "out") == before
-    with open_rig(f"sim://{tmp_path}/c.json") as rig:
-        job = Session(tmp_path / "out", rig, NullProgress())
-        job.record(pace.look(), "look")
+    job = Session(tmp_path / "out", same, NullProgress())
+    job.record(pace.look(), "look")
     assert job.kept == ["look"]
 
 
@@ -332,7 +322,7 @@ def test_a_rig_of_ones_own_with_another_actuator_is_refused(tmp_path):
     """The identity is equal, as that of a controller whose stage was changed."""
     source = (
         "from dehyst.instruments.simulated import SimulatedRig\n"
-        "from dehyst.virtual.modelled import PlayActuator\n"
+        "from dehyst.virtual import PlayActuator\n"
         "def make(limits=None, slew_rate=None, stroke={stroke}):\n"
         "    rig = SimulatedRig(PlayActuator(stroke=stroke), limits=limits, slew_rate=slew_rate)\n"
         "    rig.identity = 'controller 12345'\n"

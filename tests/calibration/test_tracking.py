@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from truths import AgeingActuator, AgeingCourse
+from truths.warm_rig import WarmRig
 
 import dehyst
 from dehyst.calibration import TrackedPath
 from dehyst.calibration.plan import ExcitationPlan
 from dehyst.calibration.tracking import PathPlanner, SeenTemperature
-from dehyst.instruments.simulated import SimulatedRig
-from dehyst.virtual import AgeingActuator, AgeingCourse, PlayActuator
+from dehyst.virtual import PlayActuator
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def model():
 def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):
     """While it warms by 20 K, by an eighth of that along the path."""
     truth = AgeingActuator(PlayActuator(seed=1), AgeingCourse(gain=-7, seconds=60, kelvins=20))
-    rig, plan = SimulatedRig(truth), ExcitationPlan(0.0, 200.0, 400.0)
+    rig, plan = WarmRig(truth), ExcitationPlan(0.0, 200.0, 400.0)
     rig._wait(30.0)
     planner = PathPlanner(plan.homing(), [rig.limits], plan.leg, ends=model.reach)
     aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []

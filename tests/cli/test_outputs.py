@@ -41,7 +41,7 @@ def call(operation, name, target):
     values = {name: Path(target)}
     for one in operation.parameters:
         if one.required and one.name != name:
-            texts = {Path: f"absent-{one.name}", float: "1", str: "sim://play"}
+            texts = {Path: f"absent-{one.name}", float: "1", str: "sim://"}
             made = one.kind.parse(one.kind.choices[0] if one.kind.choices else texts[one.kind.type])
             values[one.name] = (made,) if one.kind.several else made
     if operation.name == "excite":

@@ -125,7 +125,7 @@ def test_the_status_of_a_clamped_path_is_1(folder):
 
 
 def test_what_cannot_be_followed_is_refused(folder):
-    words = ("run", "sim://play", "--model", "model.json", "--path")
+    words = ("run", "sim://", "--model", "model.json", "--path")
     write_columns(folder / "untimed.csv", {"displacement_um": np.arange(5.0)})
     status, _, err = run(*words, "untimed.csv", cwd=folder)
     assert status == 2
@@ -152,13 +152,17 @@ def test_the_temperature_of_a_path_counts(folder):
     phase = 2 * np.pi * np.arange(200) / 200
     columns = {"time_s": 0.005 * np.arange(200), "displacement_um": 7 - 5 * np.cos(phase)}
     write_columns(folder / "warm.csv", {**columns, "temperature_C": np.full(200, 40.0)})
-    rig, errors = "sim://play?gain=-7,seconds=0.1,kelvins=0", []
+    (folder / "aged.py").write_text(
+        "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
+        "def make(**options):\n    return SimulatedRig(PlayActuator(stroke=0.93 * PlayActuator().stroke), **options)\n"
+    )
+    rig, errors = "aged.py:make", []
     for path in ("path.csv", "warm.csv"):
         status, out, _ = run("run", rig, "--model", "thermal.json", "--path", path, "--json", cwd=folder)
         assert status == 0
         errors.append(json.loads(out)["rms_percent"])
     assert errors[0] > 2
     assert errors[1] < 0.5
-    words = ("run", "sim://play", "--model", "model.json", "--path", "warm.csv")
+    words = ("run", "sim://", "--model", "model.json", "--path", "warm.csv")
     status, _, err = run(*words, "--columns", "temperature=temperature_C", cwd=folder)
     assert status == 2 and "temperature" in err

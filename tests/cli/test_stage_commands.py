@@ -150,7 +150,7 @@ def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):
     assert steepest["x"] <= 150 * (1 + 1e-6) < steepest["y"] <= 300 * (1 + 1e-6)
     assert voltage["y"].max() <= 119
     assert refused(*words, "--slew-rate", "z=150")["argument"] == "slew_rate"
-    assert refused("calibrate", "sim://play", "--slew-rate", "1=100", "--dry-run")["argument"] == "slew_rate"
+    assert refused("calibrate", "sim://", "--slew-rate", "1=100", "--dry-run")["argument"] == "slew_rate"
 
 
 OWN_RIG = """
@@ -188,7 +188,7 @@ def test_several_axes_of_a_rig_of_ones_own_are_named(tmp_path):
     ("given", "remarks", "used"), [([], 0, 2000), (["none"], 1, 2000), (["1e9"], 0, 1e9), (["10"], 0, 10)], ids=str
 )
 def test_a_rig_has_a_slew_rate_even_if_none_is_given(given, remarks, used):
-    words = ["calibrate", "sim://play", "--dry-run", "--json", *(["--slew-rate", *given] if given else [])]
+    words = ["calibrate", "sim://", "--dry-run", "--json", *(["--slew-rate", *given] if given else [])]
     said = run(*words)
     planned = result_of(said)
     assert len(said[: said.index("{")].splitlines()) == remarks

@@ -8,11 +8,12 @@ from functools import cache
 import places
 import pytest
 import tracking_trials
+from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
 from dehyst import Outcome
 from dehyst.identification import Structure
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from examples import NIGHTLY
 
 DATA = places.DATA

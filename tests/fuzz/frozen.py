@@ -31,10 +31,11 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
 
 import specimens
+from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
 from dehyst.identification import Structure
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, staircase
 
 TOLERANCE = 1e-9

@@ -9,11 +9,12 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records as wide
+from truths import BoucWenActuator
 
 import dehyst
 from dehyst import Record
 from dehyst.identification.held_out import drift_and_creep
-from dehyst.virtual import BoucWenActuator, PlayActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
 from examples import at_night
 

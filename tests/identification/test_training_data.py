@@ -8,6 +8,7 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records as wide
+from truths import BoucWenActuator
 
 import dehyst
 from dehyst import Record, State
@@ -16,7 +17,6 @@ from dehyst.identification.lag_search import find_lag
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.run import IdentificationRun
 from dehyst.identification.settings import Settings
-from dehyst.virtual import BoucWenActuator
 from dehyst.waveforms import Sampling, descending_tops
 
 CREEPING = Structure(elements=8, knots=7, creep=4)

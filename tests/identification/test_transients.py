@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import transients as suite
+from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
 from dehyst import Record
 from dehyst.fleet import loop_width
 from dehyst.identification.preprocessing.cleaning import cycle_time, rest_at_ends
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from examples import at_night, spanning
 
 

@@ -1,24 +1,22 @@
 """The simulated rig: a virtual bench in a time of its own."""
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain_records import plant
+from truths import VIRTUAL, AgeingActuator, AgeingCourse
+from truths.warm_rig import WarmRig
 
-from dehyst.control import ClampWarning
-from dehyst.instruments import DeviceError, RigError, open_rig
+from dehyst.instruments import DeviceError, open_rig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
-from dehyst.virtual.modelled import VIRTUAL, virtual_actuator
 from dehyst.waveforms import Excitation, Sampling, standard
 
 
 @pytest.mark.parametrize("kind", VIRTUAL)
 def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))
-    rig, lots = SimulatedRig(virtual_actuator(kind), wave_points=5000), []
+    rig, lots = SimulatedRig(VIRTUAL[kind](), wave_points=5000), []
     began = time.process_time()
     record = rig.play(protocol, lots.append)
     assert time.process_time() - began < 5 < protocol.duration
@@ -42,16 +40,9 @@ def test_the_rate_is_one_of_whole_servo_periods():
     assert rig.nearest_rate(1e6) == pytest.approx(1000)
 
 
-def test_an_identified_actuators_limits_are_the_devices():
-    rig = SimulatedRig(replace(plant(), limits=(-10.0, 90.0)), limits=(-50, 80))
-    assert (rig.limits.low, rig.limits.high, rig.name) == (-10, 80, "simulated actuator")
-    with pytest.warns(ClampWarning):
-        assert rig.set_voltage(100) == 80
-    assert rig.instrument.axis.log.highest == 80
-
-
 def test_further_channels_of_a_rig_are_in_its_records_and_must_be_those_it_declares():
-    rig = open_rig("sim://play?gain=-6,kelvins=30,seconds=2", limits=(0, 100))
+    course = AgeingCourse(gain=-6, kelvins=30, seconds=2)
+    rig = WarmRig(AgeingActuator(PlayActuator(), course), limits=(0, 100))
     wave = Excitation("wave", np.linspace(0, 100, 400), 100.0)
     batches = []
     record = rig.play(wave, batches.append)
@@ -62,6 +53,4 @@ def test_further_channels_of_a_rig_are_in_its_records_and_must_be_those_it_decla
     rig.others = ("load_N",)
     with pytest.raises(DeviceError, match="temperature_C"):
         rig.play(wave)
-    assert open_rig("sim://play", limits=(0, 100)).play(wave).temperature is None
-    with pytest.raises(RigError, match="kelvins"):
-        open_rig("sim://play?kelvin=3")
+    assert open_rig("sim://", limits=(0, 100)).play(wave).temperature is None

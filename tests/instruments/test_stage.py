@@ -275,7 +275,7 @@ class TestAddresses:
     @pytest.mark.parametrize(
         ("address", "axes", "words"),
         [
-            ("sim://play", ["1", "2"], "play several together"),
+            ("sim://", ["1", "2"], "play several together"),
             ("pi://localhost/1,2", ["1", "3"], "names the axes 1, 2, but 1, 3 are requested"),
         ],
     )

@@ -99,7 +99,7 @@ def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
 
 
 def test_the_first_lines_run():
-    code = next(block for block in blocks("how_to/instruments.md") if "sim://play" in block)
+    code = next(block for block in blocks("how_to/instruments.md") if "sim://" in block)
     space = {}
     exec(code, space)
     assert len(space["record"]) > 1000

@@ -19,7 +19,6 @@ from dehyst.records import write_columns
 
 # A text of each type that has texts of its own.
 TEXTS = {
-    "AgeingCourse": "gain=-7,seconds=60",
     "Columns": "time=2",
     "Limit": "x=0 50",
     "Numbers": "1,2",

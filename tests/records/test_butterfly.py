@@ -3,11 +3,12 @@
 import numpy as np
 import plain_records
 import pytest
+from truths import BoucWenActuator
 
 from dehyst import Record, RecordError
 from dehyst.operations.demo import record_loops
 from dehyst.records.quality import butterfly_of
-from dehyst.virtual import BoucWenActuator, PlayActuator
+from dehyst.virtual import PlayActuator
 
 COERCIVE = 60.0
 

@@ -1,9 +1,10 @@
 """Records of virtual stages with coupled axes."""
 
 import numpy as np
+from truths import PreisachActuator
 
 from dehyst.records import Record
-from dehyst.virtual import PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, stage_excitation
 
 COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])

@@ -5,9 +5,10 @@ from contextlib import contextmanager
 import numpy as np
 from emulator import Controller, Fault, Rehearsal, Server
 from emulator.faults import actual_limits
+from truths import PreisachActuator
 
 from dehyst.instruments import open_rig
-from dehyst.virtual import PlayActuator, PreisachActuator, VirtualBench, VirtualStage
+from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
 from dehyst.virtual.stage import spread_coupling
 
 COUPLING = np.eye(3) + spread_coupling(3, 0.05)

@@ -61,8 +61,7 @@ FACES = {
             check_stage insight judge stage_insight update update_stage
         """,
         "virtual": """
-            AgeingActuator AgeingCourse BoucWenActuator PlayActuator PreisachActuator VirtualBench
-            VirtualStage
+            PlayActuator VirtualBench VirtualStage
         """,
         "waveforms": """
             Excitation Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps

@@ -21,9 +21,10 @@ import dehyst
 from dehyst import VoltageLimits
 from dehyst.virtual import PlayActuator, VirtualBench
 from emulator.epics_ioc import serve_ioc
+from truths import ModelledActuator
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
 model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
-truth = dehyst.Actuator.load(model) if model else PlayActuator(**actuator)
+truth = ModelledActuator(dehyst.Actuator.load(model)) if model else PlayActuator(**actuator)
 clock = types.SimpleNamespace(now=0.0)
 if options.pop("simulated_clock", False):
     options["clock"] = lambda: clock.now

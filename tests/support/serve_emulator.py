@@ -7,9 +7,9 @@ import threading
 from emulator import Controller, Fault, Rehearsal, Server
 from emulator.epics_ioc import serve_ioc
 from emulator.faults import actual_limits
+from truths import VIRTUAL
 
 from dehyst.virtual import VirtualBench
-from dehyst.virtual.modelled import VIRTUAL
 
 
 def serve(options):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from strategies import SEEDS
+from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import standard
 from examples import at_night
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from truths import AgeingActuator, AgeingCourse, PreisachActuator
 
 from dehyst import ModelError
-from dehyst.virtual import AgeingActuator, AgeingCourse, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 
 SWING = np.concatenate([np.linspace(0, 200, 101), np.linspace(198, 0, 100)] * 2)
 
@@ -33,17 +34,3 @@ def test_it_is_new_again_after_relaxing_and_needs_time():
     assert loop(aged, 1e-6)[0] == pytest.approx(aged.stroke, rel=0.3)
     with pytest.raises(ModelError, match="time"):
         aged.play(SWING)
-
-
-def test_ageing_is_read_from_a_text():
-    given = AgeingCourse.parse("gain=-7, width=25,seconds=60")
-    assert given == AgeingCourse(-7, 25, 0, 60)
-    assert AgeingCourse.parse(str(given)) == given
-    warm = AgeingCourse(-7, kelvins=20)
-    assert AgeingCourse.parse(str(warm)) == warm
-    for text in ("gain", "gain=x", "colour=3", ""):
-        with pytest.raises(ValueError, match="need some of gain"):
-            AgeingCourse.parse(text)
-    for text in ("seconds=0", "gain=-100", "width=nan"):
-        with pytest.raises(ModelError, match="ageing"):
-            AgeingCourse.parse(text)

@@ -10,13 +10,13 @@ from hand_clock import Hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_records import plant
+from truths import BoucWenActuator, ModelledActuator, PreisachActuator
 
 from dehyst import Actuator, DehystError, ModelError
 from dehyst.instruments import DeviceError
 from dehyst.model import Creep, Dynamics
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator, VirtualBench
+from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.virtual.bench import Extremes
-from dehyst.virtual.modelled import ModelledActuator, virtual_actuator
 
 PERIOD = 5e-5
 TRUTHS = {
@@ -277,11 +277,3 @@ def test_a_modelled_actuator_spans_its_stroke():
     assert model.highest == pytest.approx(200)
     loop = model.play(cosine(cycles=3))[800:]
     assert np.ptp(loop) == pytest.approx(model.stroke, rel=1e-3)
-
-
-def test_virtual_actuators_go_by_name_or_file(tmp_path):
-    assert virtual_actuator("creep").creep == 0.01
-    plant().save(tmp_path / "model.json")
-    assert isinstance(virtual_actuator(str(tmp_path / "model.json")), Actuator)
-    with pytest.raises(ModelError, match="preisach, boucwen"):
-        virtual_actuator("bowen")

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from hand_clock import Hand
+from truths import PreisachActuator
 
 from dehyst import ModelError
 from dehyst.instruments import DeviceError
-from dehyst.virtual import PlayActuator, PreisachActuator, VirtualBench, VirtualStage
+from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
 from dehyst.virtual.stage import spread_coupling
 
 COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from strategies import SEEDS
+from truths import BoucWenActuator
 
 from dehyst import IdentifyError, ModelError, Record, State
 from dehyst.records.signals import largest, rms
-from dehyst.virtual import BoucWenActuator, PlayActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
 from dehyst_rivals.bouc_wen import BoucWen, BoucWenState
 from dehyst_rivals.duhem import Duhem, DuhemState

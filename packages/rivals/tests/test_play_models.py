@@ -5,12 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from truths import BoucWenActuator, PreisachActuator
 from virtual_trials import TRIALS
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
 from dehyst.baselines import AbstractBaseline
 from dehyst.baselines.linear import Linear
-from dehyst.virtual import BoucWenActuator, PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
 from dehyst_rivals import GoldfarbCelanovic
 from dehyst_rivals.bouc_wen import BoucWen

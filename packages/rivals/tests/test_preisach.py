@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import SEEDS
+from truths import PreisachActuator
 
 import dehyst
 from dehyst import IdentifyError, ModelError, Record
 from dehyst.records.signals import largest, rms
-from dehyst.virtual import PlayActuator, PreisachActuator
+from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
 from dehyst_rivals.preisach import Preisach, PreisachState
 

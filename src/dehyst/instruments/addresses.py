@@ -28,9 +28,7 @@ def open_rig(
     address : str
         ``pi://host:port``, ``pi://host:port/axis`` or ``pi://host:port/1,2,3``: a PI controller (GCS 2.0 over TCP).
         ``epics://PREFIX``: process variables with this prefix.
-        ``sim://play``, ``creep``, ``preisach``, ``boucwen`` or ``sim:///path/to/model.json``: a virtual actuator,
-        without a link, as fast as it computes. ``sim://play?gain=-5,kelvins=20,seconds=600`` changes with time, and
-        records its temperature.
+        ``sim://``: a virtual actuator, without a link, as fast as it computes.
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
     axes : sequence of str, optional
@@ -123,19 +121,11 @@ def _epics(prefix: str, options: _Options) -> AbstractRig:
 
 def _sim(name: str, options: _Options) -> AbstractRig:
     from dehyst.instruments.simulated import SimulatedRig
-    from dehyst.model import Actuator
-    from dehyst.virtual import AgeingActuator, AgeingCourse, virtual_actuator
+    from dehyst.virtual import PlayActuator
 
-    name, _, changes = name.partition("?")
-    truth = virtual_actuator(name or "play")
-    if changes:
-        if isinstance(truth, Actuator):
-            raise RigError(f"sim://{name}?{changes}: a model does not change with time; need play, creep, ...")
-        try:
-            truth = AgeingActuator(truth, AgeingCourse.parse(changes))
-        except ValueError as error:
-            raise RigError(f"sim://{name}?{changes}: {error}") from error
-    return SimulatedRig(truth, **options)
+    if name:
+        raise RigError(argument="sim://", got=name, need="nothing after it")
+    return SimulatedRig(PlayActuator(), **options)
 
 
 class Scheme(NamedTuple):
@@ -154,7 +144,7 @@ class Scheme(NamedTuple):
 SCHEMES = {
     "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
     "epics": Scheme("epics://PREFIX", _epics),
-    "sim": Scheme("sim://play (or creep, preisach, boucwen, /path/to/model.json)", _sim),
+    "sim": Scheme("sim://", _sim),
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from dehyst._errors import DeviceError
@@ -10,7 +10,6 @@ from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.samples import Reading, Samples
-from dehyst.model import Actuator
 from dehyst.virtual import VirtualActuator, VirtualBench
 
 # Batches of samples in one wave, so that progress can be shown.
@@ -20,36 +19,30 @@ _BATCHES = 100
 class SimulatedRig(AbstractRig):
     """A virtual actuator behind a virtual amplifier, generator, recorder and sensor.
 
-    The actuator is a `truth`, virtual or a model, at rest at 0 V; its fingerprint identifies the rig. `limits` [V] and
-    `slew_rate` [V/s] are those that the user allows, `device_limits` [V] the range of the amplifier, by default the
-    actuator's limits, or 0 V to its highest voltage. Other `options` are those of `VirtualBench`, which is the
-    `instrument`. A truth with a method ``temperature(time)`` [degC] gives records a channel of it.
+    The actuator is a `truth`, at rest at 0 V; its fingerprint identifies the rig. `limits` [V] and `slew_rate` [V/s]
+    are those that the user allows, `device_limits` [V] the range of the amplifier, by default 0 V to the actuator's
+    highest voltage. Other `options` are those of `VirtualBench`, which is the `instrument`.
     """
 
     def __init__(
         self,
-        truth: VirtualActuator | Actuator,
+        truth: VirtualActuator,
         *,
         limits: tuple[float, float] | None = None,
         slew_rate: float | None = None,
         device_limits: tuple[float, float] | None = None,
         **options: Any,
     ) -> None:
-        name = f"simulated {truth.name if isinstance(truth, Actuator) else type(truth).__name__}"
-        if device_limits is None and isinstance(truth, Actuator):
-            device_limits = truth.limits
         self._time = 0.0
         self.instrument = VirtualBench(truth, limits=device_limits, clock=lambda: self._time, **options)
         longest = min(self.instrument.wave_points, self.instrument.record_points)
-        self._warmth: Callable[[Array], Array] | None = getattr(truth, "temperature", None)
         super().__init__(
-            name,
+            f"simulated {type(truth).__name__}",
             VoltageLimits(*self.instrument.axis.limits),
             limits=limits,
             slew_rate=slew_rate,
             longest=longest,
             identity=f"simulated {self.instrument.serial}",
-            others=() if self._warmth is None else ("temperature_C",),
         )
 
     def nearest_rate(self, sample_rate: float) -> float:
@@ -76,9 +69,7 @@ class SimulatedRig(AbstractRig):
         batch = max(1, voltage.size // _BATCHES)
         count = 0
         while bench.playing or count < bench.recorded:
-            time, voltages, displacements = bench.samples(count)
-            others = {} if self._warmth is None else {"temperature_C": self._warmth(time)}
-            yield Samples(time, voltages, displacements, others)
+            yield Samples(*bench.samples(count))
             count = bench.recorded
             if bench.playing:
                 self._wait(min(batch, voltage.size - count) * period)

@@ -19,7 +19,6 @@ from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome
 from dehyst.model.physical import Physical
 from dehyst.model.promise import APART, Promise, Validity, distances, legs, promise, promised, speeds_of
-from dehyst.model.serialization import DESCRIPTION
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
 from dehyst.model.states import (
     NEAR,

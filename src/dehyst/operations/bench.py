@@ -55,7 +55,7 @@ def calibrate(
 ) -> Result:
     """Home, excite, record, identify, compensate and measure the actuator on RIG.
 
-    RIG: pi://HOST:PORT, epics://PREFIX, sim://play, or FILE.py:FUNCTION, which returns a rig of your own. Several axes
+    RIG: pi://HOST:PORT, epics://PREFIX, sim://, or FILE.py:FUNCTION, which returns a rig of your own. Several axes
     of one rig: pi://HOST:PORT/1,2,3, or --axes 1,2,3.
 
     Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk, or with several axes

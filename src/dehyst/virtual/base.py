@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from abc import ABC, abstractmethod
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +14,9 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import vector
+
+# Digits of a fingerprint.
+_DIGITS = 12
 
 
 class VirtualActuator(ABC):
@@ -38,6 +45,22 @@ class VirtualActuator(ABC):
         v = vector(voltage, "voltage")
         y = self._moved(v, time) if v.size else v
         return self._sensor.read(y) if measured else y
+
+    @property
+    def kind(self) -> str:
+        """The kind of actuator, for its fingerprint."""
+        return type(self).__name__.removesuffix("Actuator").lower()
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters by name."""
+        if is_dataclass(self):
+            return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
+        return {"stroke": self.stroke, "highest": self.highest}
+
+    def fingerprint(self) -> str:
+        """Return kind and hash: equal for equal parameters."""
+        text = json.dumps(self.parameters(), sort_keys=True, default=float)
+        return f"{self.kind}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
 
     @abstractmethod
     def _moved(self, v: Array, time: ArrayLike | None) -> Array:

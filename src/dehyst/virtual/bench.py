@@ -14,7 +14,6 @@ from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst._validation import interval, vector
 from dehyst.control import VoltageLimits
-from dehyst.model import Actuator
 from dehyst.virtual.base import Sensor, VirtualActuator
 from dehyst.virtual.stage import VirtualStage
 
@@ -285,7 +284,7 @@ class VirtualBench:
 
     Parameters
     ----------
-    device : VirtualActuator, Actuator or VirtualStage
+    device : VirtualActuator or VirtualStage
         The connected actuator, or a body with one actuator for each axis, at rest at 0 V; its fingerprint is the
         `serial` number.
     limits : (float, float) or sequence of (float, float), optional
@@ -308,7 +307,7 @@ class VirtualBench:
 
     def __init__(
         self,
-        device: VirtualActuator | Actuator | VirtualStage,
+        device: VirtualActuator | VirtualStage,
         *,
         limits: tuple[float, float] | Sequence[tuple[float, float]] | None = None,
         slew_rate: float | None = None,

@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import matrix
-from dehyst.model import Actuator
 from dehyst.virtual.base import Sensor, VirtualActuator
-from dehyst.virtual.modelled import ModelledActuator, fingerprint
 from dehyst.virtual.plays import PlayActuator
 
 # Width of the loop of the second element of an axis, where coupling has hysteresis: wider than any actuator's.
@@ -28,7 +26,7 @@ class VirtualStage:
 
     Parameters
     ----------
-    actuators : sequence of VirtualActuator or Actuator
+    actuators : sequence of VirtualActuator
         One for each axis; their own noise is not used.
     coupling : (axes, axes) array_like
         Displacement of axis i by the displacement of actuator j; 1 on the diagonal.
@@ -40,14 +38,14 @@ class VirtualStage:
 
     def __init__(
         self,
-        actuators: Sequence[VirtualActuator | Actuator],
+        actuators: Sequence[VirtualActuator],
         coupling: ArrayLike,
         *,
         hysteretic: ArrayLike | None = None,
         noise: float = 2e-9,
         seed: int = 0,
     ) -> None:
-        driven = [ModelledActuator(one) if isinstance(one, Actuator) else one for one in actuators]
+        driven = list(actuators)
         self.coupling = _square(coupling, len(driven), "coupling")
         if np.any(np.diag(self.coupling) != 1):
             raise ModelError(
@@ -65,15 +63,15 @@ class VirtualStage:
         self.highest = np.array([one.highest for one in driven])
         self.noise, self.seed = noise, seed
         self._sensors = [Sensor(noise, seed + j) for j in range(len(driven))]
-        parts = [*map(fingerprint, driven), self.coupling.tobytes().hex(), self.hysteretic.tobytes().hex()]
+        parts = [*(one.fingerprint() for one in driven), self.coupling.tobytes().hex(), self.hysteretic.tobytes().hex()]
         self.serial = f"stage-{hashlib.sha256(' '.join(parts).encode()).hexdigest()[:12]}"
 
     @classmethod
-    def of_one(cls, actuator: VirtualActuator | Actuator) -> VirtualStage:
+    def of_one(cls, actuator: VirtualActuator) -> VirtualStage:
         """Return a body that one `actuator` moves, with its noise and its fingerprint."""
         noise, seed = getattr(actuator, "noise", 0.0), getattr(actuator, "seed", 0)
         stage = cls([actuator], np.eye(1), noise=float(noise), seed=int(seed))
-        stage.serial = fingerprint(actuator)
+        stage.serial = actuator.fingerprint()
         return stage
 
     def __len__(self) -> int:

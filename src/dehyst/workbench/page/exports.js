@@ -67,7 +67,7 @@ async function copy(text) {
 }
 
 // Instruments are driven from a terminal alone.
-const RIG = `dehyst calibrate sim://play       # a simulated actuator
+const RIG = `dehyst calibrate sim://       # a simulated actuator
 dehyst calibrate pi://ADDRESS --limits 0 100 --slew-rate 1000`;
 const rigCard = () =>
   card("On a rig", { id: "rig", key: "rig" },

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,28 +34,10 @@ class AgeingCourse:
     seconds: float = 600.0
     kelvins: float = 0.0
 
-    metavar: ClassVar[str] = "gain=G,width=W,offset=O,seconds=S,kelvins=K"
-
     def __post_init__(self) -> None:
         values = self.gain, self.width, self.offset, self.seconds, self.kelvins
         if not np.all(np.isfinite(values)) or self.seconds <= 0 or min(self.gain, self.width) <= -100:
-            raise ModelError(argument="ageing", got=str(self), need="percents above -100, and seconds above 0")
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the changes in a `text`; raise ValueError that says what is needed."""
-        try:
-            pairs = [part.split("=") for part in text.split(",")]
-            return cls(**{name.strip(): float(value) for name, value in pairs})
-        except (TypeError, ValueError) as error:
-            if isinstance(error, ModelError):
-                raise
-            raise ValueError(f"got {text!r}, need some of {cls.metavar}, as gain=-7,width=25,seconds=600") from error
-
-    def __str__(self) -> str:
-        """Return the text."""
-        changes = f"gain={self.gain:g},width={self.width:g},offset={self.offset:g},seconds={self.seconds:g}"
-        return f"{changes},kelvins={self.kelvins:g}" if self.kelvins else changes
+            raise ModelError(argument="ageing", got=self, need="percents above -100, and seconds above 0")
 
 
 class AgeingActuator(VirtualActuator):
@@ -65,7 +47,7 @@ class AgeingActuator(VirtualActuator):
     makes the actuator new. `play` needs the time.
 
     `new`: the actuator before it ages. `ageing`: its changes. `temperature`: function of the time (n,) [s] that returns
-    the temperature (n,) [degC]; None if that does not change.
+    the temperature (n,) [degC].
     """
 
     def __init__(self, new: VirtualActuator, ageing: AgeingCourse) -> None:
@@ -74,7 +56,6 @@ class AgeingActuator(VirtualActuator):
         self.noise, self.seed = getattr(new, "noise", 0.0), getattr(new, "seed", 0)
         self._sensor = deepcopy(new._sensor)
         self._loop = PlayActuator(stroke=new.stroke, highest=new.highest, width=_WIDE, noise=0.0)
-        self.temperature = self._warmth if ageing.kelvins else None
         self._share = 0.01 * ageing.width * _width(new) / _width(self._loop)
 
     def relax(self) -> None:
@@ -82,7 +63,16 @@ class AgeingActuator(VirtualActuator):
         self.new.relax()
         self._loop.relax()
 
-    def _warmth(self, time: ArrayLike) -> Array:
+    @property
+    def kind(self) -> str:
+        """The kind of actuator."""
+        return self.new.kind
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters of the new actuator: it is the same one."""
+        return self.new.parameters()
+
+    def temperature(self, time: ArrayLike) -> Array:
         """Return the temperature (n,) [degC] at `time` (n,) [s]."""
         return np.asarray(_ROOM + self.ageing.kelvins * self._age(time))
 

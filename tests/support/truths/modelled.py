@@ -1,12 +1,8 @@
-"""Virtual actuators by name, or from a model file, for emulated instruments."""
+"""A model as a virtual actuator, and the virtual actuators by name."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,18 +10,17 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.model import DESCRIPTION, Actuator, State
-from dehyst.virtual.ageing import AgeingActuator
+from dehyst.model import Actuator, State
+from dehyst.model.serialization import DESCRIPTION
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
-from dehyst.virtual.bouc_wen import BoucWenActuator
 from dehyst.virtual.plays import PlayActuator
-from dehyst.virtual.preisach import PreisachActuator
+from truths.bouc_wen import BoucWenActuator
+from truths.preisach import PreisachActuator
 
 # Share of a step that the actuator "creep" adds in each decade of time.
 _CREEP = 0.01
 # Keys of a model file that do not describe the actuator itself.
 _NOT_THE_ACTUATOR = DESCRIPTION | {"state", "limits"}
-_DIGITS = 12
 
 
 class ModelledActuator(VirtualActuator):
@@ -51,6 +46,16 @@ class ModelledActuator(VirtualActuator):
         self._state: State = self.actuator.relaxed()
         self._voltage, self._clock = 0.0, Clock()
 
+    @property
+    def kind(self) -> str:
+        """The kind of actuator."""
+        return "model"
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters of the model, without those that may differ for the same actuator."""
+        parts = self.actuator.as_dict().items()
+        return {key: value for key, value in parts if key not in _NOT_THE_ACTUATOR and value is not None}
+
     def _moved(self, v: Array, time: ArrayLike | None) -> Array:
         """Move; only an actuator that moves in time needs the `time`."""
         path, at = v, None
@@ -68,42 +73,3 @@ VIRTUAL: dict[str, Callable[[], VirtualActuator]] = {
     "preisach": PreisachActuator,
     "boucwen": BoucWenActuator,
 }
-
-
-def virtual_actuator(name: str) -> VirtualActuator | Actuator:
-    """Return a virtual actuator: one of `VIRTUAL`, or the model in a file.
-
-    Raise `ModelError` if there is neither such a name nor such a file. Raise `FileFormatError` if the file cannot be
-    read.
-    """
-    if name in VIRTUAL:
-        return VIRTUAL[name]()
-    if not Path(name).suffix and not Path(name).exists():
-        raise ModelError(
-            argument="actuator", got=f"'{name}'", need=f"one of {', '.join(VIRTUAL)}, or the path of a model file"
-        )
-    return Actuator.load(name)
-
-
-def fingerprint(actuator: VirtualActuator | Actuator) -> str:
-    """Return kind and hash of a virtual actuator: equal for equal parameters, independent of name and file.
-
-    Name, provenance, state and limits of a model have no effect, because they may differ for the same actuator.
-    """
-    if isinstance(actuator, AgeingActuator):
-        actuator = actuator.new
-    if isinstance(actuator, ModelledActuator):
-        actuator = actuator.actuator
-    kind = "model" if isinstance(actuator, Actuator) else type(actuator).__name__.removesuffix("Actuator").lower()
-    text = json.dumps(_parameters(actuator), sort_keys=True, default=float)
-    return f"{kind}-{hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]}"
-
-
-def _parameters(actuator: VirtualActuator | Actuator) -> dict[str, Any]:
-    """Return the parameters of a virtual actuator by name."""
-    if isinstance(actuator, Actuator):
-        parts = actuator.as_dict().items()
-        return {key: value for key, value in parts if key not in _NOT_THE_ACTUATOR and value is not None}
-    if is_dataclass(actuator):
-        return {field.name: getattr(actuator, field.name) for field in fields(actuator) if field.init}
-    return {"stroke": actuator.stroke, "highest": actuator.highest}
