@@ -135,6 +135,10 @@ def _named(records: PathLike | Sequence[PathLike], output: Path) -> dict[str, Pa
     else:
         files = [records] if isinstance(records, str | os.PathLike) else records
         named = [(path, path) for path in (path_of(one, "records") for one in files)]
+        for path, _ in named:
+            if not path.is_file():
+                got = "a folder among files" if path.is_dir() else "no such file"
+                raise FileFormatError(argument="records", got=f"{path}: {got}", need="one folder, or files that exist")
     # A table in the folder of its records is no record.
     paths = [(_text(name), path.absolute()) for name, path in named if path.absolute() != output.absolute()]
     if not paths:

@@ -191,3 +191,12 @@ def test_a_killed_run_is_continued(tmp_path):
     after = rows(output)
     assert [row["reason"] for row in after.values()] == [f"unexpected ValueError: {k}.csv" for k in range(5)]
     assert before.items() <= after.items()
+
+
+@pytest.mark.parametrize("name", ["folder", "absent.csv"])
+def test_a_folder_among_files_and_an_absent_file_are_refused_before_a_table_is_written(tmp_path, name):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "a.csv").write_text("time_s,voltage_V,displacement_um\n")
+    with pytest.raises(FileFormatError):
+        identify_fleet([tmp_path / "a.csv", tmp_path / name], tmp_path / "table.parquet")
+    assert not (tmp_path / "table.parquet").exists()

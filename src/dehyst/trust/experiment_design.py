@@ -115,7 +115,7 @@ def _menu(drive: Sampling, top: float, elements: int) -> Iterator[tuple[str, str
         words = f"a major loop, then {steps} tops descending from {top:g} V, all back to {low:g} V"
         yield words, f"descending-tops {top:g} --steps {steps} --majors 1", tops_excitation
     curves = reversal_curves(top, count=10, drive=drive)
-    yield f"10 first-order reversal curves from {top:g} V", f"reversal-curves {top:g} --count 10", curves
+    yield f"10 first-order reversal curves from {top:g} V", f"reversal-curves {top:g}", curves
 
 
 def _judged(evidence: Evidence, words: str, command: str, excitation: Excitation) -> Suggestion:
