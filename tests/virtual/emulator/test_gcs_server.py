@@ -1,9 +1,7 @@
 """The emulated controller over real sockets: framing, one client, rough treatment, and somebody else's client."""
 
 import os
-import random
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -17,7 +15,6 @@ from emulator import Controller, Fault, Rehearsal, Server
 from emulator.faults import actual_limits
 
 from dehyst._errors import ModelError
-from dehyst.instruments import LinkError
 from dehyst.virtual import PlayActuator, VirtualBench
 
 SOON = 60.0
@@ -124,61 +121,6 @@ def test_the_next_client_is_taken_when_the_first_has_gone_and_finds_things_as_th
             assert line.ask("VOL?") == "1=30\n"
 
 
-def test_1000_malformed_commands_leave_it_serving():
-    rng = random.Random(1)
-    words = [b"SVA", b"WAV", b"DRR?", b"WGO", b"1", b"X", b"PNT", b"nan", b"-", b"1e400", b"\xff\xfe", b"\x00", b"~"]
-    with served() as server, connect(server) as line:
-        for _ in range(1000):
-            if rng.random() < 0.5:
-                bad = rng.randbytes(rng.randrange(1, 80))
-            else:
-                bad = b" ".join(rng.choices(words, k=rng.randrange(1, 12)))
-            line.send(bad + b"\n")
-        line.send(b"A" * 300_000 + b"\n")
-        line.send("STP")
-        line.send("SVA 1 20")
-        line.link.sendall(b"VOL? 1\n")
-        while (answer := line.file.readline()) != b"1=20\n":
-            assert answer
-        log = server.controller.instrument.axis.log
-        assert 0 <= log.lowest <= log.highest <= 120
-
-
-def test_an_overlong_line_is_one_error_and_not_half_a_command():
-    with served() as server, connect(server) as line:
-        line.send(b"9" * 200_000 + b" SVA 1 90\nERR?\nVOL?\n")
-        assert line.file.readline() == b"3\n"
-        assert line.file.readline() == b"1=0\n"
-
-
-def test_100_abrupt_disconnects_leave_it_serving():
-    rng = random.Random(2)
-    with served() as server:
-        for turn in range(100):
-            line = connect(server)
-            line.send(rng.choice([b"", b"SVA 1", b"HLP?\nHLP?\n", b"\x05", b"WAV 1 X PNT 1 5 1 2", b"\xff" * 500]))
-            if turn % 2:  # a reset, in place of a farewell
-                line.link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
-            line.close()
-        with connect(server) as line:
-            assert line.ask("*IDN?").startswith("dehyst,")
-
-
-def test_a_client_that_takes_no_answers_hangs_nothing(monkeypatch):
-    monkeypatch.setattr("emulator.gcs_server._PATIENCE", 0.5)
-    with served(record_points=20000, wave_points=20000, speed=1000) as server:
-        deaf = connect(server)
-        start_wave(deaf)
-        time.sleep(0.1)
-        deaf.link.settimeout(0.2)
-        with suppress(OSError):
-            for _ in range(2000):
-                deaf.send("DRR? 1 2000")
-        with connect(server) as line:
-            assert line.ask("DRL? 1") == "1=2000\n"
-        deaf.close()
-
-
 def test_a_wave_goes_on_when_its_client_has_gone():
     with served() as server:
         with connect(server) as line:
@@ -186,11 +128,6 @@ def test_a_wave_goes_on_when_its_client_has_gone():
         time.sleep(0.3)
         with connect(server) as line:
             assert line.ask("DRL? 1") == "1=200\n"
-
-
-def test_a_port_that_is_taken_is_refused():
-    with served() as server, pytest.raises(LinkError, match=rf"127\.0\.0\.1:{server.port}: cannot listen there"):
-        Server(server.controller, port=server.port)
 
 
 def struck(*faults, wait=0.3):
@@ -311,32 +248,6 @@ def command(*options):
         if process.poll() is None:
             process.kill()
         process.communicate()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_command_ends_with_the_tally_of_its_voltages(number):
-    with command("--limits", "-10", "90") as (process, port):
-        with Line(port) as line:
-            line.send("SVA 1 -5")
-            line.send("SVA 1 64")
-            line.send("SVA 1 95")
-            assert line.ask("ERR?") == "302\n"
-        process.send_signal(number)
-        said, _ = process.communicate(timeout=120)
-    assert process.returncode == 0
-    assert re.fullmatch(
-        r"put out -5 to 64 V, largest step 69 V, steepest [\d.e+]+ V/s, now at 64 V, 1 requests refused, "
-        r"0 samples reported\n",
-        said,
-    )
-
-
-@pytest.mark.nightly
-def test_the_command_ends_by_itself_and_tells_its_faults():
-    with command("--seconds", "0.5", "--fault", "unplug@0.1s", "--actuator", "creep", "--speed", "5") as (process, _):
-        said, _ = process.communicate(timeout=120)
-    assert process.returncode == 0
-    assert said.startswith("fault: unplug: the sensor is unplugged\nput out 0 to 0 V")
 
 
 def test_somebody_elses_client_identifies_sets_and_reads():
