@@ -1,7 +1,6 @@
 """The whole experiment over a socket: an emulated controller and `dehyst calibrate`, two processes.
 
-A real controller's text protocol on TCP, and a real IOC on Channel Access, each before a virtual actuator that no model
-is an instance of. Writes `calibration.json`: the measured errors along a path, and seconds from start to end.
+Writes `calibration.json`: the measured errors along a path, and seconds from start to end.
 """
 
 import json

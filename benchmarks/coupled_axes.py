@@ -8,21 +8,18 @@ Writes `coupled_axes.json`.
 
 import argparse
 import json
-import sys
 import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from strangers import last_truths, more_truths, truths
+from virtual_trials import BoucWenActuator, PreisachActuator
 
 import dehyst
 from dehyst.records import Record
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, stage_excitation
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
-from truths import BoucWenActuator, PreisachActuator
 
 OUTPUT = Path(__file__).parent / "coupled_axes.json"
 HIGHEST = (100.0, 120.0, 100.0)

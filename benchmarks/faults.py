@@ -66,7 +66,6 @@ def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = F
 
 
 def stopped_with(fault: str) -> Callable[[Path], Outcome]:
-    """Return a rehearsal of Ctrl-C in mid-wave with a fault from its first samples on."""
     return lambda folder: against(folder, ("--speed", "1", "--fault", f"{fault}@20"), act=sent(INTERRUPT))
 
 
@@ -146,15 +145,10 @@ CASES = (
             act=sent(INTERRUPT),
         ),
     ),
-    *(
-        Case(name, f"The voltage that is read {words}, and then Ctrl-C", stopped_with(name))
-        for name, words in (
-            ("zero", "is 0 V"),
-            ("shift", "is 50 V too high"),
-            ("invert", "has the wrong sign"),
-            ("blank", "is no number"),
-        )
-    ),
+    Case("zero", "The voltage that is read is 0 V, and then Ctrl-C", stopped_with("zero")),
+    Case("shift", "The voltage that is read is 50 V too high, and then Ctrl-C", stopped_with("shift")),
+    Case("invert", "The voltage that is read has the wrong sign, and then Ctrl-C", stopped_with("invert")),
+    Case("blank", "The voltage that is read is no number, and then Ctrl-C", stopped_with("blank")),
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
     Case("dead", "The sensor was never plugged in", struck("unplug@0s")),

@@ -7,26 +7,22 @@ question, which takes a few minutes. The mechanisms `Hodgdon` and `Nested` were 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import exp
-from pathlib import Path
 
 import numpy as np
 from strangers.cases import Case
 from strangers.disturbances import DISTURBANCES, Disturbance, Raw, Scale
 from strangers.protocols import PROTOCOLS, Part, Protocol
 from strangers.truths import TRUTHS, Bristles, Mechanism, Relays, Truth
+from virtual_trials import BoucWenActuator, PreisachActuator
 
 import dehyst
 from dehyst.identification import Fit
 from dehyst.model import Actuator
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
-from truths import BoucWenActuator, PreisachActuator
 
 Array = np.ndarray
 # Of the README's first steps: seconds a cycle, and the lags [s] of its stages.

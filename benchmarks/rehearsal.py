@@ -45,9 +45,8 @@ class Outcome:
     """The outcome of a command.
 
     `said` is what stands on standard error, without progress; `seconds` it took from the fault on, or from its start
-    where there is nothing else to count from; `came` are samples that it says came, or of one that was killed
-    those that it had written by then, None if nobody knows;
-    `on_disk` those that are read from its folder; `left` the names of what lies there besides.
+    where there is nothing else to count from; `came` are samples that it says came, or of a killed one those that
+    it had written by then, None if nobody knows; `on_disk` those read from its folder; `left` its other files.
     """
 
     said: list[str]

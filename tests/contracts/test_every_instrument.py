@@ -33,6 +33,13 @@ def fake(longest=None, **options):
         yield rig, rig.instrument
 
 
+@contextmanager
+def inverted(longest=None, **options):
+    """Open a rig of 1 MV/s, whose displacement is large, and falls."""
+    with FakeRig((LOW, HIGH), longest=longest, device_slew=1e6, gain=-5e-6, **options) as rig:
+        yield rig, rig.instrument
+
+
 class BlockRig(FakeRig):
     """A device of 20 kV/s that plays tables of 2048 samples, and gives each when it has been played."""
 
@@ -61,6 +68,13 @@ def slow(**options):
 
 
 @contextmanager
+def slowest(longest=None, **options):
+    """Open a rig that takes two minutes for its range."""
+    with FakeRig((LOW, HIGH), longest=longest, device_slew=1.0, **options) as rig:
+        yield rig, rig.instrument
+
+
+@contextmanager
 def daq_card(longest=None, **options):
     """Open a rig on a fake card, whose waves are short enough for any test."""
     with fake_nidaqmx.opened((LOW / fake_nidaqmx.GAIN, HIGH / fake_nidaqmx.GAIN), **options) as (rig, card):
@@ -74,6 +88,8 @@ RIGS = [
     RigCandidate("fake", fake, 1e-7),
     RigCandidate("fake, fast and in blocks", blocks, 1e-7),
     RigCandidate("fake, slow", slow, 1e-7),
+    RigCandidate("fake, slowest", slowest, 1e-7),
+    RigCandidate("fake, inverted", inverted, -5e-6),
     RigCandidate("simulated", simulated, GAIN),
     RigCandidate("National Instruments card, fake", daq_card, 1e-7),
     # Microvolts are sent.

@@ -10,8 +10,8 @@ from dehyst.testing import FakeInstrument
 class FakeRig(AbstractRig):
     """Yields samples in lots of ten; tests replace its methods, and look at `done`."""
 
-    def __init__(self, device=(-20.0, 100.0), *, device_slew=None, **options):
-        self.instrument = FakeInstrument(device)
+    def __init__(self, device=(-20.0, 100.0), *, device_slew=None, gain=1e-7, **options):
+        self.instrument = FakeInstrument(device, gain)
         self.done = []
         super().__init__("fake", VoltageLimits(*device, device_slew), **options)
 

@@ -19,12 +19,14 @@ LOW, HIGH = -20.0, 100.0
 
 
 class FakeInstrument:
-    """The least instrument behind a rig under test: an amplifier of -20 to 100 V, and a sensor that reads 0.1 um/V.
+    """The least instrument behind a rig under test: an amplifier of -20 to 100 V, and a sensor that is proportional.
 
     Parameters
     ----------
     limits : (float, float)
         Lowest and highest voltage of the amplifier [V].
+    gain : float
+        Displacement that the sensor reads for each volt [m/V]: that of the `RigCandidate`.
 
     Attributes
     ----------
@@ -40,7 +42,8 @@ class FakeInstrument:
         Extremes of all voltages: `lowest`, `highest`, `largest_step` [V], and `refused`.
     """
 
-    def __init__(self, limits: tuple[float, float] = (LOW, HIGH)) -> None:
+    def __init__(self, limits: tuple[float, float] = (LOW, HIGH), gain: float = 1e-7) -> None:
+        self.gain = gain
         self.limits, self.sent, self.now = limits, [0.0], 0.0
         self.log, self.unplugged, self.playing = Extremes(0.0, 0.0), False, False
 
@@ -59,7 +62,7 @@ class FakeInstrument:
 
     def displacement(self, voltage: Array) -> Array:
         """Return what the sensor reads [m] at each `voltage` [V]."""
-        return np.full_like(voltage, 3e-6) if self.unplugged else 1e-7 * np.asarray(voltage)
+        return np.full_like(voltage, 3e-6) if self.unplugged else self.gain * np.asarray(voltage)
 
     def wait(self, seconds: float) -> None:
         """Let `seconds` pass: for the rig's ``_wait``, so that a test takes no time."""
