@@ -28,7 +28,7 @@ wanted = stage.stroke * (0.02 + 0.95 * np.interp(place, np.arange(corners.size),
 # Both begin after the same homing, up to the top and down to 0 V: after it the state is known.
 homing = np.concatenate([np.linspace(0, 200, 400), np.linspace(200, 0, 400)])
 homed = fit.actuator.simulate(homing).state
-zero = homed.displacement
+zero = fit.actuator.displacement(homed)
 voltage = dehyst.Compensator(fit.actuator, (0, 200)).trajectory(zero + wanted, state=homed).voltage
 
 stage.play(homing)
