@@ -2,8 +2,6 @@
  * sanitizers: core SEED FIRST COUNT prints the first case that fails and ends with 1. Every array has its exact size.
  */
 #include "dehyst_records.h"
-#include "fields.h"
-#include "plays.h"
 
 #include <math.h>
 #include <stdint.h>
@@ -432,68 +430,6 @@ static void play_life(const model *m)
     while (calls-- > 0) act(m, &l);
 }
 
-static double strange(double size) { return chance(0.2) ? (double)nonsense() : size * between(-1.5, 1.5); }
-
-static double *input(int n, double size)
-{
-    double *found = room((size_t)n, sizeof *found);
-    int t;
-    for (t = 0; t < n; t++) found[t] = strange(size);
-    return found;
-}
-
-static void play_fields(void)
-{
-    const int cells = 1 + below(12), wide = cells + 1, n = below(60);
-    double *everett = room((size_t)(wide * wide), sizeof *everett), *in = input(n, 2), *out = input(n, 1);
-    preisach_turn *turns = room((size_t)(n + n + 3), sizeof *turns);
-    preisach_plane plane = {cells, -1, 2.0 / cells, everett, -1, 0.5, 0.5};
-    preisach_stairs stairs = {1, -1, -1, turns};
-    const double c[4] = {0.1, 1, between(-0.2, 0.2), between(0, 0.2)};
-    boucwen bw = {between(0, 0.45), 1, between(-0.5, 0.5), {-1, 2, {c[0], c[1], c[2], c[3]}}};
-    boucwen_state at = {strange(1), strange(0.1)};
-    duhem model = {-1, 2, between(0.1, 5), 4, c, c, between(0.1, 1), between(0.1, 1)};
-    duhem_state where = {strange(1), strange(1)};
-    int i, j;
-    for (i = 0; i < wide; i++)
-        for (j = 0; j < wide; j++) everett[i * wide + j] = i > j ? (i - j) * (i - j + 1.0) / (wide * wide) : 0;
-    if (chance(0.2)) plane.step = chance(0.5) ? 0 : 1e-300;
-    turns[0].v = -1, turns[0].y = -1;
-    preisach_simulate(&plane, &stairs, in, out, n);
-    preisach_compensate(&plane, &stairs, in, out, n);
-    boucwen_simulate(&bw, &at, in, out, n);
-    boucwen_compensate(&bw, &at, in, out, n);
-    duhem_simulate(&model, &where, in, out, n);
-    duhem_compensate(&model, &where, in, out, n);
-    free(everett), free(in), free(out), free(turns);
-}
-
-static void play_plays(void)
-{
-    const int plays = below(8), passes = below(3), n = below(60);
-    int *first = room((size_t)plays + 1, sizeof *first), *at = room((size_t)plays, sizeof *at), i, j;
-    double *r = input(plays, 1), *tau = input(passes, 0), *part = input(passes, 0), *in = input(n, 2);
-    double *out = input(n, 1), *z = input(plays, 1), *q = input(passes, 1), *held = input(plays, 0), *dt = input(n, 0);
-    double *kept = input(passes, 0), *gain = input(passes, 0), *knot, *value, *slope;
-    first[0] = 0;
-    for (i = 0; i < plays; i++) first[i + 1] = first[i] + 1 + below(4), r[i] = share();
-    knot = input(first[plays], 1), value = input(first[plays], 1), slope = input(first[plays] + plays, 1);
-    for (i = 0; i < plays; i++)
-        for (j = first[i]; j < first[i + 1]; j++) knot[j] = (j > first[i] ? knot[j - 1] : -1) + share();
-    for (i = 0; i < first[plays] + plays; i++) slope[i] = share();
-    for (i = 0; i < passes; i++) tau[i] = pow(10, between(-3, 3)), part[i] = share();
-    for (i = 0; i < n; i++) dt[i] = pow(10, between(-6, 3));
-    {
-        const plays_model m = {plays, r, first, knot, value, slope, passes, tau, part, 0.1};
-        plays_state s = {strange(1), z, q, held, at, 0, kept, gain};
-        plays_begin(&m, &s);
-        plays_simulate(&m, &s, in, dt, out, n);
-        plays_compensate(&m, &s, in, dt, out, n);
-    }
-    free(first), free(at), free(r), free(tau), free(part), free(in), free(out), free(z), free(q), free(held), free(dt);
-    free(kept), free(gain), free(knot), free(value), free(slope);
-}
-
 int main(int count, char **word)
 {
     const uint64_t seed = count > 1 ? strtoull(word[1], NULL, 10) : 1;
@@ -508,7 +444,6 @@ int main(int count, char **word)
             play_life(&m);
         }
         release();
-        if (sizeof(dehyst_real) == sizeof(double) && chance(0.2)) play_fields(), play_plays();
     }
     printf("%ld cases, %ld models\n", cases, made);
     return 0;

@@ -53,7 +53,7 @@ def test_micrometres_that_are_taken_for_metres_are_refused():
 
 def test_a_missing_library_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"needs pandas.*pip install 'dehyst\[tables\]'"):
+    with pytest.raises(MissingExtraError, match=r"needs pandas.*pip install 'dehyst\[files\]'"):
         RECORD.to_dataframe()
 
 
