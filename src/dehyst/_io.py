@@ -33,9 +33,9 @@ GENERATOR = f"dehyst {__version__}"
 COMPUTED = "expected_um"
 # Begins the first line of the path of a scan, with its declaration as JSON.
 SCAN = "# dehyst-scan: "
-# Of every format.
+# Every format of dehyst has this version.
 VERSION = 1
-# What to do with a file of another version.
+# Advice for a file of another version.
 OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
@@ -156,10 +156,10 @@ def format_of(path: PathLike) -> str | None:
     return (match[1] or match[2]).decode() if match else None
 
 
-def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool = False) -> None:
+def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool | None = None) -> None:
     """Raise `FileFormatError` unless a folder is new, empty, or has a file `marker`, JSON of the format `kind`.
 
-    That file is of an earlier run. `force`: the folder may hold any files.
+    That file is of an earlier run. `force`: the folder may hold any files; None where there is no option --force.
     """
     try:
         held = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
@@ -171,7 +171,8 @@ def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool =
         raise unwritten(folder, error) from error
     if held and not force and format_of(Path(folder) / marker) != kind:
         named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
-        raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder")
+        more = "" if force is None else ", or --force to write beside them"
+        raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder{more}")
 
 
 def made_folder(folder: PathLike) -> Path:

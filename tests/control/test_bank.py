@@ -230,7 +230,7 @@ def test_wrong_displacements_move_nothing():
             bank.compensate(values)
     with pytest.raises(ModelError, match="writeable array"):
         bank.step(good[0], out=np.empty(4))
-    with pytest.raises(ModelError, match=r"sample 0 of actuator 1 is 1e\+300"):
+    with pytest.raises(ModelError, match="actuator 1"):
         bank.step([1e-6, 1e300, 1e-6])
     for one, same in zip(bank.snapshot(), before, strict=True):
         assert one.as_dict() == same.as_dict()

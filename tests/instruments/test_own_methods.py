@@ -8,7 +8,7 @@ from dehyst.instruments import AbstractRig
 
 @pytest.mark.parametrize("name", ["play", "limits", "set_voltage", "_ramp", "_retreated", "retreat"])
 def test_no_rig_replaces_what_limits_and_retreat_rely_on(name):
-    with pytest.raises(TypeError, match=f"Own: replaces {name} of AbstractRig; a rig writes only nearest_rate, _read"):
+    with pytest.raises(TypeError, match=f"replaces {name} "):
         type("Own", (AbstractRig,), {name: None})
 
 
@@ -25,7 +25,7 @@ def test_no_attribute_of_a_rig_hides_what_limits_and_retreat_rely_on(name):
         def __init__(self):
             setattr(self, name, None)
 
-    with pytest.raises(TypeError, match=f"Own: sets {name}, a method of AbstractRig"):
+    with pytest.raises(TypeError, match=f"sets {name},"):
         Own()
 
 
@@ -38,7 +38,7 @@ def test_a_rig_whose_bases_hide_the_check_of_its_class_cannot_be_constructed():
         def play(self, excitation):
             pass
 
-    with pytest.raises(TypeError, match="Own: replaces play of AbstractRig"):
+    with pytest.raises(TypeError, match="replaces play "):
         Own()
 
 

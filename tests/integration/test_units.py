@@ -168,7 +168,7 @@ def test_a_loop_does_not_raise_but_asks(method, slew):
     ],
 )
 def test_a_quantity_is_refused_with_what_to_give(given_as):
-    with pytest.raises(ModelError, match=r"displacement: got a quantity in \w+, need plain numbers; .*magnitude"):
+    with pytest.raises(ModelError, match=r"displacement: .*magnitude"):
         ACTUATOR.compensate(given_as)
     with pytest.raises(RecordError, match="displacement: got a quantity"):
         dehyst.Record(np.arange(PATH.size), PATH * 1e5, given_as)

@@ -232,7 +232,7 @@ def test_numbers_are_json(result):
 
 def test_a_folder_that_cannot_be_made_is_refused(result, tmp_path):
     (tmp_path / "file").write_text("taken")
-    with pytest.raises(FileFormatError, match="is a file where a folder is needed"):
+    with pytest.raises(FileFormatError, match="is a file"):
         paper.write(result, tmp_path / "file")
     assert (tmp_path / "file").read_text() == "taken"
 

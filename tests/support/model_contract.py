@@ -104,7 +104,7 @@ class ModelContract:
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
     def test_numbers_that_are_not_finite_are_refused(self, model, bad):
         for run, drive, _ in _both_ways(model):
-            with pytest.raises(ModelError, match=r"(voltage|displacement).*not finite, the first at index 7"):
+            with pytest.raises(ModelError, match=r"(voltage|displacement).*index 7"):
                 run(np.where(np.arange(drive.size) == 7, bad, drive))
 
     @pytest.mark.parametrize("bad", [[[0.0]], "text", None, [1j]])

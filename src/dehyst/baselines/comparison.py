@@ -28,7 +28,7 @@ RIVALS = "pip install dehyst-rivals (from a clone: pip install ./packages/rivals
 BASELINES = Registry({"two branches": TwoBranches.fit, "linear ratio": Linear.fit}, (OURS,))
 # Errors of models and records and NumPy's LinAlgError are among them.
 _FAILURES = (ValueError, ArithmeticError, RuntimeError, PluginError)
-# Of each record, this part of its time is for the fit if nothing is given to judge by.
+# The first part of each record is fitted, the rest is held out, if no record is given to judge by.
 _TRAINING_PART = 0.75
 
 
