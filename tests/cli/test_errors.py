@@ -106,3 +106,10 @@ def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monke
     done = CliRunner().invoke(main, ["demo", "-o", name, "--no-report"])
     assert done.exit_code == 2
     assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")
+
+
+@pytest.mark.parametrize("option", ["--count", "--count=10", "--adapt"])
+def test_an_unknown_option_among_numbers_is_no_number(option):
+    done = CliRunner().invoke(main, ["excite", "reversal-curves", "-20", "100", option])
+    assert (done.exit_code, isinstance(done.exception, SystemExit)) == (2, True)
+    assert f"No such option: {option.partition('=')[0]}" in done.stderr.replace("'", "")

@@ -124,7 +124,7 @@ class OperationCommand(click.Command):
             params.append(click.Option(["--json", "as_json"], is_flag=True, help="Print JSON for a program."))
         numbers = any(one.positional and one.kind.type is float for one in operation.parameters)
         super().__init__(
-            operation.name.split()[-1],
+            operation.name,
             params=params,
             help=f"{operation.summary}\n\n{operation.help}",
             context_settings={"ignore_unknown_options": numbers},
@@ -145,9 +145,13 @@ class OperationCommand(click.Command):
             for one in self.operation.parameters
             if one.kind.several and one.kind.role and not one.positional
         }
+        known = {name for each in self.get_params(ctx) for name in (*each.opts, *each.secondary_opts)}
         spread: list[str] = []
         inside = ""
         for word in args:
+            # Click leaves unknown options to the numbers, which may be negative.
+            if word.startswith("--") and word != "--" and word.partition("=")[0] not in known:
+                raise click.NoSuchOption(word.partition("=")[0], ctx=ctx)
             if inside and not word.startswith("-") and spread[-1] != inside:
                 spread.append(inside)
             inside = word if word in many else inside if not word.startswith("-") else ""
@@ -252,45 +256,35 @@ class OperationCommand(click.Command):
 
 
 class Commands(click.Group):
-    """The commands whose names begin with a prefix; all of them under the headings of the journey.
+    """All commands under the headings of the journey.
 
     Errors of a command line are sentences on standard error, with status 2 and without a traceback.
     """
 
-    def __init__(self, name: str, prefix: str = "", **extra: Any) -> None:
+    def __init__(self, name: str, **extra: Any) -> None:
         super().__init__(name, **extra)
-        self._prefix = prefix
         self.journey: dict[str, dict[str, str]] = {heading: {} for heading in JOURNEY}
         for heading, entries in JOURNEY.items():
             self.journey[heading] |= {full: entry.words for full, entry in entries.items()}
         for own, (_, heading, words) in _OWN.items():
             self.journey[heading][own] = words
 
-    def _full_names(self) -> list[str]:
-        return [name for entries in self.journey.values() for name in entries if name.startswith(self._prefix)]
-
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands in the order of the journey."""
-        return list(dict.fromkeys(name.removeprefix(self._prefix).split()[0] for name in self._full_names()))
+        return [name for entries in self.journey.values() for name in entries]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command, which is loaded now; None if there is none."""
-        full = f"{self._prefix}{cmd_name}"
-        if full in _OWN:
-            return OperationCommand(import_module(_OWN[full][0]).workbench)
-        if full in self._full_names():
-            return OperationCommand(find(full))
-        within = [name for name in self._full_names() if name.startswith(f"{full} ")]
-        return Commands(cmd_name, f"{full} ", help=f"{', '.join(within)}.") if within else None
+        if cmd_name in _OWN:
+            return OperationCommand(import_module(_OWN[cmd_name][0]).workbench)
+        return OperationCommand(find(cmd_name)) if cmd_name in self.list_commands(ctx) else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings, each with a few words."""
-        names = self._full_names()
-        width = max(map(len, names))
+        width = max(map(len, self.list_commands(ctx)))
         for heading, entries in self.journey.items():
-            if rows := [(name.ljust(width), words) for name, words in entries.items() if name in names]:
-                with formatter.section(heading):
-                    formatter.write_dl(rows)
+            with formatter.section(heading):
+                formatter.write_dl([(name.ljust(width), words) for name, words in entries.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
