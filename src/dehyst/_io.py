@@ -35,7 +35,6 @@ COMPUTED = "expected_um"
 SCAN = "# dehyst-scan: "
 # Every format of dehyst has this version.
 VERSION = 1
-# Advice for a file of another version.
 OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')

@@ -112,4 +112,5 @@ def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monke
 def test_an_unknown_option_among_numbers_is_no_number(option):
     done = CliRunner().invoke(main, ["excite", "reversal-curves", "-20", "100", option])
     assert (done.exit_code, isinstance(done.exception, SystemExit)) == (2, True)
-    assert f"No such option: {option.partition('=')[0]}" in done.stderr.replace("'", "")
+    assert option.partition("=")[0] in done.stderr
+    assert "number" not in done.stderr

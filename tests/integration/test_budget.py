@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "baselines": 729,
     "calibration": 1388,
-    "cli": 697,
+    "cli": 693,
     "control": 4485,
     "exports": 1382,
     "fleet": 314,

@@ -150,8 +150,9 @@ class OperationCommand(click.Command):
         inside = ""
         for word in args:
             # Click leaves unknown options to the numbers, which may be negative.
-            if word.startswith("--") and word != "--" and word.partition("=")[0] not in known:
-                raise click.NoSuchOption(word.partition("=")[0], ctx=ctx)
+            option = word.partition("=")[0]
+            if option.startswith("--") and option not in known | {"--"}:
+                raise click.NoSuchOption(option, possibilities=get_close_matches(option, known), ctx=ctx)
             if inside and not word.startswith("-") and spread[-1] != inside:
                 spread.append(inside)
             inside = word if word in many else inside if not word.startswith("-") else ""
