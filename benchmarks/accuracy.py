@@ -26,9 +26,9 @@ from virtual_trials import TRIALS, TrackingTrial
 
 import dehyst
 from dehyst import Actuator
-from dehyst.baselines.comparison import OURS, HeldOut, ModelScore, scored
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.operations import demo
+from dehyst.trust.comparison import OURS, HeldOut, ModelScore, scored
 from dehyst_rivals import RIVALS, linear_ratio
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"

@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.baselines.comparison import RecordScore
 from dehyst.identification import prepare
 from dehyst.model import AbstractModel, Actuator, Motion, Validity, promise, timed
 from dehyst.records import Record, percent
+from dehyst.trust.comparison import RecordScore
 
 SAMPLES_TO_TIME, RUNS_TO_TIME = 20_000, 5
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
         RecordError,
         RigError,
     )
-    from dehyst.baselines import compare
     from dehyst.calibration import calibrate
     from dehyst.control import (
         Bank,
@@ -68,14 +67,13 @@ if TYPE_CHECKING:
         Transformer,
     )
     from dehyst.records import Record, read, write_record
-    from dehyst.trust import check, insight, update  # type: ignore[no-redef]
+    from dehyst.trust import check, compare, insight, update  # type: ignore[no-redef]
 
 # Each public name and the room it is imported from when it is first used: a control loop loads no identification.
 _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
-        "baselines": "compare",
         "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
         "wave_table",
         "exports": "export export_fmu export_wasm",
@@ -84,7 +82,7 @@ _ROOM_OF = {
         "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
         "Spring Stage State Thermal Transformer",
         "records": "Record read write_record",
-        "trust": "check insight update",
+        "trust": "check compare insight update",
     }.items()
     for name in names.split()
 }

@@ -9,7 +9,6 @@
     ├── ModelError(ValueError)          an actuator, element or state with impossible numbers
     ├── IdentifyError(ValueError)       a question that the records cannot answer
     ├── MissingExtraError(ImportError)  an optional dependency that is not installed
-    ├── PluginError(ImportError)        a plug-in of another distribution that cannot be used
     └── RigError(OSError)               an instrument that does not do what is needed
         ├── LinkError(ConnectionError)      its connection: refused, lost, silent, garbled
         ├── DeviceError                     an error that the instrument itself reports
@@ -119,10 +118,6 @@ class MissingExtraError(DehystError, ImportError):
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
         """Build the message from the missing `package`, the `extra` that brings it and the `purpose`."""
         return cls(f"{purpose} needs {package}, which is not installed. Try: pip install 'dehyst[{extra}]'")
-
-
-class PluginError(DehystError, ImportError):
-    """A plug-in that cannot be used; the message names its distribution."""
 
 
 class RigError(DehystError, OSError):

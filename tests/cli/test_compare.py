@@ -42,7 +42,7 @@ def test_a_failure_of_dehysts_own_model_is_the_status(folder, monkeypatch):
     def fails(*_, **__):
         raise IdentifyError("no model")
 
-    monkeypatch.setattr("dehyst.baselines.comparison.identify", fails)
+    monkeypatch.setattr("dehyst.trust.comparison.identify", fails)
     status, out, _ = run("compare", "three.csv", "--only", "dehyst", "--json", cwd=folder)
     assert status == 1
     assert json.loads(out)["models"][0]["said"] == "no model"

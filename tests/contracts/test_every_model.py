@@ -17,7 +17,7 @@ from dehyst import (
     Spring,
     Transformer,
 )
-from dehyst.baselines.linear import Linear
+from dehyst.trust.baselines import Linear
 
 VOLTS = 100.0
 

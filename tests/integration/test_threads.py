@@ -45,7 +45,7 @@ sys.setprofile(None)
 print(json.dumps({"looks": looks, "threads": most}))
 """
 SETUP = """
-from dehyst.baselines.comparison import compare, contenders
+from dehyst.trust.comparison import compare, contenders
 from dehyst.trust import insight
 from dehyst import Structure
 from dehyst.operations import demo

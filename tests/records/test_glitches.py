@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Compensator, Record
-from dehyst.baselines import compare
 from dehyst.calibration.experiment import _ends
 from dehyst.identification import Structure
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.records.glitches import glitches
+from dehyst.trust import compare
 
 DATA = places.DATA
 PLANTS = [plain_records.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]

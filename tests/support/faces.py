@@ -11,9 +11,6 @@ FACES = {
             check compare export export_fmu export_wasm identify identify_stage insight read shortest_homing update
             wave_table write_record
         """,
-        "baselines": """
-            BASELINES AbstractBaseline ModelComparison compare
-        """,
         "calibration": """
             Calibration Plan TrackedPath calibrate
         """,
@@ -57,8 +54,8 @@ FACES = {
             FakeInstrument RigCandidate RigContract
         """,
         "trust": """
-            Change Insight Recheck Update check
-            check_stage insight judge stage_insight update update_stage
+            AbstractBaseline Change Insight ModelComparison Recheck Update check check_stage
+            compare insight judge stage_insight update update_stage
         """,
         "virtual": """
             PlayActuator VirtualBench VirtualStage

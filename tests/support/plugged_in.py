@@ -1,11 +1,5 @@
 """Distributions that are installed for a test only: a module and its entry points in a folder of `sys.path`."""
 
-import contextlib
-import sys
-from unittest.mock import patch
-
-from dehyst.baselines import BASELINES
-
 
 def write_distribution(folder, name, groups, code="", version="1.0"):
     """Write a distribution with one module into a folder; `groups`: group -> lines of entry points."""
@@ -16,18 +10,3 @@ def write_distribution(folder, name, groups, code="", version="1.0"):
     lines = [f"[dehyst.{group}]\n{text}\n" for group, text in groups.items()]
     (info / "entry_points.txt").write_text("\n".join(lines))
     (folder / f"{module}.py").write_text(code)
-
-
-@contextlib.contextmanager
-def plugged_in(*folders):
-    """Install the distributions of folders: plug-ins are searched anew within, and after."""
-    with patch.object(sys, "path", [*map(str, folders), *sys.path]):
-        _forget()
-        try:
-            yield
-        finally:
-            _forget()
-
-
-def _forget():
-    vars(BASELINES).pop("_found", None)

@@ -7,9 +7,9 @@ import pytest
 from model_contract import ModelCandidate, ModelContract
 
 from dehyst import Record
-from dehyst.baselines import compare
-from dehyst.baselines.linear import Linear
 from dehyst.model import simulated
+from dehyst.trust import compare
+from dehyst.trust.baselines import Linear
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
 from dehyst_rivals import (

@@ -9,8 +9,8 @@ from truths import BoucWenActuator, PreisachActuator
 from virtual_trials import TRIALS
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
-from dehyst.baselines import AbstractBaseline
-from dehyst.baselines.linear import Linear
+from dehyst.trust import AbstractBaseline
+from dehyst.trust.baselines import Linear
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
 from dehyst_rivals import GoldfarbCelanovic

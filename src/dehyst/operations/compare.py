@@ -7,13 +7,13 @@ from typing import Any
 
 from dehyst._errors import IdentifyError
 from dehyst._io import finite, write_json
-from dehyst.baselines import ModelComparison
-from dehyst.baselines import compare as run_comparison
-from dehyst.baselines.comparison import OURS, ModelScore, contenders
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
 from dehyst.report import write_comparison
+from dehyst.trust import ModelComparison
+from dehyst.trust import compare as run_comparison
+from dehyst.trust.comparison import OURS, ModelScore, contenders
 
 
 @operation(run_comparison)

@@ -6,8 +6,8 @@ from os import PathLike
 
 from dehyst._io import write_atomically
 from dehyst._views.html import escape
-from dehyst.baselines import OURS, ModelComparison, RecordScore
 from dehyst.report.html import Row, bullets, document, length, number, reproduction, table
+from dehyst.trust import OURS, ModelComparison, RecordScore
 
 _NONE = "–"
 # Bars of one model are no comparison; largest ratio of the longest to the median.

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 from dehyst import ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number, vector
-from dehyst.baselines import AbstractBaseline
 from dehyst.identification import Solution, solve
 from dehyst.records import Record, rms
+from dehyst.trust import AbstractBaseline
 from dehyst_rivals import _rivals as compiled
 from dehyst_rivals.training import Training, fit_with_delay
 

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import IdentifyError
 from dehyst._types import Array
 from dehyst._validation import count, keep, vector
-from dehyst.baselines import AbstractBaseline
 from dehyst.identification import Branch, as_list, remove_glitches, voltage_at
 from dehyst.model import Actuator, MaxwellSlip, Spring, State
 from dehyst.records import Record
+from dehyst.trust import AbstractBaseline
 
 
 @final

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dehyst import Record
-from dehyst.baselines.linear import Linear
+from dehyst.trust.baselines import Linear
 from dehyst_rivals.training import Training, fit_with_delay
 
 

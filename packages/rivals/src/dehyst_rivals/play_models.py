@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from dehyst import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, vector
-from dehyst.baselines import AbstractBaseline
 from dehyst.model import on_curve
 from dehyst.records import Record, rms
+from dehyst.trust import AbstractBaseline
 from dehyst_rivals.plays import EMPTY, PlayBank, PlayState
 from dehyst_rivals.training import PlayRows, Training, fit_nonnegative, fit_with_delay, ramps
 

@@ -3,31 +3,35 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from dehyst._errors import IdentifyError, PluginError, RecordError
+from dehyst._errors import IdentifyError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask, Progress
 from dehyst._views.fields import json_value, json_values
-from dehyst.baselines.linear import Linear
-from dehyst.baselines.registry import Identification, Registry
-from dehyst.baselines.two_branches import TwoBranches
 from dehyst.identification import Prepared, as_list, epochs, identify, prepare, state_after, without_offset
 from dehyst.model import AbstractModel, Actuator, simulated, timed
 from dehyst.records import Record, largest, percent, rms
+from dehyst.trust.baselines import Linear
+from dehyst.trust.two_branches import TwoBranches
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+# A function of training records that returns the model, or raises an error that states why there is none.
+Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 OURS = "dehyst"
 # How to get the models of others.
 RIVALS = "pip install dehyst-rivals (from a clone: pip install ./packages/rivals)"
-
-
-BASELINES = Registry({"two branches": TwoBranches.fit, "linear ratio": Linear.fit}, (OURS,))
+# Entry points of installed packages that are functions as `Identification`.
+_GROUP = "dehyst.baselines"
 # Errors of models and records and NumPy's LinAlgError are among them.
-_FAILURES = (ValueError, ArithmeticError, RuntimeError, PluginError)
+_FAILURES = (ValueError, ArithmeticError, RuntimeError)
 # The first part of each record is fitted, the rest is held out, if no record is given to judge by.
 _TRAINING_PART = 0.75
 
@@ -140,8 +144,8 @@ class ModelComparison:
 
     @property
     def hint(self) -> str:
-        """A sentence on how to get more models to compare with; empty if there are some of plug-ins."""
-        return "" if len(BASELINES) > len(BASELINES.own) else f"Nine published models can be added: {RIVALS}."
+        """A sentence on how to get more models to compare with; empty if a package adds some."""
+        return "" if _added() else f"Nine published models can be added: {RIVALS}."
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -151,8 +155,28 @@ class ModelComparison:
 
 
 def contenders() -> dict[str, Identification]:
-    """Return all models by name as functions: dehyst's, then the baselines."""
-    return {OURS: lambda records: identify(records, structure="auto").actuator, **BASELINES}
+    """Return all models by name as functions: dehyst's, what is done without it, those of installed packages."""
+    own = _own()
+    return own | {name: fit for name, fit in _added().items() if name not in own}
+
+
+def _own() -> dict[str, Identification]:
+    """Return the models of this package."""
+    ours: Identification = lambda records: identify(records, structure="auto").actuator  # noqa: E731
+    return {OURS: ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
+
+
+def _added() -> dict[str, Identification]:
+    """Return the models of installed packages; each is imported when it is fitted."""
+    from importlib.metadata import entry_points
+
+    return {point.name: partial(_fit_of_package, point) for point in entry_points(group=_GROUP)}
+
+
+def _fit_of_package(point: EntryPoint, records: Sequence[Record]) -> AbstractModel:
+    """Import the function of an entry point and call it."""
+    model: AbstractModel = point.load()(records)
+    return model
 
 
 def compare(
@@ -177,7 +201,7 @@ def compare(
         fitted, and the models are fitted to the rest.
     models : Mapping, optional
         Name -> function of the training records; default: dehyst's model, a table of two branches, a straight line,
-        and the models of installed plug-ins.
+        and the models of installed packages.
     progress : callable, optional
         Called with a short description of each step.
 
@@ -328,7 +352,7 @@ def _row(
     progress(f"fitting {name}")
     row, begin = ModelScore(name), time.perf_counter()
     # Models of others may fail in any way.
-    failing = _FAILURES if name in (OURS, *BASELINES.own) else Exception
+    failing = _FAILURES if name in _own() else Exception
     try:
         model = _fitted(fit, training)
         row = replace(row, seconds=time.perf_counter() - begin)
@@ -342,7 +366,7 @@ def _fitted(fit: Identification, records: list[Record]) -> AbstractModel:
     """Return the model of a copy of the list of records, which a function of others may change."""
     model = fit(list(records))
     if not all(callable(getattr(model, name, None)) for name in ("simulate", "compensate")):
-        raise PluginError(f"its fit returned a {type(model).__name__}, need a model with simulate and compensate")
+        raise TypeError(f"its fit returned a {type(model).__name__}, need a model with simulate and compensate")
     return model
 
 

@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, vector
-from dehyst.baselines.base import AbstractBaseline, widest_record
 from dehyst.model import on_curve
 from dehyst.records import Record
+from dehyst.trust.baselines import AbstractBaseline, widest_record
 
 _PLACES = 50
 # A leg of the major loop covers this part of the longest one; least slope of a branch as a part of the mean slope.

@@ -10,12 +10,12 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, IdentifyError, Record, RecordError
-from dehyst.baselines import AbstractBaseline, ModelComparison, compare
-from dehyst.baselines.comparison import OURS, HeldOut, ModelScore, contenders, scored
-from dehyst.baselines.linear import Linear
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.model import AbstractModel
 from dehyst.report import write_comparison
+from dehyst.trust import AbstractBaseline, ModelComparison, compare
+from dehyst.trust.baselines import Linear
+from dehyst.trust.comparison import OURS, HeldOut, ModelScore, contenders, scored
 
 PLANT = plain_records.plant()
 
