@@ -134,7 +134,7 @@ def _named(records: PathLike | Sequence[PathLike], output: Path) -> dict[str, Pa
         named = [(name, path) for name, path in inside if not any(part.startswith(".") for part in name.parts)]
     else:
         files = [records] if isinstance(records, str | os.PathLike) else records
-        named = [(path, path) for path in (path_of(one, "records") for one in files)]
+        named = [(path, path) for path in (path_of(file, "records") for file in files)]
         for path, _ in named:
             if not path.is_file():
                 got = "a folder among files" if path.is_dir() else "no such file"

@@ -75,6 +75,6 @@ def _bars() -> Any:
         from rich import console, progress
     except ImportError:
         return None
-    name, text = (progress.TextColumn(f"{{task.{one}}}", markup=False) for one in ("description", "fields[text]"))
+    name, text = (progress.TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[text]"))
     bars = name, progress.BarColumn(), progress.TimeRemainingColumn(), text
     return progress.Progress(*bars, console=console.Console(file=sys.stderr)) if sys.stderr.isatty() else None

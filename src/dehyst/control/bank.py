@@ -74,15 +74,15 @@ class Bank:
         if not self.actuators:
             raise ModelError("actuators: got none, need one at least")
         given = {"limits": limits, "slew_rate": slew_rate, "states": states}
-        columns = [for_each(one, len(self.actuators), what) for what, one in given.items()]
+        columns = [for_each(value, len(self.actuators), what) for what, value in given.items()]
         self._compensators: list[Compensator] = []
         for i, (actuator, bounds, slew, state) in enumerate(zip(self.actuators, *columns, strict=True)):
             try:
                 # The bank warns, of all actuators at once.
-                one = Compensator(actuator, bounds, slew, period=period, state=state, warns=False)
-                self._compensators.append(one)
+                compensator = Compensator(actuator, bounds, slew, period=period, state=state, warns=False)
+                self._compensators.append(compensator)
                 # It raises if the period is missing.
-                _ = one._loop
+                _ = compensator._loop
             except ModelError as error:
                 raise of_part(error, f"actuator {i}") from error
         self._warned: set[str] = set()
@@ -148,8 +148,8 @@ class Bank:
             As `step`.
         """
         wanted = self._table(displacement, "displacement")
-        for i, one in enumerate(self._compensators):
-            if sentence := one.straying(wanted[:, i]):
+        for i, compensator in enumerate(self._compensators):
+            if sentence := compensator.straying(wanted[:, i]):
                 raise ModelError(f"actuator {i}: {sentence}")
         result = np.empty(wanted.shape)
         self._follow(wanted, result)
@@ -179,16 +179,16 @@ class Bank:
     @property
     def states(self) -> tuple[State, ...]:
         """State of each actuator after all voltages sent."""
-        return tuple(one.state for one in self._compensators)
+        return tuple(compensator.state for compensator in self._compensators)
 
     @property
     def clamps(self) -> tuple[Clamps, ...]:
         """Numbers of samples clamped so far, of each actuator."""
-        return tuple(one.clamps for one in self._compensators)
+        return tuple(compensator.clamps for compensator in self._compensators)
 
     def snapshot(self) -> tuple[Snapshot, ...]:
         """Return the whole memory, one snapshot for each actuator."""
-        return tuple(one.snapshot() for one in self._compensators)
+        return tuple(compensator.snapshot() for compensator in self._compensators)
 
     def restore(self, snapshots: Sequence[Snapshot]) -> None:
         """Continue from `snapshots`, one for each actuator.
@@ -200,9 +200,9 @@ class Bank:
 
     def reset(self) -> None:
         """Return to the initial states and set the counts of clamped samples to 0."""
-        for one in self._compensators:
-            one.reset()
-        self._loops = Loops([one._loop for one in self._compensators])
+        for compensator in self._compensators:
+            compensator.reset()
+        self._loops = Loops([compensator._loop for compensator in self._compensators])
         self._count_anew()
 
     def _count_anew(self) -> None:

@@ -53,7 +53,7 @@ def _row(now: str, axis: str, check: Recheck) -> list[str]:
     row += [f"{percent(check.without_noise, check.stroke):.4g}", f"{check.goal:.4g}"]
     promised = None if check.promise is None else f"{percent(check.promise.largest, check.stroke):.4g}"
     row += ["", ""] if promised is None else [promised, "yes" if check.kept else "no"]
-    changes = {one.name: one for one in check.changes}
+    changes = {change.name: change for change in check.changes}
     for name, (_, _, factor) in _CHANGES.items():
         change = changes.get(name)
         row += ["", ""] if change is None else [f"{factor * value:.4g}" for value in (change.value, change.error)]

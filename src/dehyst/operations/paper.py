@@ -39,10 +39,10 @@ def paper(run: Run, *, output: Continued = Path("dehyst-paper")) -> Result:
 def _table(found: Paper) -> list[str]:
     """Return the numbers of the paper and of this package for both virtual actuators."""
     lines = []
-    for key, one in found.experiments.items():
+    for key, repeated in found.experiments.items():
         lines.append(f"{_TITLES[key]} (errors against the truth)")
         lines += [f"  {'':<42}{_cells(head)}" for head in _HEADS]
-        for row in summary(one):
+        for row in summary(repeated):
             cells = [row.models.get(name) for name in MODELS] if row.models else [row.actuator, None, None]
             texts = ("" if value is None else f"{value:.3f}" for value in (row.paper, *cells))
             unit = "um" if row.unit == "µm" else row.unit

@@ -79,15 +79,15 @@ def loops_of(records: Record | Sequence[Record], elements: int) -> tuple[BreakPo
             "no closed loop found: the voltage must go up, down and up again between the same two turning points",
             hint="record two cycles, or use dehyst.identify",
         )
-    step = max(one.range for one in groups) / _validation.count(elements, "elements", least=2)
+    step = max(family.range for family in groups) / _validation.count(elements, "elements", least=2)
     loops = [
         BreakPointLoop(
-            one.bottom,
-            one.top,
-            _break_points(one.descending, one.top, one.bottom, step),
-            _break_points(one.ascending, one.bottom, one.top, step),
+            family.bottom,
+            family.top,
+            _break_points(family.descending, family.top, family.bottom, step),
+            _break_points(family.ascending, family.bottom, family.top, step),
         )
-        for one in groups
+        for family in groups
     ]
     return tuple(sorted(loops, key=lambda loop: -loop.range))
 

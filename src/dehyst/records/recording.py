@@ -75,11 +75,11 @@ class Recording:
     def __init__(self, path: PathLike, *, about: Mapping[str, Any] | None = None, others: Sequence[str] = ()) -> None:
         self.path, self.others, self.samples = path_of(path), tuple(others), 0
         channels = [Channel.of(Column(column, np.zeros(1))) for column in self.others]
-        if fault := next((one.fault for one in channels if one.fault), ""):
+        if fault := next((channel.fault for channel in channels if channel.fault), ""):
             raise FileFormatError(argument="others", message=fault)
         if self.path.suffix.lower() != ".csv":
             raise FileFormatError(f"{path}: a recording needs the suffix .csv; rename it")
-        stated = {"others": [one.column for one in channels if one.role == "other"]} if channels else {}
+        stated = {"others": [channel.column for channel in channels if channel.role == "other"]} if channels else {}
         head = to_json({**stated, **(about or {})}, f"{self.path}: about")
         self._failure: FileFormatError | None = None
         self._descriptor: int | None = _opened(self.path)

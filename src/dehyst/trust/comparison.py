@@ -224,8 +224,8 @@ def compare(
     if not given:
         training, held_out = _kept_apart(training)
     rows, stroke = scored(training, held_out, contenders() if models is None else models, progress or (lambda _: None))
-    judged = tuple(one.record.name for one in held_out)
-    return ModelComparison(rows, stroke, tuple(one.name for one in training), judged, apart=not given)
+    judged = tuple(part.record.name for part in held_out)
+    return ModelComparison(rows, stroke, tuple(record.name for record in training), judged, apart=not given)
 
 
 class HeldOut(NamedTuple):
@@ -268,12 +268,12 @@ def scored(
 ) -> tuple[tuple[ModelScore, ...], float]:
     """Fit and score every model; return a row for each, and the training stroke [m]; errors as `compare`."""
     played = [_Played.of(HeldOut(record), "training") for record in training]
-    stroke = max(high - low for low, high in (one.item.span() for one in played))
-    for one in held_out:
-        played.append(_Played.of(one))
+    stroke = max(high - low for low, high in (record.item.span() for record in played))
+    for part in held_out:
+        played.append(_Played.of(part))
         if not played[-1].counted():
             raise IdentifyError(
-                f"{one.record.name}: no sample counts after {one.lead:g} s; need samples after the voltage has been "
+                f"{part.record.name}: no sample counts after {part.lead:g} s; need samples after the voltage has been "
                 "through its range. Give a longer record"
             )
     return tuple(_row(name, fit, training, played, stroke, progress) for name, fit in models.items()), stroke
@@ -287,9 +287,9 @@ class _Played(NamedTuple):
     lead: float
 
     @classmethod
-    def of(cls, one: HeldOut, role: str = "validation") -> _Played:
+    def of(cls, part: HeldOut, role: str = "validation") -> _Played:
         """Prepare a record."""
-        return cls(prepare(one.record), role, float(one.lead))
+        return cls(prepare(part.record), role, float(part.lead))
 
     def score(self, model: AbstractModel, stroke: float) -> RecordScore:
         """Return the errors of a model [% of the stroke]."""
@@ -357,7 +357,7 @@ def _row(
         model = _fitted(fit, training)
         row = replace(row, seconds=time.perf_counter() - begin)
         progress(f"simulating {name}")
-        return replace(row, scores=tuple(one.score(model, stroke) for one in played))
+        return replace(row, scores=tuple(record.score(model, stroke) for record in played))
     except failing as error:
         return replace(row, failure=_reason(error))
 

@@ -111,7 +111,7 @@ class TwoBranches(AbstractBaseline):
         slope = float(np.ptp(record.displacement)) / (high - low)
         branches = []
         for direction, name in ((1, "rises"), (-1, "falls")):
-            chosen = [leg for leg, one in zip(legs, wide & (direction * reach > 0), strict=True) if one]
+            chosen = [leg for leg, there in zip(legs, wide & (direction * reach > 0), strict=True) if there]
             # The first leg may begin anywhere in the hysteresis.
             chosen = chosen[1:] if chosen[1:] and chosen[0].start == 0 else chosen
             if not chosen:
