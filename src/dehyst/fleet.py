@@ -10,9 +10,10 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -155,17 +156,9 @@ def _text(name: Path) -> str:
     return name.as_posix().encode(errors="backslashreplace").decode()
 
 
-def _distributed() -> Any:
-    return library("distributed", "A fleet", "fleet")
-
-
-def _parquet() -> Any:
-    return library("pyarrow.parquet", "A fleet", "fleet")
-
-
 def _computed(client: Any, paths: Mapping[str, Path], read: Callable[[Path], Record]) -> Iterator[_Row]:
     """Yield the row of each record as soon as it is there."""
-    distributed = _distributed()
+    distributed = library("distributed", "A fleet", "fleet")
     futures = client.map(partial(row_of, read), list(paths), list(paths.values()), pure=False)
     names = dict(zip(futures, paths, strict=True))
     # Each result is dropped with its future.
@@ -237,7 +230,7 @@ def _rows_of(path: Path) -> list[_Row]:
     if not path.exists():
         return []
     with reading_errors(path, "Parquet"):
-        table = _parquet().read_table(path)
+        table = library("pyarrow.parquet", "A fleet", "fleet").read_table(path)
     if tuple(table.column_names) != COLUMNS:
         raise FileFormatError(f"{path}: is no table of a fleet; give another name, or remove the file")
     return list(table.to_pylist())
@@ -246,7 +239,7 @@ def _rows_of(path: Path) -> list[_Row]:
 @contextmanager
 def _writing(path: Path, rows: dict[str, _Row]) -> Iterator[Callable[[_Row], None]]:
     """Yield a function that keeps a row; the table is written now and then, and at the end in any case."""
-    _parquet()
+    library("pyarrow.parquet", "A fleet", "fleet")
     written, took = time.monotonic(), 0.0
 
     def write() -> None:
@@ -263,21 +256,31 @@ def _writing(path: Path, rows: dict[str, _Row]) -> Iterator[Callable[[_Row], Non
 
     try:
         yield keep
+    except KeyboardInterrupt as stop:
+        stop.add_note("what was computed is in the table; the same command continues it")
+        raise
     finally:
         write()
 
 
 def _write(path: Path, rows: list[_Row]) -> None:
-    parquet, arrow = _parquet(), library("pyarrow", "A fleet", "fleet")
+    parquet, arrow = library("pyarrow.parquet", "A fleet", "fleet"), library("pyarrow", "A fleet", "fleet")
     kinds = {name: arrow.float64() if name in NUMBERS else arrow.string() for name in COLUMNS}
     content = io.BytesIO()
     parquet.write_table(arrow.Table.from_pylist(rows, schema=arrow.schema(kinds)), content, compression="zstd")
     write_atomically(path, content.getvalue())
 
 
-def dask_setup(_worker: Any) -> None:
-    """Prepare a local worker, which preloads this module: only the client handles Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back; processes that start meanwhile never see it, so that only the client handles it."""
+    # Its start would release all signals.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -285,27 +288,24 @@ def _connected(scheduler: str | None) -> Iterator[Any]:
     """Yield a client of a scheduler, by default of one with local processes, which end with it."""
     from dask import config
 
-    distributed = _distributed()
+    distributed = library("distributed", "A fleet", "fleet")
     try:
         with config.set(_SETTINGS), ExitStack() as opened:
-            # It logs how it lost its scheduler, beside the error that says so.
-            log = logging.getLogger("distributed.client")
+            log = logging.getLogger("distributed")
             opened.callback(log.setLevel, log.level)
             log.setLevel(logging.CRITICAL)
             address: Any = scheduler
             if scheduler is None:
-                local = distributed.LocalCluster(threads_per_worker=1, dashboard_address=None, preload=__name__)
-                address = opened.enter_context(local)
+                with _uninterrupted() if hasattr(signal, "pthread_sigmask") else nullcontext():
+                    silent = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+                    address = opened.enter_context(distributed.LocalCluster(threads_per_worker=1, **silent))
             try:
                 client = opened.enter_context(distributed.Client(address, timeout=_PATIENCE))
                 client.wait_for_workers(1, timeout=_PATIENCE)
             except (OSError, TimeoutError, ValueError) as error:
-                raise LinkError(
-                    argument="scheduler",
-                    got=f"no answer of {scheduler} ({type(error).__name__}: {error})",
-                    need="a Dask scheduler with a worker",
-                    hint="start 'dask scheduler' and 'dask worker ADDRESS' first",
-                ) from error
+                got = f"no answer of {scheduler} ({type(error).__name__}: {error})"
+                need, hint = "a Dask scheduler with a worker", "start 'dask scheduler' and 'dask worker ADDRESS' first"
+                raise LinkError(argument="scheduler", got=got, need=need, hint=hint) from error
             yield client
     except DehystError:
         raise

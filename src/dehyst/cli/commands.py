@@ -26,7 +26,6 @@ from dehyst.operations.run import perform, terminable
 from dehyst.records.tables import ColumnsError, notes_on
 
 _INTERRUPTED = 130
-# What to do first, for `dehyst` alone.
 _FIRST_STEPS = """\
 dehyst demo                                     see it work on a virtual actuator
 dehyst workbench                                all of it on a page in the browser
@@ -35,7 +34,7 @@ dehyst compensate model.json path.csv -o v.csv  the voltages for a path
 dehyst --help                                   all commands, in the order of work"""
 # Commands of this room, beside the operations: where they are, under which heading, and in a few words.
 _OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records")}
-# What an option of a reader is in --columns.
+# The key of --columns for an option of a reader.
 _KEYS = {
     "time": "time=NAME",
     "voltage": "voltage=NAME",
@@ -146,13 +145,14 @@ class OperationCommand(click.Command):
             if one.kind.several and one.kind.role and not one.positional
         }
         known = {name for each in self.get_params(ctx) for name in (*each.opts, *each.secondary_opts)}
-        spread: list[str] = []
-        inside = ""
+        spread, inside = list[str](), ""
         for word in args:
             # Click leaves unknown options to the numbers, which may be negative.
             option = word.partition("=")[0]
             if option.startswith("--") and option not in known | {"--"}:
-                raise click.NoSuchOption(option, possibilities=get_close_matches(option, known), ctx=ctx)
+                rare = any(flag(one.name) == option for one in self.operation.rare)
+                words = f"{option} belongs into a file of --options." if rare else None
+                raise click.NoSuchOption(option, words, get_close_matches(option, known, cutoff=0.75), ctx)
             if inside and not word.startswith("-") and spread[-1] != inside:
                 spread.append(inside)
             inside = word if word in many else inside if not word.startswith("-") else ""

@@ -71,7 +71,12 @@ BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand
 
 
 class ReadbackError(DeviceError):
-    """A voltage that is read, and contradicts the one that was sent."""
+    """A voltage that is `read` [V], and contradicts the one that was `sent` [V]."""
+
+    def __init__(self, name: str, sent: float, read: float) -> None:
+        need, hint = f"{sent:.6g} V, as was sent", "check the readback and its cable, the amplifier, servo and channel"
+        super().__init__(argument=name, got=f"a reading of {read:.6g} V", need=need, hint=hint)
+        self.sent, self.read = sent, read
 
 
 class VoltageNote(str):
@@ -533,12 +538,7 @@ class AbstractRig(ABC):
             if low - self._tolerance <= read <= high + self._tolerance:
                 return read
             yield
-        raise ReadbackError(
-            argument=self.name,
-            got=f"a reading of {read:.6g} V",
-            need=f"{sent:.6g} V, as was sent",
-            hint="check the readback and its cable; is the amplifier on, the servo off and the channel the right one?",
-        )
+        raise ReadbackError(self.name, sent, read)
 
     @property
     def _tolerance(self) -> float:
@@ -586,8 +586,8 @@ class AbstractRig(ABC):
             with suppress(Exception):
                 self.close()
             if isinstance(error, ReadbackError):
-                contradiction = f"the instrument contradicts: {error.got}, need {error.need}"
-                return VoltageNote(f"{safe} V was sent{to}, but {contradiction}; see to it by hand.", safe=False)
+                wrong = f"the readback gave {error.read:.6g} V where {error.sent:.6g} V had been sent"
+                return VoltageNote(f"{safe} V was sent{to}, but {wrong}; see to it by hand.", safe=False)
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(error) == str(cause) else f" ({error})"
             failure = f"The voltage{of} could not be brought to {safe} V{why}"

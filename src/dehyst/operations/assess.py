@@ -156,9 +156,9 @@ def check(
     goal
         Largest error [% of the stroke] with which the model is still true; default: the model's, or 1.
     log
-        Append the check to this table (CSV), one row an axis; a file that is not there is begun.
+        Append the check to this table (CSV), one row an axis; a new one, or any with --force, begins with a header.
     """
-    before = None if log is None else read_log(log)
+    before = None if log is None else read_log(log, again=run.force)
     known = AxesModel.read(run, model)
     (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
     (measured,) = columns.records((record,), axes=known.pairs(columns))

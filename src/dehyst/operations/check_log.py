@@ -27,11 +27,11 @@ _COLUMNS = (
 )
 
 
-def read_log(path: Path) -> bytes:
-    """Return a table of checks; if the file is new or empty, its header. Raise `FileFormatError` if it is another."""
+def read_log(path: Path, *, again: bool = False) -> bytes:
+    """Return a table of checks, or the header of one that begins; raise `FileFormatError` if it is another table."""
     header = ",".join(_COLUMNS).encode() + b"\n"
     try:
-        before = (path.read_bytes() if path.exists() else b"") or header
+        before = (path.read_bytes() if path.exists() and not again else b"") or header
     except OSError as error:
         raise unwritten(path, error) from error
     if not before.startswith(header):

@@ -13,7 +13,7 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.report import write_comparison
 from dehyst.trust import ModelComparison
 from dehyst.trust import compare as run_comparison
-from dehyst.trust.comparison import OURS, ModelScore, contenders
+from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
 
 
 @operation(run_comparison)
@@ -58,7 +58,8 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
     names = {name.casefold(): name for name in known}
     for name in only:
         if name.casefold() not in names:
-            raise IdentifyError(f"no model '{name}'", argument="only", hint=f"try {', '.join(map(repr, known))}")
+            hint = f"try {', '.join(map(repr, known))}; more by {RIVALS}"
+            raise IdentifyError(f"no model '{name}'", argument="only", hint=hint)
     return {names[name.casefold()]: known[names[name.casefold()]] for name in only} or known
 
 

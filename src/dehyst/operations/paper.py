@@ -45,8 +45,7 @@ def _table(found: Paper) -> list[str]:
         for row in summary(repeated):
             cells = [row.models.get(name) for name in MODELS] if row.models else [row.actuator, None, None]
             texts = ("" if value is None else f"{value:.3f}" for value in (row.paper, *cells))
-            unit = "um" if row.unit == "µm" else row.unit
-            lines.append(f"  {row.quantity + ', ' + unit:<42}{_cells(texts)}")
+            lines.append(f"  {row.quantity + ', ' + row.unit.replace('µ', 'u'):<42}{_cells(texts)}")
         lines.append("")
     return lines
 

@@ -16,7 +16,7 @@ import pytest
 LIMITS, SLEW = (0.0, 200.0), 2000.0
 GOES_ON = r"the records .*/records; the same command .*"
 SAFE = r"The voltage was brought to 0 V\."
-DENIED = r"0 V was sent, but the instrument contradicts: a reading of \S+ V, need \S+ V, as was sent; see to it"
+DENIED = r"0 V was sent, but the readback gave \S+ V where \S+ V had been sent; see to it"
 LOST = r"The voltage could not be brought to 0 V.*: the device holds, or plays to its end, what it has; see to it"
 
 # Exit status, and what is said, line by line.
