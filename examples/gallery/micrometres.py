@@ -17,7 +17,7 @@ tops = descending_tops(200, drive=Sampling(sample_rate=4))
 sensor = 1e6 * stage.play(tops.voltage)  # your sensor reads micrometres
 
 # %%
-# ``dehyst.read("loops.csv", units="um")`` is for a file that does not state the unit.
+# ``dehyst.read("loops.csv", "displacement=:um")`` is for a file that does not state the unit.
 record = dehyst.Record.from_arrays(tops.time, tops.voltage, sensor, units="um")
 fit = dehyst.identify(record)
 print(record)

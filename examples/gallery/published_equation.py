@@ -17,8 +17,8 @@ import dehyst
 # %%
 # The file is in the repository, in ``examples/measured/sine150``, with its source and licence, and is read as its
 # authors published it. They took two cycles of a sine for training; neither model has seen what is before these.
-columns = "-,time:s,displacement:um,voltage:V"
-record = dehyst.read("../measured/sine150/hysteresis_v_150_1hz.csv", columns=columns)
+columns = "time=2:s, displacement=3:um, voltage=4:V"
+record = dehyst.read("../measured/sine150/hysteresis_v_150_1hz.csv", columns)
 training, before = record[35_000:45_000].with_name("training"), record[:35_000].with_name("not seen")
 fit = dehyst.identify(training, validate=before)
 print(fill(" ".join(fit.summary().splitlines()[:2]), 85))

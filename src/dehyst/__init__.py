@@ -66,7 +66,7 @@ if TYPE_CHECKING:
         Thermal,
         Transformer,
     )
-    from dehyst.records import Record, read, write_record
+    from dehyst.records import Columns, Record, read, write_record
     from dehyst.trust import check, compare, insight, update  # type: ignore[no-redef]
 
 # Each public name and the room it is imported from when it is first used: a control loop loads no identification.
@@ -81,7 +81,7 @@ _ROOM_OF = {
         "calibration": "calibrate",
         "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
         "Spring Stage State Thermal Transformer",
-        "records": "Record read write_record",
+        "records": "Columns Record read write_record",
         "trust": "check compare insight update",
     }.items()
     for name in names.split()
@@ -89,7 +89,7 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper", "report", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Command", "Compensator", "Creep"]
+__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Command", "Compensator", "Creep"]
 __all__ += ["DehystError", "DisplacementCreep", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError"]
 __all__ += ["MaxwellSlip", "MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record"]
 __all__ += ["RecordError", "RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage"]

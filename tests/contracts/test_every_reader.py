@@ -117,7 +117,7 @@ def test_damaged_files_are_read_or_refused(path):
 
 def test_the_limit_of_bytes_holds(path):
     with pytest.raises(FileFormatError, match="allow"):
-        read(path, max_bytes=path.stat().st_size - 1)
+        read(path, f"max_size={(path.stat().st_size - 1) / 1e6}")
 
 
 def test_the_allowance_of_memory_holds(path):

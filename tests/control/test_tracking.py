@@ -89,7 +89,7 @@ def test_what_the_truth_has_is_found():
 def test_the_rest_of_a_measured_record_is_predicted():
     """Learnt to the middle of a hold in which nothing creeps, played on over the ramp up; 0.79/0.21 % were measured."""
     major, ramps = (
-        dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
+        dehyst.read(DATA / f"{name}.csv", "voltage=drive_V, displacement=displacement_um")
         for name in ("major", "ramps")
     )
     fit = dehyst.identify(

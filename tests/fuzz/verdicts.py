@@ -1,6 +1,6 @@
 """What becomes of each laboratory file, trap and innocent twin: write the table once, and compare after each change.
 
-A verdict is what `dehyst.read` makes of a file, with the options that a user knows, then with those that the message
+A verdict is what `dehyst.read` makes of a file, with the columns that a user knows, then with those that the message
 proposes: the numbers of the record, or the class and the argument of the error.
 
     python tests/fuzz/verdicts.py write FILE.json
@@ -30,31 +30,30 @@ from dehyst._errors import DehystError
 PROPOSALS = 3
 
 
-def specimens() -> Iterator[tuple[str, Any, str, dict[str, Any]]]:
+def specimens() -> Iterator[tuple[str, Any, str, str]]:
     """Yield each specimen: its name, the function that writes it, its file's name, and what a user knows of it."""
-    options_of = laboratory_files.options_of
     for name, (write, words) in laboratory_files.FILES.items():
-        yield f"file {name}", write, name, options_of(words)
+        yield f"file {name}", write, name, words
     for kind, table in (("trap", laboratory_containers.TRAPS), ("twin", laboratory_containers.TWINS)):
         for name, (write, words) in table.items():
-            yield f"{kind} {name}", write, name, options_of(words)
+            yield f"{kind} {name}", write, name, words
     for name, trap in text_traps.TRAPS.items():
-        yield f"text trap: {name}", trap.trap, f"a{trap.suffix}", dict(trap.options)
-        yield f"text twin: {name}", trap.twin, f"a{trap.suffix}", dict(trap.twin_options)
+        yield f"text trap: {name}", trap.trap, f"a{trap.suffix}", trap.options
+        yield f"text twin: {name}", trap.twin, f"a{trap.suffix}", trap.twin_options
 
 
-def verdict(path: str, options: dict[str, Any]) -> dict[str, Any]:
+def verdict(path: str, columns: str) -> dict[str, Any]:
     """Return what becomes of a file; proposals are taken as they are."""
-    proposed: list[dict[str, str]] = []
+    proposed: list[str] = []
     for _ in range(PROPOSALS):
         try:
-            record = dehyst.read(path, **options)
+            record = dehyst.read(path, columns)
         except DehystError as error:
-            more = getattr(error, "options", None)
-            if not more or more.items() <= options.items():
+            more = getattr(error, "proposal", "")
+            if not more or more == columns:
                 return {"refused": type(error).__name__, "proposed": proposed}
-            proposed.append({key: str(value) for key, value in more.items()})
-            options = options | more
+            proposed.append(more)
+            columns = more
         else:
             ends = (record.time[[0, -1]], record.voltage[[0, -1]], record.displacement[[0, -1]])
             ranges = (np.ptp(record.time), np.ptp(record.voltage), np.ptp(record.displacement))
@@ -72,12 +71,12 @@ def verdict(path: str, options: dict[str, Any]) -> dict[str, Any]:
 def verdicts() -> dict[str, Any]:
     """Return the verdicts of all specimens by name."""
     found, home = {}, Path.cwd()
-    for name, write, file, options in specimens():
+    for name, write, file, columns in specimens():
         with tempfile.TemporaryDirectory() as folder:
             os.chdir(folder)
             try:
                 write(Path(file))
-                found[name] = verdict(file, options)
+                found[name] = verdict(file, columns)
             finally:
                 os.chdir(home)
     return found

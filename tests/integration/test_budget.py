@@ -14,7 +14,7 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1388,
-    "cli": 692,
+    "cli": 680,
     "control": 4485,
     "exports": 1382,
     "fleet": 314,
@@ -22,7 +22,7 @@ ROOMS = {
     "identification": 10019,
     "instruments": 2874,
     "model": 3713,
-    "operations": 4451,
+    "operations": 4182,
     "paper": 1089,
     "records": 5096,
     "report": 1973,
@@ -34,13 +34,13 @@ ROOMS = {
     "workbench": 2645,
 }
 HOUSE = {
-    "lines of Python": 48352,
+    "lines of Python": 48129,
     "files of Python": 228,
     "lines of C and C++": 5715,
     "lines of JavaScript and CSS": 3089,
-    "lines of tests": 43300,
+    "lines of tests": 43171,
     "lines of benchmarks": 6595,
-    "words of docs": 38000,
+    "words of docs": 36851,
     "public names": 133,
     "commands": 16,
     "options": 139,

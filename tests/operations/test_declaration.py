@@ -1,22 +1,17 @@
 """One declaration of an operation: words of a command line and JSON mean the same, and what is wrong is refused."""
 
 import json
-import re
 import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dehyst.cli.commands import OperationCommand
 from dehyst.operations.axes import Limit, Slew
 from dehyst.operations.declaration import Input, OperationError, Output, beside, operation
-from dehyst.operations.files import Columns
 from dehyst.operations.paths import Zero
-from dehyst.operations.registry import ENTRIES, find
 from dehyst.operations.run import Result, Run, perform
 from dehyst.operations.start import Start
 
@@ -163,54 +158,6 @@ def test_what_has_no_effect_is_refused():
     with pytest.raises(OperationError) as refused:
         perform(sample, {"file": Path("a")}, Run(), force=True)
     assert refused.value.argument == "force"
-
-
-@pytest.mark.parametrize("name", ENTRIES)
-def test_every_option_is_documented(name):
-    found = find(name)
-    assert found.summary.endswith(".") and found.name == name
-    assert [one.name for one in found.parameters if not one.help and not one.positional] == []
-    helps = [one.help for one in found.parameters if one.help]
-    assert len(set(helps)) == len(helps)
-    # "minor-loop:  stage: ..." is an option without a text where several functions have it.
-    assert [one for one in helps if re.search(r": +($|\[default|\w[\w, -]*: )", one)] == []
-    numbers = [one for one in found.parameters if type(one.default) in (int, float) and not one.positional]
-    assert [one.name for one in numbers if "default" not in one.whole_help] == []
-
-
-NAMES = st.text(st.characters(codec="utf-8", exclude_characters="=?*\n\r\0", exclude_categories=["C", "Z"]), min_size=1)
-COLUMNS = st.builds(
-    Columns,
-    time=st.none() | NAMES,
-    voltage=NAMES,
-    displacement=st.none() | NAMES.map(lambda name: f"{name}:um?"),
-    voltage_scale=st.none() | st.sampled_from(["100 V/V", "-0.5 V/mV", "GAIN V/V"]),
-    sample_rate=st.none() | st.floats(0.1, 1e6).map(lambda rate: float(f"{rate:.6g}")),
-    join=st.none() | st.just(Path("other file.csv")),
-    decimal=st.none() | st.sampled_from(",."),
-    max_bytes=st.sampled_from([5e8, 1e9]),
-    axes=st.dictionaries(
-        st.sampled_from(["x", "y", "z"]), st.sampled_from(["v_V:y_um", "V [V]*15:y, up [um]*-1um/um"])
-    ),
-)
-
-
-@given(COLUMNS)
-def test_columns_are_a_text_and_back(columns):
-    assert Columns.parse(str(columns)) == columns
-
-
-def test_columns_take_what_an_error_suggests():
-    before = Columns.parse("time=t:s, decimal=comma")
-    found = Columns.of_options({"voltage": "CH1?", "voltage_scale": "GAIN V/V"}, before)
-    assert str(found) == "time=t:s, voltage=CH1?*GAIN, decimal=comma"
-    assert str(Columns.of_options({"columns": "time:s?,-,voltage:V"})) == "time=1:s?, voltage=3:V"
-
-
-@pytest.mark.parametrize("text", ["voltage", "voltage=", "=V", "time=a, time=b", "rate=HZ", "decimal=.", "x=1, x=2"])
-def test_columns_that_are_none_are_refused(text):
-    with pytest.raises(ValueError, match=r"got|need"):
-        Columns.parse(text)
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ def laboratory(tmp_path_factory):
     voltage = 40 + 35 * np.sin(2 * np.pi * time)
     moved = 1e6 * model.simulate(voltage).displacement
     record = {"time_s": time, "voltage_V": voltage, "displacement_um": moved}
-    more = {"monitor_V": 1.1 * voltage, "back_um": 1.2 * moved, "clock_s": 2 * time}
+    more = {"bare": 0.1 * voltage, "monitor_V": 1.1 * voltage, "back_um": 1.2 * moved, "clock_s": 2 * time}
     write_columns(folder / "record.csv", record | more)
     write_columns(folder / "other.csv", {"time_s": time, "extra_um": 0.9 * moved})
     rows = zip(time + 1, voltage + 1, moved + 1, strict=True)
@@ -105,8 +105,8 @@ KEYS = {
     "voltage scale": ("record.csv", "", "voltage=voltage_V*1.1"),
     "displacement": ("record.csv", "", "displacement=back_um"),
     "displacement scale": ("record.csv", "displacement=monitor_V*0.09um/V", "displacement=monitor_V*0.08um/V"),
-    "rate": ("record.csv", "", "names=-|voltage:V|displacement:um|-|-|-, rate=300"),
-    "names": ("record.csv", "", "names=-|-|displacement:um|voltage:V|-|time:s"),
+    "rate": ("record.csv", "", "rate=50"),
+    "temperature": ("record.csv", "", "temperature=bare:C"),
     "join": ("record.csv", "", "join=other.csv, displacement=extra_um"),
     "decimal": ("commas.txt", "", "decimal=comma"),
     "max_size": ("record.csv", "", "max_size=0.0001"),

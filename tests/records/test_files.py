@@ -216,59 +216,6 @@ def test_broken_text(tmp_path, case):
         read(text(tmp_path, BROKEN[case]))
 
 
-def test_chosen_columns(tmp_path):
-    path = text(tmp_path, "time_s,level,piezo_V,drive_V,gauge 1 (nm),y_um\n0,7,1,2,3,4\n1,7,5,6,7,8\n")
-    record = read(path, voltage="piezo_V", displacement="gauge 1 (nm)")
-    assert record.voltage.tolist() == [1, 5]
-    assert record.displacement == pytest.approx([3e-9, 7e-9])
-    assert record.meta["columns"] == {"time": "time_s", "voltage": "piezo_V", "displacement": "gauge 1 (nm)"}
-    assert read(path, voltage="piezo").voltage.tolist() == [1, 5]
-    assert read(path, voltage="level:mV").voltage == pytest.approx([7e-3, 7e-3])
-    with pytest.raises(FileFormatError, match=r"column 'level' has no unit.*voltage \"level:V\?\"") as refused:
-        read(path, voltage="level")
-    assert refused.value.change == ("voltage",)
-    with pytest.raises(FileFormatError, match="unit 'bar', unknown"):
-        read(path, voltage="level:bar")
-    with pytest.raises(FileFormatError, match="file holds 'time_s', 'level'"):
-        read(path, voltage="absent")
-    double = text(tmp_path, "time_s,a_V,a_V,y_um\n0,1,2,3\n1,2,3,4\n", "b.csv")
-    with pytest.raises(FileFormatError, match="2 columns fit: 'a_V', 'a_V' as column 'a_V' for voltage"):
-        read(double, voltage="a_V")
-
-
-def test_chosen_columns_in_groups(tmp_path):
-    path = tmp_path / "a.h5"
-    with h5py.File(path, "w") as file:
-        for group, gain in (("one", 1), ("two", 2)):
-            for name, values in NAMED.items():
-                file[f"{group}/{name}"] = values * (gain if name == "voltage_V" else 1)
-        file["two/only_V"] = 3 * V
-    common = {"time": "one/time_ms", "displacement": "/two/displacement_um"}
-    assert read(path, voltage="two/voltage_V", **common).voltage == pytest.approx(2 * V)
-    assert read(path, voltage="only_V", **common).voltage == pytest.approx(3 * V)
-    with pytest.raises(FileFormatError, match="2 columns fit: 'one/voltage_V', 'two/voltage_V'"):
-        read(path, voltage="voltage_V", **common)
-    with pytest.raises(FileFormatError, match="2 columns fit"):
-        read(path)
-
-
-def test_sample_rate(tmp_path):
-    path = text(tmp_path, "voltage_V,y_um\n0,1\n1,2\n2,3\n")
-    record = read(path, sample_rate=200)
-    assert record.time.tolist() == [0, 0.005, 0.01]
-    assert record.meta["columns"]["time"] == "index / 200 Hz"
-    for rate in (0, -1, float("nan"), float("inf")):
-        with pytest.raises(FileFormatError, match="number above 0"):
-            read(path, sample_rate=rate)
-    timed = text(tmp_path, HEAD + "0,1,2\n1,2,3\n", "b.csv")
-    with pytest.raises(FileFormatError, match="time column 'time_s'"):
-        read(timed, sample_rate=200)
-    with pytest.raises(FileFormatError, match="time column 'voltage_V'"):
-        read(path, sample_rate=200, time="voltage_V")
-    counted = text(tmp_path, "time_ticks,voltage_V,y_um\n0,1,2\n9,2,3\n", "c.csv")
-    assert read(counted, sample_rate=10).time.tolist() == [0, 0.1]
-
-
 def test_no_permission(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError
@@ -329,23 +276,6 @@ def test_rounded_columns_have_no_tails_and_keep_within_their_range(tmp_path):
     lines = (tmp_path / "a.csv").read_text().splitlines()[-4:]
     # The least and the largest would grow by rounding.
     assert lines == ["0.005,nan", "33.3333333333,nan", "-109.99999999999999,nan", "99.9876543219876,nan"]
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("voltage", 3),
-        ("displacement", ["y"]),
-        ("voltage_scale", 100),
-        ("columns", ["time:s", "voltage:V"]),
-        ("sample_rate", "4"),
-        ("join", 3),
-    ],
-)
-def test_an_argument_of_another_kind_is_named(tmp_path, argument, value):
-    write_record(tmp_path / "a.csv", Record(T, V, Y))
-    with pytest.raises(FileFormatError, match=argument):
-        read(tmp_path / "a.csv", **{argument: value})
 
 
 OTHER_PATHS = {

@@ -19,7 +19,7 @@ DATA = places.DATA
 
 @cache
 def read(name):
-    return dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
+    return dehyst.read(DATA / f"{name}.csv", "voltage=drive_V, displacement=displacement_um")
 
 
 @cache

@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-import dehyst
 from dehyst import FileFormatError, MissingExtraError, Record, RecordError
 from dehyst._units import per_metre
-from dehyst.records.formats.columns import Column, Table
+from dehyst.records import Table
+from dehyst.records.formats.columns import Column
 
 TIME, VOLTS, MICROMETRES = np.arange(5) / 4, np.array([0.0, 5.0, 10.0, 5.0, 0.0]), np.array([1.0, 2.0, 3.5, 2.5, 1.2])
 RECORD = Record(TIME, VOLTS, MICROMETRES / 1e6, "stage")
@@ -57,23 +57,6 @@ def test_a_missing_library_says_what_to_install(monkeypatch):
         RECORD.to_dataframe()
 
 
-def test_a_file_without_a_unit_is_read_in_the_one_given(tmp_path):
-    rows = "\n".join(f"{t},{v},{y}" for t, v, y in zip(TIME, VOLTS, MICROMETRES, strict=True))
-    bare, stated = tmp_path / "bare.csv", tmp_path / "stated.csv"
-    bare.write_text(f"time_s,voltage_V,displacement\n{rows}\n")
-    stated.write_text(f"time_s,voltage_V,displacement_um\n{rows}\n")
-    with pytest.raises(FileFormatError, match="no unit"):
-        dehyst.read(bare)
-    assert same(dehyst.read(bare, units="um"), RECORD)
-    assert same(dehyst.read(bare, units="um", displacement="displacement"), RECORD)
-    assert same(dehyst.read(stated, units="um"), RECORD)
-    assert same(dehyst.read(stated, units="µm"), RECORD)
-    with pytest.raises(FileFormatError, match="the unit 'nm'"):
-        dehyst.read(stated, units="nm")
-    with pytest.raises(FileFormatError, match="units: got 'V'"):
-        dehyst.read(bare, units="V")
-
-
 @pytest.mark.parametrize("names", ["xyz", "xy", "yz"])
 def test_several_axes_and_one_voltage_are_ambiguous(names):
     columns = tuple(Column(f"{name}_um", MICROMETRES) for name in names)
@@ -81,7 +64,7 @@ def test_several_axes_and_one_voltage_are_ambiguous(names):
     with pytest.raises(FileFormatError) as caught:
         table.select("displacement")
     assert all(f"'{name}_um'" in str(caught.value) for name in names)
-    assert caught.value.change == ("displacement",)
+    assert caught.value.change == ("columns",)
     assert table.select("displacement", "y_um").column is columns[names.index("y")]
 
 

@@ -8,7 +8,7 @@ from text_traps import FAST, HEAD, NM, NOISE, NOISY, TRAPS, comma, drive, point,
 
 import dehyst
 from dehyst._errors import DehystError, FileFormatError
-from dehyst.records import read, read_table
+from dehyst.records import Columns, read, read_table
 from dehyst.records.formats.timestamps import clock_of, moment
 
 # Of the range: what rounding, straight lines between samples and the noise of a sensor leave.
@@ -29,7 +29,7 @@ def is_right(record, start=0.0):
 def end_of(path, options, start):
     """What becomes of a file, and the words that say so."""
     try:
-        record = read(path, **options)
+        record = read(path, options)
     except DehystError as error:
         return "refused", str(error)
     if is_right(record, start):
@@ -53,7 +53,7 @@ def test_every_innocent_twin_is_read(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     trap = TRAPS[name]
     trap.twin(tmp_path / f"a{trap.suffix}")
-    record = read(f"a{trap.suffix}", **trap.twin_options)
+    record = read(f"a{trap.suffix}", trap.twin_options)
     assert is_right(record)
     assert "remarks" not in record.meta
 
@@ -79,8 +79,8 @@ def test_a_stated_decimal_sign_resolves_it(name, decimal, tmp_path):
     trap = TRAPS[name]
     path = tmp_path / f"a{trap.suffix}"
     trap.trap(path)
-    assert f'"{decimal}"' in end_of(path, {}, 0)[1]
-    assert is_right(read(path, decimal=decimal))
+    assert f'"{decimal}"' in end_of(path, None, 0)[1]
+    assert is_right(read(path, Columns(decimal=decimal)))
 
 
 @pytest.mark.parametrize(
@@ -137,13 +137,13 @@ def test_what_no_cell_decides_is_refused(tmp_path, sign, cells):
 def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
     table(";", HEAD, point(T, 3), point(V, 4), point(UM, 5))(tmp_path / "a.csv")
     with pytest.raises(FileFormatError, match=r"line 2, column 'time_s' holds '0\.000'"):
-        read(tmp_path / "a.csv", decimal=",")
+        read(tmp_path / "a.csv", "decimal=comma")
     for nonsense in ("", ";", 5, True):
         with pytest.raises(FileFormatError, match="decimal: got"):
-            read(tmp_path / "a.csv", decimal=nonsense)
+            Columns(decimal=nonsense)
     np.savez(tmp_path / "a.npz", time_s=T, voltage_V=V, displacement_um=UM)
     with pytest.raises(FileFormatError, match="decimal: got"):
-        read(tmp_path / "a.npz", decimal=".")
+        read(tmp_path / "a.npz", "decimal=point")
 
 
 @pytest.mark.parametrize(
@@ -172,9 +172,9 @@ def test_a_header_that_can_be_read_in_two_ways_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text(f"Sample rate;10,000;Hz\n{(tmp_path / 'a.csv').read_text()}")
     with pytest.raises(FileFormatError, match=r"'10,000'.*decimal"):
         read(tmp_path / "a.csv")
-    steps = {sign: read(tmp_path / "a.csv", decimal=sign).time[1] for sign in ".,"}
+    steps = {sign: read(tmp_path / "a.csv", Columns(decimal=sign)).time[1] for sign in ".,"}
     assert steps == pytest.approx({".": 1e-4, ",": 0.1})
-    assert read(tmp_path / "a.csv", sample_rate=50).time[1] == pytest.approx(0.02)
+    assert read(tmp_path / "a.csv", "rate=50").time[1] == pytest.approx(0.02)
     table(";", "voltage_V,displacement_um", point(V, 2), point(UM, 2))(tmp_path / "b.csv")
     (tmp_path / "b.csv").write_text(f"Sample rate;10,000;Hz\nSample interval;0,05\n{(tmp_path / 'b.csv').read_text()}")
     with pytest.raises(FileFormatError, match="10,000"):
@@ -217,19 +217,20 @@ def test_timestamps_of_two_meanings(cells):
 
 def test_a_unit_that_the_user_selects_ends_a_contradiction(tmp_path):
     TRAPS["a row of units against the names"].trap(tmp_path / "a.csv")
-    names = {"time": "time_s:s", "voltage": "voltage_V:V", "displacement": "displacement_um:um"}
-    assert is_right(read(tmp_path / "a.csv", **names))
-    assert np.ptp(read(tmp_path / "a.csv", **names | {"voltage": "voltage_V:mV"}).voltage) == pytest.approx(0.1)
-    assert is_right(read(tmp_path / "a.csv", columns="time:s,voltage:V,displacement:um"))
-    for columns in ("time,voltage:V,displacement:um", "time:s,voltage:V,displacement"):
-        with pytest.raises(FileFormatError, match="needs a unit"):
-            read(tmp_path / "a.csv", columns=columns)
+    names = "time=time_s:s, displacement=displacement_um:um"
+    assert is_right(read(tmp_path / "a.csv", f"{names}, voltage=voltage_V:V"))
+    assert np.ptp(read(tmp_path / "a.csv", f"{names}, voltage=voltage_V:mV").voltage) == pytest.approx(0.1)
+    assert is_right(read(tmp_path / "a.csv", "time=1:s, voltage=2:V, displacement=3:um"))
+    for columns in ("time=1, voltage=2:V, displacement=3:um", "time=1:s, voltage=2:V, displacement=3"):
+        with pytest.raises(FileFormatError) as caught:
+            read(tmp_path / "a.csv", columns)
+        assert caught.value.change == ()
 
 
 @pytest.mark.parametrize("name", ["days and months", "an hour of summer time"])
 def test_a_sample_rate_replaces_timestamps_that_are_refused(name, tmp_path):
     TRAPS[name].trap(tmp_path / "a.csv")
-    assert is_right(read(tmp_path / "a.csv", sample_rate=500.0))
+    assert is_right(read(tmp_path / "a.csv", "rate=500.0"))
 
 
 def test_a_number_is_not_cut_off_where_a_comment_may_begin(tmp_path):
@@ -244,7 +245,7 @@ def test_a_joined_sensor_keeps_its_noise(tmp_path):
     drive(point(T, 3), "time_s")(tmp_path / "a.csv")
     table(",", "time_s,displacement_um", point(FAST, 9), point(NOISY, 9))(tmp_path / "b.csv")
     for first, second in (("a.csv", "b.csv"), ("b.csv", "a.csv")):
-        record = read(tmp_path / first, join=tmp_path / second)
+        record = read(tmp_path / first, f"join={tmp_path / second}")
         assert record.noise == pytest.approx(NOISE * 1e-6, rel=0.1)
         assert record.sample_time == pytest.approx(1 / 1777)
 
@@ -257,7 +258,7 @@ def test_the_files_that_are_joined_decide_the_order_of_days_and_months(tmp_path,
         tmp_path / "b.csv"
     )
     for first, second in (("a.csv", "b.csv"), ("b.csv", "a.csv")):
-        record = read(tmp_path / first, join=tmp_path / second)
+        record = read(tmp_path / first, f"join={tmp_path / second}")
         assert record.displacement == pytest.approx(1e-6 * UM[100:], abs=1e-10)
         assert record.voltage == pytest.approx(V[100:], abs=1e-3)
 
@@ -269,14 +270,14 @@ def test_dates_of_two_orders_that_both_overlap_are_refused(tmp_path):
     dates = stamps(T, "2026-04-03T12:00:00", "%d/%m/%Y %H:%M:%S.%f")
     table(",", "timestamp,displacement_um", dates, point(UM, 6))(tmp_path / "b.csv")
     with pytest.raises(FileFormatError, match="month/day/year"):
-        read(tmp_path / "a.csv", join=tmp_path / "b.csv")
+        read(tmp_path / "a.csv", f"join={tmp_path / 'b.csv'}")
 
 
 def test_a_file_whose_time_cannot_be_read_is_not_joined_by_its_samples(tmp_path):
     drive(point(T, 3), "time_s")(tmp_path / "a.csv")
     table(",", "time_s,displacement_um", ["x", *point(T[1:], 3)], point(UM, 6))(tmp_path / "b.csv")
     with pytest.raises(FileFormatError, match="line 2 holds 'x'"):
-        read(tmp_path / "a.csv", join=tmp_path / "b.csv")
+        read(tmp_path / "a.csv", f"join={tmp_path / 'b.csv'}")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator Bank ClampWarning Command Compensator Creep DehystError DisplacementCreep
+            Actuator Bank ClampWarning Columns Command Compensator Creep DehystError DisplacementCreep
             Dynamics FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion
             Outcome Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage
             StageCompensator StageFit State Structure Thermal Trace Transformer VoltageLimits __version__ calibrate
@@ -41,7 +41,7 @@ FACES = {
             Physical Promise SmoothSlip Spring Stage State Thermal Transformer Validity promise simulated
         """,
         "records": """
-            Record read read_table write_columns write_record
+            Columns Record read write_columns write_record
         """,
         "report": """
             write_calibration write_comparison write_insight write_record_page write_report

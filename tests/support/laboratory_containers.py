@@ -139,7 +139,7 @@ TRAPS: dict[str, tuple[Writer, str]] = {
     "index.csv": (text("Index,Drive (V),Pos (um)", INDEX, V, UM), ""),
     "group.h5": (hdf5({"x": "nm"}, time=(T, "s"), voltage=(V, "V"), x__position=(NM, "")), ""),
     "clock.h5": (hdf5({"clock": "ms"}, **DATA), ""),
-    "gap.parquet": (parquet(0.7), "--sample-rate 500"),
+    "gap.parquet": (parquet(0.7), "rate=500"),
     "late.tdms": (tdms(0.0, 0.1), ""),
     "order.npy": (lambda path: np.save(path, np.array([T, UM, V])), ""),
     "regler.csv": (text("Zeit [ms];Ausgang Regler [mV];Weg [um]", T * 1e3, V * 66.7, UM, sign=";"), ""),
@@ -167,11 +167,11 @@ TWINS: dict[str, tuple[Writer, str]] = {
     "order.npy": (structured, ""),
     "regler.csv": (
         text("Zeit [ms];Ausgang Regler [V];Weg [um]", T * 1e3, V, UM, sign=";"),
-        "--voltage 'Ausgang Regler [V]'",
+        "voltage=Ausgang Regler [V]",
     ),
     "ao.h5": (
         hdf5({}, time=(T, "s"), AO0=(V / 20, "V"), position=(UM, "um")),
-        "--voltage AO0 --voltage-scale '20 V/V'",
+        "voltage=AO0*20",
     ),
     "small.mat": (
         lambda path: scipy.io.savemat(path, {"data": {"time_s": T, "voltage_V": V, "pos_um": UM}}),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -40,13 +39,6 @@ def rows(*columns: np.ndarray, sign: str = ",", number: str = "%.9g") -> str:
 
 def german(text: str) -> str:
     return text.replace(".", ",")
-
-
-def options_of(words: str) -> dict[str, str | float]:
-    """The arguments of `dehyst.read` for options of the command line."""
-    given = shlex.split(words)
-    pairs = zip(given[::2], given[1::2], strict=True)
-    return {k.removeprefix("--").replace("-", "_"): float(v) if k == "--sample-rate" else v for k, v in pairs}
 
 
 def assert_measured(record: Record) -> None:
@@ -192,14 +184,14 @@ def many_channels(path: Path) -> None:
 
 # For each file its writer and the options that a user knows before the first try.
 FILES: dict[str, tuple[Callable[[Path], None], str]] = {
-    "tek.csv": (tektronix, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "tek.csv": (tektronix, "voltage=*100, displacement=*10 um/V"),
     "F0000CH1.CSV": (
         tektronix_channels,
-        "--join F0001CH2.CSV --voltage-scale '100 V/V' --displacement-scale '10 um/V'",
+        "join=F0001CH2.CSV, voltage=*100, displacement=*10 um/V",
     ),
-    "keysight.csv": (keysight, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
-    "rigol.csv": (rigol, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
-    "pico.csv": (picoscope, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
+    "keysight.csv": (keysight, "voltage=*100, displacement=*10 um/V"),
+    "rigol.csv": (rigol, "voltage=*100, displacement=*10 um/V"),
+    "pico.csv": (picoscope, "voltage=*100, displacement=*10 um/V"),
     "lecroy.csv": (lecroy, ""),
     "recorder.dat": (gcs, ""),
     "one.lvm": (labview, ""),
@@ -215,10 +207,10 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "daq.tdms": (tdms, ""),
     "units.txt": (units_below, ""),
     "slashes.csv": (slashes, ""),
-    "monitor.csv": (monitor, "--voltage-scale '100 V/V' --displacement-scale '10 um/V'"),
-    "drive.csv": (two_files, "--join sensor.csv"),
-    "untimed.csv": (no_time, "--sample-rate 500"),
-    "channels.csv": (many_channels, "--voltage 'CH1 (V)' --displacement 'gauge x (um)'"),
+    "monitor.csv": (monitor, "voltage=*100, displacement=*10 um/V"),
+    "drive.csv": (two_files, "join=sensor.csv"),
+    "untimed.csv": (no_time, "rate=500"),
+    "channels.csv": (many_channels, "voltage=CH1 (V), displacement=gauge x (um)"),
 }
 
 

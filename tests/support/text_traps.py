@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from laboratory_files import UM, N, T, V, rows, write_xlsx
 
 HEAD = "time_s,voltage_V,displacement_um"
-RATE = {"sample_rate": 500.0}
+RATE = "rate=500"
 # White noise of a sensor [um], and the times [s] at which it is sampled: 3.6 for each sample of the voltage.
 NOISE = 0.006
 FAST = np.arange(0, 2.39, 1 / 1777)
@@ -22,16 +21,16 @@ NOISY = np.interp(FAST, T, UM) + NOISE * np.random.default_rng(3).standard_norma
 class Trap(NamedTuple):
     """A file that is easily read wrong, and what may happen to it: "refused", "remarked" or "right".
 
-    `words`: in the message or the remark. `twin`: an innocent file that looks alike. `options`, `twin_options`: of
-    `dehyst.read`. `start`: the time of the first sample of the trap [s].
+    `words`: in the message or the remark. `twin`: an innocent file that looks alike. `options`,
+    `twin_options`: texts of columns. `start`: the time of the first sample of the trap [s].
     """
 
     trap: Callable[[Path], None]
     end: str
     words: str
     twin: Callable[[Path], None]
-    options: Mapping[str, object] = MappingProxyType({})
-    twin_options: Mapping[str, object] = MappingProxyType({})
+    options: str = ""
+    twin_options: str = ""
     suffix: str = ".csv"
     start: float = 0.0
 
@@ -115,7 +114,7 @@ def sensor(times: Iterable[str], clock: str = "timestamp") -> Callable[[Path], N
 NM, MV, PM = 1e3 * UM, 1e3 * V, 1e6 * UM
 SECONDS, VOLTS, MICROMETRES = point(T, 3), point(V, 4), point(UM, 5)
 BODY, PAIRS = rows(T, V, UM), rows(V, UM)
-JOIN = {"join": "second.csv"}
+JOIN = "join=second.csv"
 SEVENTH, PAIRED = range(9, N - 3, 7), list(enumerate(np.c_[V, UM].tolist()))
 LATE, HOLE, FEW, THIRD = T >= 0.1, (T < 0.5) | (T > 2.0), np.arange(N) % 100 == 0, np.arange(N) % 3 == 0
 TIMES_NM, MILLI = "time_s,voltage_V,displacement_nm", "time_ms,voltage_mV,displacement_nm"
@@ -234,8 +233,8 @@ TRAPS: dict[str, Trap] = {
         "refused",
         "line 9 is an empty row",
         both(with_lines("voltage_V", rows(V), {N + 2: ""}), with_lines("displacement_um", rows(UM), {})),
-        JOIN | RATE,
-        JOIN | RATE,
+        f"{JOIN}, {RATE}",
+        f"{JOIN}, {RATE}",
     ),
     "empty rows of a workbook": Trap(
         sheet([["voltage_V", "displacement_um"], *(["", ""] if k % 7 == 6 else [*row] for k, row in PAIRED)]),

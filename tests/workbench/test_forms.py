@@ -8,7 +8,7 @@ from dehyst.waveforms.named import SCANS
 from dehyst.workbench.data import RequestError, path_points
 from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds
-from dehyst.workbench.reading import form_of, options_of
+from dehyst.workbench.reading import columns_of, form_of
 
 ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
 
@@ -37,12 +37,11 @@ def test_a_scan_has_a_field_for_each_of_its_options():
 @pytest.mark.parametrize(
     ("sentence", "shown"),
     [
-        ('By --time "NAME" or --sample-rate HZ.', "By <Column of the time> or <Sample rate in Hz>."),
-        ("give --voltage-scale '100 V/V'", "give <Scale of the voltage> '100 V/V'"),
+        ("By time=NAME or rate=HZ.", "By <Column of the time> or <Sample rate in Hz>."),
         ("--time-limit=5 or time_limit=5", "<Time limit> 5 or <Time limit> 5"),
         ("give it as sensor_lag=SECONDS (0 if none)", "give it as <Lag of the sensor> (0 if none)"),
         ("sensor_lag. (voltage=, time=)", "<Lag of the sensor>. (<Column of the voltage>, <Column of the time>)"),
-        ('Select one with displacement "NAME". A name', "Select one with <Column of the displacement>. A name"),
+        ("Select one with displacement=NAME. A name", "Select one with <Column of the displacement>. A name"),
         ("the goal, at any time; --other NAME", "the goal, at any time; --other NAME"),
     ],
 )
@@ -103,56 +102,59 @@ COLUMNS = [{"name": name, "unit": unit, "range": [0, 1]} for name, unit in (("t"
 PAIRS = [*COLUMNS, {"name": "V2", "unit": "V", "range": []}, {"name": "y_um", "unit": "um", "range": []}]
 
 
-def record(columns=COLUMNS, **about):
-    return RecordEntry("r1", "loops", "uploads/loops.csv", file_columns=columns, **about)
+def record(table=COLUMNS, **about):
+    return RecordEntry("r1", "loops", "uploads/loops.csv", file_columns=table, **about)
 
 
-def test_a_form_that_is_sent_as_it_is_means_the_options_it_was_made_from():
-    for options in (
-        {},
-        {"voltage": "U:mV", "displacement": "s:um:nm", "decimal": ","},
-        {"time": "t", "sample_rate": 100.0},
-    ):
-        one = record(options=options)
-        assert options_of(one, form_of(one)["values"]) == options
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "voltage=U:mV, displacement=3:nm, decimal=comma",
+        "time=t, voltage=U*100, rate=100",
+        "voltage=U, displacement=3:V*fringe 316.4 nm",
+    ],
+)
+def test_a_form_that_is_sent_as_it_is_means_the_columns_it_was_made_from(text):
+    one = record(columns=text)
+    assert columns_of(one, form_of(one)["values"]) == text
 
 
 def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
-    one = record(status="refused", hint={"options": {"voltage": "U:V?", "displacement": "s:um:um"}})
+    one = record(status="refused", hint="voltage=U:V?, displacement=3:um")
     form = form_of(one)
     assert form["marked"] == ["voltage_1", "displacement_1"] and form["help"]
-    assert options_of(one, form["values"]) == {"voltage": "U:V?", "displacement": "s:um:um"}
-    assert options_of(one, {**form["values"], "voltage_1_unit": "mV"})["voltage"] == "U:mV"
-    one = record(status="refused", hint={"options": {"columns": "time:s,-,displacement:um?"}})
+    assert columns_of(one, form["values"]) == "voltage=U:V?, displacement=3:um"
+    assert columns_of(one, {**form["values"], "voltage_1_unit": "mV"}).startswith("voltage=U:mV,")
+    one = record(status="refused", hint="time=1:s, displacement=3:um?*GAIN um/V")
     form = form_of(one)
     assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
-    assert options_of(one, form["values"]) == {"time": "t:s", "displacement": "s:um:um?"}
+    assert form["values"]["displacement_scale"] == "GAIN um/V"
 
 
 def test_columns_of_coupled_axes_are_paired_by_their_units():
     one = record(PAIRS, status="refused")
     form = form_of(one)
     assert form["values"]["axes"] == "2" and "pairs" in form["help"]
-    options = options_of(one, form["values"])
-    assert options == {"columns": "time,vs,s,vy,y", "axes": {"s": "vs:s", "y": "vy:y"}}
-    again = form_of(record(PAIRS, options=options))
+    text = columns_of(one, form["values"])
+    assert text == "time=t, s=U:3, y=V2:y_um"
+    again = form_of(record(PAIRS, columns=text))
     assert {name: again["values"][name] for name in form["pairs"]} == form["pairs"]
     with pytest.raises(RequestError, match="all their columns"):
-        options_of(one, {**form["values"], "voltage_2": ""})
+        columns_of(one, {**form["values"], "voltage_2": ""})
     with pytest.raises(RequestError, match="letters and digits"):
-        options_of(one, {**form["values"], "name_2": "1 x"})
+        columns_of(one, {**form["values"], "name_2": "1 x"})
 
 
 def test_a_form_that_contradicts_itself_is_refused():
     alike = record([*COLUMNS[:2], {**COLUMNS[1]}])
-    assert options_of(alike, {"time": "0", "voltage_1": "1", "displacement_1": "2"}) == {
-        "columns": "time,voltage,displacement"
-    }
+    found = columns_of(alike, {"time": "0", "voltage_1": "1", "displacement_1": "2"})
+    assert found == "time=t, voltage=2, displacement=3"
     for values, words in (
         ({"voltage_1": "1", "displacement_1": "1"}, "two fields"),
-        ({"voltage_1": "1"}, "the same name"),
         ({"voltage_1": "9"}, "two fields"),
-        ({"sample_rate": "fast"}, "above 0"),
+        ({"voltage_scale": "100"}, "its column"),
+        ({"rate": "fast"}, "above 0"),
     ):
         with pytest.raises(RequestError, match=words):
-            options_of(alike, values)
+            columns_of(alike, values)

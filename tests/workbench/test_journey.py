@@ -200,10 +200,10 @@ def test_a_file_without_units_is_refused_with_options_that_read_it(bench, tmp_pa
         record = upload(client, tmp_path / "scope.csv")
         assert record["status"] == "refused"
         assert record["error"]
-        hint = record["hint"]["options"]
+        hint = record["hint"]
         assert hint
         answer = client.post(
-            f"/api/records/{record['id']}/read", json={"options": {"columns": "time:s,voltage:V,displacement:um"}}
+            f"/api/records/{record['id']}/read", json={"columns": "time=1:s, voltage=2:V, displacement=3:um"}
         )
         assert answer.status_code == 200, answer.text
         state = until(client, lambda state: entry(state, "records", record["id"])["status"] != "reading")

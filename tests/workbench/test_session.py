@@ -147,14 +147,14 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
 @played
 async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    await stage.next(Finished(error={"message": "no voltage", "suggestion": {"voltage": "U:V"}}))
+    await stage.next(Finished(error={"message": "no voltage", "suggestion": "voltage=U:V"}))
     assert (entry.status, entry.error) == ("refused", "no voltage")
-    assert entry.hint == {"options": {"voltage": "U:V"}}
+    assert entry.hint == "voltage=U:V"
     assert stage.session.state()["log"] == []
     assert entry.file_columns == []
-    stage.session.read_record(entry.id, {"voltage": "U:V"})
+    stage.session.read_record(entry.id, "voltage=U:V")
     await stage.next(Finished(SHOWN))
-    assert (entry.status, entry.error, entry.options) == ("ready", None, {"voltage": "U:V"})
+    assert (entry.status, entry.error, entry.columns) == ("ready", None, "voltage=U:V")
 
 
 @played
@@ -164,12 +164,11 @@ async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage)
     await stage.next(Finished(error={"file_columns": columns, "message": "uploads/a.csv: no voltage"}))
     assert (entry.status, entry.error, entry.file_columns) == ("refused", "a.csv: no voltage", columns)
     assert (stage.session.state()["jobs"][0]["status"], stage.session.state()["log"]) == ("failed", [])
-    stage.session.read_record(entry.id, {"voltage": "U:kg"})
+    stage.session.read_record(entry.id, "voltage=U:kg")
     await stage.next(Finished(error={"message": "the unit 'kg' is unknown"}))
     assert (entry.status, entry.file_columns) == ("refused", columns)
-    stage.session.read_record(entry.id, {"columns": "voltage:V,displacement"})
-    renamed = {"file_columns": [{"name": name, "unit": ""} for name in ("voltage", "displacement")]}
-    await stage.next(Finished({**SHOWN, **renamed}))
+    stage.session.read_record(entry.id, "voltage=U:V")
+    await stage.next(Finished({**SHOWN, "file_columns": columns}))
     assert (entry.status, entry.file_columns) == ("ready", columns)
 
 
@@ -193,7 +192,7 @@ async def test_a_record_that_a_model_is_from_is_not_read_otherwise(stage):
     entry = await stage.model(Finished(error={"message": "no loop"}))
     assert (entry.status, entry.error) == ("failed", "no loop")
     with pytest.raises(SessionError, match="upload"):
-        stage.session.read_record(entry.train[0], {"time": "t"})
+        stage.session.read_record(entry.train[0], "time=t")
 
 
 @played
@@ -293,9 +292,9 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
             stage.session.identify({"train": entry.train, "options": options})
     record = stage.session.add_record("uploads/b.csv", "b.csv")
     await stage.next(Finished(SHOWN))
-    for options in ({"voltage": 3}, {"output": "x"}, {"sample_rate": "5"}, {"voltage": "x" * 2000}):
+    for columns in ("voltage", "output=x", "rate=fast", "join=../secret.csv", "@secret.txt"):
         with pytest.raises(DehystError):
-            stage.session.read_record(record.id, options)
+            stage.session.read_record(record.id, columns)
     assert len(stage.session.jobs.entries) == begun + 1
 
 

@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst.calibration.comparison_loop import replay
 from dehyst.calibration.tracking import PathPlanner
 from dehyst.instruments import AbstractRig, played_rate
-from dehyst.records import MOST, Record, read_table, time_of
+from dehyst.records import Record, read_table
 from dehyst.waveforms import (
     Excitation,
     Leg,
@@ -332,15 +332,15 @@ class WantedVoltage(NamedTuple):
     wanted: Array | None
 
 
-def read_voltage(path: Path, *, max_bytes: float = MOST) -> WantedVoltage:
+def read_voltage(path: Path) -> WantedVoltage:
     """Read a voltage to play, as `dehyst excite` and `dehyst compensate` write it.
 
-    The file is a table of `max_bytes` at most, with time [s] and voltage [V], and perhaps the wanted displacement.
+    The file is a table with time [s] and voltage [V], and perhaps the wanted displacement.
     Raise `FileFormatError` if it cannot be read, or the times do not rise, or not evenly.
     """
-    table = read_table(path, max_bytes=max_bytes)
+    table = read_table(path)
     voltage = table.column("voltage")
-    rate = even_rate(path, time_of(table, voltage.size, None, None))
+    rate = even_rate(path, table.column("time"))
     excitation = Excitation(path.stem, voltage, rate)
     try:
         wanted = table.column("displacement")

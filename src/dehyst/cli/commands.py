@@ -23,6 +23,7 @@ from dehyst.operations.declaration import Kind, Operation, Parameter, flag
 from dehyst.operations.files import Columns
 from dehyst.operations.registry import JOURNEY, find
 from dehyst.operations.run import perform, terminable
+from dehyst.records.columns import text_of
 from dehyst.records.tables import ColumnsError, notes_on
 
 _INTERRUPTED = 130
@@ -32,22 +33,12 @@ dehyst workbench                                all of it on a page in the brows
 dehyst identify loops.csv -o model.json         fit a model to your loops
 dehyst compensate model.json path.csv -o v.csv  the voltages for a path
 dehyst --help                                   all commands, in the order of work"""
+# The key of --columns for an argument of the library.
+_KEYS = {"time": "time=NAME", "sample_rate": "rate=HZ", "columns": "KEY=VALUE"}
+# How columns are typed once.
+_KEPT = "dehyst show FILE --columns TEXT --save FILE keeps them for --columns @FILE."
 # Commands of this room, beside the operations: where they are, under which heading, and in a few words.
 _OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records")}
-# The key of --columns for an option of a reader.
-_KEYS = {
-    "time": "time=NAME",
-    "voltage": "voltage=NAME",
-    "displacement": "displacement=NAME",
-    "voltage_scale": "voltage=NAME*GAIN",
-    "displacement_scale": "displacement=NAME*SCALE",
-    "sample_rate": "rate=HZ",
-    "join": "join=FILE",
-    "decimal": "decimal=point|comma",
-    "max_bytes": "max_size=MB",
-    "axes": "AXIS=VOLTAGE:DISPLACEMENT",
-    "wanted": "wanted=NAME",
-}
 
 
 class _Typed(click.ParamType):  # type: ignore[type-arg]
@@ -199,32 +190,29 @@ class OperationCommand(click.Command):
 
     def _refuse(self, error: DehystError, given: dict[str, Any], as_json: bool, known: Mapping[str, Any]) -> None:
         """Print an error, and commands with columns that would mend it; as JSON too, beside what is known."""
-        trials: list[Mapping[str, Any]] = []
+        trials: list[str] = []
+        columns = given.get("columns") or Columns()
         if self.operation.parameter("columns") is not None:
             if isinstance(error, DecimalSignError):
-                trials = [{"decimal": sign} for sign in (".", ",")]
-            elif isinstance(error, ColumnsError) and error.options:
-                trials, error.message = [error.options], error.reason
+                trials = [text_of({**columns.entries(), "decimal": word}) for word in ("point", "comma")]
+            elif isinstance(error, ColumnsError) and error.proposal:
+                trials, error.message = [error.proposal], error.reason
         note(sentence := self.text(error, given))
         for added in getattr(error, "__notes__", ()):
             note(added)
-        columns = given.get("columns") or Columns()
-        commands = [
-            shlex.join(self.operation.command({**given, "columns": Columns.of_options(options, columns)}))
-            for options in trials
-        ]
+        commands = [shlex.join(self.operation.command({**given, "columns": text})) for text in trials]
         if commands:
             echo("To try:" if len(commands) == 1 else "See which numbers are right, with one of:", err=True)
         for command in commands:
             echo(f"  {command}", err=True)
-        suggestion = trials[0] if len(trials) == 1 else {}
-        for advice in notes_on(suggestion) if suggestion else ():
+        suggestion = trials[0] if len(trials) == 1 else ""
+        for advice in (*notes_on(suggestion), _KEPT) if suggestion else ():
             echo(advice, err=True)
         if as_json:
             fields = {
                 **error.as_dict(),
                 "message": escaped(sentence),
-                "suggestion": dict(suggestion),
+                "suggestion": suggestion,
                 "commands": commands,
             }
             echo_json({**known, "error": fields})

@@ -6,16 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-from dehyst._errors import FileFormatError, ModelError
+from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control.planning.path import needed_slew_rate, speed_remark
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.check_log import append_checks, read_log
 from dehyst.operations.declaration import Continued, Input, Only, Output, Values, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns, write_table
+from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of, write_table
 from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, start_reader
+from dehyst.records import read, read_table
 from dehyst.report import write_insight
 from dehyst.trust import Insight, Recheck, StageInsight, check_stage, stage_insight
 from dehyst.trust import check as check_one
@@ -65,8 +66,8 @@ def insight(
     """
     known = AxesModel.read(run, model)
     keys = RECORD if trajectory is None else (*RECORD, "wanted", "temperature")
-    (columns.demand if known.stage is None else columns.demand_axes)(keys, "on records")
-    training = columns.records(records, axes=known.pairs(columns), several=trajectory is not None)
+    known.demand(columns, keys, "on records")
+    training = [read(path, known.of_records(columns)) for path in records]
     asked: dict[str, Any] = {
         "limits": limits,
         "seconds": seconds,
@@ -112,14 +113,10 @@ def _path(
 ) -> tuple[Array, dict[str, Array], float | Array | None]:
     """Return the displacement (n,) [m] of a trajectory on the model's axis, its time column, and its temperature."""
     (actuator,) = known.actuators
-    table = columns.plain_table(trajectory)
-    try:
-        path = table.column("displacement", columns.wanted)
-    except FileFormatError as error:
-        # The displacement in --columns is that of the records here.
-        change = ["wanted" if name == "displacement" else name for name in error.change]
-        raise FileFormatError(error.message, hint=error.hint, change=change) from error
-    time = AS_FOUND.clock(table, path.size)
+    table = read_table(trajectory, columns)
+    # The displacement in --columns is that of the records here.
+    path = table.column("displacement", columns.wanted)
+    time = clock_of(table, AS_FOUND)
     if actuator.needs_time and not time:
         raise ModelError(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
@@ -160,8 +157,8 @@ def check(
     """
     before = None if log is None else read_log(log, again=run.force)
     known = AxesModel.read(run, model)
-    (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
-    (measured,) = columns.records((record,), axes=known.pairs(columns))
+    known.demand(columns, RECORD, "on a record")
+    measured = read(record, known.of_records(columns))
     if known.stage is None:
         found = [check_one(known.actuators[0], measured, goal=goal)]
         coupling, good = None, found[0].good

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -15,10 +15,12 @@ from dehyst._units import quantity_of
 from dehyst.control import Compensator, HomedPath, StageCompensator
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
-from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model
+from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model, values_of
 from dehyst.operations.run import Run
-from dehyst.records.formats.columns import GUESS, QUANTITIES, ColumnError, Table, listed, plausible_unit
-from dehyst.records.tables import AxisColumns, axis_columns, error_of_axis, parts_of_axis, scaled, text_of, with_scale
+from dehyst.records import Table
+from dehyst.records.columns import Entry, columns_of_axis
+from dehyst.records.formats.columns import GUESS, QUANTITIES, listed, plausible_unit
+from dehyst.records.tables import ColumnError
 
 
 @dataclass(frozen=True)
@@ -207,92 +209,78 @@ class AxesModel:
         """Return values (n, axes) [V or um] as the columns that an operation writes."""
         return {self.name(quantity, axis, what): values[:, j] for j, axis in enumerate(self.axes)}
 
-    def pairs(self, columns: Columns) -> str | None:
-        """Return the columns of several axes for `dehyst.read`: given, or else those of the model's records."""
-        if self.stage is None:
-            columns.demand([key for key in columns.keys if key not in columns.axes], "with the model of one axis")
-            return None
-        if not columns.axes and not self.stage.recorded_columns:
+    def demand(self, columns: Columns, keys: Sequence[str], words: str) -> None:
+        """Raise an error for keys of columns that have no effect, see `Columns.demand`."""
+        columns.demand(keys, words, axes=self.stage is not None)
+
+    def of_records(self, columns: Columns) -> Columns:
+        """Return the columns of records: with those of each axis that were given, or else of the model's records."""
+        if self.stage is None or columns.axes:
+            return columns
+        if not self.stage.recorded_columns:
             raise FileFormatError(
                 "the model does not name its columns", argument="axes", hint="give those of each axis"
             )
-        if columns.axes:
-            return columns.pairs
-        # A scale that is given replaces that of the records.
-        scales = "voltage_scale", "displacement_scale"
-        given: dict[str, Any] = {name: None for name in scales if getattr(columns, name) is not None}
-        return text_of(one._replace(**given).text for one in self._recorded())
+        return replace(columns, axes=self._recorded())
 
-    def _recorded(self) -> tuple[AxisColumns, ...]:
-        """Return the columns of the records of a stage; none if it does not name them."""
+    def _recorded(self) -> dict[str, str]:
+        """Return the columns of the records of a stage by axis; none if it does not name them."""
         known = () if self.stage is None else self.stage.recorded_columns
-        return axis_columns(text_of(known)) if known else ()
+        return dict(text.partition("=")[::2] for text in known)
 
-    def named(
-        self, table: Table, quantity: str, columns: Columns, *, record: bool = False
-    ) -> dict[str, tuple[str, str | None]]:
-        """Return the column of each of several axes and its scale.
+    def named(self, table: Table, quantity: str, columns: Columns, *, record: bool = False) -> dict[str, str]:
+        """Return the column of each of several axes, as in `Columns`.
 
         They are the given ones, those of the records if a table has them, or the usual ones. `record`: whether the
         table is a record, of which both columns of an axis are given. The scales of the records are not those of paths
         and voltages: there, columns of the records that have one are not used.
         """
         if columns.axes and set(columns.axes) != set(self.axes):
-            raise FileFormatError(
-                argument="axes",
-                got=", ".join(columns.axes),
-                need=f"a column for each of the axes {', '.join(self.axes)}",
-            )
-        common = getattr(columns, f"{quantity}_scale")
-        parts = {axis: parts_of_axis(text) for axis, text in columns.axes.items()}
-        pairs = bool(parts) and all(len(one) == 2 for one in parts.values())
-        if parts and not pairs and not record:
-            # Of a record both columns, else the one that is read.
-            at = -1 if quantity == "displacement" else 0
-            one_each = {axis: scaled(quantity, own[at]) for axis, own in parts.items()}
-            return {axis: (name, scale or common) for axis, (name, scale) in one_each.items()}
-        known = axis_columns(columns.pairs) if pairs else self._recorded()
-        names = {one.name: (getattr(one, quantity), getattr(one, f"{quantity}_scale")) for one in known}
+            need = f"a column for each of the axes {', '.join(self.axes)}"
+            raise FileFormatError(argument="axes", got=", ".join(columns.axes), need=need)
+        at = -1 if quantity == "displacement" else 0
+        parts = {axis: columns_of_axis(text) for axis, text in columns.axes.items()}
+        if parts and (not record or all(len(one) == 2 for one in parts.values())):
+            return {axis: one[at] for axis, one in parts.items()}
+        names = {axis: columns_of_axis(text)[at] for axis, text in self._recorded().items()}
         used = names and all(
-            table.fitting(quantity, name) == 1 and (record or scale is None) for name, scale in names.values()
+            table.fitting(quantity, name) == 1 and (record or Entry.of(name).scale is None) for name in names.values()
         )
-        if not pairs and not used:
-            names = {axis: (self.name(quantity, axis), None) for axis in self.axes}
-        return {axis: (name, scale or common) for axis, (name, scale) in names.items()}
+        return names if used else {axis: self.name(quantity, axis) for axis in self.axes}
 
-    def column(self, table: Table, quantity: str, axis: str, named: tuple[str | None, str | None]) -> Array:
-        """Return a quantity (n,) of one of several axes from the column and the scale of this axis."""
+    def column(self, table: Table, quantity: str, axis: str, named: str) -> Array:
+        """Return a quantity (n,) of one of several axes from the column of this axis."""
         try:
-            return table.column(quantity, *named)
+            return table.column(quantity, named)
         except ColumnError as error:
-            raise error_of_axis(table, axis, [error], "NAME") from error
+            hint = f'{error.hint}. Give the column as "{axis}=NAME"'
+            raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, by the usual names, or as in the records."""
         if self.stage is None:
-            return columns.values(table, quantity)[:, None]
+            return values_of(table, quantity, columns)[:, None]
         names = self.named(table, quantity, columns)
         if columns.axes:
-            own = [name for name, _ in names.values() if name != MIDDLE]
+            own = [name for name in names.values() if name != MIDDLE]
             if len(set(own)) < len(own):
-                got = ", ".join(f"{axis}={with_scale(*one)}" for axis, one in names.items())
+                got = ", ".join(f"{axis}={name}" for axis, name in names.items())
                 raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
         else:
             self._demand_named(table, quantity, names)
         middle = self.moved(np.array([[0.5 * sum(one.reach) for one in self.actuators]]))[0]
-        rows = max(column.data.size for column in table.columns)
         return np.column_stack(
             [
-                np.full(rows, middle[j])
-                if names[axis][0] == MIDDLE
+                np.full(table.rows, middle[j])
+                if names[axis] == MIDDLE
                 else self.column(table, quantity, axis, names[axis])
                 for j, axis in enumerate(self.axes)
             ]
         )
 
-    def _demand_named(self, table: Table, quantity: str, names: Mapping[str, tuple[str, str | None]]) -> None:
+    def _demand_named(self, table: Table, quantity: str, names: Mapping[str, str]) -> None:
         """Raise an error that proposes columns if a table lacks one of these columns of the axes."""
-        missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis][0])]
+        missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis])]
         if not missing:
             return
         fits = [*dict.fromkeys(one.name for one in table.columns if quantity_of(one.parts[1]) == quantity)]
@@ -302,6 +290,6 @@ class AxesModel:
         fits += [f"NAME:{'V' if quantity == 'voltage' else 'um'}"] * len(self.axes)
         proposal = ", ".join(f"{axis}={fit}" for axis, fit in zip(self.axes, fits, strict=False))
         raise FileFormatError(
-            f"{table.source}: no column '{names[missing[0]][0]}' for the {quantity} of the axis {missing[0]}",
+            f"{table.source}: no column '{names[missing[0]]}' for the {quantity} of the axis {missing[0]}",
             hint=f'the file holds {listed(table.names)}. Name the column of each axis, as --columns "{proposal}"',
         )

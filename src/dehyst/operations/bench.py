@@ -16,8 +16,7 @@ from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
-from dehyst.operations.declaration import Continued, Input, Only, Values, beside, operation
-from dehyst.operations.files import AS_FOUND, Columns
+from dehyst.operations.declaration import Continued, Input, Only, Values, operation
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_calibration, write_stage_report
@@ -51,7 +50,6 @@ def calibrate(
     rounds: Annotated[int, _single] = 2,
     goal: float = 1.0,
     dry_run: bool = False,
-    columns: Annotated[Columns, beside("protocol")] = AS_FOUND,
 ) -> Result:
     """Home, excite, record, identify, compensate and measure the actuator on RIG.
 
@@ -77,12 +75,11 @@ def calibrate(
     dry_run
         Print what would be sent, and send nothing.
     """
-    columns.demand(("max_size",), "on voltages to play")
     names = _names({"rig": rig, "axes": axes})
     every = names or [""]
     allowed, rates = limits_of(every, limits), slews_of(every, slew_rate)
     steepest = [None if one is None else one.number for one in rates]
-    played = tuple(read_voltage(path, max_bytes=columns.max_bytes).excitation for path in protocol)
+    played = tuple(read_voltage(path).excitation for path in protocol)
     plan = Plan(protocol=played, frequency=frequency, hold=hold, rounds=rounds, goal=goal)
     if not dry_run:
         demand_own_folder(output, "campaign.json", FORMAT, force=run.force)

@@ -10,6 +10,7 @@ from dehyst._io import finite, write_json
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
+from dehyst.records import read
 from dehyst.report import write_comparison
 from dehyst.trust import ModelComparison
 from dehyst.trust import compare as run_comparison
@@ -42,7 +43,7 @@ def compare(
     """
     columns.demand(RECORD, "here")
     run.progress("reading")
-    training, held_out = columns.records(records), columns.records(validate)
+    training, held_out = ([read(path, columns) for path in paths] for paths in (records, validate))
     found = run_comparison(training, validate=held_out, models=_chosen(only), progress=run.progress)
     if output is not None:
         write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(found.as_dict())})

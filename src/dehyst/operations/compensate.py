@@ -19,7 +19,7 @@ from dehyst.model import Actuator, promised
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Present, Slew, is_stage, limits_of, numbers_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
-from dehyst.operations.files import AS_FOUND, PATH, TEXT, Columns, scan_declared, write_table
+from dehyst.operations.files import AS_FOUND, PATH, TEXT_KEYS, Columns, clock_of, scan_declared, write_table
 from dehyst.operations.paths import (
     PathSlew,
     Zero,
@@ -32,6 +32,7 @@ from dehyst.operations.paths import (
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
+from dehyst.records import read_table, table_of
 from dehyst.trust import judge, judge_planned
 from dehyst.waveforms import Scan
 from dehyst.waveforms.named import OPTIONS, scan_of
@@ -151,11 +152,11 @@ def compensate(
         remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
     declared = None if known.stage is not None else scan_declared(trajectory)
     if declared is None:
-        read = columns.table(trajectory, several=start is not None and start.path is not None)
-        (columns.demand if known.stage is None else columns.demand_axes)(PATH, "on a path")
+        read = table_of(trajectory, columns)
+        known.demand(columns, PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
         warmth = temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)
-        clock = columns.clock(read, len(wanted))
+        clock = clock_of(read, columns)
         return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, home, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
     if len(made.axes) > 1 and not columns.displacement:
@@ -204,7 +205,7 @@ def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, ze
 
     Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
     """
-    columns.demand(("displacement", *TEXT), "on the path of a scan")
+    columns.demand(("displacement", *TEXT_KEYS), "on the path of a scan")
     hint = "remove that line to follow the rows"
     options = {name: value for name, value in declared.items() if name not in ("kind", "cycles", "sample_rate")}
     try:
@@ -217,7 +218,7 @@ def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, ze
     if wanted not in names:
         raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
     axis = names[wanted]
-    table, one = columns.plain_table(path, several=False), made.path(axis)
+    table, one = read_table(path, columns), made.path(axis)
     rows = one.repeated(cycles) if one.periodic else one
     written = next(column.data for column in table.columns if names.get(column.name) == axis)
     span = float(np.abs(rows.displacement).max())

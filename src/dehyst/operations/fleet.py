@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 
 from dehyst.fleet import identify_fleet
 from dehyst.operations.declaration import Continued, Input, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, demand_outputs
-from dehyst.records import Record
+from dehyst.records import read
 
 
 @operation(identify_fleet, name="fleet")
@@ -36,8 +35,8 @@ def fleet(
     columns.demand(RECORD, "on a fleet")
     demand_outputs(records, [output], force=True)
     given = records[0] if len(records) == 1 else records
-    read = partial(_record, columns)
-    found = identify_fleet(given, output, scheduler=scheduler, read=read, again=run.force, progress=run.progress)
+    reading = partial(read, columns=columns)
+    found = identify_fleet(given, output, scheduler=scheduler, read=reading, again=run.force, progress=run.progress)
     there = found.records - found.computed
     lines = [
         f"{found.records} records: {found.computed} computed now, {there} in the table before; {found.refused} of all "
@@ -46,9 +45,3 @@ def fleet(
     ]
     fields = {**found._asdict(), "path": str(found.path)}
     return Result(fields, lines, good=found.refused < found.records)
-
-
-def _record(columns: Columns, path: Path) -> Record:
-    """Return the record in a file."""
-    (record,) = columns.records((path,), several=True)
-    return record

@@ -20,10 +20,10 @@ from dehyst.identification.settings import Settings
 from dehyst.identification.solvers.program import Norm
 from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, Values, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns
+from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of
 from dehyst.operations.paths import Zero
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record
+from dehyst.records import Record, read, table_of
 from dehyst.report import write_report, write_stage_report
 from dehyst.trust import insight
 
@@ -95,11 +95,11 @@ def identify(
     time_limit
         End the search for a structure after this time [s], and complete the best model so far.
     """
-    (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "on records")
+    columns.demand(RECORD, "on records", axes=bool(columns.axes))
     deadline = Deadline(time_limit)
     best = _BestSoFar(output)
     run.progress("reading")
-    training, held_out = _zeroed(columns.records(records), columns.records(validate), zero)
+    training, held_out = _zeroed(*([read(path, columns) for path in paths] for paths in (records, validate)), zero=zero)
     settings |= {
         "structure": structure,
         "shared_datum": shared_datum,
@@ -145,7 +145,7 @@ def identify(
     return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
 
 
-def _zeroed(records: list[Record], others: list[Record], zero: Zero | None) -> tuple[list[Record], list[Record]]:
+def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -> tuple[list[Record], list[Record]]:
     """Return records with displacements relative to a zero from the first record."""
     if zero is None or not records:
         return records, others
@@ -176,13 +176,13 @@ def _neighbour_remarks(fit: Fit, records: Sequence[Path], columns: Columns) -> l
     """Return warnings if the residual of a single axis follows another voltage in the files of its records."""
     remarks = []
     for path, trace, error in zip(records, fit.traces, fit.errors, strict=False):
-        if path.is_fifo() or columns.sample_rate is not None:
+        if path.is_fifo() or columns.rate is not None:
             continue
-        table = columns.table(path)
+        table = table_of(path, columns)
         chosen = table.select("voltage", columns.voltage).column.name
         others = {c.name: c.data for c in table.columns if c.name != chosen and not c.fault and c.parts[1] in _VOLTS}
         if others:
-            time = columns.clock(table, table.columns[0].data.size).get("time_s")
+            time = clock_of(table, columns).get("time_s")
             remarks += [] if time is None else [one.sentence for one in followed(trace, time, others, error.stroke)]
     return remarks
 

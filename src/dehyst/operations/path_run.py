@@ -14,10 +14,10 @@ from dehyst.control import Compensator, HomedPath, VoltageLimits, plan_path
 from dehyst.instruments import AbstractRig, open_rig, played_rate
 from dehyst.operations.axes import AxesModel, Slew, is_stage
 from dehyst.operations.declaration import Input, Output, operation
-from dehyst.operations.files import AS_FOUND, PATH, Columns, write_table
+from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, values_of, write_table
 from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record
+from dehyst.records import Record, table_of
 from dehyst.records.files import demand_text
 from dehyst.trust import judge_planned
 from dehyst.waveforms import Excitation
@@ -69,8 +69,8 @@ def run_path(
         raise ModelError(argument="model", got="one of several axes", need="one of a single axis")
     known = AxesModel.read(run, model)
     (actuator,) = known.actuators
-    table = columns.table(path)
-    wanted, clock = columns.values(table, "displacement"), columns.clock(table, len(table.columns[0].data))
+    table = table_of(path, columns)
+    wanted, clock = values_of(table, "displacement", columns), clock_of(table, columns)
     if not clock:
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
     warmth = temperature_of(known, None, columns, table, len(wanted), remark=run.note)

@@ -15,9 +15,10 @@ from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Slew
-from dehyst.operations.files import Columns
+from dehyst.operations.files import Columns, warmth_of
 from dehyst.operations.start import Limits
-from dehyst.records.formats.columns import Table, listed
+from dehyst.records import Table
+from dehyst.records.formats.columns import listed
 
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
@@ -157,7 +158,7 @@ def temperature_of(
             remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
         return check.number(constant, "temperature")
     if table is not None and any(one.thermal or tested_temperatures(one) for one in known.actuators):
-        return columns.warmth(table, samples)
+        return warmth_of(table, samples, columns)
     if own:
         remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
     return None

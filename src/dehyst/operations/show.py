@@ -17,9 +17,8 @@ from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record, write_record
-from dehyst.records.formats.columns import Table
-from dehyst.records.tables import axis_columns
+from dehyst.records import Record, Table, table_of, write_record
+from dehyst.records.files import record_of
 from dehyst.report import write_record_page
 
 _MODELS: dict[str | None, type[Actuator | Stage]] = {"dehyst-actuator": Actuator, "dehyst-stage": Stage}
@@ -39,6 +38,7 @@ def show(
     output: Annotated[Output | None, _of_record] = None,
     report: Annotated[Output | None, _of_record] = None,
     columns: Annotated[Columns, _of_record] = AS_FOUND,
+    save: Annotated[Output | None, _of_record] = None,
 ) -> Result:
     """Print how a FILE is understood: columns, units, sample rate, cycles and problems; and draw its loop.
 
@@ -50,31 +50,36 @@ def show(
         Write the record here, in s, V and um (.csv) or m (.npz).
     report
         Write a self-contained HTML page here.
+    save
+        Write the columns here as text, for --columns @FILE.
     """
     if is_model(file):
         model = _MODELS[format_of(file)].load(file)
         return Result(model.as_dict(), model.summary().split("\n"))
-    (columns.demand_axes if columns.axes else columns.demand)(RECORD, "with axes" if columns.axes else "here")
-    table = columns.table(file)
+    columns.demand(RECORD, "here", axes=bool(columns.axes))
+    table = table_of(file, columns)
     run.known["file_columns"] = file_columns = [
         {"name": one.name, "unit": one.parts[1], "range": [] if one.fault else _span(one.data)} for one in table.columns
     ]
     for line in _column_lines(table):
         run.say(line)
-    record = columns.record_in(table, file.stem)
+    record = record_of(table, columns, file.stem)
+    own = columns.of_axes() if columns.axes else {"": columns}
     axes = {
-        axis: _AxisView(one, table, columns, axis)
+        axis: _AxisView(one, table, own[axis], axis)
         for axis, one in zip(record.axes or ("",), record.by_axis(), strict=True)
     }
     if output is not None:
         write_record(output, record)
+    if save is not None:
+        columns.save(save)
     if report is not None:
         write_record_page(
             report, record, [row for one in axes.values() for row in one.understood()], command=run.command
         )
     fields = {axis: {**one.fields(), "file_columns": file_columns} for axis, one in axes.items()}
     lines = [line for one in axes.values() for line in one.lines()]
-    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report)])
+    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report, Columns=save)])
 
 
 def _span(values: Array) -> list[float]:
@@ -108,14 +113,6 @@ class _AxisView:
     columns: Columns
     name: str
 
-    def _wanted(self, quantity: str) -> str | None:
-        """Return the requested column of a quantity."""
-        if self.name and quantity != "time":
-            known = {one.name: one for one in axis_columns(self.columns.pairs)}
-            return str(getattr(known[self.name], quantity))
-        wanted: str | None = getattr(self.columns, quantity)
-        return wanted
-
     def _guessed(self, quantity: str) -> bool:
         guesses = self.record.meta.get("guesses", {})
         return quantity in guesses or f"{quantity} of {self.name}" in guesses
@@ -129,7 +126,7 @@ class _AxisView:
             scales = record.meta.get("scales", {})
             scale = scales.get(f"{quantity} of {self.name}" if self.name else quantity)
             mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
-            column = used.get(quantity) or self._wanted(quantity) or quantity
+            column = used.get(quantity) or getattr(self.columns, quantity) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
         (v0, v1), (y0, y1) = record.voltage_range, record.displacement_range
@@ -164,9 +161,9 @@ class _AxisView:
 
     def _ends(self) -> Iterator[str]:
         """Yield the first and last value of each used column, as in the file and as in the record."""
-        timed = ("time",) if self.columns.sample_rate is None else ()
+        timed = ("time",) if self.columns.rate is None else ()
         for quantity in (*timed, "voltage", "displacement"):
-            column = self.table.select(quantity, self._wanted(quantity)).column
+            column = self.table.select(quantity, getattr(self.columns, quantity)).column
             # Joining cuts and interpolates rows.
             cells = ("", "") if self.columns.join else column.ends
             first, last = (cell or f"{value:.9g}" for cell, value in zip(cells, column.data[[0, -1]], strict=True))

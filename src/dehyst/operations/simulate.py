@@ -15,10 +15,11 @@ from dehyst.control.limits import outside_identified
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
-from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, write_table
+from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, clock_of, write_table
 from dehyst.operations.paths import PathSlew, temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Start
+from dehyst.records import table_of
 
 
 @operation(plan_voltage)
@@ -57,10 +58,10 @@ def simulate(
     if home and start is not None:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
-    (columns.demand if known.stage is None else columns.demand_axes)(VOLTAGE, "on a voltage")
-    table = columns.table(voltage, several=start is not None and start.path is not None)
+    known.demand(columns, VOLTAGE, "on a voltage")
+    table = table_of(voltage, columns)
     given = known.values(table, "voltage", columns)
-    time = columns.clock(table, len(given))
+    time = clock_of(table, columns)
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
     warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
     options = {"time": time.get("time_s"), "temperature": warmth, "home": home}

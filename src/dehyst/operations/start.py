@@ -19,7 +19,7 @@ from dehyst.model import Actuator, State
 from dehyst.model.states import state_after_loops
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns
-from dehyst.records import Record, Table
+from dehyst.records import Record, Table, read_table
 from dehyst.trust import start_of
 
 # Least share of the stroke that is printed as a number [%].
@@ -81,7 +81,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     """
     if start.path is None:
         return lambda _, actuator, limits: PossibleStart.named(actuator, start.name)  # type: ignore[arg-type]
-    table, name = columns.plain_table(start.path), start.path.name
+    table, name = read_table(start.path, columns), start.path.name
     computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
     own = set(computed) <= set(table.names)
     known = {quantity: _columns_of(model, table, quantity, columns, own=own) for quantity in _MEASURED}
@@ -89,11 +89,11 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     def values(quantity: str) -> list[Array]:
         pairs = known[quantity].items()
         if model.stage is None:
-            return [table.column(quantity, *pair) for _, pair in pairs]
-        return [model.column(table, quantity, axis, pair) for axis, pair in pairs]
+            return [table.column(quantity, name) for _, name in pairs]
+        return [model.column(table, quantity, axis, name or "") for axis, name in pairs]
 
     voltages = values("voltage")
-    moved = [name for name, _ in known["displacement"].values()]
+    moved = known["displacement"].values()
     measured = not own and all(table.fitting("displacement", one) == 1 for one in moved)
     if start.began and not measured:
         raise ModelError(
@@ -118,20 +118,18 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     return read
 
 
-def _columns_of(
-    model: AxesModel, table: Table, quantity: str, columns: Columns, *, own: bool
-) -> dict[str, tuple[str | None, str | None]]:
-    """Return the column of each axis in the file of a start, and its scale; None: the usual one, and no scale.
+def _columns_of(model: AxesModel, table: Table, quantity: str, columns: Columns, *, own: bool) -> dict[str, str | None]:
+    """Return the column of each axis in the file of a start; None: the usual one.
 
     Given columns are those of the path; the file of the start may have others. `own`: dehyst wrote the file, in V and
     um whatever the records were in.
     """
     if model.stage is not None:
         named = model.named(table, quantity, columns, record=True)
-        return {axis: (named[axis][0], None if own else named[axis][1]) for axis in model.axes}
-    name, scale = getattr(columns, quantity), getattr(columns, f"{quantity}_scale")
+        return {axis: model.name(quantity, axis) if own else named[axis] for axis in model.axes}
+    name = getattr(columns, quantity)
     has = not own and (name is None or table.fitting(quantity, name) == 1)
-    return dict.fromkeys(model.axes, (name, scale) if has else (None, None))
+    return dict.fromkeys(model.axes, name if has else None)
 
 
 def starts_of(

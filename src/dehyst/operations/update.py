@@ -8,6 +8,7 @@ from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
+from dehyst.records import read
 from dehyst.trust import Update, update_stage
 from dehyst.trust import update as update_one
 
@@ -36,8 +37,8 @@ def update(
         Largest error allowed [% of the stroke]; default: the model's, or 1.
     """
     known = AxesModel.read(run, model)
-    (columns.demand if known.stage is None else columns.demand_axes)(RECORD, "on a record")
-    (measured,) = columns.records((record,), axes=known.pairs(columns))
+    known.demand(columns, RECORD, "on a record")
+    measured = read(record, known.of_records(columns))
     coupling: tuple[str, ...] = ()
     if known.stage is None:
         found = update_one(known.actuators[0], measured, goal=goal)

@@ -1,8 +1,7 @@
 """Records: measurements of an actuator, and their files."""
 
-from dehyst.records.files import read, read_table, time_of, write_columns, write_record
-from dehyst.records.formats.columns import Table
-from dehyst.records.formats.file_content import MOST
+from dehyst.records.columns import Columns
+from dehyst.records.files import read, read_table, table_of, write_columns, write_record
 from dehyst.records.formats.loaders import LOADERS
 from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
 from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
@@ -22,6 +21,7 @@ from dehyst.records.signals import (
     turning_points,
     white_noise,
 )
+from dehyst.records.tables import Table
 from dehyst.records.transients import settled, transients
 
-__all__ = ["Record", "read", "read_table", "write_columns", "write_record"]
+__all__ = ["Columns", "Record", "read", "write_columns", "write_record"]

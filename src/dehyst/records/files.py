@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from numbers import Real
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,49 +14,21 @@ from numpy.typing import ArrayLike
 from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomically
 from dehyst._types import Array
-from dehyst._units import FACTORS, per_metre
-from dehyst._validation import demand
-from dehyst.records.formats.columns import TEXT, Selected, Table, listed
+from dehyst.records.columns import Columns
+from dehyst.records.formats.columns import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
-from dehyst.records.formats.file_content import MOST, content_of
+from dehyst.records.formats.file_content import content_of
 from dehyst.records.formats.loaders import LOADERS, load
-from dehyst.records.formats.notation import SIGNS
 from dehyst.records.record import Record, further_channels
-from dehyst.records.tables import (
-    AxisColumns,
-    Choice,
-    ColumnsError,
-    axis_columns,
-    chosen,
-    error_of_axis,
-    joined,
-    renamed,
-)
+from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
 _MEASURED = ("voltage", "displacement")
-_SCALES = ("voltage_scale", "displacement_scale")
 # Kinds of files whose numbers are text.
 _WITH_SIGNS = (*TEXT, ".lvm", ".asc", ".xlsx")
 
 
-def read(
-    path: PathLike,
-    *,
-    time: str | None = None,
-    voltage: str | None = None,
-    displacement: str | None = None,
-    sample_rate: float | None = None,
-    voltage_scale: str | None = None,
-    displacement_scale: str | None = None,
-    columns: str | None = None,
-    join: PathLike | None = None,
-    decimal: str | None = None,
-    name: str | None = None,
-    units: str | None = None,
-    axes: str | None = None,
-    max_bytes: float = MOST,
-) -> Record:
+def read(path: PathLike, columns: Columns | str | None = None, *, name: str | None = None) -> Record:
     """Read a record from a file; its suffix determines the format.
 
     Temperatures and loads in further columns, as temperature_C or "Force [mN]", become the record's `others`;
@@ -67,173 +39,117 @@ def read(
     path : path
         .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms .npz or .npy. A named pipe is read once;
         without a suffix its first bytes determine the format.
-    time, voltage, displacement : str, optional
-        Columns, as "NAME" or "NAME:UNIT"; a "?" at the end marks a guess, which the record keeps in
-        ``meta["guesses"]``.
-    sample_rate : float, optional
-        Samples per second [Hz], for a file without a time column.
-    voltage_scale, displacement_scale : str, optional
-        Scale of the column: "100 V/V" for an amplifier's monitor, "10 um/V" for a sensor.
-    columns : str, optional
-        Names and units of all columns in their order, as "time:s,voltage:V,displacement:um,temperature:C"; "-" leaves
-        one out. Further columns with a unit, as "humidity:%", are kept in the record's `others`.
-    join : path, optional
-        A second file of the same measurement. Its columns are aligned on time, or on the sample if one of the files
-        has no time.
-    decimal : str, optional
-        "," or ".": the decimal sign of a text file whose numbers do not show it; the other sign groups digits.
+    columns : Columns or str, optional
+        Columns, units, scales, and how the file is read, as "time=Time:ms, voltage=Ch1*100, displacement=Sensor:um";
+        by default columns are found by their names, and nothing is guessed.
     name : str, optional
         Name of the record; by default the file's name without suffix.
-    units : str, optional
-        Unit of the displacement where the file states none: "m", "mm", "um", "nm" or "pm". The record is in metres.
-    axes : str, optional
-        For a record of several axes, instead of `voltage` and `displacement`: the columns of each axis, as
-        "x=vx_V:x_um, y=vy_V:y_um". A column is "NAME", "NAME:UNIT" or, with its scale, "NAME*100" or "NAME*10um/V".
-        Without "x=" an axis is named after its displacement, without the unit; without blanks in names, blanks may
-        replace the commas.
-    max_bytes : float
-        Largest size of the file, and of its numbers in memory; a header that declares more is refused before the data
-        are read.
 
     Raises
     ------
     FileFormatError
-        If an argument has a wrong type, the file or a column cannot be read, both a time column and a sample rate are
-        given, the file states another unit than `units`, or `axes` does not name two columns for each of at least two
-        axes.
+        If the file or a column cannot be read, or `columns` cannot be understood or contradict the file. A
+        `ColumnsError` has a `proposal`, the text of columns that may be right.
     RecordError
         If the columns do not form a record.
     MissingExtraError
         If the library for this kind of file is not installed.
     """
-    path = path_of(path)
-    counted = sample_rate is None or (isinstance(sample_rate, Real) and not isinstance(sample_rate, bool))
-    demand(counted, "sample_rate", sample_rate, "a number of samples a second [Hz]", error=FileFormatError)
-    several = () if axes is None else axis_columns(axes)
-    if several and (voltage or displacement or units):
-        hint = "columns and units are those in axes"
-        raise FileFormatError("got it with voltage, displacement or units", argument="axes", hint=hint)
-    table = read_table(path, decimal=decimal, max_bytes=max_bytes)
-    first = several[0].displacement if several else displacement
-    choice = Choice(time, voltage, first, voltage_scale, displacement_scale, sample_rate)
-    table = named_and_joined(table, choice, columns, join, decimal=decimal, max_bytes=max_bytes)
-    if units is not None:
-        per_metre(units, error=FileFormatError)
-        found, known = table.select("displacement", displacement), FACTORS["displacement"]
-        if found.unit in known and known[found.unit] != known[units]:
-            words = f"got the unit '{units}', but the column '{found.column.name}' is in {found.unit}; leave units out"
-            raise FileFormatError(f"{table.source}: {words}")
-        choice = choice._replace(displacement=f"{found.column.name}:{units}")
-    return record_of(table, choice, name or path.stem, several)
+    path, columns = path_of(path), Columns.of(columns)
+    return record_of(table_of(path, columns), columns, name or path.stem)
 
 
-def record_of(table: Table, choice: Choice, name: str, axes: Sequence[AxisColumns] = ()) -> Record:
-    """Return the record in a table, see `read`; of several axes if there are `axes`."""
-    timed = ("time",) if choice.sample_rate is None else ()
-    own = [one.choice(choice) for one in axes]
-    parts: list[dict[str, Selected]] = []
-    for k, selected in enumerate(own or [choice]):
+def record_of(table: Table, columns: Columns, name: str) -> Record:
+    """Return the record in a table, see `read` and `table_of`; of several axes if `columns` names some."""
+    axes = columns.of_axes() if columns.axes else {"": columns}
+    parts: dict[str, dict[str, Selected]] = {}
+    for axis, own in axes.items():
         try:
-            parts.append(chosen(table, selected, (*timed, *_MEASURED)))
+            parts[axis] = chosen(table, own, ("time", *_MEASURED))
         except ColumnsError as error:
-            if not axes:
+            if not axis:
                 raise
-            # Options for one voltage and one displacement do not help here.
-            raise error_of_axis(table, axes[k].name, error.problems, "VOLTAGE:DISPLACEMENT") from error
-    voltages, displacements = ([part[quantity].values for part in parts] for quantity in _MEASURED)
-    samples, found = len(voltages[0]), parts[0]
-    time = found["time"].values if timed else time_of(table, samples, choice.time, choice.sample_rate)
-    used = [one.column for part in parts for one in part.values()]
+            # A proposal for one voltage and one displacement does not help here.
+            hint = f'the file holds {listed(table.names)}. Give the axis as "{axis}=VOLTAGE:DISPLACEMENT"'
+            raise FileFormatError(f"axis {axis}: {error.problems[0]}", hint=hint, change=("columns",)) from error
+    voltages, displacements = ([part[quantity].values for part in parts.values()] for quantity in _MEASURED)
+    first = next(iter(parts.values()))
+    time = first["time"].values
+    if columns.temperature is not None:
+        table = _with_temperature(table, columns.temperature)
+    used = [one.column for part in parts.values() for one in part.values()]
     others, remarks = further_channels(table, used, len(time))
     used_as = {
-        quantity if quantity == "time" or not axes else f"{quantity} of {axes[k].name}": one
-        for k, part in enumerate(parts)
+        quantity if quantity == "time" or not axis else f"{quantity} of {axis}": one
+        for axis, part in parts.items()
         for quantity, one in part.items()
     }
-    words = {name: one.guess for name, one in used_as.items()}
-    words |= {channel.name: column.guessed for channel, column in others}
-    scales = {name: one.scale.words for name, one in used_as.items() if one.scale is not None}
-    columns = {quantity: found[quantity].column.name for quantity in _MEASURED}
-    columns["time"] = found["time"].column.name if timed else f"index / {choice.sample_rate:.9g} Hz"
-    columns |= {channel.name: column.name for channel, column in others}
+    guesses = {quantity: one.guess for quantity, one in used_as.items()}
+    guesses |= {channel.name: column.guessed for channel, column in others}
+    scales = {quantity: one.entry.scale.words for quantity, one in used_as.items() if one.entry.scale is not None}
     source = f"{table.source}{''.join(f', {quantity} {scale}' for quantity, scale in scales.items())}"
-    texts = [
-        one._replace(**{name: getattr(known, name) for name in _SCALES}).text
-        for one, known in zip(axes, own, strict=True)
-    ]
-    origin = {"axes": texts} if axes else {"columns": columns}
-    guesses = {quantity: guess for quantity, guess in words.items() if guess}
-    added = {"scales": scales, "guesses": guesses, "remarks": [*table.remarks, *remarks]}
+    found = {quantity: first[quantity].column.name for quantity in ("time", *_MEASURED)}
+    found |= {channel.name: column.name for channel, column in others}
+    if columns.rate is not None:
+        found["time"] = f"index / {columns.rate:.9g} Hz"
+    origin = {"axes": [f"{axis}={text}" for axis, text in columns.axes.items()]} if columns.axes else {"columns": found}
+    added = {
+        "scales": scales,
+        "guesses": {quantity: guess for quantity, guess in guesses.items() if guess},
+        "remarks": [*table.remarks, *remarks],
+    }
     meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}
     channels = tuple(channel for channel, _ in others)
-    if not axes:
+    if not columns.axes:
         return Record(time, voltages[0], displacements[0], name, meta, others=channels)
     # Each axis is checked by itself.
-    records = [
-        Record(time, v, y, f"{name} ({one.name})") for one, v, y in zip(axes, voltages, displacements, strict=True)
-    ]
+    records = [Record(time, v, y, f"{name} ({axis})") for axis, v, y in zip(axes, voltages, displacements, strict=True)]
     voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
-    return Record(time, voltage, displacement, name, meta, axes=tuple(one.name for one in axes), others=channels)
+    return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels)
 
 
-def named_and_joined(
-    table: Table,
-    choice: Choice,
-    columns: str | None,
-    join: PathLike | None,
-    *,
-    decimal: str | None = None,
-    max_bytes: float = MOST,
-) -> Table:
-    """Return a table with the names in `columns`, and joined to the file `join`, see `read`."""
-    if columns is not None:
-        table = renamed(table, columns)
-    if join is None:
+def _with_temperature(table: Table, wanted: str) -> Table:
+    """Return a table in which the wanted column is the one temperature; raise `FileFormatError` if it has none."""
+    known = table.select("temperature", wanted)
+    named = Column("temperature_C", known.values, kept=True, guessed=known.guess)
+    rest = [column for column in table.columns if column is not known.column and column.role != "temperature"]
+    return replace(table, columns=(*rest, named))
+
+
+def table_of(path: PathLike, columns: Columns) -> Table:
+    """Read the table of a file with the time of a rate, and joined to a second file, see `Columns`."""
+    path = path_of(path)
+    table = read_table(path, columns)
+    if columns.rate is not None and columns.time is not None:
+        raise FileFormatError(argument="columns", got="a time and a rate", need="one of them")
+    table = table if columns.rate is None else table.with_rate(columns.rate)
+    if columns.join is None:
         return table
-    path = path_of(join, "join")
-    own = decimal if path.suffix.lower() in _WITH_SIGNS else None
-    return joined(table, read_table(path, decimal=own, max_bytes=max_bytes), choice)
+    (path,) = columns.files
+    own = columns if path.suffix.lower() in _WITH_SIGNS else replace(columns, decimal=None)
+    return joined(table, read_table(path, own), columns)
 
 
-def time_of(table: Table, samples: int, wanted: str | None, sample_rate: float | None) -> Array:
-    """Return the time [s] of each sample: the table's column, or the index over the sample rate [Hz]."""
-    if sample_rate is None:
-        return table.column("time", wanted)
-    known = table.select("time") if wanted is None and table.fitting("time") == 1 else None
-    if wanted is not None or (known and known.usable):
-        raise FileFormatError(
-            f"{table.source}: got a sample rate and the time column '{known.column.name if known else wanted}'",
-            hint="leave one of them out",
-            change=("sample_rate",),
-        )
-    if not 0 < sample_rate < float("inf"):
-        raise FileFormatError(f"{table.source}: sample_rate is {sample_rate} Hz; give a number above 0")
-    return np.arange(samples) / sample_rate
-
-
-def read_table(path: PathLike, *, decimal: str | None = None, max_bytes: float = MOST) -> Table:
+def read_table(path: PathLike, columns: Columns | None = None) -> Table:
     """Read all numeric columns of the file at `path`; its suffix determines the format. Errors as in `read`.
 
-    `decimal`: decimal sign of a text file, "," or ".". `max_bytes`: largest size of the file, and of its numbers in
-    memory.
+    Of `columns` only the decimal sign and the largest size count.
     """
-    path = path_of(path)
-    demand(decimal in (None, *SIGNS), "decimal", decimal, "one of '.' and ','", error=FileFormatError)
+    path, columns = path_of(path), columns or Columns()
     with reading_errors(path, path.suffix):
         if path.suffix.lower() not in LOADERS and path.exists() and not path.is_fifo() and not path.is_dir():
             raise FileFormatError(
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, max_bytes)._replace(decimal=decimal)
-    if decimal is not None and content.suffix not in _WITH_SIGNS:
-        raise FileFormatError(
-            f"{path}: decimal: got '{decimal}', but {content.suffix} files hold no text; leave it out"
-        )
-    columns = load(content)
-    if not columns:
+        content = content_of(path, 1e6 * columns.max_size)
+    if columns.decimal is not None and content.suffix not in _WITH_SIGNS:
+        got = f"'{columns.decimal}' for {content.suffix} files, which hold no text"
+        raise FileFormatError(argument="decimal", got=got, need="none")
+    found = load(content._replace(decimal=columns.decimal))
+    if not found:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
-    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(columns))
+    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(found))
 
 
 def write_record(path: PathLike, record: Record) -> None:

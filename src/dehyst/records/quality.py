@@ -206,7 +206,7 @@ def _of_units(record: Record) -> Iterator[str]:
     if "monitor" in monitor.lower() and not record.meta.get("scales", {}).get("voltage"):
         yield (
             f"The voltage is column '{shortened(monitor)}': if that is a monitor, which divides the voltage of the "
-            f'actuator, give its scale, voltage scale "{GAIN} V/V" with its gain for {GAIN}.'
+            f"actuator, give its gain for {GAIN} in voltage=NAME*{GAIN}."
         )
 
 
@@ -240,8 +240,7 @@ def reasons_against(record: Record, min_samples: int, min_cycles: int) -> Iterat
     if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
         yield (
             "displacement falls when voltage rises: the actuator is poled the other way, or the sensor's sign is "
-            "inverted; if it is the sensor, read the displacement with a scale of -1: NAME*-1um/um in --columns, "
-            'displacement_scale="-1 um/um" in Python'
+            "inverted; if it is the sensor, read the columns with displacement=NAME*-1"
         )
     yield from _clipped(record, max(5, round(0.005 * len(record) / max(1, len(cycles)))))
     yield from _leading(record, cycles)

@@ -20,8 +20,9 @@ from dehyst._validation import DEFAULT_AXES, axis_names, keep, plain
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
 from dehyst.records import quality, signals
-from dehyst.records.formats.columns import Column, Table
+from dehyst.records.formats.columns import Column
 from dehyst.records.signals import white_noise
+from dehyst.records.tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

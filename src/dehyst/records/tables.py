@@ -1,11 +1,10 @@
-"""Conversion of file tables to the columns of a record: names, choice of columns, and joining of two files."""
+"""Tables of files: the columns of a record in them, proposals where these are not known, and two files joined."""
 
 from __future__ import annotations
 
-import csv
-import re
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations
 from typing import NamedTuple
 
@@ -14,341 +13,371 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._units import FACTORS, quantity_of, symbol_of
-from dehyst._validation import axis_names
-from dehyst.records.formats import columns as known
+from dehyst._units import FACTORS, in_si, quantity_of
+from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.columns import (
     GAIN,
     GUESS,
     QUANTITIES,
     Column,
-    ColumnError,
-    Selected,
-    Table,
+    is_small,
     listed,
+    plausible_unit,
     shortened,
 )
 
-# What a user replaces by the samples a second.
-RATE = "HZ"
-_SCALES = {"voltage": "V/V", "displacement": "um/V"}
-_SCALED = re.compile(rf"(.*?)\s*\*\s*(-?[\d.]+(?:[eE][+-]?\d+)?|{GAIN})\s*([^\s/*]+\s*/\s*[^\s/*]+)?\s*", re.DOTALL)
+# Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
+_AXES = {"x", "y", "z"}
+# Columns of a file that are compared with one another.
+_MOST = 12
 
 
-class Choice(NamedTuple):
-    """Selection of the columns of a record: names, scales, and a sample rate [Hz] instead of a time."""
+class ColumnError(FileFormatError):
+    """A quantity that cannot be read from its column.
 
-    time: str | None = None
-    voltage: str | None = None
-    displacement: str | None = None
-    voltage_scale: str | None = None
-    displacement_scale: str | None = None
-    sample_rate: float | None = None
-
-    def scale(self, quantity: str) -> str | None:
-        """Return the scale of a quantity."""
-        return None if quantity == "time" else getattr(self, f"{quantity}_scale")
-
-
-class AxisColumns(NamedTuple):
-    """The `name` of an axis, the columns of its voltage and its displacement, and their scales."""
-
-    name: str
-    voltage: str
-    displacement: str
-    voltage_scale: str | None = None
-    displacement_scale: str | None = None
-
-    @property
-    def text(self) -> str:
-        """The axis as `axis_columns` reads it."""
-        pairs = ((self.voltage, self.voltage_scale), (self.displacement, self.displacement_scale))
-        return f"{self.name}={':'.join(with_scale(*pair) for pair in pairs)}"
-
-    def choice(self, common: Choice) -> Choice:
-        """Return the selection of its columns; a scale of `common` holds if the axis has none."""
-        own = {name: value for name, value in self._asdict().items() if name != "name" and value is not None}
-        return common._replace(**own)
-
-
-def entries_of(text: str) -> list[str]:
-    """Return the entries of a text with commas between them; one that holds a comma is in double quotes."""
-    return next(csv.reader([text], skipinitialspace=True), [])
-
-
-def text_of(entries: Iterable[str]) -> str:
-    """Return the text of entries, see `entries_of`."""
-    return ", ".join('"{}"'.format(one.replace('"', '""')) if set(one) & set(',"') else one for one in entries)
-
-
-def scaled(quantity: str, text: str) -> tuple[str, str | None]:
-    """Return the name and the scale in "NAME*SCALE" (None: no scale); without units a scale is in V/V or um/V."""
-    match = _SCALED.fullmatch(text)
-    return (text, None) if match is None else (match[1], f"{match[2]} {match[3] or _SCALES[quantity]}")
-
-
-def with_scale(name: str | None, scale: str | None) -> str:
-    """Return the text that `scaled` reads."""
-    return (name or "") + ("" if scale is None else f"*{scale.removesuffix(' V/V')}")
-
-
-def parts_of_axis(text: str) -> list[str]:
-    """Return the columns of an axis, "NAME", "NAME:UNIT" or "NAME*SCALE" with colons between them.
-
-    A unit belongs to the name before it.
-    """
-    found: list[str] = []
-    for part in text.split(":"):
-        unit = scaled("voltage", part)[0].removesuffix(GUESS)
-        if found and ":" not in found[-1] and quantity_of(unit) in _SCALES:
-            found[-1] += f":{part}"
-        else:
-            found.append(part)
-    return [part.strip() for part in found]
-
-
-def axis_columns(axes: str) -> tuple[AxisColumns, ...]:
-    """Return the columns in `axes`, see `dehyst.read`.
-
-    Raise `FileFormatError` if there are fewer than two axes, an entry has no two columns, or two axes or columns have
-    one name.
+    `problem`: the problem, without the name of the file and the hint. `column`: the column concerned, if any.
+    `solvable`: whether other columns, units or scales may help.
     """
 
-    def refusal(got: str, need: str) -> FileFormatError:
-        return FileFormatError(argument="axes", got=got, need=f'{need}, as "x=vx_V:x_um, y=vy_V:y_um"')
-
-    entries = []
-    # Names may hold blanks if there are commas between the axes.
-    texts = [] if not isinstance(axes, str) else entries_of(axes) if "," in axes else axes.split()
-    for text in filter(None, map(str.strip, texts)):
-        name, _, columns = text.rpartition("=")
-        parts = parts_of_axis(columns)
-        if len(parts) != 2 or not all(parts):
-            need = "the columns of a voltage and a displacement (with a unit where the file states none: NAME:UNIT)"
-            raise refusal(f"'{text}'", need)
-        (voltage, gain), (displacement, scale) = map(scaled, _SCALES, parts)
-        name = name.strip() or Column(displacement.partition(":")[0], np.empty(0)).parts[0]
-        entries.append(AxisColumns(name, voltage, displacement, gain, scale))
-    used = [column for one in entries for column in one[1:3]]
-    if twice := sorted({column for column in used if used.count(column) > 1}):
-        raise refusal(f"'{twice[0]}' twice", "columns of its own for each axis")
-    if len(entries) < 2:
-        raise refusal(repr(axes), "voltage and displacement of two axes at least")
-    axis_names([one.name for one in entries], len(entries), "axes", FileFormatError)
-    return tuple(entries)
-
-
-def renamed(table: Table, columns: str) -> Table:
-    """Return a table with the names and units of a text as "time:s,voltage:V,-,displacement:um".
-
-    An entry without a unit keeps the unit in the file; "-" and an empty entry leave a column out; a "?" at the end of
-    an entry marks it as a guess. A column whose entry has a unit, but is not a quantity of a record, is kept as a
-    further channel. Raise `FileFormatError` if it is not text, the numbers of entries and columns differ, a unit is
-    unknown, a name occurs twice, or there is no name.
-    """
-    if not isinstance(columns, str):
-        need = "one text with commas, as 'time:s,voltage:V,displacement:um'"
-        raise FileFormatError(argument="columns", got=repr(columns), need=need)
-
-    def refusal(words: str) -> FileFormatError:
-        return FileFormatError(f"{table.source}: columns: {words}")
-
-    entries = [entry.strip() for entry in columns.split(",")]
-    if len(entries) != len(table.columns):
-        raise refusal(
-            f"got {len(entries)} names, but the file holds {len(table.columns)} columns: {listed(table.names)}; give a "
-            "name for each, and - for one that is to be left out"
-        )
-    named = []
-    for entry, column in zip(entries, table.columns, strict=True):
-        name, _, unit = (part.strip() for part in entry.removesuffix(GUESS).partition(":"))
-        if unit and not symbol_of(unit) and Column(name, column.data).quantities:
-            raise refusal(f"got the unit '{unit}', which is unknown; try s, V or um")
-        if name in ("", "-"):
-            continue
-        if not unit and column.contradiction:
-            raise refusal(
-                f"'{name}' needs a unit: column '{shortened(column.name)}' has the unit '{column.contradiction}' in "
-                f"its name, but the file states '{column.unit}' for it; give '{name}:UNIT'"
-            )
-        kept, unit = unit != "", symbol_of(unit) or unit or column.parts[1]
-        guess = f"column '{shortened(column.name)}' in {unit or 'no unit'}" if entry.endswith(GUESS) else ""
-        guess = "; ".join(part for part in (guess, column.guessed) if part)
-        named.append(replace(column, name=name, unit=unit, unnamed="", divided=False, guessed=guess, kept=kept))
-    names = [column.name for column in named]
-    if len(set(names)) < len(names):
-        raise refusal(f"got {listed(tuple(names))}; give each name once")
-    if not named:
-        raise refusal(f"got '{columns}', which leaves out all columns; name one at least, as time:s")
-    return replace(table, columns=tuple(named))
+    def __init__(
+        self,
+        source: str,
+        quantity: str,
+        problem: str,
+        hint: str = "",
+        column: Column | None = None,
+        solvable: bool = True,
+    ) -> None:
+        super().__init__(f"{source}: {problem}", hint=hint, change=("columns",) * solvable)
+        self.quantity, self.problem, self.column, self.solvable = quantity, problem, column, solvable
 
 
 class ColumnsError(FileFormatError):
-    """Columns of a record that are not found, with the options of `read` that may select them.
+    """Columns of a record that are not found.
 
-    `reason`: the message without `options`, which are to be checked by the user. `change`: as in `DehystError`, in
-    addition to these options. `problems`: of each column.
+    `reason`: the message without the proposal. `proposal`: text of columns that may be right, which the user has to
+    check and to complete, see `notes_on`; empty if there is none. `problems`: of each column.
     """
 
-    problems: tuple[ColumnError, ...] = ()
-
-    def __init__(self, reason: str, options: Mapping[str, str], change: Iterable[str] = ()) -> None:
-        given = [f'{name.replace("_", " ")} "{value}"' for name, value in options.items()]
-        stop = "" if reason.endswith(".") else "."
-        advice = f"{stop} Try {', '.join(given)}. {' '.join(notes_on(options))}"
-        advice = "" if all(option in reason for option in given) else advice
-        super().__init__(f"{reason}{advice}", change=list(dict.fromkeys([*options, *change])))
-        self.reason, self.options = reason, dict(options)
+    def __init__(self, reason: str, proposal: str, problems: Sequence[ColumnError] = ()) -> None:
+        advice = f" Try columns='{proposal}'. {' '.join(notes_on(proposal))}" if proposal else ""
+        stop = "" if reason.endswith(".") or not advice else "."
+        super().__init__(f"{reason}{stop}{advice}", change=("columns",) if proposal else ())
+        self.reason, self.proposal, self.problems = reason, proposal, tuple(problems)
 
     def as_dict(self) -> dict[str, object]:
-        """Return JSON values, with the options to try."""
-        return {**super().as_dict(), "reason": self.reason, "suggestion": dict(self.options)}
+        """Return JSON values, with the columns to try."""
+        return {**super().as_dict(), "reason": self.reason, "suggestion": self.proposal}
 
 
-def notes_on(options: Mapping[str, str]) -> list[str]:
-    """Return sentences about proposed options: placeholders to replace, and guesses."""
-    text = " ".join(options.values())
+def notes_on(proposal: str) -> list[str]:
+    """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
-        GAIN: f"Replace {GAIN} by what the data sheet states: volts of the actuator for one volt of the column (1 V/V "
-        "if the column holds the actuator's voltage), micrometres for one volt of a sensor.",
+        GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
+        "the sensor; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
     }
-    shown = {RATE: RATE in options.values(), GAIN: GAIN in text, GUESS: GUESS in text}
-    return ["Check units and scales.", *(note for mark, note in notes.items() if shown[mark])]
+    return ["Check units and scales.", *(note for mark, note in notes.items() if mark in proposal)]
 
 
-def chosen(table: Table, choice: Choice, quantities: tuple[str, ...]) -> dict[str, Selected]:
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """The column that was selected for a quantity.
+
+    `unit`: unit of the column, from the user or the file. `entry`: how it was selected. `guess`: guessed properties of
+    the column; empty if all are known.
+    """
+
+    source: str
+    quantity: str
+    column: Column
+    unit: str
+    entry: Entry
+    guess: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """Whether it has numbers in a known unit."""
+        return self.unit in FACTORS[self.quantity] and not self.column.fault
+
+    @cached_property
+    def values(self) -> Array:
+        """The column (n,) in SI units; of a periodic signal, the signal as it is.
+
+        Raise `ColumnError` if its cells are not numbers, its unit is unknown, the scale does not fit, or it seems to be
+        a monitor's voltage without a scale.
+        """
+        column, scale, quantity = self.column, self.entry.scale, self.quantity
+        if column.fault:
+            raise self._error(f": {column.fault}")
+        if scale is not None and (fault := scale.fault(quantity, self.unit)):
+            has = f" has the unit '{shortened(self.unit)}', but" if self.unit else ":"
+            raise self._error(f"{has} {fault}", "give a scale for that unit, or leave it out")
+        if scale is None and self.unit not in FACTORS[quantity]:
+            raise self._unknown_unit()
+        # The record refuses overflow and NaN, with the row.
+        with np.errstate(all="ignore"):
+            if scale is None:
+                values: Array = in_si(column.data, self.unit)
+            else:
+                values = column.data if scale.kind else scale.apply(quantity, self.unit, column.data)
+        if quantity == "voltage" and scale is None and column.is_plug and is_small(values):
+            raise self._error(
+                f" has the name of an output or a monitor, and only {values.min():.4g} to {values.max():.4g} V",
+                f"if an amplifier multiplies or divides it, give {quantity}={self._name}*{GAIN} with the gain for "
+                f"{GAIN}; if these are the volts of the actuator, the gain is 1",
+            )
+        return values
+
+    @property
+    def _name(self) -> str:
+        return shortened(self.column.name)
+
+    def _error(self, problem: str, hint: str = "") -> ColumnError:
+        return ColumnError(self.source, self.quantity, f"column '{self._name}'{problem}", hint, self.column)
+
+    def _unknown_unit(self) -> ColumnError:
+        quantity, unit, example = self.quantity, self.unit, QUANTITIES[self.quantity].example
+        known = f"known are {', '.join(FACTORS[quantity])}"
+        if not unit:
+            advice = f'Name it like "{example}", or give its unit, as {quantity}={self._name}:UNIT'
+            return self._error(" has no unit", f"{known}. {advice}")
+        stated = f" has the unit '{shortened(unit)}', which is no {quantity}"
+        if quantity == "time" or (quantity_of(unit) and quantity_of(unit) != "voltage"):
+            return self._error(stated, f"{known}. Select another column with {quantity}=NAME")
+        scale = f"{self._name}*{GAIN} {QUANTITIES[quantity].bare}/{unit}"
+        return self._error(stated, f"{known}. Give its scale, {quantity}={scale}, or select another column")
+
+    def refuse_other_unit(self, given: str) -> None:
+        """Raise ColumnError if the name of the column, the file and the user state different units.
+
+        `given`: the unit that the user gives; without one, two units of the column contradict one another. With one,
+        nobody takes volts for micrometres, amperes for volts, or volts for millivolts, without a scale.
+        """
+        quantity, known, stated = self.quantity, FACTORS[self.quantity], self.column.parts[1]
+        if not given:
+            if named := self.column.contradiction:
+                problem = f" has the unit '{named}' in its name, but the file states '{stated}' for it"
+                ways = [f"{quantity}={self._name}:{unit}" for unit in (named, stated) if unit in known]
+                raise self._error(f"{problem}; correct one of them{''.join(f', or give {way}' for way in ways)}")
+            return
+        same = given in known and stated in known and known[given] == known[stated]
+        if not stated or same or given == self.column.contradiction or given.casefold() == stated.casefold():
+            return
+        factor = (
+            f"{known[given] / known[stated]:g} {stated}" if given in known and stated in known else f"{GAIN} {given}"
+        )
+        scale = f"{quantity}={self._name}*{factor}/{stated}"
+        hint = "select another column" if quantity == "time" else f"give the scale from one to the other, {scale}"
+        raise self._error(f" has the unit '{stated}' in the file, got '{given}'", hint)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Table:
+    """The columns of one file, still in the file's units.
+
+    `remarks`: sentences about changes to the columns, for the notes of a record.
+    """
+
+    source: str
+    sha256: str
+    columns: tuple[Column, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Column names as in the file, with their groups."""
+        return tuple(column.name for column in self.columns)
+
+    @property
+    def rows(self) -> int:
+        """Length of the longest column."""
+        return max((column.data.size for column in self.columns), default=0)
+
+    def column(self, quantity: str, wanted: str | None = None) -> Array:
+        """Return the column (n,) of a quantity in seconds, volts or metres, see `select`."""
+        return self.select(quantity, wanted).values
+
+    def with_rate(self, rate: float) -> Table:
+        """Return the table with the index over a rate [Hz] as its time, in the place of its columns of time."""
+        clock = Column("time", np.arange(float(self.rows)) / rate, "s")
+        others = [column for column in self.columns if "time" not in column.quantities]
+        left = tuple(column.name for column in self.columns if "time" in column.quantities)
+        for column in self.columns if self.fitting("time") == 1 else ():
+            if "time" not in column.quantities or not self.select("time").usable:
+                continue
+            time = self.select("time").values
+            # A time that stands or falls says nothing about the rate.
+            if np.all(np.diff(time) > 0) and np.abs(time - time[0] - clock.data[: time.size]).max() * rate > 1.0:
+                step = float(np.median(np.diff(time)))
+                got = f"{rate:g} Hz, but '{shortened(column.name)}' has steps of {step:.4g} s, or gaps"
+                raise FileFormatError(argument="rate", got=got, need="the rate of that time, or none")
+        remarks = (f"The time is that of the rate, not of {listed(left)}.",) if left else ()
+        return replace(self, columns=(clock, *others), remarks=(*self.remarks, *remarks))
+
+    def select(self, quantity: str, wanted: str | None = None) -> Selected:
+        """Select the column of a `quantity` of `QUANTITIES`.
+
+        `wanted`: as in `Columns`; without a name the one column named like the quantity. Raise `ColumnError` if there
+        are no or several such columns, or units contradict.
+        """
+        entry, fits = self._fits(quantity, wanted)
+        if not entry.name and self.columns and self.columns[0].unnamed:
+            raise ColumnError(self.source, quantity, self.columns[0].unnamed)
+        if len(fits) != 1:
+            raise self._not_one(quantity, entry.name, fits)
+        column = fits[0]
+        unit = entry.unit or column.parts[1]
+        guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if entry.guess else ""
+        guess = "; ".join(part for part in (guess, column.guessed) if part)
+        found = Selected(self.source, quantity, column, unit, entry, guess)
+        found.refuse_other_unit(entry.unit)
+        return found
+
+    def fitting(self, quantity: str, wanted: str | None = None) -> int:
+        """Return the number of columns that `select` would choose from."""
+        return len(self._fits(quantity, wanted)[1])
+
+    def label(self, column: Column) -> str:
+        """Return the name by which a column is selected: its own, or its number if it has none of its own."""
+        own = self._named(column.name)
+        plain = Entry.of(column.name) == Entry(column.name) and not column.name.startswith("@")
+        return column.name if len(own) == 1 and plain else str(self.columns.index(column) + 1)
+
+    def _not_one(self, quantity: str, wanted: str, fits: list[Column]) -> ColumnError:
+        request = f"column '{wanted}' for {quantity}" if wanted else f"{quantity} column"
+        count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))} as " if fits else "no "
+        numbers = " or ".join(str(self.columns.index(c) + 1) for c in fits) if len({c.name for c in fits}) == 1 else ""
+        select = (
+            f"Select one with {quantity}=NAME" if not numbers else f"Select one by its number, {quantity}={numbers}"
+        )
+        # Where several columns fit, their names are found already.
+        example = QUANTITIES[quantity].example
+        hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
+        rate = " Without one, give rate=HZ." if quantity == "time" and not fits else ""
+        return ColumnError(
+            self.source, quantity, f"{count}{request}", f"the file holds {listed(self.names)}. {select}.{hint}{rate}"
+        )
+
+    def _fits(self, quantity: str, wanted: str | None) -> tuple[Entry, list[Column]]:
+        """Return how a column is selected, and the columns that fit; a name of a column counts as it is."""
+        if wanted is not None and (own := self._named(wanted)):
+            return Entry(wanted), own
+        entry = Entry("") if wanted is None else Entry.of(wanted)
+        return entry, self._named(entry.name) if entry.name else self._candidates(quantity)
+
+    def _candidates(self, quantity: str) -> list[Column]:
+        known, units = QUANTITIES[quantity], FACTORS[quantity]
+        fits = [c for c in self.columns if c.words & {*known.words.split(", ")}]
+        fits = [c for c in fits if not c.foreign] or fits
+        fits = [c for c in fits if c.parts[1] in units] or fits
+        if quantity == "displacement" and fits and all(c.parts[0].lower() in _AXES for c in fits):
+            return [c for c in self.columns if c.parts[0].lower() in _AXES and c.parts[1] in units] or fits
+        more = {*known.more.split(", ")}
+        return fits or [c for c in self.columns if c.words & more and c.parts[1] in units]
+
+    def _named(self, name: str) -> list[Column]:
+        """Return the columns of a name, of the last part of a name, without the unit, or of a number."""
+        name = name.strip().strip("/")
+        exact = [c for c in self.columns if c.name == name]
+        leaf = [c for c in self.columns if c.leaf == name]
+        dotted = [c for c in self.columns if c.name.replace("/", ".") == name]
+        found = exact or leaf or dotted or [c for c in self.columns if c.parts[0] == name]
+        place = int(name) if name.isascii() and name.isdigit() else 0
+        return found or [*self.columns[place - 1 : place]] if place else found
+
+
+def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[str, Selected]:
     """Return the columns of quantities, whose `values` are known to be numbers in SI units.
 
-    Raise `ColumnsError` if some of them cannot be read: all problems, and options that would solve them.
+    Raise `ColumnsError` if some of them cannot be read: all problems, and columns that would solve them.
     """
     found: dict[str, Selected] = {}
     problems: list[ColumnError] = []
     for quantity in quantities:
         try:
-            one = table.select(quantity, getattr(choice, quantity), choice.scale(quantity))
+            one = table.select(quantity, getattr(columns, quantity))
             _, found[quantity] = one.values, one
         except ColumnError as error:
             problems.append(error)
-    if problems:
-        refused = _columns_error(table, choice, problems, {one.column.name for one in found.values()})
-        refused.problems = tuple(problems)
-        raise refused
-    return found
-
-
-def error_of_axis(table: Table, axis: str, problems: Iterable[ColumnError], entry: str) -> FileFormatError:
-    """Return the problems with the columns of an axis as one error; `entry`: what its columns are given as."""
-    found = list(problems)
-    untimed = any(one.quantity == "time" for one in found)
-    rate = "; without a time column, give the sample rate in Hz" if untimed else ""
-    faults = "; ".join(dict.fromkeys(one.problem for one in found))
-    if unsolvable := [one.hint for one in found if one.unsolvable]:
-        return FileFormatError(f"{table.source}: {faults}", hint=unsolvable[0])
-    return FileFormatError(
-        f"{table.source}: {faults}",
-        hint=f'the file holds {listed(table.names)}. Give the axis {axis} as "{axis}={entry}", with a unit where the '
-        f"file states none (NAME:UNIT), and a scale of a monitor or a sensor (NAME*{GAIN}, NAME*-1um/um){rate}",
-        change=("time", "sample_rate") if untimed else (),
-    )
-
-
-def _columns_error(table: Table, choice: Choice, problems: list[ColumnError], taken: set[str]) -> ColumnsError:
-    """Return all problems as one error, with options for the columns: those of problems, else the most likely ones."""
-    if unsolvable := [error for error in problems if error.unsolvable]:
-        faults = "; ".join(dict.fromkeys(error.problem for error in unsolvable))
-        return ColumnsError(f"{table.source}: {faults}; {unsolvable[0].hint}", {}, [])
-    used = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
-    free = [c for c in table.columns if c.name not in taken and not c.fault and c not in used.values()]
-    proposal = used | _assigned(free, [error.quantity for error in problems if error.quantity not in used])
+    if not problems:
+        return found
+    proposal = proposed(table, columns, problems, [one.column for one in found.values()])
+    faults = "; ".join(dict.fromkeys(error.problem for error in problems))
+    hints = list(dict.fromkeys(error.hint for error in problems))
+    hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
     # A quantity that no column of this file seems to be may be in a second file.
-    lacking = {error.quantity for error in problems if not error.column} - proposal.keys() - {"time"}
-    join = bool(lacking) and not any(column.unnamed for column in table.columns)
-    joining = " If it is in a second file, join that one." if join else ""
-    if len({error.problem for error in problems}) == 1:
-        reason = f"{table.source}: {problems[0].problem}{'; ' * bool(problems[0].hint)}{problems[0].hint}"
-        reason = f"{reason}{'' if not join or reason.endswith('.') else '.'}{joining}"
-    else:
-        asked = " and ".join(f"that of the {error.quantity}" for error in problems)
-        names = ", ".join(f"'{QUANTITIES[error.quantity].example}'" for error in problems)
-        untimed = any(error.quantity == "time" for error in problems)
-        rate = " Without a time column, give the sample rate in Hz." if untimed else ""
-        faults = "; ".join(error.problem for error in problems)
-        reason = (
-            f"{table.source}: {faults}; the file holds {listed(table.names)}. Name {asked}. Names like {names} are "
-            f"found by themselves.{rate}{joining}"
-        )
-    change = [name for error in problems for name in error.change] + ["join"] * join
-    return ColumnsError(reason, _options(table, choice, problems, proposal), change)
+    lacking = [error for error in problems if not error.column and f"{error.quantity}=" not in proposal]
+    lacking = [] if any(column.unnamed for column in table.columns) else lacking
+    join = " If it is in a second file, join that one." if {one.quantity for one in lacking} - {"time"} else ""
+    hint = "; ".join(filter(None, [hint]))
+    reason = f"{table.source}: {faults}{f'; {hint}' if hint else ''}"
+    raise ColumnsError(f"{reason}{'.' * bool(join and not reason.endswith('.'))}{join}", proposal, problems)
 
 
-def _options(
-    table: Table, choice: Choice, problems: list[ColumnError], proposal: Mapping[str, Column]
-) -> dict[str, str]:
-    """Return options that select columns of a plausible range; none if there is no column for a quantity."""
-    wanted = [error.quantity for error in problems]
-    if any(column.unnamed and not column.fault for column in table.columns) and len(proposal) == len(wanted):
-        units = {quantity: known.plausible_unit(quantity, column.data) for quantity, column in proposal.items()}
-        entries = {
-            c.name: f"{quantity}:{units[quantity]}{GUESS}" for quantity, c in proposal.items() if units[quantity]
-        }
-        names = ",".join(entries.get(column.name, "-") for column in table.columns)
-        return {"columns": names} | _gain(choice, proposal.get("voltage"), units.get("voltage", ""))
-    for quantity, column in proposal.items():
-        scale, stated = choice.scale(quantity), column.parts[1]
-        if column.contradiction or (scale is not None and stated and known.scale_of(quantity, scale).refusal(stated)):
-            # No name mends a scale that is wrong, or units that contradict one another.
-            return {}
-    named = {error.quantity for error in problems if error.column and not error.column.fault}
-    options: dict[str, str] = {}
-    for quantity in wanted:
-        if quantity in proposal:
-            options |= _option(quantity, proposal[quantity], choice, guessed=quantity not in named)
-    untimed = "time" in wanted and "time" not in proposal and choice.time is None
-    return options | ({"sample_rate": RATE} if untimed and {*wanted} - {"time"} <= options.keys() else {})
+def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], taken: Sequence[Column]) -> str:
+    """Return the text of columns that may be right in the place of those with problems; empty if there are none.
+
+    Everything that does not follow from a name or a unit is marked as a guess.
+    """
+    named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
+    used = {id(column) for column in (*taken, *named.values())}
+    free = [column for column in table.columns if id(column) not in used and not column.fault]
+    wanted = [error.quantity for error in problems if error.quantity not in named]
+    size = next((column.data.size for column in (*taken, *named.values())), 0)
+    assigned = named | _assigned(free, wanted, size)
+    entries = {}
+    for quantity in (error.quantity for error in problems):
+        if quantity not in assigned:
+            continue
+        given = Entry.of(getattr(columns, quantity) or "")
+        if text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
+            entries[quantity] = text
+    if "time" in wanted and "time" not in assigned and not columns.time:
+        entries["rate"] = RATE
+    complete = {error.quantity for error in problems} - {"time"} <= entries.keys()
+    return text_of(columns.entries() | entries) if complete and entries else ""
 
 
-def _option(quantity: str, column: Column, choice: Choice, *, guessed: bool) -> dict[str, str]:
-    """Return the options for a column; `guessed`: whether the quantity does not follow from its name."""
-    name, unit, scale = column.name, column.parts[1], choice.scale(quantity)
-    given = f"{name}{GUESS if guessed else ''}"
-    if unit not in FACTORS[quantity] and scale is None:
-        if quantity == "displacement" and quantity_of(unit) == "voltage":
-            return {quantity: given, "displacement_scale": f"{GAIN} um/{unit}"}
-        unit = "" if quantity_of(unit) else known.plausible_unit(quantity, column.data)
+def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, guessed: bool) -> str:
+    """Return the entry that selects a column for a quantity, with a given scale; empty where no unit is plausible."""
+    stated, name, known = column.parts[1], table.label(column), QUANTITIES[quantity]
+    guess, unit = GUESS if guessed else "", stated
+    if column.contradiction or (quantity == "time" and quantity_of(stated) not in ("", "time")):
+        return ""
+    if not stated and column.is_channel and quantity != "time":
+        # A channel of an oscilloscope holds volts: the guess of any other unit would be wrong.
+        name, unit, guess = f"{name}:V", "V", GUESS
+    elif not stated and scale is None:
+        unit = plausible_unit(quantity, column.data)
+        name, guess = f"{name}:{unit}", GUESS
         if not unit:
-            return {}
-        given = f"{name}:{unit}{GUESS}"
-    plug = quantity == "voltage" and (guessed or known.is_plug(name))
-    return {quantity: given} | (_gain(choice, column, unit) if plug else {})
+            return ""
+    if scale is not None:
+        return "" if scale.fault(quantity, unit) else f"{name}{guess}*{scale}"
+    if unit not in FACTORS[quantity]:
+        return "" if quantity == "time" else f"{name}{guess}*{GAIN} {known.bare}/{unit}"
+    plug = quantity == "voltage" and (guessed or column.is_plug) and is_small(column.data * FACTORS["voltage"][unit])
+    return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
 
 
-def _gain(choice: Choice, column: Column | None, unit: str) -> dict[str, str]:
-    """Return the option that asks for an amplifier's gain if a column has the voltages of its input or monitor."""
-    if column is None or choice.voltage_scale is not None:
-        return {}
-    small = known.is_small(column.data * FACTORS["voltage"].get(unit, 1))
-    return {"voltage_scale": f"{GAIN} V/V"} if small else {}
+def _assigned(free: Sequence[Column], wanted: Sequence[str], size: int) -> dict[str, Column]:
+    """Return the most likely column for each quantity, of one length (`size`, if it is known).
 
-
-# Names of columns that count samples.
-_COUNTS = {"index", "idx", "sample", "samples", "point", "points", "count", "no", "nr", "n", "#", "sequence"}
-# Columns of a file that are compared with one another.
-_MOST = 12
-
-
-def _assigned(free: list[Column], wanted: list[str]) -> dict[str, Column]:
-    """Return the most likely column for each quantity; the first that rises is a time, and no other quantity does."""
-    used: dict[str, Column] = {}
+    The first that rises is a time, unless it counts or has another unit, and no other quantity rises always.
+    """
     rising = [c for c in free if c.data.size > 1 and np.all(c.data[1:] > c.data[:-1])]
-    if "time" in wanted and (clocks := [column for column in rising if not _counts(column)]):
-        used["time"] = min(clocks, key=lambda column: _unlikeliness(column, "time"))
-    rest = [column for column in free if column not in rising][:_MOST]
+    clocks = [c for c in rising if not c.is_counter and c.parts[1] in ("", *FACTORS["time"])]
     others = [quantity for quantity in ("voltage", "displacement") if quantity in wanted]
+    rest = [c for c in free if all(c is not one for one in rising)][:_MOST]
     ways = [dict(zip(others, way, strict=True)) for way in permutations(rest, len(others))]
-    best = min(ways, key=lambda way: sum(_unlikeliness(c, q) for q, c in way.items()), default={})
-    return used | best
+    alike = [way for way in ways if len({c.data.size for c in way.values()} | ({size} if size else set())) <= 1]
+    best = min(alike, key=lambda way: sum(_unlikeliness(c, q) for q, c in way.items()), default={})
+    length = next((c.data.size for c in best.values()), size)
+    clocks = [c for c in clocks if not length or c.data.size == length]
+    clock = min(clocks, key=lambda c: _unlikeliness(c, "time"), default=None) if "time" in wanted else None
+    return best | ({} if clock is None else {"time": clock})
 
 
 def _unlikeliness(column: Column, quantity: str) -> int:
@@ -358,14 +387,11 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     fits = {name for name, one in QUANTITIES.items() if any(part in lower for part in one.parts.split(", "))}
     named = quantity in fits or (len(word) == 1 and word.lower() in QUANTITIES[quantity].letters)
     sensor = quantity == "displacement" and stated == "voltage"
-    return (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity})
-
-
-def _counts(column: Column) -> bool:
-    """Return whether a column counts samples: a time has a unit, or another name."""
-    word, unit = column.parts
-    steps = np.diff(column.data)
-    return not unit and word.strip(" .").lower() in _COUNTS and bool(np.all(steps == steps[:1]) and steps[:1] % 1 == 0)
+    # What is wanted of a stage is not what was measured.
+    target = 4 if quantity == "displacement" and column.is_set_point else 0
+    return (
+        (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity}) + target
+    )
 
 
 # Part of a sample by which the times of two files may differ and are still the same.
@@ -386,57 +412,56 @@ class _Timed(NamedTuple):
     seconds: Array
 
 
-def joined(table: Table, other: Table, choice: Choice) -> Table:
+def joined(table: Table, other: Table, columns: Columns) -> Table:
     """Return a table with the columns of both.
 
     Timestamps are aligned by date and time; times without a date count as times of one clock. Where both have a time
-    column and the times differ, the table has the samples of the file with the displacement, else of the first: the
-    columns of the other file are interpolated in straight lines, which would take the noise of a sensor away, and
-    samples before its first or after its last are left out. Otherwise sample belongs to sample. Names of the other
-    follow the name of its file: other/displacement_um.
+    and the times differ, the table has the samples of the file with the displacement, else of the first: the columns of
+    the other file are interpolated in straight lines, which would take the noise of a sensor away, and samples before
+    its first or after its last are left out. Otherwise sample belongs to sample. Names of the other follow the name of
+    its file: other/displacement_um.
 
-    `choice`: names of the time and the displacement, by default found, and the sample rate. Raise `FileFormatError` if,
-    without two time columns, the files differ in length; with them, if the times do not rise or do not overlap, or only
-    one of the files has timestamps.
+    Raise `FileFormatError` if, without two times, the files differ in length; with them, if the times do not rise or do
+    not overlap, or only one of the files has timestamps.
     """
-    first, second = (None if choice.sample_rate is not None else _timed(one, choice.time) for one in (table, other))
+    first, second = (_timed(one, columns) for one in (table, other))
     stem = other.source.rsplit(".", 1)[0]
     added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c is not second.column]
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
     if first is None or second is None or _alike(first.seconds, second.seconds):
-        samples, more = (max((c.data.size for c in one.columns), default=0) for one in (table, other))
         if broken := [one for one in (table, other) if all(column.fault for column in one.columns)]:
             raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
-        if samples != more:
-            got = f"{samples} samples in {table.source} and {more} in {other.source}"
-            hint = "cut one of them, or save it with its time"
-            raise FileFormatError(argument="join", got=got, need="as many, or a time column in both", hint=hint)
+        if table.rows != other.rows:
+            got = f"{table.rows} samples in {table.source} and {other.rows} in {other.source}"
+            hint = "give the rate of the first, or save each with its time"
+            raise FileFormatError(argument="join", got=got, need="as many, or a time in both", hint=hint)
         return replace(table, columns=(*table.columns, *added))
     for one in (first, second):
         if not np.all(np.diff(one.seconds) > 0):
             raise FileFormatError(
-                f"{one.table.source}: the time does not rise, which joining needs; correct those rows"
+                f"{one.table.source}: the time does not rise, which joining needs; give rate={RATE} in its place, with "
+                "this file as the first one"
             )
     kept, moved = first, second
-    own = table.fitting("displacement", choice.displacement)
-    if not own and replace(other, columns=tuple(added)).fitting("displacement", choice.displacement):
+    own = table.fitting("displacement", columns.displacement)
+    if not own and replace(other, columns=tuple(added)).fitting("displacement", columns.displacement):
         kept, moved = second, first
     inside, remarks = _common(kept, moved)
     places = kept.seconds[inside]
-    columns = [
+    aligned = [
         replace(column, data=places / FACTORS["time"][first.unit])
         if column is first.column and moved is first
         else _aligned(column, timed.seconds, inside if timed is kept else places)
-        for timed, columns in ((first, table.columns), (second, added))
-        for column in columns
+        for timed, own_columns in ((first, table.columns), (second, added))
+        for column in own_columns
     ]
-    return replace(table, columns=tuple(columns), remarks=(*table.remarks, *remarks))
+    return replace(table, columns=tuple(aligned), remarks=(*table.remarks, *remarks))
 
 
-def _timed(table: Table, wanted: str | None) -> _Timed | None:
-    """Return a table with its time; None if it has no time column."""
-    for name in (wanted, None):
+def _timed(table: Table, columns: Columns) -> _Timed | None:
+    """Return a table with its time; None if it has no time."""
+    for name in (columns.time, None):
         if table.fitting("time", name):
             one = table.select("time", name)
             return _Timed(table, one.column, one.unit, one.values)
@@ -484,9 +509,8 @@ def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
     if np.count_nonzero(inside) < 2:
         raise FileFormatError(
             f"join: {kept.table.source} lasts from {times[0]:.6g} to {times[-1]:.6g} s and {moved.table.source} from "
-            f"{others[0]:.6g} to {others[-1]:.6g} s, need times in common; correct one of them, or give a sample rate "
-            "for files without their time columns",
-            change=("sample_rate",),
+            f"{others[0]:.6g} to {others[-1]:.6g} s, need times in common; correct one of them, or give a rate for the "
+            "first",
         )
     places, remarks = times[inside], []
     near = others[(others >= places[0]) & (others <= places[-1])]

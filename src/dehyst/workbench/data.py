@@ -16,10 +16,11 @@ from dehyst.control import Compensator
 from dehyst.exports import wasm_module
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.files import AS_FOUND, Columns
+from dehyst.operations.files import AS_FOUND, Columns, clock_of
 from dehyst.operations.registry import find
 from dehyst.operations.run import Run
-from dehyst.records import read, read_table, write_columns
+from dehyst.records import read, read_table, table_of, write_columns
+from dehyst.records.tables import ColumnsError
 from dehyst.waveforms.named import scan_of
 
 _MICRO = 1e6
@@ -86,7 +87,8 @@ def path_points(file: Path, model: Path) -> list[list[list[float]]]:
         moved, time = _path_columns(file, known)
     except FileFormatError as error:
         need = ",".join(["time_s", *(known.name("displacement", axis) for axis in known.axes)])
-        if getattr(error, "change", ()) or "--columns" in error.hint:
+        unnamed = isinstance(error, ColumnsError) and not any(one.column and one.column.fault for one in error.problems)
+        if unnamed or "--columns" in error.hint:
             raise RequestError(
                 f"has no column of a name and a unit as expected; need columns such as {need}"
             ) from error
@@ -98,13 +100,11 @@ def path_points(file: Path, model: Path) -> list[list[list[float]]]:
 
 def _path_columns(file: Path, known: AxesModel) -> tuple[Array, Array]:
     """Return displacements (n, axes) [m] and times (n,) [s] of a path."""
-    read, table = AS_FOUND, AS_FOUND.table(file)
-    if len(table.names) == 2 and all(name.isdigit() for name in table.names):
-        # Without a header.
-        read = Columns(names="time:s,displacement:um")
-        table = read.table(file)
-    moved = known.values(table, "displacement", read)
-    return moved, read.clock(table, len(moved)).get("time_s", np.empty(0))
+    table = table_of(file, AS_FOUND)
+    # Without a header, a time and a displacement.
+    bare = len(table.names) == 2 and all(name.isdigit() for name in table.names)
+    columns = Columns(time="1:s", displacement="2:um") if bare else AS_FOUND
+    return known.values(table, "displacement", columns), clock_of(table, columns).get("time_s", np.empty(0))
 
 
 def _corners(points: Any) -> Array:
@@ -153,8 +153,7 @@ def wasm(file: Path, period: float | None) -> bytes:
 
 def record_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
     """Return time [s], voltage [V] and displacement [um] in a record's file, or of one `axis` in it."""
-    names = {"voltage": f"v{axis}_V", "displacement": f"{axis}_m"} if axis else {}
-    record = read(file, **names)  # type: ignore[arg-type]
+    record = read(file, Columns(voltage=f"v{axis}_V", displacement=f"{axis}_m") if axis else None)
     return record.time - record.time[0], record.voltage, record.displacement * _MICRO
 
 

@@ -20,8 +20,8 @@ _MICRO = 1e6
 class RecordEntry:
     """A record: an uploaded `source`, and the `file` in which it is in SI units once it is ready.
 
-    `file_columns`: name, unit and range of the file's columns; empty if it is not a table. `options`: options with
-    which it was read. `hint`: options that may help to read it. `axes`: names of several coupled axes.
+    `file_columns`: name, unit and range of the file's columns; empty if it is not a table. `columns`: text
+    with which it was read. `hint`: text of columns that may help to read it. `axes`: names of several coupled axes.
     """
 
     id: str
@@ -30,9 +30,9 @@ class RecordEntry:
     file: str = ""
     status: str = "reading"
     error: str | None = None
-    hint: dict[str, Any] | None = None
+    hint: str = ""
     file_columns: list[dict[str, Any]] = field(default_factory=list)
-    options: dict[str, Any] = field(default_factory=dict)
+    columns: str = ""
     axes: list[str] = field(default_factory=list)
     samples: int = 0
     seconds: float = 0.0

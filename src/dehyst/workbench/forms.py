@@ -19,9 +19,9 @@ _STRUCTURES = {
 # Axes of which a record's form offers as many; quantities of each; and fields of a record's form that are no columns.
 AXES, QUANTITIES = ("x", "y", "z"), ("voltage", "displacement")
 PLAIN = {
-    "voltage_scale": {"label": "Scale of the voltage", "hint": "of an amplifier's monitor, e.g. 100 V/V"},
-    "displacement_scale": {"label": "Scale of the displacement", "hint": "of a sensor's voltage, e.g. 10 um/V"},
-    "sample_rate": {"label": "Sample rate in Hz", "hint": "instead of a column of time, e.g. 1000"},
+    "voltage_scale": {"label": "Scale of the voltage", "hint": "of an amplifier's monitor, e.g. 100"},
+    "displacement_scale": {"label": "Scale of the displacement", "hint": "e.g. 10 um/V, fringe 316.4 nm"},
+    "rate": {"label": "Sample rate in Hz", "hint": "instead of a column of time, e.g. 1000"},
     "decimal": {"label": "Decimal sign", "hint": "a comma or a point, if the numbers do not show it"},
 }
 _COLUMNS = {

@@ -3,44 +3,43 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
+from dehyst.records.columns import RECORD, columns_of_axis, entries_of, split, text_of
 from dehyst.workbench.data import RequestError
 from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import AXES, FORMS, PLAIN, QUANTITIES
 
 _AXIS = re.compile(r"[A-Za-z]\w*")
 _COUPLED = "There are {} voltages with displacements, perhaps of coupled axes: check the pairs."
+_SIGNS = {".": "point", ",": "comma"}
 # Marks a guess; one that is taken as it is remains one.
 _GUESS = "?"
 
 
 def form_of(record: RecordEntry) -> dict[str, Any]:
-    """Return the values of a record's form: its options, and those that are suggested, whose fields are `marked`.
+    """Return the values of a record's form: its columns, and those that are suggested, whose fields are `marked`.
 
     `pairs`: columns for coupled axes, if there are some.
     """
-    names = [one["name"] for one in record.file_columns]
     voltages, displacements, times = (_of_unit(record, quantity) for quantity in ("voltage", "displacement", "time"))
     found = list(zip(voltages, displacements, strict=False))[: len(AXES)]
-    many = record.status == "refused" and not record.options and len(found) > 1
-    suggested = {} if many else (record.hint or {}).get("options", {})
-    values = _values(record, suggested, names)
+    many = record.status == "refused" and not record.columns and len(found) > 1
+    suggested = {} if many else entries_of(record.hint)
+    values = _values(record, suggested)
     pairs = {"time": str(times[0])} if times else {}
     for k, (voltage, displacement) in enumerate(found, 1):
         pairs |= {f"voltage_{k}": str(voltage), f"displacement_{k}": str(displacement)}
-    marked = [_field(name) for name in suggested]
-    marked += ["time", "voltage_1", "displacement_1"] * ("columns" in suggested)
-    help_ = "Try the marked options." if record.hint else ""
+    marked, help_ = [_field(name) for name in suggested], "Try the marked options." if record.hint else ""
     if many:
         values |= {"axes": str(len(found)), **pairs}
         marked, help_ = ["axes", *pairs], _COUPLED.format(len(found))
     return {"values": values, "marked": marked, "pairs": pairs, "help": help_}
 
 
-def options_of(record: RecordEntry, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that the values of a record's form mean, keywords of `dehyst.read`.
+def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
+    """Return the text of columns that the values of a record's form mean.
 
     Raises
     ------
@@ -49,71 +48,71 @@ def options_of(record: RecordEntry, values: Mapping[str, Any]) -> dict[str, Any]
     """
     given = {name: str(value).strip() for name, value in values.items()}
     names = [one["name"] for one in record.file_columns]
-    guesses = _given(record, (record.hint or {}).get("options", {}), names)
+    guesses = {field: text for field, text in _given(record, entries_of(record.hint)).items() if _GUESS in text}
     count = int(given.get("axes", "1")) if given.get("axes", "1") in ("1", "2", "3") else 1
-    axes = [_axis_name(given.get(f"name_{k}", ""), k) for k in range(1, count + 1)] if count > 1 else [""]
-    options: dict[str, Any] = {}
-    used: dict[int, str] = {}
-    for field, word in _words(axes).items():
+    used: dict[str, str] = {}
+    for field in ("time", *(f"{quantity}_{k}" for k in range(1, count + 1) for quantity in QUANTITIES)):
         column, unit = given.get(field, ""), given.get(f"{field}_unit", "")
+        scale = given.get(f"{field.rpartition('_')[0]}_scale", "")
         if not column:
+            if scale:
+                raise RequestError("A scale needs its column: choose the column.")
             continue
-        place = int(column) if column.isdigit() else len(names)
-        if place >= len(names) or place in used:
+        if not column.isdigit() or int(column) >= len(names) or column in [one.split(" ")[0] for one in used.values()]:
             raise RequestError("A column stands in two fields: choose each column once.")
-        written = f"{names[place]}{unit and f':{unit}'}"
-        guess = _GUESS if guesses.get(field) == written + _GUESS else ""
-        options[field.removesuffix("_1")] = written + guess
-        used[place] = f"{word}{unit and f':{unit}'}{guess}"
-    twice = any(names.count(names[place]) > 1 for place in used)
-    if twice and len(used) < 3:
-        raise RequestError("Two columns have the same name: choose all three columns.")
-    if count > 1 and len(used) < 2 * count + (not given.get("sample_rate")):
+        place = int(column)
+        # By its number where its name is not its own, or would be read otherwise.
+        plain = names.count(names[place]) == 1 and split(names[place]) == (names[place], "", "", False)
+        text = (names[place] if plain and "=" not in names[place] else str(place + 1)) + (unit and f":{unit}")
+        guess = _GUESS if guesses.get(field, "").partition("*")[0] == text + _GUESS else ""
+        used[field] = f"{column} {text}{guess}{scale and f'*{scale}'}"
+    texts = {field: text.partition(" ")[2] for field, text in used.items()}
+    if count > 1 and len(texts) < 2 * count + (not given.get("rate")):
         raise RequestError("Several axes: choose all their columns, and that of the time.")
-    if twice or count > 1:
-        # Columns of the same name differ by their places only.
-        options = {"columns": ",".join(used.get(place, "-") for place in range(len(names)))}
-    others = {name: given[name] for name in PLAIN if given.get(name)}
-    if rate := others.pop("sample_rate", None):
-        options["sample_rate"] = _rate(rate)
-    return options | others | ({"axes": {name: f"v{name}:{name}" for name in axes}} if count > 1 else {})
+    entries = {"time": texts["time"]} if "time" in texts else {}
+    for k in range(1, count + 1):
+        pair = [texts.get(f"{quantity}_{k}", "") for quantity in QUANTITIES]
+        if count > 1:
+            entries[_axis_name(given.get(f"name_{k}", ""), k)] = ":".join(pair)
+        else:
+            entries |= {quantity: text for quantity, text in zip(QUANTITIES, pair, strict=True) if text}
+    if rate := given.get("rate"):
+        entries["rate"] = _rate(rate)
+    if sign := given.get("decimal"):
+        entries["decimal"] = _SIGNS.get(sign, sign)
+    return text_of(entries)
 
 
-def _field(option: str) -> str:
-    return f"{option}_1" if option in QUANTITIES else option
+def _field(key: str) -> str:
+    return f"{key}_1" if key in QUANTITIES else key
 
 
-def _words(axes: Sequence[str]) -> dict[str, str]:
-    """Return how the column of each field is called when all columns get names; one axis has no name."""
-    found = {"time": "time"}
-    for k, axis in enumerate(axes, 1):
-        found |= {f"voltage_{k}": f"v{axis}" if axis else "voltage", f"displacement_{k}": axis or "displacement"}
+def _given(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]:
+    """Return the entry for each field whose column was given or suggested."""
+    given = {**entries_of(record.columns), **suggested}
+    found = {_field(name): given[name] for name in ("time", *QUANTITIES) if given.get(name)}
+    for k, text in enumerate((text for key, text in given.items() if key not in RECORD), 1):
+        found |= {f"{name}_{k}": one for name, one in zip(QUANTITIES, columns_of_axis(text), strict=False)}
     return found
 
 
-def _given(record: RecordEntry, suggested: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
-    """Return NAME, NAME:UNIT or a guess for each field whose column was given or suggested."""
-    given = {**record.options, **suggested}
-    found = {_field(name): str(given[name]) for name in ("time", *QUANTITIES) if given.get(name)}
-    fields = {word: field for field, word in _words(list(record.options.get("axes") or ("",))).items()}
-    for name, entry in zip(names, str(given.get("columns") or "").split(","), strict=False):
-        word, colon, unit = entry.partition(":")
-        if field := fields.get(word.removesuffix(_GUESS)):
-            found[field] = name + colon + unit + _GUESS * word.endswith(_GUESS)
-    return found
-
-
-def _values(record: RecordEntry, suggested: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+def _values(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]:
+    """Return the values of a record's form."""
+    names = [one["name"] for one in record.file_columns]
     values = dict.fromkeys(FORMS["reading"], "")
-    for field, written in _given(record, suggested, names).items():
-        text = written.removesuffix(_GUESS)
+    for field, text in _given(record, suggested).items():
         # A column may have a colon in its name.
-        column, unit = (text, "") if text in names or ":" not in text else text.rsplit(":", 1)
-        values[field] = str(names.index(column)) if column in names else ""
+        column, unit, scale, _ = (text, "", "", False) if text in names else split(text)
+        number = int(column) if column.isdigit() and column not in names else 0
+        values[field] = str(names.index(column)) if column in names else str(number - 1) if number else ""
         values[f"{field}_unit"] = unit
-    given = {**record.options, **suggested}
-    values |= {name: str(given[name]) for name in PLAIN if given.get(name)}
-    axes = list(record.options.get("axes") or ())
+        if scale:
+            values[f"{field.rpartition('_')[0]}_scale"] = scale
+    given = {**entries_of(record.columns), **suggested}
+    values |= {name: given[name] for name in PLAIN if given.get(name)}
+    signs = {word: sign for sign, word in _SIGNS.items()}
+    values["decimal"] = signs.get(values["decimal"], values["decimal"])
+    axes = [key for key in given if key not in RECORD]
     words = [re.match(r"[A-Za-z][A-Za-z0-9]*", names[k]) for k in _of_unit(record, "displacement")[: len(AXES)]]
     usual = [one[0] for one in words if one]
     # Axes have the names of their columns, if these differ.
@@ -135,11 +134,11 @@ def _axis_name(text: str, k: int) -> str:
     raise RequestError(f"Name of axis {k}: got {text or 'nothing'}, need letters and digits, as in x or y.")
 
 
-def _rate(text: str) -> float:
+def _rate(text: str) -> str:
     try:
         rate = float(text.replace(",", "."))
     except ValueError:
         rate = 0.0
     if rate > 0:
-        return rate
+        return f"{rate:.12g}"
     raise RequestError(f"Sample rate in Hz: got {text}, need a number above 0.")

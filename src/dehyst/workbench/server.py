@@ -40,7 +40,7 @@ from dehyst.workbench.data import (
     wasm,
 )
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.reading import options_of
+from dehyst.workbench.reading import columns_of
 from dehyst.workbench.session import WorkbenchSession
 
 if TYPE_CHECKING:
@@ -357,12 +357,12 @@ class Workbench:
 
     @answered
     async def read(self, request: Request) -> Any:
-        """Read a record again, with options or the values of its form."""
+        """Read a record again, with the text of columns or the values of its form."""
         body, key = await body_of(request), request.path_params["key"]
-        options, values = body.get("options", {}), body.get("form")
-        if not isinstance(options, dict) or not isinstance(values, dict | None):
-            raise RequestError("options, form: need an object with a text for each option or field")
-        self.session.read_record(key, options if values is None else options_of(self.session.record(key), values))
+        columns, values = body.get("columns", ""), body.get("form")
+        if not isinstance(columns, str) or not isinstance(values, dict | None):
+            raise RequestError("columns, form: need a text, or an object with a text for each field")
+        self.session.read_record(key, columns if values is None else columns_of(self.session.record(key), values))
 
     @answered
     async def record_data(self, request: Request) -> Any:

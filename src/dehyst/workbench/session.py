@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from dehyst._errors import DehystError, FileFormatError
 from dehyst._io import finite, write_json
 from dehyst._version import __version__
-from dehyst.operations.files import Columns, is_model
+from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import written_path
 from dehyst.workbench.entries import ModelEntry, RecordEntry, VoltageEntry
@@ -110,41 +110,43 @@ class WorkbenchSession:
         """Read a file, `source` relative to the folder, as a record."""
         entry = RecordEntry(self._id("r"), Path(name).stem[:200] or "record", source)
         self.records[entry.id] = entry
-        self.read_record(entry.id, {})
+        self.read_record(entry.id)
         return entry
 
-    def read_record(self, key: str, options: Mapping[str, Any]) -> None:
-        """Read a record's file, perhaps again, with options for its columns: keywords of `dehyst.read`."""
+    def read_record(self, key: str, columns: str = "") -> None:
+        """Read a record's file, perhaps again, with a text of columns; only files in the folder are joined."""
         entry = self.record(key)
         users = [one.name for one in self.models.values() if entry.id in (*one.train, *one.validate)]
         if users:
             raise SessionError(f"{entry.name}: {users[0]} was identified from it; upload the file again instead")
         if self.jobs.running(entry.id):
             raise SessionError(f"{entry.name}: is being read; wait until that is done")
-        columns = Columns.of_fields({name: value for name, value in options.items() if value not in (None, "")})
+        if columns.startswith("@"):
+            raise SessionError(f"columns: got {columns[:40]!r}, need their text")
+        known = Columns.parse(columns)
+        known.demand([key for key in RECORD if key != "join"], "on the page", axes=bool(known.axes))
+        if known.axes:
+            known.of_axes()
         file = entry.file or self.folder.new(places.RECORDS, entry.name, ".npz")
-        given = {"file": entry.source, "output": file} | ({"columns": str(columns)} if str(columns) else {})
+        given = {"file": entry.source, "output": file} | ({"columns": str(known)} if str(known) else {})
         # A record is a measurement, which is not replaced without force: here by the same file, read otherwise.
         step = Step("show", given, force=True)
-        entry.options, entry.status, entry.error, entry.hint = dict(options), "reading", None, None
+        entry.columns, entry.status, entry.error, entry.hint = str(known), "reading", None, ""
         if is_model(self.folder.path / entry.source):
             entry.status, entry.error = "refused", _NO_RECORD
             self.touch()
             return
 
         def done(finished: Finished) -> None:
-            # With names for all columns the result has these, not the file's.
-            known = finished.error if finished.result is None else finished.result
-            first = known if "file_columns" in known else next((o for o in known.values() if isinstance(o, dict)), {})
-            columns = [] if options.get("columns") else first.get("file_columns", [])
-            entry.file_columns = columns[:_MOST_COLUMNS] or entry.file_columns
+            told = finished.error if finished.result is None else finished.result
+            first = told if "file_columns" in told else next((o for o in told.values() if isinstance(o, dict)), {})
+            entry.file_columns = first.get("file_columns", [])[:_MOST_COLUMNS] or entry.file_columns
             if finished.result is None:
                 # A suggestion is in the form already.
                 words = finished.error.get("reason", finished.words)
                 words = in_page(words.replace(entry.source, Path(entry.source).name))
                 entry.status, entry.error = "refused", words
-                hint = finished.error.get("suggestion")
-                entry.hint = {"options": hint} if hint else None
+                entry.hint = str(finished.error.get("suggestion", ""))
                 return
             entry.file = file
             entry.fill(finished.result)

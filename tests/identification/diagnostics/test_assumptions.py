@@ -364,7 +364,7 @@ def test_gaps_in_time_do_not_join_loops():
 @pytest.mark.nightly
 def test_a_measured_actuator():
     records = [
-        dehyst.read(DATA / f"{name}.csv", voltage="drive_V", displacement="displacement_um")
+        dehyst.read(DATA / f"{name}.csv", "voltage=drive_V, displacement=displacement_um")
         for name in ("major", "ramps")
     ]
     found = by_name(dehyst.identify(records, structure="maxwell_slip").checks)

@@ -22,7 +22,7 @@ from command_line import DEHYST
 
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.records import Record, read, read_table
+from dehyst.records import Columns, Record, read, read_table
 
 N = 200
 T = np.arange(N) * 1e-3
@@ -36,11 +36,11 @@ SECONDS = 3.0
 KILOBYTES = 400_000
 
 
-def refused(path, match, **options):
+def refused(path, match, columns=None):
     """Refuse a file quickly, and before memory is taken."""
     began, peak = clock.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(FileFormatError, match=match):
-        read(path, **options)
+        read(path, columns)
     assert clock.process_time() - began < SECONDS
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak < KILOBYTES
 
@@ -129,7 +129,7 @@ def test_what_points_elsewhere_is_set_aside_while_the_file_has_the_column(tmp_pa
     refused(
         tmp_path / "a.h5",
         "'old/displacement_um': is an external link to 'other.h5'",
-        displacement="old/displacement_um",
+        "displacement=old/displacement_um",
     )
 
 
@@ -235,7 +235,7 @@ def test_a_sheet_has_no_more_rows_than_a_spreadsheet(tmp_path):
 )
 def test_declared_sizes_are_checked_first(tmp_path, kind, name, what):
     path = with_declared(tmp_path / name, kind)
-    refused(path, f"{re.escape(name)}: {what}.*500 MB that a file may take.*max_bytes=")
+    refused(path, f"{re.escape(name)}: {what}.*500 MB that a file may take.*max_size=")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".h5", ".mat", ".parquet"])
@@ -249,14 +249,15 @@ def test_the_limit_is_named_and_can_be_raised(tmp_path, suffix):
         ".parquet": lambda: pq.write_table(pa.table(NAMED), path),
     }
     writers[suffix]()
-    with pytest.raises(FileFormatError, match="more bytes"):
-        read(path, max_bytes=N)
-    with pytest.raises(FileFormatError, match="more bytes"):
-        read_table(path, max_bytes=path.stat().st_size - 1)
-    assert len(read(path, max_bytes=1e6)) == N
-    for nonsense in (0, -1, float("nan"), float("inf"), "5", True, None):
-        with pytest.raises(FileFormatError, match="bytes above 0"):
-            read(path, max_bytes=nonsense)
+    with pytest.raises(FileFormatError, match="max_size"):
+        read(path, f"max_size={N / 1e6}")
+    with pytest.raises(FileFormatError, match="max_size"):
+        read_table(path, Columns(max_size=(path.stat().st_size - 1) / 1e6))
+    assert len(read(path, "max_size=1")) == N
+    for nonsense in (0, -1, float("nan"), float("inf"), "5", True):
+        with pytest.raises(FileFormatError) as caught:
+            Columns(max_size=nonsense)
+        assert caught.value.argument == "max_size"
 
 
 def test_an_array_with_less_than_it_declares(tmp_path):
@@ -372,7 +373,7 @@ def test_a_pipe_that_never_ends(tmp_path):
         refused(
             tmp_path / "a.csv",
             r"a\.csv: the file has at least 10 MB, more than the 10 MB that are allowed",
-            max_bytes=1e7,
+            columns="max_size=10",
         )
     finally:
         endless.kill()

@@ -22,7 +22,7 @@ _MAGIC = {
     b"TDSm": ".tdms",
     b"MATLAB ": ".mat",
 }
-_RAISE = "allow more bytes if you trust the file"
+_RAISE = "give a larger max_size=MB if you trust the file"
 
 
 class Content(NamedTuple):
@@ -63,7 +63,7 @@ class Allowance:
                 f"{what} declares {_in_words(size)}, more than the {_in_words(self.left)} left of the "
                 f"{_in_words(self.most)} that a file may take",
                 hint=_RAISE,
-                change=("max_bytes",),
+                change=("columns",),
             )
 
 
@@ -92,7 +92,7 @@ def content_of(path: Path, most: object) -> Content:
             f"{path}: the file has {'at least ' if size == allowed + 1 else ''}{_in_words(size)}, more than the "
             f"{_in_words(allowed)} that are allowed",
             hint=f"{_RAISE}, or shorten it",
-            change=("max_bytes",),
+            change=("columns",),
         )
     if not data:
         raise FileFormatError(f"{path}: the file is empty; export the measurement again")

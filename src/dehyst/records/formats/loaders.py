@@ -75,8 +75,8 @@ def load(content: Content) -> list[Column]:
     except MemoryError as error:
         raise FileFormatError(
             f"{content.path}: reading it takes more memory than {content.most / 1e6:.4g} MB of numbers should",
-            hint="the file is damaged, or allow more bytes",
-            change=("max_bytes",),
+            hint="the file is damaged, or give a larger max_size=MB",
+            change=("columns",),
         ) from error
     except Exception as error:  # Every library has its own errors for broken content.
         raise FileFormatError(

@@ -5,7 +5,7 @@ import { Form, fold } from "./forms.js";
 import { range } from "./numbers.js";
 import { button, problem, readRecord, redraw } from "./server.js";
 
-const OTHERS = ["voltage_scale", "displacement_scale", "sample_rate", "decimal"];
+const OTHERS = ["voltage_scale", "displacement_scale", "rate", "decimal"];
 const forms = new Map(); // by record, with what they were made from
 
 // A form for one record, with its options and those that the server suggests.

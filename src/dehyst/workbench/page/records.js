@@ -121,7 +121,7 @@ const readingCard = ({ name }) => [h("p.muted", "Reading\u2026"), h("progress", 
 // The form of the newest is open; without columns there is nothing to say but to try again.
 function refusedCard(record, first) {
   const { error, file_columns: columns, id } = record;
-  const again = () => server.readRecord(id, { options: record.options });
+  const again = () => server.readRecord(id, { columns: record.columns });
   return [
     h("p.error", { role: "alert" }, error ?? "It could not be read."),
     ...(columns?.length
@@ -206,7 +206,7 @@ class RecordFigure extends Figure {
   // Draw these records, if they are not drawn already and someone can see them.
   async draw(records) {
     this.records = records;
-    const version = (one) => `${JSON.stringify(one.options)} ${one.samples}`;
+    const version = (one) => `${one.columns} ${one.samples}`;
     const stamp = `${this.view} ${records.map((one) => `${one.id}:${version(one)}`).join(" ")}`;
     if (stamp === this.stamp || !isOpen("records")) return;
     this.stamp = stamp;

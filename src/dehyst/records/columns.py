@@ -1,0 +1,357 @@
+"""How a file is read: the one text of columns, units and scales, of the library, of --columns and of the page."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from dehyst._errors import FileFormatError
+from dehyst._io import PathLike, path_of, reading_errors, write_atomically
+from dehyst._types import Array
+from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
+from dehyst._validation import axis_names
+from dehyst.records.formats.columns import GAIN, GUESS, QUANTITIES
+from dehyst.records.formats.file_content import MOST
+
+# What a user replaces by the samples a second.
+RATE = "HZ"
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
+_PERIOD = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]+)")
+_SIGNS = {"point": ".", "comma": ","}
+_COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
+# Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
+TEXT_KEYS = ("decimal", "max_size")
+RECORD = ("time", "voltage", "displacement", "temperature", "rate", "join", *TEXT_KEYS)
+VOLTAGE = tuple(key for key in RECORD if key != "displacement")
+PATH = tuple(key for key in RECORD if key != "voltage")
+# Longest file of columns [bytes].
+_LONGEST = 10_000
+
+
+class Scale(NamedTuple):
+    """What one unit of a column is: `factor` of `unit` for one of `per`; units are empty where none are given.
+
+    `kind`: "fringe" or "grating" for a signal that repeats itself every `factor` of `unit`; empty otherwise.
+    """
+
+    factor: float
+    unit: str = ""
+    per: str = ""
+    kind: str = ""
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return the scale in a text; raise `FileFormatError` for one that cannot be used."""
+        periodic, match = _PERIOD.fullmatch(text), _FACTOR.fullmatch(text)
+        if match and match[1] == GAIN:
+            need = f"a number for {GAIN}, from the data sheet"
+            raise FileFormatError(argument="columns", got=f"*{text}", need=need)
+        number = float(periodic[2] if periodic else match[1])  # type: ignore[index]
+        if not isfinite(number) or number == 0 or (periodic and number < 0):
+            need = "a length above 0" if periodic else "a factor that is finite and not 0"
+            raise FileFormatError(argument="columns", got=f"*{text}", need=need)
+        if periodic:
+            if quantity_of(periodic[3]) != "displacement":
+                need = "a length, as in *fringe 316.4 nm"
+                raise FileFormatError(argument="columns", got=f"*{text}", need=need)
+            return cls(number, symbol_of(periodic[3]), "", periodic[1])
+        return cls(number, match[2] or "", match[3] or "")  # type: ignore[index]
+
+    @property
+    def words(self) -> str:
+        """The scale in a sentence."""
+        return str(self) if self.unit else f"times {self}"
+
+    def __str__(self) -> str:
+        number = f"{self.factor:.12g}"
+        if self.kind:
+            return f"{self.kind} {number} {self.unit}"
+        return f"{number} {self.unit}/{self.per}" if self.unit else number
+
+    @property
+    def period(self) -> float:
+        """The length [m] after which the signal repeats itself."""
+        return float(in_si(self.factor, self.unit))
+
+    def fault(self, quantity: str, unit: str) -> str:
+        """Return why a column of a `unit`, empty if unknown, cannot be scaled to a quantity; empty if it can."""
+        if self.kind:
+            return "" if quantity == "displacement" else f"a {self.kind} shows a displacement only"
+        if not self.unit:
+            known = not unit or quantity_of(unit) in (quantity, "voltage")
+            return "" if known else f"a factor for it needs units, {self.factor:g} {QUANTITIES[quantity].bare}/{unit}"
+        if quantity_of(self.unit) != quantity:
+            return f"the scale {self} does not give a {quantity}, need {', '.join(FACTORS[quantity])} before the slash"
+        same = _plain(self.per) == _plain(unit) or (
+            quantity_of(self.per) and quantity_of(self.per) == quantity_of(unit)
+        )
+        return "" if not unit or same else f"the scale {self} is for {self.per}"
+
+    def apply(self, quantity: str, unit: str, data: Array) -> Array:
+        """Return a column of a `unit` in SI units of the quantity."""
+        if not self.unit and quantity_of(unit) == quantity:
+            return np.asarray(self.factor * in_si(data, symbol_of(unit)))
+        to = FACTORS[quantity][symbol_of(self.unit) or QUANTITIES[quantity].bare]
+        per, unit = symbol_of(self.per or ("V" if quantity_of(unit) == "voltage" else "")), symbol_of(unit)
+        known = FACTORS.get(quantity_of(per), {})
+        return np.asarray(data * (self.factor * to * (known[unit] / known[per] if unit in known and per else 1.0)))
+
+
+def _plain(unit: str) -> str:
+    return symbol_of(unit) or unit.strip().strip("[]()").casefold()
+
+
+def split(text: str) -> tuple[str, str, str, bool]:
+    """Return the name, the unit and the scale in ``NAME:UNIT*SCALE?``, and whether it is a guess."""
+    bare = text.strip()
+    guess, bare = bare.endswith(GUESS), bare.removesuffix(GUESS)
+    name, star, scale = bare.rpartition("*")
+    if not star or not (_PERIOD.fullmatch(scale.strip()) or _FACTOR.fullmatch(scale.strip())):
+        name, scale = bare, ""
+    guess, name = guess or name.endswith(GUESS), name.removesuffix(GUESS)
+    name, colon, unit = name.rpartition(":")
+    return (name if colon else unit).strip(), unit.strip() if colon else "", scale.strip(), guess
+
+
+class Entry(NamedTuple):
+    """A column as a text selects it: ``NAME:UNIT*SCALE?``; a name that is empty selects by the usual names."""
+
+    name: str
+    unit: str = ""
+    scale: Scale | None = None
+    guess: bool = False
+
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return what a text selects; raise `FileFormatError` for a scale that cannot be used."""
+        name, unit, scale, guess = split(text)
+        return cls(name, symbol_of(unit) or unit, Scale.of(scale) if scale else None, guess)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of a file with their units and scales, and how the file is read.
+
+    As text: entries with commas between them, ``time=Time:ms, voltage=Ch1*100, displacement=Sensor:V*10 um/V``. An
+    entry that holds a comma is in double quotes; ``@FILE`` is the text in a file.
+
+    Parameters
+    ----------
+    time, voltage, displacement, temperature : str, optional
+        ``NAME:UNIT*SCALE?``, of which everything but the name is optional. NAME: of the column, or its number, from 1
+        on; without it, the column is found by its name. UNIT: where the file states none. SCALE: a factor, as that of
+        an amplifier whose monitor the column is (100), or a factor with units, that of the quantity and that of the
+        column (10 um/V, 25 V/A); or, of a displacement, what a periodic signal repeats: "fringe 316.4 nm", "grating 3
+        um". "?": a guess, which the record keeps in ``meta["guesses"]``.
+    wanted : str, optional
+        The same for the displacement in a file of a path, if the columns of records are given too.
+    rate : float, optional
+        Samples per second [Hz], in the place of a column of time.
+    join : path, optional
+        Second file of the same measurement, aligned on time, or on the sample if one of the files has no time.
+    decimal : str, optional
+        "," or ".", in the text "comma" or "point": the sign of a file whose numbers do not show it.
+    max_size : float
+        Largest size of the file, and of its numbers in memory [MB].
+    axes : mapping
+        Of several axes: other keys, their names, as ``x=vx_V:x_um``: the columns of VOLTAGE:DISPLACEMENT for a record,
+        DISPLACEMENT for a path.
+
+    Raises
+    ------
+    FileFormatError
+        If a text cannot be understood, a number is not above 0, or a name of an axis is given twice.
+    """
+
+    time: str | None = None
+    voltage: str | None = None
+    displacement: str | None = None
+    temperature: str | None = None
+    wanted: str | None = None
+    rate: float | None = None
+    join: PathLike | None = None
+    decimal: str | None = None
+    max_size: float = MOST / 1e6
+    axes: dict[str, str] = field(default_factory=dict)
+
+    metavar: ClassVar[str] = "TEXT"
+    about: ClassVar[str] = (
+        "How files are read, as 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE that `show --save` "
+        "wrote. Other keys: rate=HZ, temperature=NAME:C, join=FILE, decimal=point|comma, max_size=MB, and "
+        "of several axes x=VOLTAGE:DISPLACEMENT; default: columns are found by their names."
+    )
+
+    def __post_init__(self) -> None:
+        for key in _COLUMNS:
+            value = getattr(self, key)
+            if not isinstance(value, str | None):
+                raise FileFormatError(argument=key, got=repr(value), need="the name of a column, as 'voltage_V'")
+            if value is not None:
+                Entry.of(value)
+        for key in ("rate", "max_size"):
+            value = getattr(self, key)
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if value is not None and not (number and 0 < value < float("inf")):
+                need = "the number of samples a second" if key == "rate" else "a number of MB"
+                raise FileFormatError(argument=key, got=repr(value), need=f"{need}, above 0")
+        if self.decimal not in (None, *_SIGNS.values()):
+            need = f"one of {' and '.join(map(repr, _SIGNS.values()))}"
+            raise FileFormatError(argument="decimal", got=repr(self.decimal), need=need)
+        object.__setattr__(self, "join", None if self.join is None else path_of(self.join, "join"))
+        object.__setattr__(self, "axes", dict(self.axes))
+
+    @classmethod
+    def of(cls, given: Columns | str | None) -> Columns:
+        """Return columns that are given as such, as their text, or not at all."""
+        if isinstance(given, str):
+            return cls.parse(given)
+        if isinstance(given, Columns | None):
+            return given or AS_FOUND
+        need = "one text with commas, as 'time=Time:ms, voltage=Ch1*100', or Columns"
+        raise FileFormatError(argument="columns", got=repr(given), need=need)
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the columns that a text declares; raise `FileFormatError` if it declares none."""
+        if text.startswith("@"):
+            return cls.parse(_text_in(Path(text[1:])))
+        found: dict[str, Any] = {"axes": {}}
+        for key, value in entries_of(text).items():
+            if key in ("rate", "max_size"):
+                found[key] = _number(key, value)
+            elif key == "decimal":
+                found[key] = _SIGNS.get(value, value)
+            elif key in RECORD or key in _COLUMNS:
+                found[key] = value
+            else:
+                found["axes"][key] = value
+        return cls(**found)
+
+    def __str__(self) -> str:
+        """Return the text, which `parse` reads."""
+        return text_of(self.entries())
+
+    def save(self, path: PathLike) -> None:
+        """Write the text to a file, for ``@FILE``; raise `FileFormatError` if it cannot be written."""
+        write_atomically(path, f"{self}\n".encode())
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files that are read in addition to those of a command."""
+        return () if self.join is None else (path_of(self.join),)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that were given."""
+        return tuple(self.entries())
+
+    def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
+        """Raise an error for keys other than these, and for axes unless `axes`; `words`: where they have no effect.
+
+        With `axes`, the columns of voltage and displacement are those of the axes.
+        """
+        known = [key for key in keys if not (axes and key in ("voltage", "displacement"))]
+        wrong = [key for key in self.keys if key not in (*known, *(self.axes if axes else ()))]
+        if wrong:
+            got = f"{wrong[0]} has no effect {words}"
+            raise FileFormatError(got, argument="columns", hint=f"leave it out; known are {', '.join(known)}")
+
+    def of_axes(self) -> dict[str, Columns]:
+        """Return the columns of a record of each axis by its name; raise `FileFormatError` if they are not two or more.
+
+        Each has a column for its voltage and one for its displacement, different ones.
+        """
+
+        def refusal(got: str, need: str) -> FileFormatError:
+            return FileFormatError(argument="axes", got=got, need=f'{need}, as "x=vx_V:x_um, y=vy_V:y_um"')
+
+        found, used = {}, list[str]()
+        for name, text in self.axes.items():
+            parts = columns_of_axis(text)
+            if len(parts) != 2 or not all(parts):
+                raise refusal(f"'{name}={text}'", "the columns of a voltage and a displacement (NAME or NAME:UNIT)")
+            used += [Entry.of(part).name for part in parts]
+            found[name] = replace(self, voltage=parts[0], displacement=parts[1], axes={})
+        if twice := sorted({column for column in used if used.count(column) > 1}):
+            raise refusal(f"'{twice[0]}' twice", "columns of its own for each axis")
+        if len(found) < 2:
+            raise refusal(f"{', '.join(found) or 'none'}", f"two axes at least; no axis is called {', '.join(RECORD)}")
+        axis_names(list(found), len(found), "axes", FileFormatError)
+        return found
+
+    def entries(self) -> dict[str, str]:
+        """Return the value of each key that was given, as text."""
+        found = {name: value for name in _COLUMNS if (value := getattr(self, name))}
+        if self.rate is not None:
+            found["rate"] = f"{self.rate:.12g}"
+        if self.join is not None:
+            found["join"] = str(self.join)
+        if self.decimal is not None:
+            found["decimal"] = next(word for word, sign in _SIGNS.items() if sign == self.decimal)
+        if self.max_size != MOST / 1e6:
+            found["max_size"] = f"{self.max_size:.12g}"
+        return found | self.axes
+
+
+# Columns that are found by their names.
+AS_FOUND = Columns()
+
+
+def entries_of(text: str) -> dict[str, str]:
+    """Return the value of each key in a text; raise `FileFormatError` for an entry without them, or a key twice."""
+    found: dict[str, str] = {}
+    for entry in next(csv.reader([text], skipinitialspace=True), []):
+        key, equals, value = (part.strip() for part in entry.partition("="))
+        if not equals or not key or not value:
+            need = "KEY=VALUE with commas between them, as in 'time=Time:ms, voltage=Ch1*100'"
+            raise FileFormatError(argument="columns", got=repr(entry), need=need)
+        if key in found:
+            raise FileFormatError(argument="columns", got=f"{key} twice", need="each key once")
+        found[key] = value
+    return found
+
+
+def text_of(entries: Mapping[str, str]) -> str:
+    """Return the text of entries; one that holds a comma is in double quotes."""
+    words = [f"{key}={value}" for key, value in entries.items()]
+    return ", ".join('"{}"'.format(one.replace('"', '""')) if set(one) & set(',"') else one for one in words)
+
+
+def columns_of_axis(text: str) -> list[str]:
+    """Return the columns of an axis, NAME, NAME:UNIT or NAME*SCALE with colons between them.
+
+    A unit belongs to the name before it.
+    """
+    found: list[str] = []
+    for part in text.split(":"):
+        unit = Entry.of(part).name
+        if found and ":" not in found[-1] and quantity_of(unit) in ("voltage", "displacement"):
+            found[-1] += f":{part}"
+        else:
+            found.append(part)
+    return [part.strip() for part in found]
+
+
+def _text_in(path: Path) -> str:
+    """Return the text of a file that `Columns.save` wrote."""
+    with reading_errors(path, "text"):
+        text = path.read_bytes()[:_LONGEST].decode().strip()
+    if not text or text.startswith("@"):
+        raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")
+    return text
+
+
+def _number(key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        need = f"the number of samples a second for {RATE}, as 1000" if text == RATE else "a number"
+        raise FileFormatError(argument="columns", got=f"{key}={text}", need=need) from error
