@@ -17,14 +17,14 @@ from dehyst._io import PathLike, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import axis_names
-from dehyst.records.formats.columns import GAIN, GUESS, QUANTITIES
+from dehyst.records.formats.columns import GAIN, GUESS, PERIOD, QUANTITIES
 from dehyst.records.formats.file_content import MOST
 
 # What a user replaces by the samples a second.
 RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
-_PERIOD = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]+)")
+_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER}|{PERIOD})\s*([^\W\d]+)")
 _SIGNS = {"point": ".", "comma": ","}
 _COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
 # Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
@@ -50,9 +50,9 @@ class Scale(NamedTuple):
     @classmethod
     def of(cls, text: str) -> Self:
         """Return the scale in a text; raise `FileFormatError` for one that cannot be used."""
-        periodic, match = _PERIOD.fullmatch(text), _FACTOR.fullmatch(text)
-        if match and match[1] == GAIN:
-            need = f"a number for {GAIN}, from the data sheet"
+        periodic, match = _PERIODIC.fullmatch(text), _FACTOR.fullmatch(text)
+        if GAIN in text or PERIOD in text:
+            need = f"a number for {GAIN if match else PERIOD}, from the data sheet"
             raise FileFormatError(argument="columns", got=f"*{text}", need=need)
         number = float(periodic[2] if periodic else match[1])  # type: ignore[index]
         if not isfinite(number) or number == 0 or (periodic and number < 0):
@@ -114,7 +114,7 @@ def split(text: str) -> tuple[str, str, str, bool]:
     bare = text.strip()
     guess, bare = bare.endswith(GUESS), bare.removesuffix(GUESS)
     name, star, scale = bare.rpartition("*")
-    if not star or not (_PERIOD.fullmatch(scale.strip()) or _FACTOR.fullmatch(scale.strip())):
+    if not star or not (_PERIODIC.fullmatch(scale.strip()) or _FACTOR.fullmatch(scale.strip())):
         name, scale = bare, ""
     guess, name = guess or name.endswith(GUESS), name.removesuffix(GUESS)
     name, colon, unit = name.rpartition(":")

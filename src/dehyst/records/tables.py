@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations
@@ -18,6 +18,7 @@ from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.columns import (
     GAIN,
     GUESS,
+    PERIOD,
     QUANTITIES,
     Column,
     is_small,
@@ -25,9 +26,16 @@ from dehyst.records.formats.columns import (
     plausible_unit,
     shortened,
 )
+from dehyst.records.signals import turning_points
 
+_BRANCHES = (
+    "all its columns only rise: if they hold the rising and the falling branch side by side, write the falling one "
+    "below the rising one in reverse order, and give rate=HZ"
+)
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
+# Turns of a periodic signal for each turn of the voltage, and the least part of the range that is a turn.
+_OFTEN, _SWING = 4, 0.3
 # Columns of a file that are compared with one another.
 _MOST = 12
 
@@ -74,6 +82,8 @@ def notes_on(proposal: str) -> list[str]:
     """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
+        PERIOD: f"The signal rises and falls many times while the voltage rises: replace {PERIOD} by its period, half "
+        "a wavelength for an interferometer (fringe), the pitch of a grating (grating).",
         GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
         "the sensor; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
@@ -303,41 +313,61 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
             problems.append(error)
     if not problems:
         return found
-    proposal = proposed(table, columns, problems, [one.column for one in found.values()])
+    proposal = proposed(table, columns, problems, {quantity: one.column for quantity, one in found.items()})
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
     # A quantity that no column of this file seems to be may be in a second file.
-    lacking = [error for error in problems if not error.column and f"{error.quantity}=" not in proposal]
-    lacking = [] if any(column.unnamed for column in table.columns) else lacking
-    join = " If it is in a second file, join that one." if {one.quantity for one in lacking} - {"time"} else ""
-    hint = "; ".join(filter(None, [hint]))
-    reason = f"{table.source}: {faults}{f'; {hint}' if hint else ''}"
-    raise ColumnsError(f"{reason}{'.' * bool(join and not reason.endswith('.'))}{join}", proposal, problems)
+    lacking = {one.quantity for one in problems if not one.column and f"{one.quantity}=" not in proposal} - {"time"}
+    if not proposal and _side_by_side(table):
+        hint = _BRANCHES
+    elif lacking and not any(column.unnamed for column in table.columns):
+        hint = f"{hint.removesuffix('.')}. If it is in a second file, join that one."
+    raise ColumnsError(f"{table.source}: {faults}{f'; {hint}' if hint else ''}", proposal, problems)
 
 
-def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], taken: Sequence[Column]) -> str:
+def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], known: Mapping[str, Column]) -> str:
     """Return the text of columns that may be right in the place of those with problems; empty if there are none.
 
-    Everything that does not follow from a name or a unit is marked as a guess.
+    `known`: the columns of other quantities. What does not follow from a name or a unit is marked as a guess.
     """
     named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
-    used = {id(column) for column in (*taken, *named.values())}
+    used = {id(column) for column in (*known.values(), *named.values())}
     free = [column for column in table.columns if id(column) not in used and not column.fault]
     wanted = [error.quantity for error in problems if error.quantity not in named]
-    size = next((column.data.size for column in (*taken, *named.values())), 0)
+    size = next((column.data.size for column in (*known.values(), *named.values())), 0)
     assigned = named | _assigned(free, wanted, size)
     entries = {}
+    repeats = _repeats({**known, **assigned})
     for quantity in (error.quantity for error in problems):
         if quantity not in assigned:
             continue
         given = Entry.of(getattr(columns, quantity) or "")
-        if text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
+        if quantity == "displacement" and repeats and given.scale is None:
+            entries[quantity] = f"{table.label(assigned[quantity])}{GUESS}*fringe {PERIOD} nm"
+        elif text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
             entries[quantity] = text
     if "time" in wanted and "time" not in assigned and not columns.time:
         entries["rate"] = RATE
     complete = {error.quantity for error in problems} - {"time"} <= entries.keys()
     return text_of(columns.entries() | entries) if complete and entries else ""
+
+
+def _side_by_side(table: Table) -> bool:
+    """Return whether all columns only rise, as those of two branches do that are written side by side."""
+    columns = [column.data for column in table.columns if not column.fault]
+    return len(columns) > 2 and all(one.size > 2 and bool(np.all(np.diff(one) >= 0)) for one in columns)
+
+
+def _repeats(assigned: Mapping[str, Column]) -> bool:
+    """Return whether the column of a displacement rises and falls many times in each branch of the voltage's."""
+    if not {"voltage", "displacement"} <= assigned.keys():
+        return False
+    turns = [
+        turning_points(values, _SWING * float(np.ptp(values))).size if np.isfinite(values).all() else 0
+        for values in (assigned[quantity].data for quantity in ("voltage", "displacement"))
+    ]
+    return turns[1] > _OFTEN * max(turns[0], 1)
 
 
 def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, guessed: bool) -> str:

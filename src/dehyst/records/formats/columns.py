@@ -78,8 +78,8 @@ QUANTITIES = {
 }
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
-# What a user replaces by a number, as no scale holds it; and the end of a selection that is a guess: "y:um?".
-GAIN, GUESS = "GAIN", "?"
+# What a user replaces by a number: a factor, a period; and the end of a selection that is a guess: "y:um?".
+GAIN, PERIOD, GUESS = "GAIN", "PERIOD", "?"
 # A quantity and its unit: "Time / s", "Weg in µm", "Ch1,V"; in the last brackets; the same without blanks: "Pos/nm".
 _WRITTEN_OUT = re.compile(r"(.+?)(?:\s+(?:/|in)\s+|,\s*)(\S+)")
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]\s*", re.DOTALL)
@@ -186,8 +186,10 @@ class Column:
                 return written[1].strip(), written[2]
             if bracketed := _BRACKETS.fullmatch(text):
                 return bracketed[1].strip(), bracketed[2].strip()
-        word, _, unit = text.rpartition("_") if "_" in text else (text, "", "")
-        return word.strip(), unit.strip() if symbol_of(unit) or _FOREIGN.fullmatch(unit.strip()) else ""
+        word, _, unit = (part.strip() for part in text.rpartition("_"))
+        if not word or not (symbol_of(unit) or _FOREIGN.fullmatch(unit) or unit.isdigit()):
+            return text, ""
+        return word, "" if unit.isdigit() else unit
 
     @property
     def parts(self) -> tuple[str, str]:
