@@ -202,3 +202,12 @@ def test_identify_places_the_zero(far, zero):
         np.array(before.major_loop((0, 100))) - shift, abs=1e-10
     )
     assert f"zero at {shift * 1e6:.6g} um" in (far / "moved.json").read_text()
+
+
+def test_columns_are_typed_once(monitor):
+    columns = "voltage=Monitor [mV]*100, displacement=Sensor [V]*10 um/V"
+    assert run("show", "monitor.csv", "--columns", columns, "--save", "kept.txt").exit_code == 0
+    first, second = (run("show", "monitor.csv", "--columns", text, "--json") for text in (columns, "@kept.txt"))
+    assert first.exit_code == 0 and first.stdout == second.stdout
+    assert run("show", "monitor.csv", "--columns", "@absent.txt").exit_code == 2
+    assert run("show", "monitor.csv", "--columns", columns, "--save", "kept.txt").exit_code == 2

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,13 +14,15 @@ from dehyst._errors import FileFormatError
 from dehyst._io import SCAN, demand_version, format_of
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.model import Actuator
 from dehyst.operations.run import MODELS, Run
 from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, TEXT_KEYS, VOLTAGE
 from dehyst.records.formats.columns import listed
 from dehyst.records.record import Channel
 from dehyst.records.tables import chosen
+
+if TYPE_CHECKING:
+    from dehyst.model import Actuator
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "TEXT_KEYS", "VOLTAGE", "Columns"]
 # Of an axis that stays in the middle of its range.
@@ -84,6 +86,8 @@ def is_model(path: Path, *formats: str) -> bool:
 
 def read_model(run: Run, path: Path) -> Actuator:
     """Read a model; warn if its identification was not usable, or did not end."""
+    from dehyst.model import Actuator
+
     actuator = Actuator.load(path)
     low, high = actuator.voltage_range
     start = actuator.voltage(actuator.state)

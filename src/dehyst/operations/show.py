@@ -13,15 +13,12 @@ from dehyst._errors import RecordError
 from dehyst._io import format_of
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.model import Actuator, Stage
 from dehyst.operations.declaration import Input, Only, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
-from dehyst.report import write_record_page
 
-_MODELS: dict[str | None, type[Actuator | Stage]] = {"dehyst-actuator": Actuator, "dehyst-stage": Stage}
 # What a guess is marked with, and the factor and unit in which values of a quantity are shown.
 _GUESSED = "guessed, verify"
 _SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
@@ -54,7 +51,10 @@ def show(
         Write the columns here as text, for --columns @FILE.
     """
     if is_model(file):
-        model = _MODELS[format_of(file)].load(file)
+        from dehyst.model import Actuator, Stage
+
+        kind = Stage if format_of(file) == "dehyst-stage" else Actuator
+        model = kind.load(file)
         return Result(model.as_dict(), model.summary().split("\n"))
     columns.demand(RECORD, "here", axes=bool(columns.axes))
     table = table_of(file, columns)
@@ -74,6 +74,8 @@ def show(
     if save is not None:
         columns.save(save)
     if report is not None:
+        from dehyst.report import write_record_page
+
         write_record_page(
             report, record, [row for one in axes.values() for row in one.understood()], command=run.command
         )

@@ -44,20 +44,11 @@ class ColumnError(FileFormatError):
     """A quantity that cannot be read from its column.
 
     `problem`: the problem, without the name of the file and the hint. `column`: the column concerned, if any.
-    `solvable`: whether other columns, units or scales may help.
     """
 
-    def __init__(
-        self,
-        source: str,
-        quantity: str,
-        problem: str,
-        hint: str = "",
-        column: Column | None = None,
-        solvable: bool = True,
-    ) -> None:
-        super().__init__(f"{source}: {problem}", hint=hint, change=("columns",) * solvable)
-        self.quantity, self.problem, self.column, self.solvable = quantity, problem, column, solvable
+    def __init__(self, source: str, quantity: str, problem: str, hint: str = "", column: Column | None = None) -> None:
+        super().__init__(f"{source}: {problem}", hint=hint, change=("columns",))
+        self.quantity, self.problem, self.column = quantity, problem, column
 
 
 class ColumnsError(FileFormatError):
