@@ -75,7 +75,7 @@ def test_its_columns_are_numbers_with_names(path):
     for column in columns:
         assert isinstance(column.name, str)
         assert (column.data.ndim, column.data.dtype) == (1, np.float64)
-        assert column.data.size
+        assert column.data.size or column.fault
 
 
 @pytest.mark.parametrize("content", FOREIGN)
@@ -123,4 +123,4 @@ def test_the_limit_of_bytes_holds(path):
 def test_the_allowance_of_memory_holds(path):
     """With memory for one column only, a file of several is refused: its reader takes the numbers first."""
     with pytest.raises(FileFormatError):
-        LOADERS[path.suffix].load(path.read_bytes(), Allowance(8 * len(RECORD), path.stem))
+        LOADERS[path.suffix](path.read_bytes(), Allowance(8 * len(RECORD), path.stem))

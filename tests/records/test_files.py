@@ -1,21 +1,15 @@
 """Files: every format read back, every way of naming a column and a unit, every refusal with its message."""
 
 import hashlib
-import sys
 import time as clock
 from pathlib import Path
 
-import h5py
-import nptdms
 import numpy as np
 import places
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-import scipy.io
 
 import dehyst
-from dehyst._errors import FileFormatError, MissingExtraError, RecordError
+from dehyst._errors import FileFormatError, RecordError
 from dehyst.records import Record, read, read_table, write_columns, write_record
 
 DATA = places.DATA
@@ -37,43 +31,7 @@ def assert_same(record):
     assert record.displacement == pytest.approx(Y, rel=1e-14)
 
 
-def write_tdms(path, channels):
-    with nptdms.TdmsWriter(path) as writer:
-        writer.write_segment([nptdms.ChannelObject(*channel) for channel in channels])
-
-
-def as_hdf5(path):
-    with h5py.File(path, "w") as file:
-        for name, values in NAMED.items():
-            file[f"run/{name}"] = values
-
-
-def as_mat73(path):
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, values in NAMED.items():
-            file[name] = values.reshape(1, -1)
-        file["#refs#/time_s"] = T
-    head = b"MATLAB 7.3 MAT-file, HDF5".ljust(124) + b"\x00\x02IM"
-    with path.open("r+b") as stream:
-        stream.write(head)
-
-
-def as_structure():
-    run = np.empty(T.size, dtype=[(name, "f8") for name in NAMED])
-    for name, values in NAMED.items():
-        run[name] = values
-    return run
-
-
 WRITERS = {
-    "a.mat": lambda path: scipy.io.savemat(path, {**NAMED, "note": "text", "image": np.eye(3)}),
-    "new.mat": as_mat73,
-    "a.h5": as_hdf5,
-    "a.hdf5": as_hdf5,
-    "a.parquet": lambda path: pq.write_table(pa.table({**NAMED, "note": ["x"] * 30}), path),
-    "a.tdms": lambda path: write_tdms(path, [("Group", name, values) for name, values in NAMED.items()]),
-    "a.npz": lambda path: np.savez(path, **NAMED),
-    "a.npy": lambda path: np.save(path, as_structure()),
     "a.csv": lambda path: write_columns(path, NAMED),
     "a.tsv": lambda path: write_columns(path, NAMED),
     "A.CSV": lambda path: write_columns(path, NAMED),
@@ -84,7 +42,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_every_format(tmp_path, name):
+def test_text_formats(tmp_path, name):
     path = tmp_path / name
     WRITERS[name](path)
     record = read(path)
@@ -98,37 +56,6 @@ def test_every_format(tmp_path, name):
         "displacement": "displacement_um",
     }
     assert read(path, name="other").name == "other"
-
-
-def test_units_in_attributes_and_properties(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name, values, unit in (("time", T * 1e3, "ms"), ("drive", V, np.bytes_("V")), ("pos", Y * 1e9, "nm")):
-            file[name] = values
-            file[name].attrs["units" if name == "pos" else "unit"] = unit
-    assert_same(read(tmp_path / "a.h5"))
-    channels = [("G", "t", T * 1e6, {"unit_string": "us"}), ("G", "V", V * 1e3, {"unit_string": "mV"})]
-    write_tdms(tmp_path / "a.tdms", [*channels, ("G", "Y", Y * 1e3, {"unit_string": "mm"})])
-    assert_same(read(tmp_path / "a.tdms"))
-
-
-def test_a_tdms_waveform_brings_its_own_time(tmp_path):
-    step = {"wf_increment": 0.01}
-    with nptdms.TdmsWriter(tmp_path / "w.tdms") as file:
-        file.write_segment(
-            [
-                nptdms.ChannelObject("g", name, data, step)
-                for name, data in (("voltage_V", V), ("displacement_um", Y * 1e6))
-            ]
-        )
-    assert_same(read(tmp_path / "w.tdms"))
-
-
-def test_an_unknown_attribute_leaves_the_unit_in_the_name(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name, values in NAMED.items():
-            file[name] = values
-            file[name].attrs["unit"] = "volts"
-    assert_same(read(tmp_path / "a.h5"))
 
 
 @pytest.mark.parametrize(
@@ -224,38 +151,6 @@ def test_no_permission(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(FileFormatError, match="permission"):
         read(path)
-
-
-@pytest.mark.parametrize("suffix", [".mat", ".h5", ".hdf5", ".parquet", ".tdms", ".npz"])
-def test_content_that_does_not_fit_the_suffix(tmp_path, suffix):
-    path = text(tmp_path, HEAD + "0,1,2\n1,2,3\n" * 50, f"a{suffix}")
-    with pytest.raises(FileFormatError):
-        read(path)
-    with pytest.raises(FileFormatError):
-        read(text(tmp_path, "", f"b{suffix}"))
-
-
-@pytest.mark.parametrize(
-    ("name", "module", "message"),
-    [
-        ("a.h5", "h5py", r"Reading \.h5 files needs h5py"),
-        ("new.mat", "h5py", r"Reading \.mat files needs h5py"),
-        ("a.parquet", "pyarrow.parquet", "Reading Parquet files needs pyarrow, "),
-        ("a.tdms", "nptdms", "Reading TDMS files needs nptdms"),
-    ],
-)
-def test_missing_library(tmp_path, monkeypatch, name, module, message):
-    WRITERS[name](tmp_path / name)
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=message + r".*dehyst\[files\]"):
-        read(tmp_path / name)
-
-
-def test_text_needs_no_library(tmp_path, monkeypatch):
-    for module in ("h5py", "nptdms", "pyarrow", "scipy"):
-        monkeypatch.setitem(sys.modules, module, None)
-    write_columns(tmp_path / "a.csv", NAMED)
-    assert_same(read(tmp_path / "a.csv"))
 
 
 @pytest.mark.nightly

@@ -1,16 +1,13 @@
 """Files that are easily read wrong: refused, read right or marked as a guess, also with the options of messages."""
 
-import h5py
 import laboratory_files
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from laboratory_containers import NM, TRAPS, TWINS
 from laboratory_files import N, T, V, Y, assert_measured
 
 from dehyst._errors import FileFormatError, RecordError
-from dehyst.records import read, read_table, write_columns, write_record
+from dehyst.records import read, write_columns, write_record
 from dehyst.records.tables import ColumnsError
 
 # Of traps that can be read right: the clock and the displacement, if they are others.
@@ -109,53 +106,6 @@ def test_a_name_may_end_as_a_guess_does(tmp_path):
     assert record.displacement == pytest.approx([2e-6, 3e-6])
     assert "guesses" not in record.meta
     assert read(tmp_path / "a.csv", "voltage=drive?_V?, displacement=why?:um").meta["guesses"].keys() == {"voltage"}
-
-
-# Containers
-
-
-def test_rows_of_one_array_are_series_or_refused(tmp_path):
-    columns = "time=1:s, voltage=2:V, displacement=3:um"
-    table = np.array([T, V, Y * 1e6])
-    for name, array in (("a.npy", table), ("b.npy", table.T), ("c.npy", np.asfortranarray(table))):
-        np.save(tmp_path / name, array)
-        assert_measured(read(tmp_path / name, columns))
-    np.savez(tmp_path / "a.npz", table)
-    assert_measured(read(tmp_path / "a.npz", columns))
-    np.savez(tmp_path / "b.npz", table, image=np.eye(4), note=np.array("x"))
-    assert_measured(read(tmp_path / "b.npz", columns))
-    for name, array in (("square", np.eye(4)), ("cube", np.zeros((3, 4, 5))), ("text", np.array(["a", "b"]))):
-        np.save(tmp_path / f"{name}.npy", array)
-        with pytest.raises(FileFormatError, match="numeric columns"):
-            read(tmp_path / f"{name}.npy")
-    np.save(tmp_path / "objects.npy", np.array([{}, {}], dtype=object))
-    with pytest.raises(FileFormatError, match="holds Python objects"):
-        read(tmp_path / "objects.npy")
-
-
-def test_an_own_unit_and_a_name_count_more_than_the_unit_of_a_group(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name in ("time", "voltage_mV", "y", "z"):
-            file[f"run/{name}"] = np.arange(3.0)
-        file["run"].attrs["unit"] = "nm"
-        file["run/z"].attrs["unit"] = "mm"
-    units = {column.leaf: column.parts[1] for column in read_table(tmp_path / "a.h5").columns}
-    assert units == {"time": "", "voltage_mV": "mV", "y": "nm", "z": "mm"}
-
-
-def test_dates_and_durations_of_parquet_are_seconds(tmp_path):
-    ticks = np.array([5, 7, 10], "int64") + 1_700_000_000_000_000_001
-    columns = {
-        "stamp": pa.array(ticks, pa.timestamp("ns", "UTC")),
-        "lasting": pa.array([1, None, 4], pa.duration("ms")),
-        "gone": pa.array([None, 2_000, 3_000], pa.timestamp("ms")),
-    }
-    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
-    found = {column.name: column for column in read_table(tmp_path / "a.parquet").columns}
-    assert {column.unit for column in found.values()} == {"s"}
-    assert found["stamp"].data == pytest.approx([0, 2e-9, 5e-9], rel=1e-12)
-    np.testing.assert_allclose(found["lasting"].data, [1e-3, np.nan, 4e-3])
-    np.testing.assert_allclose(found["gone"].data, [np.nan, 0, 1])
 
 
 def test_the_header_of_an_oscilloscope_states_the_step(tmp_path):

@@ -168,7 +168,7 @@ TRAPS: dict[str, Trap] = {
     "thousands as text in a workbook": Trap(
         sheet([TIMES_NM.split(","), *zip(T.tolist(), V.tolist(), grouped(NM + 1e4), strict=True)]),
         "refused",
-        "row 2, column 3 holds '10,000'",
+        "line 2, column 'displacement_nm' holds '10,000'",
         sheet([HEAD.split(","), *zip(T.tolist(), V.tolist(), comma(UM, 4), strict=True)]),
         suffix=".xlsx",
     ),

@@ -38,7 +38,7 @@ def read(path: PathLike, columns: Columns | str | None = None, *, name: str | No
     ----------
     path : path
         .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms .npz or .npy. A named pipe is read once;
-        without a suffix its first bytes determine the format.
+        without a suffix it holds text.
     columns : Columns or str, optional
         Columns, units, scales, and how the file is read, as "time=Time:ms, voltage=Ch1*100, displacement=Sensor:um";
         by default columns are found by their names, and nothing is guessed.

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError, RecordError
-from dehyst._io import PathLike, path_of, settle_folder, to_json, unwritten
+from dehyst._io import PathLike, path_of, settle, settle_folder, to_json, unwritten
 from dehyst.records.formats.columns import Column
 from dehyst.records.formats.containers import LINE, LONGEST
 from dehyst.records.record import Channel
@@ -24,22 +24,6 @@ _COLUMNS = ("time_s", "voltage_V", "displacement_um")
 _MICRO = 1e6
 # Bytes of a number, with a comma or a line end; and of what else a file needs.
 _NUMBER_BYTES, _MARGIN = 25, 1_000_000
-
-
-class SampleBlock(Protocol):
-    """Successive samples: time (n,) [s], voltage (n,) [V], displacement (n,) [m].
-
-    If a recording has `others`, a block also has an attribute `others`: arrays (n,) by column name.
-    """
-
-    @property
-    def time(self) -> ArrayLike: ...  # noqa: D102
-
-    @property
-    def voltage(self) -> ArrayLike: ...  # noqa: D102
-
-    @property
-    def displacement(self) -> ArrayLike: ...  # noqa: D102
 
 
 class Recording:
@@ -82,16 +66,20 @@ class Recording:
         stated = {"others": [channel.column for channel in channels if channel.role == "other"]} if channels else {}
         head = to_json({**stated, **(about or {})}, f"{self.path}: about")
         self._failure: FileFormatError | None = None
-        self._descriptor: int | None = _opened(self.path)
+        try:
+            self._stream = self.path.open("xb", buffering=0)
+        except FileExistsError as error:
+            raise FileFormatError(f"{path}: is there already, and no record is overwritten; name another") from error
+        except OSError as error:
+            raise unwritten(path, error) from error
         try:
             self._write(f"{LINE}{head}\n{','.join((*_COLUMNS, *self.others))}\n".encode())
-            with self._failing():
-                settle_folder(self.path.parent)
         except FileFormatError:
             self.close()
             self.path.unlink(missing_ok=True)
             raise
         self.samples = 0
+        settle_folder(self.path.parent)
 
     def __enter__(self) -> Self:
         return self
@@ -99,8 +87,14 @@ class Recording:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def add(self, samples: SampleBlock) -> None:
+    def add(self, samples: Any) -> None:
         """Append `samples` after the earlier ones; they are on the disk when this returns.
+
+        Parameters
+        ----------
+        samples : object
+            With arrays (n,) ``time`` [s], ``voltage`` [V] and ``displacement`` [m]; with further channels also
+            ``others``, arrays (n,) by column name.
 
         Raises
         ------
@@ -110,10 +104,8 @@ class Recording:
             If not all samples can be written, because the disk is full or the file was removed: those that are written
             stay, and no later ones are added, because of the gap.
         """
-        if self._descriptor is None:
+        if self._stream.closed:
             raise RecordError(f"{self.path}: this recording is closed; begin another")
-        if self._failure is not None:
-            raise self._failure
         further = getattr(samples, "others", {})
         if missing := [column for column in self.others if column not in further]:
             words = f"got samples without {', '.join(missing)}, need all columns of the recording"
@@ -129,52 +121,24 @@ class Recording:
 
     def close(self) -> None:
         """End the recording; may be called twice."""
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
+        self._stream.close()
 
     def _write(self, data: bytes) -> None:
-        """Append whole lines."""
-        assert self._descriptor is not None
-        size, done = os.fstat(self._descriptor).st_size, 0
-        try:
-            with self._failing():
-                while done < len(data):
-                    done += os.write(self._descriptor, data[done:])
-                os.fsync(self._descriptor)
-        except FileFormatError:
-            done = data.rfind(b"\n", 0, done) + 1
-            with contextlib.suppress(OSError):
-                os.ftruncate(self._descriptor, size + done)
-            raise
-        finally:
-            self.samples += data.count(b"\n", 0, done)
-        if not os.fstat(self._descriptor).st_nlink:
-            self._failure = FileFormatError(
-                f"{self.path}: was removed while recording; check that the folder and the disk still exist"
-            )
+        """Append lines, and count them; `read` leaves out one that is cut off."""
+        if self._failure is not None:
             raise self._failure
-
-    @contextlib.contextmanager
-    def _failing(self) -> Iterator[None]:
-        """Keep the reason why the file cannot be written."""
+        done = 0
         try:
-            yield
+            while done < len(data):
+                done += self._stream.write(data[done:])
+            settle(self._stream.fileno())
+            if not os.fstat(self._stream.fileno()).st_nlink:
+                raise OSError(errno.ENOENT, "it was removed while recording")
         except OSError as error:
             self._failure = unwritten(self.path, error)
             raise self._failure from error
-
-
-def _opened(path: Path) -> int:
-    """Create a file, and return its descriptor."""
-    try:
-        return os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
-    except FileExistsError as error:
-        raise FileFormatError(f"{path}: is there already, and no record is overwritten; name another") from error
-    except FileNotFoundError as error:
-        raise FileFormatError(f"{path}: the folder {path.parent} does not exist; create it first") from error
-    except OSError as error:
-        raise unwritten(path, error) from error
+        finally:
+            self.samples += data.count(b"\n", 0, done)
 
 
 def about_of(path: Path) -> dict[str, Any]:
@@ -201,8 +165,6 @@ def demand_disk_space(folder: PathLike, samples: int, columns: int = 3) -> None:
 
 def unused_path(path: Path) -> Path:
     """Return the path or, if it exists, the first unused path of path-2, path-3, ..."""
-    # A dangling link counts as existing: data written to it would go to another place.
-    if not os.path.lexists(path):
-        return path
     names = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(2))
-    return next(name for name in names if not os.path.lexists(name))
+    # A dangling link counts as existing: data written to it would go to another place.
+    return next(name for name in itertools.chain([path], names) if not os.path.lexists(name))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import stat
-from numbers import Real
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,23 +12,14 @@ from dehyst._errors import FileFormatError
 MOST = 500_000_000
 # Bytes of a double.
 _DOUBLE = 8
-# The first bytes of formats, which show that of a pipe without a suffix.
-_MAGIC = {
-    b"\x89HDF\r\n\x1a\n": ".h5",
-    b"PK\x03\x04": ".npz",
-    b"\x93NUMPY": ".npy",
-    b"PAR1": ".parquet",
-    b"TDSm": ".tdms",
-    b"MATLAB ": ".mat",
-}
 _RAISE = "give a larger max_size=MB if you trust the file"
 
 
 class Content(NamedTuple):
     """A file as read, and how its columns are to be read.
 
-    `suffix`: of the format of its bytes. `most`: memory that its numbers may take [bytes]. `decimal`: the decimal sign
-    that the user states.
+    `suffix`: of its format. `most`: memory that its numbers may take [bytes]. `decimal`: the decimal sign that the user
+    states.
     """
 
     path: Path
@@ -67,39 +57,31 @@ class Allowance:
             )
 
 
-def content_of(path: Path, most: object) -> Content:
+def content_of(path: Path, most: float) -> Content:
     """Read a regular file, a named pipe or a process substitution; once, and never more than `most` bytes.
 
-    Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes, or if `most` is not
-    a positive number. Raise `OSError` if the file cannot be opened.
+    A pipe without a suffix holds text. Raise `FileFormatError` for a folder, a device, a socket, an empty file, more
+    than `most` bytes. Raise `OSError` if the file cannot be opened.
     """
-    if not isinstance(most, Real) or isinstance(most, bool) or not 1 <= float(most) < float("inf"):
-        need = "a number of bytes above 0"
-        raise FileFormatError(argument="max_bytes", got=repr(most), need=need, hint=f"try {MOST}")
-    allowed, state = int(float(most)), path.stat()
+    allowed, state = int(most), path.stat()
     if stat.S_ISDIR(state.st_mode):
         raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
-    if not (stat.S_ISREG(state.st_mode) or stat.S_ISFIFO(state.st_mode)):
-        word = "a socket" if stat.S_ISSOCK(state.st_mode) else "a device"
-        raise FileFormatError(f"{path}: this is {word}, need a file or a pipe; save its data to a file first")
+    pipe = stat.S_ISFIFO(state.st_mode)
+    if not (pipe or stat.S_ISREG(state.st_mode)):
+        raise FileFormatError(f"{path}: this is a device, need a file or a pipe; save its data to a file first")
     size, data = state.st_size, b""
     if size <= allowed:
         with path.open("rb") as stream:
             data = stream.read(allowed + 1)
-        size = len(data)
-    if size > allowed:
+    if max(size, len(data)) > allowed:
         raise FileFormatError(
-            f"{path}: the file has {'at least ' if size == allowed + 1 else ''}{_in_words(size)}, more than the "
-            f"{_in_words(allowed)} that are allowed",
+            f"{path}: the file has more than the {_in_words(allowed)} that are allowed",
             hint=f"{_RAISE}, or shorten it",
             change=("columns",),
         )
     if not data:
         raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-    suffix = path.suffix.lower()
-    if not suffix and stat.S_ISFIFO(state.st_mode):
-        suffix = next((suffix for magic, suffix in _MAGIC.items() if data.startswith(magic)), ".csv")
-    return Content(path, data, suffix, allowed)
+    return Content(path, data, path.suffix.lower() or (".csv" if pipe else ""), allowed)
 
 
 def _in_words(size: int) -> str:

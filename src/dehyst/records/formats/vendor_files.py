@@ -1,4 +1,7 @@
-"""Text tables of other programs: GCS arrays of PI's recorders, LabVIEW measurements (.lvm), Excel sheets (.xlsx)."""
+"""Tables of other programs, read as plain text: GCS arrays of PI, LabVIEW measurements (.lvm), Excel sheets (.xlsx).
+
+Lines keep their numbers, so that messages name the right ones.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import replace
 from datetime import date, datetime, time
-from math import isfinite
+from decimal import Decimal
+from itertools import zip_longest
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -17,15 +22,12 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst.records.formats.columns import Column, listed, shortened
 from dehyst.records.formats.file_content import Allowance
-from dehyst.records.formats.notation import SIGNS, WRITTEN, Cells, notation_of, pointed
-from dehyst.records.formats.table_layout import Layout
-from dehyst.records.formats.text_table import WIDEST, TextTable, read_text, text_of
-from dehyst.records.formats.timestamps import clock_of, moment
+from dehyst.records.formats.text_table import read_text
 
 GCS_END = "# END_HEADER"
 # The separators of a GCS array by their number; None: blanks.
 GCS_SEPARATORS = {"9": "\t", "32": None, "44": ",", "59": ";"}
-_END = re.compile(rb"(?m)^#[ \t]*END_HEADER[ \t\r]*$")
+_END = re.compile(rb"(?m)^#[ \t]*END_HEADER[ \t\r]*\n\s*")
 _ENTRY = re.compile(r"#\s*([A-Z_]+\d*)\s*=\s*(.*)")
 # The header of an array is shorter [bytes].
 _HEAD = 50_000
@@ -42,35 +44,18 @@ def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units.
-
-    Raise `FileFormatError` if the separator is unknown, the sample time is not a positive number, or the rows are not a
-    table.
-    """
-    text = text_of(data)
-    end = _END.search(text.data)
-    if end is None:
-        raise FileFormatError(f"got no line {GCS_END}, need one before the rows; record again")
-    lines = text.data[: end.start()].decode(text.encoding).split("\n")
+    """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units."""
+    above, rows = _END.split(data, maxsplit=1)
+    lines = _decoded(above).split("\n")
     header = dict(gcs_entries(lines))
-    separator = GCS_SEPARATORS.get(header.get("SEPARATOR", "32"), "")
-    if separator == "":
-        got = f"SEPARATOR = {shortened(header['SEPARATOR'])}"
-        raise FileFormatError(f"got {got}, need 32 (space), 9, 44 or 59; record again")
-    start = min(end.end() + 1, len(text.data))
-    row = text.data[start : start + 10_000].lstrip().split(b"\n")[0].decode(text.encoding)
-    names = tuple(header.get(f"NAME{k}") or f"column {k + 1}" for k in range(len(row.split(separator))))
-    columns = TextTable.of(text, Layout(start, len(lines), separator, names, row=row)).columns(allowance)
-    if "SAMPLE_TIME" not in header:
-        return columns
-    try:
-        step = float(header["SAMPLE_TIME"])
-    except ValueError:
-        step = 0.0
-    if not 0 < step < float("inf"):
-        got = f"SAMPLE_TIME = {shortened(header['SAMPLE_TIME'])}"
-        raise FileFormatError(f"got {got}, need a time above 0 s; record again")
+    separator, step = GCS_SEPARATORS.get(header.get("SEPARATOR", "")), _number(header.get("SAMPLE_TIME", ""))
+    width = len(rows.partition(b"\n")[0].decode("latin-1").split(separator))
+    names = (header.get(f"NAME{k}", f"column {k + 1}").replace('"', "") for k in range(width))
+    head = (separator or " ").join(f'"{name}"' for name in names)
+    columns = read_text(b"\n" * (len(lines) - 1) + head.encode() + b"\n" + rows, allowance)
     samples = len(columns[0].data)
+    if not 0 < step < inf:
+        return columns
     allowance.take(samples, "the time of its samples")
     return [Column("time", np.arange(float(samples)) * step, "s"), *columns]
 
@@ -91,169 +76,138 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     Raise `FileFormatError` for a header without its end, more than one segment, channels with clocks of their own, or
     fewer samples than the header states.
     """
-    text = text_of(data)
-    parts = text.data.split(_LABVIEW_END)
+    parts = data.replace(b"\r\n", b"\n").split(_LABVIEW_END)
     if len(parts) != 3:
         count = max(len(parts) - 2, 0)
         raise FileFormatError(f"got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own")
-    comma = b"\nSeparator\tComma" in parts[0] or b"\nSeparator,Comma" in parts[0]
-    sign = "," if comma else "\t"
-    lines = [[line.split(sign) for line in part.decode(text.encoding).split("\n")] for part in parts[:2]]
-    stated, header = ({cells[0].strip(): [cell.strip() for cell in cells[1:]] for cells in part} for part in lines)
-    body = parts[2].partition(b"\n")[2]
-    head, _, rows = body.partition(b"\n")
-    names = [cell.strip() for cell in head.decode(text.encoding).split(sign)]
-    names = names[: names.index("Comment")] if "Comment" in names else names
-    cut = sign.encode()
-    rows = b"\n".join(cut.join(line.split(cut)[: len(names)]) for line in rows.split(b"\n") if line.strip())
-    first = text.data[: len(text.data) - len(body)].count(b"\n") + 1
-    decimal = next((mark for mark in stated.get("Decimal_Separator", [])[:1] if mark in SIGNS), None)
-    table = TextTable.of(text._replace(data=rows), Layout(0, first, sign, tuple(names)))
-    columns = table.columns(allowance, decimal)
-    return _with_header(columns, header, [name for name in names if name != _CLOCK])
+    sign = b"," if re.search(rb"\nSeparator[\t,]Comma", parts[0]) else b"\t"
+    lines = (_decoded(line).split(sign.decode()) for line in b"".join(parts[:2]).split(b"\n"))
+    header = {key.strip(): [cell.strip() for cell in cells] for key, *cells in lines}
+    _, *rows = parts[2].split(b"\n")
+    names = rows[0].split(sign) if rows else []
+    # A remark on the sample follows its channels; without a column of times, its place is empty.
+    end = names.index(b"Comment") if b"Comment" in names else len(names)
+    begin = int(header.get("X_Columns", [])[:1] == ["No"])
+    table = b"\n".join(sign.join(row.split(sign)[begin:end]) for row in rows)
+    decimal = next((mark for mark in header.get("Decimal_Separator", [])[:1] if mark in (".", ",")), None)
+    columns = read_text(b"\n" * b"".join(parts[:2]).count(b"\n") + b"\n" + table, allowance, decimal)
+    return _with_header(columns, header)
 
 
-def _with_header(columns: list[Column], header: dict[str, list[str]], names: list[str]) -> list[Column]:
-    """Return the channels with their units, after their time: a column of it, else the step of the header.
-
-    Raise FileFormatError if they have clocks of their own, or fewer samples than the header states.
-    """
+def _with_header(columns: list[Column], header: dict[str, list[str]]) -> list[Column]:
+    """Return the channels with their units, after their time: a column of it, else the step of the header."""
+    channels = [column for column in columns if column.name != _CLOCK]
+    clocks = [c.data for c in columns if c.name == _CLOCK and c.data.size and np.isfinite(c.data).all()]
 
     def cells(key: str) -> list[str]:
         given = header.get(key, [])
         # With a column of time for each channel, the cells above these are empty.
         stated = [cell for cell in given if cell]
-        return stated if len(stated) == len(names) else [*given, *[""] * len(names)][: len(names)]
+        return stated if len(stated) == len(channels) else given[: len(channels)]
 
-    numbers = {key: [_number(cell) for cell in cells(key)] for key in ("X0", "Delta_X", "Samples")}
-    offsets, steps, samples = ([one for one in values if one is not None] for values in numbers.values())
-    channels = [column for column in columns if column.name != _CLOCK]
-    clocks = [c.data for c in columns if c.name == _CLOCK and c.data.size and np.isfinite(c.data).all()]
-    count = max((column.data.size for column in channels), default=0)
-    if count < (most := max(samples, default=0.0)):
+    def numbers(key: str) -> list[float]:
+        return [number for cell in cells(key) if isfinite(number := _number(cell))]
+
+    count, most = max((column.data.size for column in channels), default=0), max(numbers("Samples"), default=0.0)
+    if count < most:
         raise FileFormatError(
             f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
             "correct Samples in its header to read what is there"
         )
-    slack = _SAME * abs(steps[0]) if steps else 0.0
-    starts = {start for pair in zip(cells("Date"), cells("Time"), strict=True) if (start := " ".join(pair)).strip()}
-    apart = {
-        "X0": bool(offsets) and max(offsets) - min(offsets) > slack,
-        "Delta_X": bool(steps) and (max(steps) - min(steps)) * max([1.0, *samples]) > slack,
-        "Date and Time": len(starts) > 1 and not _simultaneous(starts, slack),
-        "X_Value": any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]),
-    }
-    if any(apart.values()):
-        differing = ", ".join(key for key, differs in apart.items() if differs)
+    offset, step = numbers("X0")[:1], numbers("Delta_X")[:1]
+    slack = _SAME * abs((*step, 0.0)[0])
+    apart = [_CLOCK] if any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]) else []
+    for key, allowed in {"X0": slack, "Delta_X": slack / max(most, 1.0), "Date": 0.0, "Time": slack}.items():
+        stated = {cell for cell in cells(key) if cell}
+        # Dates are no numbers, and differ if their texts do.
+        if len(stated) > 1 and not np.ptp([_number(cell) for cell in stated]) <= allowed:
+            apart.append(key)
+    if apart:
         raise FileFormatError(
-            f"the channels {listed(tuple(names))} have clocks of their own: {differing} differ",
+            f"the channels {listed(tuple(column.name for column in channels))} have clocks of their own: "
+            f"{', '.join(apart)} differ",
             hint="save each in a file of its own, and join the second one",
             change=("join",),
         )
-    channels = [replace(column, unit=unit) for column, unit in zip(channels, cells("Y_Unit_Label"), strict=False)]
-    unit = "s" if header.get("X_Dimension", ["Time"])[:1] == ["Time"] else ""
-    if clocks:
-        return [Column("time", clocks[0], unit), *channels]
-    offset, step = (next(iter(numbers[key]), None) for key in ("X0", "Delta_X"))
-    if offset is None or step is None:
-        return channels
+    units = [*cells("Y_Unit_Label"), *[""] * len(channels)]
+    channels = [replace(column, unit=unit) for column, unit in zip(channels, units, strict=False)]
     with np.errstate(all="ignore"):
-        return [Column("time", offset + step * np.arange(float(count)), unit), *channels]
+        clocks += [start + each * np.arange(float(count)) for start, each in zip(offset, step, strict=False)]
+    unit = "s" if header.get("X_Dimension", ["Time"])[:1] == ["Time"] else ""
+    return [*(Column("time", clock, unit) for clock in clocks[:1]), *channels]
 
 
-def _number(cell: str) -> float | None:
+def _decoded(text: bytes) -> str:
+    """Return text in UTF-8, or in Latin-1, as instruments write it."""
     try:
-        number = float(cell.replace(",", "."))
-    except ValueError:
-        return None
-    return number if isfinite(number) else None
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
 
 
-def _simultaneous(starts: set[str], slack: float) -> bool:
-    """Return whether all channels start on one day, within `slack` [s]."""
-    days, stamps = {start.split(" ")[0] for start in starts}, [start.split(" ")[-1] for start in starts]
+def _number(cell: str) -> float:
+    """Return a number with a decimal point or comma, or the seconds of a time as 12:00:00.5; NaN for other text."""
+    seconds = 0.0
     try:
-        times = clock_of([moment(stamp) for stamp in stamps]).seconds
+        for part in cell.replace(",", ".").split(":"):
+            seconds = 60 * seconds + float(part)
     except ValueError:
-        return False
-    return len(days) == 1 and bool(np.ptp(times) <= slack)
+        return float("nan")
+    return seconds
 
 
-# Rows of a sheet in Excel, and the least memory of a cell while it is read [bytes].
-_MOST_ROWS, _CELL = 1 << 20, 32
+# The least memory of a cell while it is read [bytes], and the cells that an empty row counts for.
+_CELL, _ROW = 32, 16
+# A text that may be a number with a decimal comma, or with groups of digits.
+_SIGNED = re.compile(r"[-+]?\d*[.,][\d.,]*(?:[eE][-+]?\d+)?")
 
 
 def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read the tables of a workbook; the names of several sheets are put before those of their columns.
-
-    Raise `FileFormatError` for no sheet with a table, or more than allowed.
-    """
+    """Read the tables of a workbook; the names of several sheets are put before those of their columns."""
     import openpyxl
 
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for member in archive.infolist():
             allowance.check(member.file_size, f"sheet '{member.filename}'")
+    tables: dict[str, list[Column]] = {}
     with closing(openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)) as workbook:
-        sheets = {sheet.title: _text(sheet, allowance) for sheet in workbook.worksheets}
-    sheets = {title: text for title, text in sheets.items() if sum(map(bool, map(bytes.strip, text.split(b"\n")))) > 1}
-    if not sheets:
+        for sheet in workbook.worksheets:
+            lines, decimal = _lines(sheet, allowance)
+            if sum(map(bool, map(str.strip, lines))) > 1:
+                tables[sheet.title] = read_text("\n".join(lines).encode() + b"\n", allowance, decimal)
+    if not tables:
         raise FileFormatError("no sheet with rows found; save the measurement in a sheet")
     return [
-        column if len(sheets) == 1 else replace(column, name=f"{title}/{column.name}")
-        for title, text in sheets.items()
-        for column in read_text(text, allowance, ".")
+        column if len(tables) == 1 else replace(column, name=f"{title}/{column.name}")
+        for title, columns in tables.items()
+        for column in columns
     ]
 
 
-def _text(sheet: Any, allowance: Allowance) -> bytes:
-    """Return the rows of a sheet as text with tabs and decimal points, up to its last cell with content.
+def _lines(sheet: Any, allowance: Allowance) -> tuple[list[str], str | None]:
+    """Return the rows of a sheet as text, and their decimal sign; the latter is unknown if texts hold numbers.
 
     The range that a sheet declares is not believed: programs write a wrong one.
-
-    Raise `FileFormatError` for more rows than Excel has, or more cells than allowed; empty cells before one with
-    content count.
     """
     sheet.reset_dimensions()
-    table: list[list[Any]] = []
-    filled, width, cells = 0, 0, 0
-    for number, given in enumerate(sheet.iter_rows(values_only=True), 1):
-        if number > _MOST_ROWS or len(given) > WIDEST:
-            what = f"{_MOST_ROWS} rows" if number > _MOST_ROWS else f"{WIDEST} columns"
-            raise FileFormatError(
-                f"sheet '{shortened(sheet.title)}' has more than {what}, which is no measurement; keep time, voltage "
-                "and displacement only"
-            )
-        cells += len(given)
-        allowance.check(_CELL * cells, f"the cells of sheet '{shortened(sheet.title)}'")
-        row = list(given)
-        while row and not _cell(row[-1]):
-            row.pop()
-        filled, width = (number if row else filled), max(width, len(row))
-        table.append(row)
-    allowance.check(filled * width, f"the cells of sheet '{shortened(sheet.title)}'")
-    table = [row + [None] * (width - len(row)) for row in table[:filled]]
-    if any(isinstance(cell, str) and WRITTEN.fullmatch(cell.strip()) for row in table for cell in row):
-        _point(table, allowance)
-    return "".join("\t".join(map(_cell, row)) + "\n" for row in table).encode()
+    rows, cells, what = [], 0, f"the cells of sheet '{shortened(sheet.title)}'"
+    for row in sheet.iter_rows(values_only=True):
+        cells += max(len(row), _ROW)
+        allowance.check(_CELL * cells, what)
+        rows.append(row)
+    allowance.check(len(rows) * max(map(len, rows), default=0), what)
+    columns = [column for column in zip_longest(*rows) if any(cell is not None for cell in column)]
+    texts = (cell.strip() for column in columns for cell in column if isinstance(cell, str))
+    signed = any(_SIGNED.fullmatch(text) for text in texts)
+    lines = ["\t".join(_cell(cell, signed) for cell in row) for row in zip(*columns, strict=True)]
+    return lines, None if signed else "."
 
 
-def _point(table: list[list[Any]], allowance: Allowance) -> None:
-    """Write the numbers among the texts of a sheet with decimal points; a cell that is a number has no sign."""
-    texts = [[_cell(cell) if isinstance(cell, str) else "" for cell in row] for row in table]
-
-    def where(place: int) -> str:
-        before = data[:place]
-        column = before.count(b"\t", before.rfind(b"\n") + 1) + 1
-        return f"row {before.count(10) + 1}, column {column}"
-
-    data = "".join("\t".join(row) + "\n" for row in texts).encode()
-    cells = Cells(data, 0, "\t", where)
-    lines = pointed(cells, notation_of(cells, allowance.decimal), numbers_only=True).decode().split("\n")
-    for row, line in zip(table, lines, strict=False):
-        row[:] = [text or cell for cell, text in zip(row, line.split("\t"), strict=False)]
-
-
-def _cell(value: Any) -> str:
+def _cell(value: Any, bare: bool) -> str:
+    """Return the text of a cell; a number without a decimal sign if it is to be `bare`."""
+    if isinstance(value, float) and bare and isfinite(value):
+        sign, digits, exponent = Decimal(repr(value)).as_tuple()
+        return f"{'-' * sign}{''.join(map(str, digits))}e{exponent}"
     if isinstance(value, datetime | date | time):
         return value.isoformat()
     return "" if value is None else " ".join(str(value).split())
