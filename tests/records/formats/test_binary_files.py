@@ -7,6 +7,7 @@ import sys
 import time as clock
 import zipfile
 import zlib
+from functools import partial
 
 import h5py
 import laboratory_files
@@ -62,8 +63,7 @@ def hdf5(datasets, attributes=(), **options):
     return write
 
 
-def matlab73(datasets, attributes=()):
-    return hdf5(datasets, attributes, userblock_size=512)
+matlab73 = partial(hdf5, userblock_size=512)
 
 
 def matlab(variables, opaque=False, **options):
@@ -125,7 +125,6 @@ ATTRIBUTES = {
     "displacement.missing_value": -2e4,
     "t.NAME": np.bytes_("This is a netCDF dimension but not a netCDF variable.        60"),
 }
-SHIFTED = {**PACKED, "displacement": PACKED["displacement"] + np.int16(500)}
 
 
 def linked(path):
@@ -151,7 +150,10 @@ READ = {
     "a.hdf5": hdf5({"x": structured()}),
     "unknown.h5": hdf5(NAMED, {f"{name}.unit": "volts" for name in NAMED}),
     "packed.h5": hdf5(PACKED, ATTRIBUTES),
-    "shifted.h5": hdf5(SHIFTED, {**ATTRIBUTES, "displacement.add_offset": -0.5}),
+    "shifted.h5": hdf5(
+        {**PACKED, "displacement": PACKED["displacement"] + np.int16(500)},
+        {**ATTRIBUTES, "displacement.add_offset": -0.5},
+    ),
     "linked.h5": linked,
     "a.parquet": lambda path: pq.write_table(pa.table({**NAMED, "note": ["x"] * N}), path),
     "a.tdms": tdms((NAMED, None)),
@@ -180,7 +182,6 @@ def test_what_is_read(name, tmp_path):
     {
         "rows.npy": lambda path: np.save(path, TABLE),
         "columns.npy": lambda path: np.save(path, TABLE.T),
-        "order.npy": lambda path: np.save(path, np.asfortranarray(TABLE)),
         "a.npz": lambda path: np.savez(path, TABLE, image=np.eye(4), note=np.array("x")),
         "rows.mat": matlab({"data": TABLE}),
         "columns.mat": matlab({"data": TABLE.T, "n": 3.0}, do_compression=True),
@@ -195,7 +196,6 @@ def test_the_one_matrix_of_a_file_is_split(name, write, tmp_path):
     assert [column.name for column in columns] == ["1", "2", "3"]
     assert all(column.unnamed for column in columns)
     assert np.array_equal(read(tmp_path / name, AXES).voltage, V)
-    refused(tmp_path / name, ("columns",))
 
 
 def test_a_matrix_beside_a_series_of_its_length_is_split(tmp_path):
@@ -274,8 +274,6 @@ def test_columns_that_cannot_be_read_have_a_fault(name, write, tmp_path):
         ("cell.mat", matlab({"a": np.array([T, 1], dtype=object)}), "cell array"),
         ("objects.npy", lambda path: np.save(path, np.array([{}, {}], dtype=object)), "Python objects"),
         ("square.npy", lambda path: np.save(path, np.eye(4)), "numeric columns"),
-        ("cube.npy", lambda path: np.save(path, np.zeros((3, 4, 5))), "numeric columns"),
-        ("text.npy", lambda path: np.save(path, np.array(["a", "b"])), "numeric columns"),
         ("pause.tdms", tdms(*halves(0, 47.3), **PIECES), "47 s after"),
         ("back.tdms", tdms(*halves(0, 0.1), **PIECES), "0.2 s before"),
         ("deep.h5", hdf5({"/".join(["g"] * 200): T}), "64 deep"),
@@ -302,7 +300,6 @@ def test_dates_and_durations_of_parquet_are_seconds(tmp_path):
         "lasting": pa.array([1, None, 4], pa.duration("ms")),
         "gone": pa.array([None, 2_000, 3_000], pa.timestamp("ms")),
         "count": pa.array([1, None, 3], pa.int16()),
-        "half": pa.array(np.array([1, 2, 3], "f2")),
     }
     pq.write_table(pa.table(columns), tmp_path / "a.parquet", row_group_size=2)
     found = {column.name: column for column in read_table(tmp_path / "a.parquet").columns}
@@ -315,7 +312,6 @@ def test_dates_and_durations_of_parquet_are_seconds(tmp_path):
     np.testing.assert_allclose(found["lasting"].data, [1e-3, np.nan, 4e-3])
     np.testing.assert_allclose(found["gone"].data, [np.nan, 0, 1])
     np.testing.assert_allclose(found["count"].data, [1, np.nan, 3])
-    assert found["half"].data.tolist() == [1, 2, 3]
 
 
 # Libraries
