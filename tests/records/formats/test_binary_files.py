@@ -306,7 +306,6 @@ def test_dates_and_durations_of_parquet_are_seconds(tmp_path):
     assert {name: column.unit for name, column in found.items()} == {
         **dict.fromkeys(columns, "s"),
         "count": "",
-        "half": "",
     }
     assert found["stamp"].data == pytest.approx([0, 2e-9, 5e-9], rel=1e-12)
     np.testing.assert_allclose(found["lasting"].data, [1e-3, np.nan, 4e-3])
