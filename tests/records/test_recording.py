@@ -74,7 +74,7 @@ def test_what_no_recording_can_begin_with(name, options, tmp_path):
 
 def test_samples_that_cannot_be_added(tmp_path):
     recording = Recording(tmp_path / "c.csv")
-    with pytest.raises(RecordError, match="2, 2, 3 values"):
+    with pytest.raises(RecordError, match="2, 2, 3"):
         recording.add(SimpleNamespace(time=np.zeros(2), voltage=np.zeros(2), displacement=np.zeros(3)))
     recording.close()
     recording.close()

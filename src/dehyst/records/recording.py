@@ -88,13 +88,10 @@ class Recording:
         self.close()
 
     def add(self, samples: Any) -> None:
-        """Append `samples` after the earlier ones; they are on the disk when this returns.
+        """Append samples after the earlier ones; they are on the disk when this returns.
 
-        Parameters
-        ----------
-        samples : object
-            With arrays (n,) ``time`` [s], ``voltage`` [V] and ``displacement`` [m]; with further channels also
-            ``others``, arrays (n,) by column name.
+        `samples` has arrays (n,) ``time`` [s], ``voltage`` [V] and ``displacement`` [m]; with further channels also
+        ``others``, arrays (n,) by column name.
 
         Raises
         ------
@@ -108,14 +105,12 @@ class Recording:
             raise RecordError(f"{self.path}: this recording is closed; begin another")
         further = getattr(samples, "others", {})
         if missing := [column for column in self.others if column not in further]:
-            words = f"got samples without {', '.join(missing)}, need all columns of the recording"
-            raise RecordError(f"{self.path}: {words}")
+            raise RecordError(f"{self.path}: got samples without {', '.join(missing)}, need all columns")
         displacement = _MICRO * np.asarray(samples.displacement, dtype=np.float64)
         given = samples.time, samples.voltage, displacement, *(further[column] for column in self.others)
         columns = [np.asarray(values, dtype=np.float64).ravel() for values in given]
         if len({column.size for column in columns}) > 1:
-            sizes = ", ".join(str(column.size) for column in columns)
-            raise RecordError(f"{self.path}: got {sizes} values, need one length")
+            raise RecordError(f"{self.path}: got {[column.size for column in columns]} values, need one length")
         rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
 

@@ -158,7 +158,7 @@ READ = {
     "a.parquet": lambda path: pq.write_table(pa.table({**NAMED, "note": ["x"] * N}), path),
     "a.tdms": tdms((NAMED, None)),
     "wave.tdms": tdms((dict([*NAMED.items()][1:]), None), **WAVE),
-    "on.tdms": tdms(*halves(0, 0.3), **PIECES),
+    "on.tdms": tdms(*halves(0, 0.30002), **PIECES),
     "a.npz": lambda path: np.savez(path, **NAMED),
     "fields.npz": lambda path: np.savez(path, x=structured()),
     "a.npy": lambda path: np.save(path, structured()),

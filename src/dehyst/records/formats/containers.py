@@ -37,6 +37,11 @@ _OBJECT = "holds a MATLAB object, which only MATLAB reads: save its fields as a 
 _CELL = "holds a cell array; save the arrays in its cells as variables of their own"
 _PYTHON = "holds Python objects, which are not opened, because that runs code; save arrays of numbers"
 _ELSEWHERE = "has its samples in another place, which is not read; copy them into the file, with h5repack or h5copy"
+# Why a file needs names.
+_UNNAMED = (
+    "its one array has shape {} and no names; name its rows or columns, or save three arrays with the names time_s, "
+    "voltage_V and displacement_um"
+)
 # Rows or columns of one array that are taken for series of samples.
 _MOST_SERIES = 32
 
@@ -84,27 +89,24 @@ class _Declared(NamedTuple):
     def columns(self, allowance: Allowance, alone: bool = False) -> list[Column]:
         """Return the columns: of a table its rows, or its columns if these are longer; of a structure its fields.
 
-        `alone`: whether there is nothing else in the file, so that the numbers of rows are their names.
+        `alone`: whether the file has no other array, whose name would be needed.
         """
-        if self.fault or not self.kind:
-            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign)] if self.fault else []
-        count, what, unnamed = _product(self.shape), f"array '{shortened(self.name)}'", ""
+        if self.fault:
+            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign)]
+        if not self.kind:
+            return []
+        count, what, fields = _product(self.shape), f"array '{shortened(self.name)}'", {}
         allowance.check(count * self.dtype.itemsize, what)
         allowance.take(count * len(self.dtype.names or "1"), what)
-        values, fields = np.asarray(self.read()), {}
+        values = np.asarray(self.read())
         if self.kind == "table":
-            rows, kind = (values, "rows") if self.shape[0] < self.shape[1] else (values.T, "columns")
-            fields = {str(k): row for k, row in enumerate(rows, 1)}
-            unnamed = (
-                f"its one array has shape {self.shape} and no names; name its {len(rows)} {kind}, or save three arrays "
-                "with the names time_s, voltage_V and displacement_um"
-            )
+            fields = {str(k): row for k, row in enumerate(values if values.shape[0] < values.shape[1] else values.T, 1)}
         elif values.dtype.names:
             fields = {name: values[name] for name in values.dtype.names}
-        prefix = "" if alone else f"{self.name}/"
-        named = {f"{prefix}{field}": one for field, one in fields.items()} or {self.name: values}
+        named = {name if alone else f"{self.name}/{name}": one for name, one in fields.items()} or {self.name: values}
+        unnamed = _UNNAMED.format(self.shape) if alone and self.kind == "table" else ""
         columns = [column for name, one in named.items() for column in _vector(name, one, self.unit)]
-        return [replace(one, foreign=self.foreign, unnamed=unnamed if alone else "") for one in columns]
+        return [replace(column, foreign=self.foreign, unnamed=unnamed) for column in columns]
 
 
 def _vector(name: str, values: Any, unit: str = "") -> list[Column]:
@@ -138,11 +140,10 @@ def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Colum
 def _npy(opened: Callable[[], IO[bytes]], name: str) -> _Declared:
     """Read the header of an array."""
     with opened() as stream:
-        version = np.lib.format.read_magic(stream)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        if version not in read_header:
-            raise FileFormatError(f"array '{shortened(name)}' has fields with names in other letters; rename them")
-        shape, _, dtype = read_header[version](stream)
+        first = np.lib.format.read_magic(stream) == (1, 0)
+        # Version 3 differs from 2 in the letters of fields, whose names are those that are read with the array.
+        read_header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
 
     def read() -> Any:
         with opened() as stream:
@@ -375,6 +376,8 @@ def _arrow_numbers(values: Any) -> Array:
     return np.array(np.from_dlpack(doubles)) / (COUNTS["s"][resolution] if resolution else 1)
 
 
+# The part by which the clocks of a computer and of a converter differ.
+_SAME_CLOCK = 1e-4
 _START = "wf_start_time"
 # What states the start of a waveform in a TDMS file: type and value.
 _STAMP = re.compile(_START.encode() + rb"(.{20})", re.DOTALL)
@@ -387,14 +390,14 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     """
     from nptdms import TdmsFile
 
-    for name, channel in _channels(TdmsFile.read_metadata(io.BytesIO(data))).items():
-        allowance.take(len(channel), f"channel '{shortened(name)}'")
     columns: list[Column] = []
     waves: dict[str, Any] = {}
-    for name, channel in _channels(TdmsFile.read(io.BytesIO(data))).items():
-        unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
-        if found := _vector(name, np.asarray(channel[:]), unit):
-            columns, waves = columns + found, {**waves, name: channel}
+    with TdmsFile.open(io.BytesIO(data)) as file:
+        for name, channel in _channels(file).items():
+            allowance.take(len(channel), f"channel '{shortened(name)}'")
+            unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
+            if found := _vector(name, np.asarray(channel[:]), unit):
+                columns, waves = columns + found, {**waves, name: channel}
     # A waveform has no time channel: its sampling is a property, the same for every channel of a run.
     if any(column.parts[0].lower() in ("time", "t") for column in columns):
         return columns
@@ -439,7 +442,7 @@ def _guess_of_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
     for name in waves.keys() & first.keys():
         passed = (waves[name].properties[_START] - first[name].properties[_START]) / np.timedelta64(1, "s")
         pause = passed - len(before[name]) * step
-        if abs(pause) > step / 2:
+        if abs(pause) > step / 2 + _SAME_CLOCK * passed:
             raise FileFormatError(
                 f"was recorded in {len(changes) + 1} pieces: by {_START}, the last one begins {abs(pause):.6g} s "
                 f"{'after' if pause > 0 else 'before'} the end of those before it",
