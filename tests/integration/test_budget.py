@@ -24,7 +24,7 @@ ROOMS = {
     "model": 3713,
     "operations": 4182,
     "paper": 1089,
-    "records": 5028,
+    "records": 5022,
     "report": 1973,
     "testing": 492,
     "trust": 3555,

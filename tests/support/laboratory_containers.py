@@ -113,12 +113,6 @@ def tdms(*offsets: float) -> Writer:
     return write
 
 
-def structured(path: Path) -> None:
-    run = np.zeros(N, dtype=[("time_s", "f8"), ("voltage_V", "f8"), ("displacement_um", "f8")])
-    run["time_s"], run["voltage_V"], run["displacement_um"] = T, V, UM
-    np.save(path, run)
-
-
 INDEX = np.arange(float(N))
 OLD_RUN = [SECONDS.split(","), *np.c_[T, V, UM][: N // 2].tolist()]
 STEPS = ("Delta_X\t0.002\t0.002", "X0\t0.0E+0\t0.0E+0", "Time\t12:00:00.1\t12:00:00.1")
@@ -164,7 +158,7 @@ TWINS: dict[str, tuple[Writer, str]] = {
     "clock.h5": (hdf5({"run": "V"}, run__time_ms=(T * 1e3, ""), run__voltage=(V, ""), run__y_um=(UM, "")), ""),
     "gap.parquet": (parquet(0.0, time_s=T), ""),
     "late.tdms": (tdms(0.5, 0.5), ""),
-    "order.npy": (structured, ""),
+    "order.npy": (lambda path: np.save(path, np.rec.fromarrays([T, V, UM], names=SECONDS)), ""),
     "regler.csv": (
         text("Zeit [ms];Ausgang Regler [V];Weg [um]", T * 1e3, V, UM, sign=";"),
         "voltage=Ausgang Regler [V]",

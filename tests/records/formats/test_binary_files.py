@@ -93,11 +93,8 @@ def tdms(*segments, **properties):
     return write
 
 
-def structured(names=NAMED):
-    run = np.empty(N, dtype=[(name, values.dtype) for name, values in names.items()])
-    for name, values in names.items():
-        run[name] = values
-    return run
+def structured(columns=NAMED):
+    return np.rec.fromarrays([*columns.values()], names=[*columns])
 
 
 def halves(*starts):

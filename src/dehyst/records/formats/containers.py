@@ -11,7 +11,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -91,10 +91,8 @@ class _Declared(NamedTuple):
 
         `alone`: whether the file has no other array, whose name would be needed.
         """
-        if self.fault:
-            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign)]
-        if not self.kind:
-            return []
+        if self.fault or not self.kind:
+            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign)] if self.fault else []
         count, what, fields = _product(self.shape), f"array '{shortened(self.name)}'", {}
         allowance.check(count * self.dtype.itemsize, what)
         allowance.take(count * len(self.dtype.names or "1"), what)
@@ -137,6 +135,15 @@ def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Colum
     return columns
 
 
+def apart(names: Iterable[str], what: str) -> FileFormatError:
+    """Return the error for channels with clocks of their own, which differ in `what`."""
+    return FileFormatError(
+        f"the channels {listed(tuple(names))} have clocks of their own: {what} differ",
+        hint="save each in a file of its own with its time, and join the second one",
+        change=("columns",),
+    )
+
+
 def _npy(opened: Callable[[], IO[bytes]], name: str) -> _Declared:
     """Read the header of an array."""
     with opened() as stream:
@@ -169,24 +176,14 @@ def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
         return restored(columns, "".join(str(one.read()) for one in texts if one.dtype.itemsize <= 4 * LONGEST))
 
 
-# A file of measurements has fewer levels of groups and fewer names.
-_DEEPEST, _MOST_NAMES = 64, 100_000
-# Longest text of a unit [bytes], and most values of an attribute that is read.
-_LONGEST_UNIT, _MOST_VALUES = 256, 16
+# A file of measurements has fewer levels of groups, names, and bytes and values of an attribute.
+_DEEPEST, _MOST_NAMES, _LONGEST_UNIT, _MOST_VALUES = 64, 100_000, 256, 16
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read datasets of an HDF5 file, in any group; those with samples in another place have a fault."""
-    import h5py
+    """Read the datasets of all groups that hard links lead to, each once; those with samples elsewhere have a fault.
 
-    with h5py.File(io.BytesIO(data), "r") as file:
-        return _columns_of([*_datasets(file, allowance)], allowance)
-
-
-def _datasets(file: Any, allowance: Allowance) -> Iterator[_Declared]:
-    """Yield the datasets of all groups that hard links lead to, each once, and external links with their fault.
-
-    Soft links are ignored, because their targets are found under their own names.
+    Soft links are ignored, because their targets are found under their own names. External links are not followed.
     """
     import h5py
 
@@ -196,18 +193,20 @@ def _datasets(file: Any, allowance: Allowance) -> Iterator[_Declared]:
         links[name] = link
         return len(links) > _MOST_NAMES or name.count("/") >= _DEEPEST or None
 
-    if file.visititems_links(keep):
-        raise FileFormatError(
-            f"more than {_MOST_NAMES} names, or groups more than {_DEEPEST} deep; keep the record's columns only"
-        )
-    seen = set()
-    for name, link in links.items():
-        if isinstance(link, h5py.ExternalLink):
-            yield _Declared(name, (), np.dtype("f8"), tuple, fault=_ELSEWHERE, foreign=True)
-        elif isinstance(link, h5py.HardLink) and not name.startswith("#") and (item := file[name]) not in seen:
-            seen.add(item)
-            if isinstance(item, h5py.Dataset) and item.shape is not None:
-                yield _dataset(name, item, allowance)
+    with h5py.File(io.BytesIO(data), "r") as file:
+        if file.visititems_links(keep):
+            raise FileFormatError(
+                f"more than {_MOST_NAMES} names, or groups more than {_DEEPEST} deep; keep the record's columns only"
+            )
+        arrays, seen = [], set()
+        for name, link in links.items():
+            if isinstance(link, h5py.ExternalLink):
+                arrays.append(_Declared(name, (), np.dtype("f8"), tuple, fault=_ELSEWHERE, foreign=True))
+            elif isinstance(link, h5py.HardLink) and not name.startswith("#") and (item := file[name]) not in seen:
+                seen.add(item)
+                if isinstance(item, h5py.Dataset) and item.shape is not None:
+                    arrays.append(_dataset(name, item, allowance))
+        return _columns_of(arrays, allowance)
 
 
 def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
@@ -222,7 +221,12 @@ def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
         shape = ()
     read = partial(_unpacked, item, name, allowance)
     fault = fault or (_COMPLEX if pairs else "")
-    return _Declared(name, shape, dtype, read, _unit(name, item), fault, bool(fault) and not pairs)
+    # The unit of the group, unless the dataset has one, or the name of another quantity.
+    unit, group = _unit(item), _unit(item.parent)
+    column = Column(name, np.empty(0), unit)
+    if group and not symbol_of(column.parts[1]) and (not column.quantities or quantity_of(group) in column.quantities):
+        unit = group
+    return _Declared(name, shape, dtype, read, unit, fault, bool(fault) and not pairs)
 
 
 def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
@@ -252,19 +256,12 @@ def _attribute(item: Any, name: str) -> list[Any]:
     return list(np.ravel(item.attrs[name]).tolist()) if small and stated.dtype.itemsize <= _LONGEST_UNIT else []
 
 
-def _unit(name: str, dataset: Any) -> str:
-    """Return the unit of a dataset, or that of its group unless the dataset has the name of another quantity."""
-
-    def stated(item: Any) -> str:
-        texts = (*_attribute(item, "unit"), *_attribute(item, "units"))
-        text = next((text for text in texts if isinstance(text, str | bytes)), "")
-        # In netCDF: "seconds since 1970-01-01".
-        return (text if isinstance(text, str) else text.decode(errors="replace")).partition(" since ")[0].strip()
-
-    column = Column(name, np.empty(0), stated(dataset)[:_LONGEST_UNIT])
-    if symbol_of(column.parts[1]) or not (unit := stated(dataset.parent)[:_LONGEST_UNIT]):
-        return column.unit
-    return unit if not column.quantities or quantity_of(unit) in column.quantities else column.unit
+def _unit(item: Any) -> str:
+    """Return the unit that an attribute states; of "seconds since 1970-01-01", as netCDF has it, the first word."""
+    texts = (*_attribute(item, "unit"), *_attribute(item, "units"))
+    text = next((text for text in texts if isinstance(text, str | bytes)), "")
+    text = text if isinstance(text, str) else text.decode(errors="replace")
+    return text[:_LONGEST_UNIT].partition(" since ")[0].strip()
 
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -272,9 +269,8 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
 _MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 _MAT_FAULTS = {"object": _OBJECT, "opaque": _OBJECT, "cell": _CELL}
-_CHUNK = 1 << 20
-# Structures in structures.
-_DEEPEST_FIELD = 8
+# Bytes that are unpacked at once, and structures in structures.
+_CHUNK, _DEEPEST_FIELD = 1 << 20, 8
 
 
 def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
@@ -296,24 +292,16 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
             # SciPy lists no objects of classes that MATLAB defines in its own language, nor their names.
             variables = [("object", (1, 1), "opaque")]
         for name, shape, kind in variables:
-            load = partial(_variable, stream, name)
             if kind in _MAT_FAULTS:
-                arrays.append(_Declared(name, (), np.dtype("f8"), load, fault=_MAT_FAULTS[kind], foreign=True))
-            elif kind == "struct" and _product(shape) == 1:
-                arrays += _fields(name, load())
-            elif kind in _MAT_NUMBERS and not name.startswith("__"):
-                arrays.append(_Declared(name, shape, np.dtype("f8"), load))
+                arrays.append(_Declared(name, (), np.dtype("f8"), tuple, fault=_MAT_FAULTS[kind], foreign=True))
+            elif (kind in _MAT_NUMBERS and not name.startswith("__")) or (kind == "struct" and _product(shape) == 1):
+                allowance.check(_product(shape) * np.dtype("f8").itemsize, f"variable '{shortened(name)}'")
+                found = scipy.io.loadmat(stream, variable_names=[name], simplify_cells=True)
+                arrays += _fields(name, found[name])
     # Beside plain arrays, the fields of structures are ignored if these fit.
     plain = any(array.kind == "series" and "/" not in array.name for array in arrays)
     arrays = [array._replace(foreign=array.foreign or (plain and "/" in array.name)) for array in arrays]
     return _columns_of(arrays, allowance)
-
-
-def _variable(stream: Any, name: str) -> Any:
-    """Read one variable of a MAT file."""
-    import scipy.io
-
-    return scipy.io.loadmat(stream, variable_names=[name], simplify_cells=True)[name]
 
 
 def _fields(name: str, value: Any, depth: int = 0) -> list[_Declared]:
@@ -376,9 +364,8 @@ def _arrow_numbers(values: Any) -> Array:
     return np.array(np.from_dlpack(doubles)) / (COUNTS["s"][resolution] if resolution else 1)
 
 
-# The part by which the clocks of a computer and of a converter differ.
-_SAME_CLOCK = 1e-4
-_START = "wf_start_time"
+# The start of a waveform, and the part by which the clocks of a computer and of a converter differ.
+_START, _SAME_CLOCK = "wf_start_time", 1e-4
 # What states the start of a waveform in a TDMS file: type and value.
 _STAMP = re.compile(_START.encode() + rb"(.{20})", re.DOTALL)
 
@@ -404,12 +391,7 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     keys = {"wf_increment": 0.0, "wf_start_offset": 0.0, _START: ""}
     runs = {(len(one), *(one.properties.get(key, empty) for key, empty in keys.items())) for one in waves.values()}
     if len(runs) > 1 and all(step > 0 for _, step, _, _ in runs):
-        raise FileFormatError(
-            f"the channels {listed(tuple(waves))} have clocks of their own: number of samples, {', '.join(keys)} "
-            "differ",
-            hint="save each in a file of its own with its time, and join the second one",
-            change=("join",),
-        )
+        raise apart(waves, f"number of samples, {', '.join(keys)}")
     if len(runs) == 1:
         ((count, step, start, _),) = runs
         if step > 0:

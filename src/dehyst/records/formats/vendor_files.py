@@ -11,7 +11,6 @@ import zipfile
 from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import replace
-from datetime import date, datetime, time
 from decimal import Decimal
 from itertools import zip_longest
 from math import inf, isfinite
@@ -20,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst.records.formats.columns import Column, listed, shortened
+from dehyst.records.formats.columns import Column, shortened
+from dehyst.records.formats.containers import apart
 from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.text_table import read_text
 
@@ -29,13 +29,11 @@ GCS_END = "# END_HEADER"
 GCS_SEPARATORS = {"9": "\t", "32": None, "44": ",", "59": ";"}
 _END = re.compile(rb"(?m)^#[ \t]*END_HEADER[ \t\r]*\n\s*")
 _ENTRY = re.compile(r"#\s*([A-Z_]+\d*)\s*=\s*(.*)")
-# The header of an array is shorter [bytes].
-_HEAD = 50_000
 
 
 def is_gcs(data: bytes) -> bool:
-    """Return whether a text is a GCS array."""
-    return _END.search(data, 0, _HEAD) is not None
+    """Return whether a text is a GCS array, whose header is shorter than 50 kB."""
+    return _END.search(data, 0, 50_000) is not None
 
 
 def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
@@ -62,12 +60,12 @@ def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
 
 # The name of a column of times, and the part of a sample by which the clocks of channels may differ.
 _CLOCK, _SAME = "X_Value", 0.01
-_MAGIC, _LABVIEW_END = b"LabVIEW Measurement", b"***End_of_Header***"
+_LABVIEW_END = b"***End_of_Header***"
 
 
 def is_labview(data: bytes) -> bool:
     """Return whether a text is a LabVIEW measurement file."""
-    return data.lstrip(b"\xef\xbb\xbf").startswith(_MAGIC)
+    return data.lstrip(b"\xef\xbb\xbf").startswith(b"LabVIEW Measurement")
 
 
 def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
@@ -116,19 +114,14 @@ def _with_header(columns: list[Column], header: dict[str, list[str]]) -> list[Co
         )
     offset, step = numbers("X0")[:1], numbers("Delta_X")[:1]
     slack = _SAME * abs((*step, 0.0)[0])
-    apart = [_CLOCK] if any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]) else []
+    differing = [_CLOCK] if any(not np.array_equal(clock, clocks[0]) for clock in clocks[1:]) else []
     for key, allowed in {"X0": slack, "Delta_X": slack / max(most, 1.0), "Date": 0.0, "Time": slack}.items():
         stated = {cell for cell in cells(key) if cell}
         # Dates are no numbers, and differ if their texts do.
         if len(stated) > 1 and not np.ptp([_number(cell) for cell in stated]) <= allowed:
-            apart.append(key)
-    if apart:
-        raise FileFormatError(
-            f"the channels {listed(tuple(column.name for column in channels))} have clocks of their own: "
-            f"{', '.join(apart)} differ",
-            hint="save each in a file of its own, and join the second one",
-            change=("join",),
-        )
+            differing.append(key)
+    if differing:
+        raise apart((column.name for column in channels), ", ".join(differing))
     units = [*cells("Y_Unit_Label"), *[""] * len(channels)]
     channels = [replace(column, unit=unit) for column, unit in zip(channels, units, strict=False)]
     with np.errstate(all="ignore"):
@@ -204,10 +197,8 @@ def _lines(sheet: Any, allowance: Allowance) -> tuple[list[str], str | None]:
 
 
 def _cell(value: Any, bare: bool) -> str:
-    """Return the text of a cell; a number without a decimal sign if it is to be `bare`."""
+    """Return the text of a cell; of a number without a decimal sign if it is to be `bare`."""
     if isinstance(value, float) and bare and isfinite(value):
         sign, digits, exponent = Decimal(repr(value)).as_tuple()
         return f"{'-' * sign}{''.join(map(str, digits))}e{exponent}"
-    if isinstance(value, datetime | date | time):
-        return value.isoformat()
     return "" if value is None else " ".join(str(value).split())
