@@ -64,7 +64,7 @@ def in_si(values: Any, unit: str) -> Any:
     count = next(known[unit] for known in COUNTS.values() if unit in known)
     above = values - _ZEROS[unit] if unit in _ZEROS else values
     # Dividing by 1e6 rounds once, multiplying by 1e-6 twice.
-    return above / count if count > 1 else above * (1 / count)
+    return above if count == 1 else above / count if count > 1 else above * (1 / count)
 
 
 def per_metre(units: str, *, error: type[DehystError] = ModelError) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -143,13 +142,14 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
         content = content_of(path, 1e6 * columns.max_size)
-    if columns.decimal is not None and content.suffix not in _WITH_SIGNS:
-        got = f"'{columns.decimal}' for {content.suffix} files, which hold no text"
-        raise FileFormatError(argument="decimal", got=got, need="none")
-    found = load(content._replace(decimal=columns.decimal))
+    with content.stream:
+        if columns.decimal is not None and content.suffix not in _WITH_SIGNS:
+            got = f"'{columns.decimal}' for {content.suffix} files, which hold no text"
+            raise FileFormatError(argument="decimal", got=got, need="none")
+        found, digest = load(content._replace(decimal=columns.decimal)), content.sha256
     if not found:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
-    return Table(path.name, hashlib.sha256(content.data).hexdigest(), tuple(found))
+    return Table(path.name, digest, tuple(found))
 
 
 def write_record(path: PathLike, record: Record) -> None:

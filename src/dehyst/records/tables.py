@@ -129,6 +129,8 @@ class Selected:
                 f"if an amplifier multiplies or divides it, give {quantity}={self._name}*{GAIN} with the gain for "
                 f"{GAIN}; if these are the volts of the actuator, the gain is 1",
             )
+        # A record shares it then.
+        values.flags.writeable = False
         return values
 
     @property

@@ -1,7 +1,9 @@
-"""The bytes of a file, read once, and the limits of their size and of the memory for its numbers."""
+"""The bytes of a file, and the limits of their size and of the memory for its numbers."""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import stat
 from pathlib import Path
 from typing import NamedTuple
@@ -16,17 +18,29 @@ _RAISE = "give a larger max_size=MB if you trust the file"
 
 
 class Content(NamedTuple):
-    """A file as read, and how its columns are to be read.
+    """A file that is open, and how its columns are to be read.
 
-    `suffix`: of its format. `most`: memory that its numbers may take [bytes]. `decimal`: the decimal sign that the user
-    states.
+    `stream`: its bytes, which can be read again; those of a pipe are in memory. `suffix`: of its format. `most`: memory
+    that its numbers may take [bytes]. `decimal`: the decimal sign that the user states.
     """
 
     path: Path
-    data: bytes
+    stream: io.BufferedIOBase
     suffix: str
     most: int
     decimal: str | None = None
+
+    @property
+    def data(self) -> bytes:
+        """All bytes, never more than `most`."""
+        self.stream.seek(0)
+        return self.stream.read(self.most)
+
+    @property
+    def sha256(self) -> str:
+        """The digest of the bytes, in hexadecimal digits."""
+        self.stream.seek(0)
+        return hashlib.file_digest(self.stream, "sha256").hexdigest()
 
 
 class Allowance:
@@ -58,7 +72,7 @@ class Allowance:
 
 
 def content_of(path: Path, most: float) -> Content:
-    """Read a regular file, a named pipe or a process substitution; once, and never more than `most` bytes.
+    """Open a regular file, or read a named pipe or a process substitution once; never more than `most` bytes.
 
     A pipe without a suffix holds text. Raise `FileFormatError` for a folder, a device, a socket, an empty file, more
     than `most` bytes. Raise `OSError` if the file cannot be opened.
@@ -69,19 +83,22 @@ def content_of(path: Path, most: float) -> Content:
     pipe = stat.S_ISFIFO(state.st_mode)
     if not (pipe or stat.S_ISREG(state.st_mode)):
         raise FileFormatError(f"{path}: this is a device, need a file or a pipe; save its data to a file first")
-    size, data = state.st_size, b""
-    if size <= allowed:
-        with path.open("rb") as stream:
-            data = stream.read(allowed + 1)
-    if max(size, len(data)) > allowed:
+    size, stream = state.st_size, io.BytesIO()
+    if not size:
+        # A pipe, or a file of the system that states no size.
+        with path.open("rb") as source:
+            stream = io.BytesIO(source.read(allowed + 1))
+        size = stream.getbuffer().nbytes
+    if size > allowed:
         raise FileFormatError(
             f"{path}: the file has more than the {_in_words(allowed)} that are allowed",
             hint=f"{_RAISE}, or shorten it",
             change=("columns",),
         )
-    if not data:
+    if not size:
         raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-    return Content(path, data, path.suffix.lower() or (".csv" if pipe else ""), allowed)
+    opened = path.open("rb") if state.st_size else stream
+    return Content(path, opened, path.suffix.lower() or (".csv" if pipe else ""), allowed)
 
 
 def _in_words(size: int) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from io import BufferedIOBase
+from typing import Any
 
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
 from dehyst.records.formats import containers, vendor_files
@@ -11,25 +13,28 @@ from dehyst.records.formats.columns import TEXT, Column
 from dehyst.records.formats.file_content import Allowance, Content
 from dehyst.records.formats.text_table import as_utf8, read_text
 
-Loader = Callable[[bytes, Allowance], list[Column]]
+Loader = Callable[[Any, Allowance], list[Column]]
+# Bytes by which a text is recognised: the longest header of a GCS array.
+_HEAD = 50_000
 
 
-def _read_text(data: bytes, allowance: Allowance) -> list[Column]:
+def _read_text(stream: BufferedIOBase, allowance: Allowance) -> list[Column]:
     """Read a text file in the format that its first bytes show."""
-    data, mark = as_utf8(data), containers.LINE.encode()
-    if vendor_files.is_labview(data):
-        return vendor_files.read_labview(data, allowance)
-    if vendor_files.is_gcs(data):
-        return vendor_files.read_gcs(data, allowance)
-    if not data.startswith(mark):
-        return read_text(data, allowance)
+    stream, mark = as_utf8(stream), containers.LINE.encode()
+    stream.seek(0)
+    head = stream.read(_HEAD)
+    stream.seek(0)
+    if vendor_files.is_labview(head):
+        return vendor_files.read_labview(stream.read(), allowance)
+    if vendor_files.is_gcs(head):
+        return vendor_files.read_gcs(stream.read(), allowance)
     # Each line of a record of dehyst ends: one that does not was cut off while it was written.
-    columns = read_text(data[: data.rfind(b"\n") + 1], allowance)
-    stated = data[len(mark) : containers.LONGEST].split(b"\n")[0]
+    columns = read_text(stream, allowance, whole_lines=head.startswith(mark))
+    stated = head[len(mark) : containers.LONGEST].split(b"\n")[0] if head.startswith(mark) else b""
     return containers.restored(columns, stated.decode(errors="replace"))
 
 
-# The function of the bytes of a file and their allowance that returns its columns, by suffix.
+# The function of the bytes of a file, of the stream of a text, and the allowance that returns its columns, by suffix.
 LOADERS: dict[str, Loader] = {
     **dict.fromkeys((*TEXT, ".lvm", ".asc"), _read_text),
     ".xlsx": vendor_files.read_xlsx,
@@ -53,7 +58,8 @@ def load(content: Content) -> list[Column]:
         with warnings.catch_warnings():
             # Of a library on styles of a sheet and the like, which are no matter of the columns.
             warnings.simplefilter("ignore")
-            return LOADERS[content.suffix](content.data, allowance)
+            read = LOADERS[content.suffix]
+            return read(content.stream if read is _read_text else content.data, allowance)
     except FileFormatError as error:
         raise type(error)(**vars(error) | {"message": f"{content.path}: {error.message}"}) from error
     except DehystError:

@@ -7,120 +7,199 @@ import re
 from collections import Counter
 from typing import NamedTuple
 
+from dehyst._errors import FileFormatError
 from dehyst._units import symbol_of
-from dehyst.records.formats.notation import WRITTEN
+from dehyst.records.formats.columns import shortened
+from dehyst.records.formats.notation import readings
 from dehyst.records.formats.timestamps import is_moment
 
-# Lines, and bytes, that are looked at: an oscilloscope writes some 30 lines above its table.
-_HEAD, _HEAD_BYTES = 400, 400_000
+# Lines that are looked at: an oscilloscope writes some 30 lines above its table.
+_HEAD = 400
+# The most rows of a table that belongs to the header of another one.
+_FEW = 4
+# With these begins a comment.
+_MARKS = ("#", "%")
 # What instruments write in the row of units for a column of counts.
 _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
+# Names above the time of the first sample and the step, in the row of units.
+_CLOCK = ("start", "increment")
 # A number with a decimal comma, and the blanks before a unit in brackets.
-_COMMA, UNIT_BEHIND = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?"), re.compile(r"(?<!\s)\s+(?=[\[(])")
+_COMMA, _UNIT_BEHIND = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?"), re.compile(r"(?<!\s)\s+(?=[\[(])")
 # A value that a spreadsheet could not compute: #N/A, #DIV/0!.
-ERROR = re.compile(r"#[A-Z][A-Z0-9/]*[!?]?")
+_ERROR = re.compile(r"#(?:N/A|NV|[A-Z0/]+[!?])")
 
 
 class Layout(NamedTuple):
     """The place of a table in a text file.
 
-    `start`: byte at which its first row begins. `first`: number of the line before it. `delimiter`: separator of its
-    cells, None for blanks. `names`, `units`: of its columns; no names if the file has none. `row`: its first row.
+    `first`: number of lines before its first row. `delimiter`: separator of its cells, None for blanks. `names`,
+    `units`: of its columns; no names if the file has none. `row`: its first row. `above`: the lines above it, of which
+    `header` has the names, and the units below them. `cut`: what separates cells, if tabs are to replace it.
     """
 
-    start: int
     first: int
     delimiter: str | None
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     row: str = ""
+    above: tuple[str, ...] = ()
+    header: tuple[str, ...] = ()
+    cut: str = ""
+
+    @property
+    def unnamed(self) -> str:
+        """Why the columns of a table have no names, and what to try."""
+        return (
+            f"line {self.first + 1} is '{self.row[:60]}', but a header line with names and units is needed first, "
+            "not behind a # or %; try time_s,voltage_V,displacement_um"
+        )
+
+
+class _Heading(NamedTuple):
+    """Names and units of columns, the number of their lines, and the times of samples in the words of other headers."""
+
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    lines: int = 0
+    clock: tuple[str, ...] = ()
 
 
 class _Line(NamedTuple):
+    """A line with content, and the number of lines before it."""
+
     number: int
-    begin: int
     text: str
 
 
 class _Shape(NamedTuple):
-    """The usual number of cells of a row, the columns that usually are numbers, and the separator."""
+    """The usual number of cells of a row, and the columns that usually are numbers."""
 
     width: int
     numeric: list[int]
-    delimiter: str | None
+
+    @classmethod
+    def of(cls, rows: list[list[str]]) -> _Shape:
+        """Return what most of the rows look like."""
+        width = Counter(map(len, rows)).most_common(1)[0][0]
+        alike = [row for row in rows if len(row) == width]
+        counts = [sum(not _is_word(row[k]) for row in alike) for k in range(width)]
+        return cls(width, [k for k in range(width) if 2 * counts[k] > len(alike)])
 
     def fits(self, row: list[str]) -> bool:
         """Whether a line may be the first row."""
         values = [row[k] for k in self.numeric] if len(row) == self.width else []
-        return any(values) and all(not cell or is_number(cell) or is_moment(cell) for cell in values)
+        return any(values) and not any(cell and _is_word(cell) for cell in values)
 
     def is_row(self, row: list[str]) -> bool:
         """Whether a line above the table may be a row of it with a fault, which must not be left out."""
         if len(row) == self.width and 2 * sum(is_number(row[k]) for k in self.numeric) > len(self.numeric):
             return True
-        return is_number(row[0]) and 2 * sum(map(is_number, row)) >= len(row)
+        # Also a row with another separator.
+        parts = [part for cell in row for part in re.split(r"[;,\t ]+", cell) if part]
+        return (is_number(row[0]) and 2 * sum(map(is_number, row)) >= len(row)) or all(map(is_number, parts))
 
 
-def layout_of(data: bytes, start: int, encoding: str) -> Layout | None:
-    """Find the table of a text file, whose text begins at the byte `start`; None if the first line is its header.
+def layout_of(block: str) -> Layout:
+    """Find the table in the first lines of a text file.
 
-    The table is what the later lines of the file's head look like: the same number of cells, numbers in the same
-    columns. It begins with the first such line.
+    The table is what the later of these lines look like: the same number of cells, numbers in the same columns. It
+    begins with the first such line. If the lines above it are no header, it begins below the first line of the file.
+    Raise `FileFormatError` if the text has no lines with content, or if its rows can be read in two ways.
     """
-    lines, comments = _head(data, start, encoding)
-    if len(lines) < 2:
-        return None
-    later = lines[len(lines) // 2 :]
-    # The separator that most of the lines contain, outside of quotes; None for blanks.
-    bare = [re.sub(r'"[^"]*"', "", line.text) for line in later]
-    delimiter = next((sign for sign in ";\t," if 2 * sum(sign in line for line in bare) > len(bare)), None)
-    if delimiter == "," and _commas_are_decimal(lines, later):
-        delimiter = None
-    rows = [cells_of(line.text, delimiter) for line in lines]
-    width = Counter(len(row) for row in rows[len(lines) // 2 :]).most_common(1)[0][0]
-    alike = [row for row in rows[len(lines) // 2 :] if len(row) == width]
-    counts = [sum(is_number(row[k]) or is_moment(row[k]) for row in alike) for k in range(width)]
-    shape = _Shape(width, [k for k in range(width) if 2 * counts[k] > len(alike)], delimiter)
+    found = [_Line(k, text) for k, text in enumerate(block.split("\n")) if text.strip("; \t,")]
+    comments = [line for line in found if line.text.lstrip().startswith(_MARKS)]
+    lines = [line for line in found if not line.text.lstrip().startswith(_MARKS)][:_HEAD]
+    if not lines:
+        raise FileFormatError("nothing but blank and comment lines; a header line and rows are needed")
+    delimiter = _delimiter(comments, lines)
+    if delimiter == ", ":
+        return layout_of(block.replace(delimiter, "\t"))._replace(cut=delimiter)
+    rows = [cells_of(_UNIT_BEHIND.sub("", line.text) if delimiter is None else line.text, delimiter) for line in lines]
+    shape = _Shape.of(rows[len(rows) // 2 :])
     place = next((i for i, row in enumerate(rows) if shape.fits(row)), None)
-    if place is None:
-        return None
-    above = rows[:place]
+    if place is None or len(lines) < 2:
+        return _below_first_line(lines[0], rows[0], delimiter)
+    begin = 0
+    for i in range(place + 2, min(place + _FEW + 2, len(rows))):
+        # The rows before are metadata, as R, C and temperature with one value each.
+        if shape.fits(rows[i]) and _are_names(rows[i - 1]) and rows[i - 1] not in rows[:place]:
+            begin, place = i - 1, i
+    texts, above = [line.text for line in lines[begin:place]], rows[begin:place]
     if not above:
-        signs = [cells_of(line.text.lstrip("#% \t"), delimiter) for line in comments if line.begin < lines[0].begin]
-        above = [row for row in signs if len(row) == width]
-    elif place == 1 and 1 < len(above[0]) != width and not any(map(is_number, above[0])):
-        return None
-    names, units = _beside(rows) or _heading(above, rows[place:], shape)
-    if place and not names and _heading(above[:1], rows[place:], shape)[0]:
-        return None
-    if any(map(shape.is_row, rows[: max(place - bool(names) - bool(units), 0)])):
-        return None
-    line, header = lines[place], lines[place - 1].begin if place else -1
-    for comment in comments:
-        # A row that looks like a comment, between the header and the table: #N/A,1,2.
-        row = cells_of(comment.text, delimiter)
-        faulty = ERROR.fullmatch(row[0]) or (place and shape.is_row(row))
-        if header < comment.begin < line.begin and len(row) == width and faulty:
-            line = comment
-            break
-    return Layout(line.begin, line.number - 1, delimiter, names, units, line.text.strip())
+        texts = [line.text for line in comments if line.number < lines[0].number]
+        texts = [text for text in texts if len(cells_of(text.lstrip("#% \t"), delimiter)) == shape.width]
+        above = [cells_of(text.lstrip("#% \t"), delimiter) for text in texts]
+    heading = _beside(rows) or _heading(above, rows[place:], shape)
+    if place and not heading.names:
+        width = len(above[-1])
+        words = width > 1 and all(map(_is_word, above[-1]))
+        points = any("." in cell for row in rows[place:] for cell in row)
+        if words and delimiter == "," and width < shape.width <= 2 * width and not points:
+            raise _two_readings(lines[place], width, shape.width)
+        if (place == 1 and words and width != shape.width) or _heading(above[:1], rows[place:], shape).names:
+            return _below_first_line(lines[0], rows[0], delimiter)
+    if any(map(shape.is_row, rows[begin : max(place - heading.lines, 0)])):
+        return _below_first_line(lines[0], rows[0], delimiter)
+    line, header = lines[place], lines[place - 1].number if place else -1
+    # A row that looks like a comment, between the header and the table: #N/A,1,2.
+    between = [other for other in comments if header < other.number < line.number]
+    faulty = (other for other in between if not is_comment(cells_of(other.text, delimiter), shape.width, delimiter))
+    line = next(faulty, line)
+    top = (*block.split("\n")[: line.number], *heading.clock)
+    texts = texts[len(texts) - heading.lines :]
+    return Layout(line.number, delimiter, heading.names, heading.units, line.text.strip(), top, tuple(texts))
 
 
-def _commas_are_decimal(lines: list[_Line], later: list[_Line]) -> bool:
-    """Return whether blanks separate the numbers of a table, and commas are in them: "0,010 50,12"."""
-    rows = [line.text.split() for line in later]
-    if not all(_COMMA.fullmatch(cell) or (is_number(cell) and "," not in cell) for row in rows for cell in row):
-        return False
-    # Two whole numbers between commas look the same as one with a decimal comma; the names above them do not.
-    above = next((line.text for line in lines if not _COMMA.fullmatch(line.text.strip())), ",")
-    return min(map(len, rows)) > 1 or ("," not in above and len(UNIT_BEHIND.sub("", above).split()) == 1)
+def _below_first_line(line: _Line, names: list[str], delimiter: str | None) -> Layout:
+    """Return the layout of a table whose header is the first line with content."""
+    if all(not name or is_number(name) for name in names):
+        raise FileFormatError(Layout(line.number, delimiter, row=line.text.strip()).unnamed)
+    return Layout(line.number + 1, delimiter, tuple(names), header=(line.text,))
+
+
+def _delimiter(comments: list[_Line], lines: list[_Line]) -> str | None:
+    """Return the separator that most of the later lines contain, outside of quotes; None for blanks.
+
+    Where commas are decimal signs too, the names above the rows show what separates their cells.
+    """
+    later = [re.sub(r'"[^"]*"', "", line.text) for line in lines[len(lines) // 2 :]]
+    delimiter = next((sign for sign in ";\t," if 2 * sum(sign in text for text in later) > len(later)), None)
+    if delimiter != ",":
+        return delimiter
+    heads = (line.text.lstrip("#% \t") for line in reversed([*comments, *lines[: len(lines) // 2]]))
+    names = next((text for text in heads if all(map(_is_word, cells_of(text, ",")))), "")
+    by_comma = _Shape.of([cells_of(text, ",") for text in later]).width
+    for sign, blank in ((", ", False), (None, True)):
+        rows = [cells_of(text, sign) for text in later]
+        width = _Shape.of(rows).width
+        others = [cell for row in rows for cell in row if not _COMMA.fullmatch(cell)]
+        strange = [c for c in others if "," in c or (not is_number(c) if blank else is_number(c) and "." in c)]
+        if len(others) == sum(map(len, rows)) or strange or (width == 1 and not blank):
+            continue
+        if (names and len(cells_of(names, ",")) == by_comma) or (width == 1 and "," in names):
+            return ","
+        if (blank and width > 1) or (names and len(cells_of(_UNIT_BEHIND.sub("", names), sign)) == width):
+            return sign
+        if not blank:
+            raise _two_readings(lines[-1], len(cells_of(names, sign)) * bool(names), by_comma)
+    return ","
+
+
+def _two_readings(line: _Line, names: int, cells: int) -> FileFormatError:
+    """Return the error for rows that have more cells between commas than the header has names."""
+    return FileFormatError(
+        f"line {line.number + 1} is '{shortened(line.text.strip())}': {cells} cells if each comma separates two, but "
+        f"the header has {f'{names} names' if names else 'no names'}, so that commas may be decimal signs too",
+        hint="save it with decimal points, or with semicolons between the cells",
+    )
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
     """Return the cells of a line."""
     cells = line.split(delimiter)
     if '"' in line:
-        cells = next(csv.reader([line.strip(" ")], delimiter=delimiter or " ", skipinitialspace=True))
+        sign = delimiter[0] if delimiter else " "
+        cells = next(csv.reader([line.strip(" ")], delimiter=sign, skipinitialspace=True))
     return [cell.strip() for cell in cells]
 
 
@@ -136,55 +215,61 @@ def is_number(cell: str) -> bool:
     try:
         number_in(cell)
     except ValueError:
-        return WRITTEN.fullmatch(cell) is not None
+        return bool(readings(cell))
     return bool(cell)
 
 
-def _head(data: bytes, start: int, encoding: str) -> tuple[list[_Line], list[_Line]]:
-    """Return the first lines with content, and the comments among them; a line that is cut off is left out."""
-    lines: list[_Line] = []
-    comments: list[_Line] = []
-    number, stop = 0, min(len(data), start + _HEAD_BYTES)
-    while start < stop and len(lines) < _HEAD:
-        end = data.find(b"\n", start)
-        end = len(data) if end < 0 else end
-        number, text = number + 1, data[start:end].decode(encoding)
-        if text.strip("; \t,"):
-            (comments if text.lstrip()[0] in "#%" else lines).append(_Line(number, start, text))
-        start = end + 1
-    return lines, comments
+def is_comment(cells: list[str], width: int, delimiter: str | None) -> bool:
+    """Return whether a line is a comment, and no row of that width which begins as one does: #N/A,1,2 or %,1,2."""
+    first, whole = cells[0], len(cells) in (width, width + (not cells[-1]))
+    if not first.startswith(_MARKS) or not whole or first[1:2].isspace() or (len(first) == 1 and delimiter is None):
+        return first.startswith(_MARKS)
+    # A spreadsheet fills up the line of a comment with separators.
+    return width > 1 and len(first) > 1 and not any(cells[1:]) and not _ERROR.fullmatch(first)
 
 
-def _heading(above: list[list[str]], rows: list[list[str]], shape: _Shape) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _is_word(cell: str) -> bool:
+    """Return whether a cell is neither a number nor a timestamp."""
+    return not is_number(cell) and not is_moment(cell)
+
+
+def _are_names(row: list[str]) -> bool:
+    """Return whether the cells of a line are different names, at least one of them with its unit."""
+    ends = [re.split(r"[\s,/_(\[]", cell.rstrip("])"))[-1] for cell in row]
+    return all(row) and all(map(_is_word, row)) and len(set(row)) == len(row) and any(map(symbol_of, ends))
+
+
+def _heading(above: list[list[str]], rows: list[list[str]], shape: _Shape) -> _Heading:
     """Return names and units from the lines above the table; nothing if these are no names."""
-    width = len(rows[0])
+    width = shape.width
     empty_end = width > 1 and not any(row[-1] for row in rows if len(row) == width)
 
-    def padded(row: list[str]) -> list[str] | None:
-        if len(row) == width + 1 and row[-1].lower() in ("", "comment"):
-            return row[:-1]
-        if len(row) == width - 1 and empty_end:
-            return [*row, ""]
-        return row if len(row) == width else None
+    def padded(row: list[str]) -> tuple[str, ...]:
+        row = [*row, ""] if empty_end and len(row) == width - 1 else row
+        beyond = all(cell.lower() in ("", "comment") for cell in row[width:])
+        return tuple(row[:width]) if beyond and len(row) >= width else ()
 
-    before, last = [None, None, *map(padded, above[-2:])][-2:]
-    if last is None:
-        return (), ()
-    cells = [last[k] for k in shape.numeric]
-    known = [symbol_of(cell) != "" for cell in cells]
+    before, last = [[], [], *above][-2:]
+    stated = {name.lower(): cell for name, cell in zip(before, last, strict=False) if is_number(cell)}
+    clock = tuple(f"x{name}\t{stated[name]}\ts" for name in _CLOCK if name in stated)
+    if clock:
+        before, last = ["" if name.lower() in _CLOCK else name for name in before], last[:width]
+    names, cells = padded(before), padded(last)
+    numeric = [cells[k] for k in shape.numeric] if cells else [""]
+    known = [symbol_of(cell) != "" for cell in numeric]
     # Instruments write other numbers into the row of units, in columns without numbers.
     are_units = any(known) and all(
         not cell or unit or cell.lower() in _COUNTS or (cell[0] in "[(" and not is_number(cell))
-        for cell, unit in zip(cells, known, strict=True)
+        for cell, unit in zip(numeric, known, strict=True)
     )
-    if before is not None and are_units and all(before[k] for k in shape.numeric):
-        return tuple(before), tuple(cell.strip("[]() ") for cell in last)
-    if any(not cell or is_number(cell) for cell in cells):
-        return (), ()
-    return tuple(last), ()
+    if names and are_units and all(names[k] for k in shape.numeric):
+        return _Heading(names, tuple(cell.strip("[]() ") for cell in cells), 2, clock)
+    # Programs write no name above a count in the first column.
+    unnamed = any(not cell for cell in numeric[1:] or numeric) or any(map(is_number, numeric))
+    return _Heading() if unnamed else _Heading(cells, (), 1)
 
 
-def _beside(rows: list[list[str]]) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+def _beside(rows: list[list[str]]) -> _Heading | None:
     """Return names and units if the header stands beside the rows: three cells of it, then time and value.
 
     Oscilloscopes of Tektronix's older series write one channel to a file in this way.
@@ -194,4 +279,6 @@ def _beside(rows: list[list[str]]) -> tuple[tuple[str, ...], tuple[str, ...]] | 
         return None
     header = {row[0].lower(): row[1] for row in rows if len(row) == width}
     names = ("", "", "", "TIME", header.get("source") or "CH", *[""] * (width - 5))
-    return names, ("", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *names[5:])
+    return _Heading(
+        names, ("", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *names[5:])
+    )
