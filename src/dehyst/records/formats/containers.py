@@ -283,23 +283,23 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
     order = {b"MI": ">", b"IM": "<"}.get(data[126:128])
     if order:
         _refuse_inflated(data, order, allowance)
-    streams: list[Any] = [stream for _, stream in varmats_from_mat(io.BytesIO(data))] if order else [io.BytesIO(data)]
     arrays: list[_Declared] = []
-    for stream in streams:
+    streams: Any = varmats_from_mat(io.BytesIO(data)) if order else [("", io.BytesIO(data))]
+    for _, stream in streams:
         try:
             variables = scipy.io.whosmat(stream)
         except TypeError:
             # SciPy lists no objects of classes that MATLAB defines in its own language, nor their names.
             variables = [("object", (1, 1), "opaque")]
         for name, shape, kind in variables:
-            if kind in _MAT_FAULTS:
-                arrays.append(_Declared(name, (), np.dtype("f8"), tuple, fault=_MAT_FAULTS[kind], foreign=True))
-            elif (kind in _MAT_NUMBERS and not name.startswith("__")) or (kind == "struct" and _product(shape) == 1):
+            declared = _Declared(name, shape, np.dtype("f8"), tuple, fault=_MAT_FAULTS.get(kind, ""), foreign=True)
+            if declared.fault:
+                arrays.append(declared)
+            elif kind == "struct" or (kind in _MAT_NUMBERS and declared.kind and not name.startswith("__")):
                 allowance.check(_product(shape) * np.dtype("f8").itemsize, f"variable '{shortened(name)}'")
-                found = scipy.io.loadmat(stream, variable_names=[name], simplify_cells=True)
-                arrays += _fields(name, found[name])
+                arrays += _fields(name, scipy.io.loadmat(stream, variable_names=[name], simplify_cells=True)[name])
     # Beside plain arrays, the fields of structures are ignored if these fit.
-    plain = any(array.kind == "series" and "/" not in array.name for array in arrays)
+    plain = any(array.kind == "series" and "/" not in array.name and not array.fault for array in arrays)
     arrays = [array._replace(foreign=array.foreign or (plain and "/" in array.name)) for array in arrays]
     return _columns_of(arrays, allowance)
 
