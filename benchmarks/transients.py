@@ -13,7 +13,7 @@ import argparse
 import json
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import cos, exp, pi, sin, sqrt
 from pathlib import Path
 
@@ -24,7 +24,7 @@ import numpy as np
 
 import dehyst
 from dehyst import Record
-from dehyst.records.transients import transients
+from dehyst.records.cleaning import transients
 
 Array = np.ndarray
 
@@ -231,7 +231,7 @@ def row(name: str, kind: str, samples: int = SAMPLES) -> dict:
         "record": kind,
         "samples": samples,
         "true_frequency_hz": TRUTHS[name].frequency,
-        "transients": [one.as_dict() for one in named],
+        "transients": [asdict(one) for one in named],
         "set_aside": error.left_out,
         "expected_largest_percent": expected.largest_percent,
         "expected_rms_percent": 100 * expected.rms / error.stroke,

@@ -7,7 +7,7 @@ from truths import BoucWenActuator
 
 from dehyst import Record, RecordError
 from dehyst.operations.demo import record_loops
-from dehyst.records.quality import butterfly_of
+from dehyst.records.loops import butterfly_of
 from dehyst.virtual import PlayActuator
 
 COERCIVE = 60.0

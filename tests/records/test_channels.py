@@ -8,9 +8,8 @@ import pytest
 import scipy.io
 
 from dehyst import FileFormatError, RecordError
-from dehyst.identification.preprocessing.cleaning import remove_glitches
 from dehyst.identification.preprocessing.preparation import block_means
-from dehyst.records import Record, Recording, read, write_columns, write_record
+from dehyst.records import Record, Recording, cleaned, read, write_columns, write_record
 
 N = 120
 T = np.arange(N) * 0.01
@@ -130,7 +129,8 @@ def test_operations_keep_them():
 def test_preparation_keeps_them_in_step():
     v = V.copy()
     v[30] += 40
-    clean, _, sentences = remove_glitches(Record(T, v, Y, others=OTHERS))
+    found = cleaned(Record(T, v, Y, others=OTHERS))
+    clean, sentences = found.record, found.sentences
     assert len(sentences) == 1
     assert np.array_equal(clean.others[0].values, np.delete(TEMPERATURE, 30))
     assert block_means(RECORD, 4).others[0].values == pytest.approx(TEMPERATURE.reshape(-1, 4).mean(axis=1))

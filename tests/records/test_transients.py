@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from dehyst import Record
-from dehyst.records.glitches import spikes
-from dehyst.records.transients import settled, transients, voltage_steps
+from dehyst.records.cleaning import settled, spikes, transients, voltage_steps
 
 RATE = 5000.0
 

@@ -18,10 +18,10 @@ from dehyst.calibration.comparison_loop import Agreement
 from dehyst.calibration.plan import CreepCheck, ExcitationPlan, Plan, creep_of, steps
 from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
-from dehyst.identification import Fit, StageFit, identify, identify_stage, remove_glitches, write_traces
+from dehyst.identification import Fit, StageFit, identify, identify_stage, write_traces
 from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
-from dehyst.records import Record
+from dehyst.records import Record, cleaned
 from dehyst.trust import Insight, insight
 from dehyst.waveforms import Excitation
 
@@ -292,7 +292,7 @@ def _suggested(excitations: ExcitationPlan, assessment: Insight) -> Excitation |
 
 def _ends(loops: Record) -> tuple[float, float]:
     """Return the displacements [m] at the lowest and the highest voltage of major loops."""
-    clean, _, _ = remove_glitches(loops)
+    clean = cleaned(loops).record
     v, y = clean.voltage, clean.displacement
     near = 1e-4 * float(np.ptp(v))
     return float(y[v <= v.min() + near].mean()), float(y[v >= v.max() - near].mean())

@@ -16,7 +16,7 @@ from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit, label
 from dehyst.identification.identify import identify
 from dehyst.identification.preprocessing import cleaning
-from dehyst.identification.preprocessing.cleaning import cycle_time, remove_glitches
+from dehyst.identification.preprocessing.cleaning import cycle_time
 from dehyst.identification.preprocessing.preparation import Prepared, as_list, prepare
 from dehyst.identification.preprocessing.regressors import epochs
 from dehyst.identification.regression.nuisances import searched_delay, worthwhile

@@ -1,10 +1,11 @@
 """Records: measurements of an actuator, and their files."""
 
+from dehyst.records.cleaning import cleaned
 from dehyst.records.columns import Columns
 from dehyst.records.files import read, read_table, table_of, write_columns, write_record
 from dehyst.records.formats.loaders import LOADERS
 from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
-from dehyst.records.glitches import Glitch, glitch_sentences, glitches, spikes
+from dehyst.records.glitches import Glitch
 from dehyst.records.quality import guesses
 from dehyst.records.record import Record
 from dehyst.records.recording import Recording, about_of, demand_disk_space, unused_path
@@ -22,6 +23,5 @@ from dehyst.records.signals import (
     white_noise,
 )
 from dehyst.records.tables import Table
-from dehyst.records.transients import settled, transients
 
 __all__ = ["Columns", "Record", "read", "write_columns", "write_record"]

@@ -18,6 +18,13 @@ _ORDER = 6
 _BLOCK, _NEIGHBOURS = 1 << 19, 4
 # Number and length of the stretches from which the noise of a long signal is estimated.
 _STRETCHES, _STRETCH = 16, 1 << 17
+# Quartile of normal noise, in standard deviations.
+QUARTILE = 0.6744897501960817
+# The noise on the grid of time: needed if steps vary by this part, or the voltage turns in this many samples; least
+# windows, and the factor by which it must be smaller.
+_EVEN, _FEW, _WINDOWS, _SMALLER = 0.01, 25, 16, 1.5
+# Share of the samples that may be new, and digits by which the displacement must have moved, in a repeated one.
+_NEW, _DIGITS = 0.75, 3.0
 
 
 def largest(error: ArrayLike) -> float:
@@ -49,7 +56,52 @@ def white_noise(values: Array) -> float:
         starts = np.linspace(0, len(values) - _STRETCH, _STRETCHES).astype(int)
         parts = [values[start : start + _STRETCH] for start in starts.tolist()]
     spread = float(np.median(np.abs(np.concatenate([np.diff(part, _ORDER) for part in parts]))))
-    return spread / 0.6744897501960817 / sqrt(comb(2 * _ORDER, _ORDER))
+    return spread / QUARTILE / sqrt(comb(2 * _ORDER, _ORDER))
+
+
+def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
+    """Estimate the white noise of a displacement (n,) as `white_noise` does, or on the grid of time.
+
+    The latter counts where it is far smaller: for uneven steps, repeated samples and few samples a cycle. It uses new
+    samples only, and their distances from the cubic through two neighbours on each side, without a turn in between.
+    """
+    noise, steps = white_noise(displacement), np.diff(time[:_STRETCH])
+    new = new_samples(voltage, displacement)
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage[:_STRETCH]))))
+    if new is None and np.std(steps) < _EVEN * np.median(steps) and turns < steps.size / _FEW:
+        return noise
+    rows = np.flatnonzero(np.ones(displacement.size, dtype=bool) if new is None else new)[:_STRETCH]
+    t, y, way = time[rows], displacement[rows], np.sign(np.diff(voltage[rows]))
+    if rows.size < 5:
+        return noise
+    places = [t[k : t.size - 4 + k] for k in (0, 1, 3, 4)]
+    error, variance = y[2:-2].copy(), np.ones(t.size - 4)
+    for j, (k, place) in enumerate(zip((0, 1, 3, 4), places, strict=True)):
+        others = [one for i, one in enumerate(places) if i != j]
+        weight = np.prod([(t[2:-2] - one) / (place - one) for one in others], axis=0)
+        error -= weight * y[k : y.size - 4 + k]
+        variance += weight**2
+    straight = np.abs(way[:-3] + way[1:-2] + way[2:-1] + way[3:]) == 4
+    if np.count_nonzero(straight) < _WINDOWS:
+        return noise
+    found = float(np.median(np.abs(error[straight]) / np.sqrt(variance[straight]))) / QUARTILE
+    return found if new is not None or _SMALLER * found < noise else noise
+
+
+def new_samples(voltage: Array, displacement: Array) -> Mask | None:
+    """Return which displacements are new (n,), if they repeat while the voltage moves on by several digits; or None."""
+    new = np.append(True, np.diff(displacement) != 0.0)
+    if np.count_nonzero(new) > _NEW * new.size or np.count_nonzero(new) < _ORDER:
+        return None
+    first = np.flatnonzero(new)
+    last = np.append(first[1:], new.size) - 1
+    spans = np.diff(np.unique(displacement))
+    digit = float(spans[spans > 1e-9 * spans.sum()].min())
+    gain, moved = spans.sum() / max(float(np.ptp(voltage)), 1e-300), np.abs(voltage[last] - voltage[first])
+    held = moved > noise_span(voltage)
+    late = held & (gain * moved > _DIGITS * digit + gain * noise_span(voltage))
+    # A dead zone and a clipped sensor repeat values too, but seldom.
+    return new if np.count_nonzero(late) > max(_ORDER, 0.5 * np.count_nonzero(held & (last > first))) else None
 
 
 def noise_span(values: Array) -> float:

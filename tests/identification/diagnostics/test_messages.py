@@ -60,7 +60,7 @@ def test_a_remark_that_asks_for_a_record_has_a_command_that_writes_its_voltage(l
     time = 0.005 * np.arange(2000)
     low, high = limits
     volts = low + (high - low) * (0.5 - 0.5 * np.cos(2 * np.pi * time))
-    drive = messages.drive_like(limits, [prepare(Record(time, volts, 1e-7 * volts))])
+    drive = messages.drive_like(limits, [prepare(Record(time, volts, 1e-7 * volts * (1 + 1e-3 * volts)))])
     open_ = Identifiability(np.array([1.0, 0.0]))
     remarks = [
         messages.DRIFT_OR_CREEP.format(hold=messages.hold(drive)),

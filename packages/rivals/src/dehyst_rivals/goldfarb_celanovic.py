@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import IdentifyError
 from dehyst._types import Array
 from dehyst._validation import count, keep, vector
-from dehyst.identification import Branch, as_list, remove_glitches, voltage_at
+from dehyst.identification import Branch, as_list, voltage_at
 from dehyst.model import Actuator, MaxwellSlip, Spring, State
-from dehyst.records import Record
+from dehyst.records import Record, cleaned
 from dehyst.trust import AbstractBaseline
 
 
@@ -69,7 +69,8 @@ class GoldfarbCelanovic(AbstractBaseline):
         given = as_list(records)
         if not given:
             raise IdentifyError("got no records, need the first rise of a relaxed actuator")
-        record, _, repairs = remove_glitches(given[0])
+        clean = cleaned(given[0])
+        record, repairs = clean.record, tuple(f"{given[0].name}: {sentence}" for sentence in clean.sentences)
         rise, rest, height = _first_rise(record)
         rho = _break_points(elements, breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:

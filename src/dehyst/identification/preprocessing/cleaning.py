@@ -1,4 +1,4 @@
-"""Cleaning of records before a fit: voltage glitches, start-up transients, gaps and drift."""
+"""Cleaning of records before a fit: rest, start-up transients, gaps and drift."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.records import Glitch, Record, glitch_sentences, glitches, noise_span, settled, spikes, transients
+from dehyst.records import Glitch, Record, cleaned, noise_span
 
 _BINS = 64
 # Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
@@ -19,85 +19,21 @@ _TURN = 0.02
 _ALIKE = 0.5
 # Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so few median steps.
 _BRIEF, _STEP = 0.02, 1.5
-# Most transients that are named one by one.
-_SHOWN = 5
 # A voltage rests within this part of its range; so many of its samples are kept. A shorter rest, in cycles, stays.
 _STILL, _KEPT, _LEAST_REST = 2e-3, 20, 0.5
 # Displacements at rest that move by less than this part of the stroke show no creep.
 _FLAT = 1e-3
 
 
-def remove_glitches(record: Record) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
-    """Leave out the samples of isolated voltage glitches, see `dehyst.records.glitches`.
+def clean(record: Record, *, ringing: bool = False) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
+    """Return a record without what `dehyst.records.cleaning` leaves out, its holes, and a sentence for each.
 
-    Returns
-    -------
-    Record
-        The same object if there are none.
-    Mapping
-        Time [s] of the sample before each hole -> whether a reversal may lie in it, by the displacements left out.
-    tuple of str
-        A sentence for each glitch; of many glitches for some.
+    `ringing`: whether the displacement stays in the transients that are set aside. The holes: time [s] of the sample
+    before each -> whether a reversal may lie in it, by the displacements left out.
     """
-    removed = glitches(record.time, record.voltage, record.displacement)
-    if not removed:
-        return record, {}, ()
-    keep = np.ones(len(record), dtype=bool)
-    for glitch in removed:
-        keep[glitch.start : glitch.stop] = False
-    holes = dict(_hole(record, glitch) for glitch in removed if len(glitch.neighbours) == 2)
-    return record.take(keep), holes, tuple(f"{record.name}: {sentence}" for sentence in glitch_sentences(removed))
-
-
-def remove_spikes(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Replace spikes of the displacement by straight lines, see `dehyst.records.glitches`.
-
-    Returns
-    -------
-    Record
-        The same object if there are none.
-    tuple of str
-        A sentence about them.
-    """
-    bad = spikes(record.voltage, record.displacement)
-    if record.counted is not None:
-        bad &= record.counted
-    if not bad.any():
-        return record, ()
-    y = record.displacement
-    clean = np.where(bad, np.interp(record.time, record.time[~bad], y[~bad]), y)
-    largest = float(np.abs(y - clean).max())
-    runs = int(np.count_nonzero(np.diff(np.concatenate([[0], bad.astype(np.int8)])) == 1))
-    times = f"the first at {record.time[int(np.argmax(bad))]:.6g} s" if runs > 1 else f"at {record.time[bad][0]:.6g} s"
-    sentence = (
-        f"{record.name}: {runs} spike{'s' * (runs > 1)} of the displacement, {times}, up to {largest * 1e6:.4g} um, "
-        "which no voltage explains: replaced by straight lines."
-    )
-    return replace(record, displacement=clean), (sentence,)
-
-
-def set_transients_aside(record: Record, *, ringing: bool) -> tuple[Record, tuple[str, ...]]:
-    """Exclude ringing and overshoot after steps of the voltage, see `dehyst.records.transients`.
-
-    Returns
-    -------
-    Record
-        Unless `ringing`, the displacement in them is replaced by a path that follows the voltage. The same object if
-        there are none.
-    tuple of str
-        A sentence for each; of many for some.
-    """
-    found = transients(record)
-    if not found:
-        return record, ()
-    spans = tuple((float(record.time[one.start]), float(record.time[one.stop - 1])) for one in found)
-    shown, rest = (found, ()) if len(found) <= _SHOWN else (found[: _SHOWN - 1], found[_SHOWN - 1 :])
-    samples = sum(one.stop - one.start for one in found)
-    sentences = [f"{record.name}: {one.words}; these {one.stop - one.start} samples are set aside." for one in shown]
-    if rest:
-        sentences.append(f"{record.name}: {len(rest)} more such transients, {samples} samples in all; set aside.")
-    path = record.displacement if ringing else settled(record, found)
-    return replace(record, displacement=path, set_aside=spans), tuple(sentences)
+    found = cleaned(record, ringing=ringing)
+    holes = dict(_hole(record, glitch) for glitch in found.glitches if len(glitch.neighbours) == 2)
+    return found.record, holes, tuple(f"{record.name}: {sentence}" for sentence in found.sentences)
 
 
 def rest_at_ends(record: Record) -> tuple[int, int]:
@@ -208,7 +144,7 @@ def transient(record: Record) -> int:
 def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
     """Cut a record where a gap may hide a reversal; other gaps stay, because Maxwell-slip does not depend on time.
 
-    `holes`: holes of removed glitches, see `remove_glitches`: displacements in them are known.
+    `holes`: those of `clean`: displacements in them are known.
 
     Returns
     -------

@@ -284,19 +284,16 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     Raise `RecordError` if it cannot be used at all.
     """
     given = record.one_axis()
-    record, holes, left_out = cleaning.remove_glitches(given)
-    record, rung = cleaning.set_transients_aside(record, ringing=ringing)
-    record, replaced = cleaning.remove_spikes(record)
-    whole = record
+    whole, holes, left_out = cleaning.clean(given, ringing=ringing)
     first, last = cleaning.rest_at_ends(whole)
     counted = np.ones(len(whole), dtype=bool) if whole.counted is None else whole.counted
     rests = [(int(counted[:first].sum()), "before"), (int(counted[last:].sum()), "after")]
     record = whole.slice(first, last) if last - first < len(whole) else whole
     if whole.counted is not None and first and not whole.counted[first - 1]:
         record, way_out = cleaning.without_way_out(record)
-        rung = (*rung, *way_out)
+        left_out = (*left_out, *way_out)
     record.check_usable()
-    sentences = [*left_out, *rung, *replaced]
+    sentences = [*left_out]
     sentences += [
         f"{record.name}: at rest for {count * record.sample_time:.4g} s ({count} samples) {end} its motion; "
         "that time does not count."

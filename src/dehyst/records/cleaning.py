@@ -1,24 +1,29 @@
-"""Steps of a voltage, and the transients after them, in which the displacement rings or overshoots.
+"""Cleaning of a record: what a fit leaves out, each with one sentence.
 
-With hysteresis alone, the displacement turns back only where the voltage does. After a step it turns back by itself if
-a mass swings or an amplifier overshoots. Such samples are real, not spikes. A model without inertia cannot follow them,
-but remains valid elsewhere.
+Glitches of the voltage have a detector of their own. With hysteresis alone, the displacement turns back only where the
+voltage does. After a step of the voltage it turns back by itself if a mass swings or an amplifier overshoots: such a
+transient is real, but no model without inertia follows it. What goes away and comes back within three samples is a
+spike of the sensor.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite, log, pi, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from dehyst._types import Array
-from dehyst._views.fields import json_values
+from dehyst._text import counted
+from dehyst._types import Array, Mask
+from dehyst.records.glitches import Glitch, bridged, glitches
 from dehyst.records.signals import noise_span, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from dehyst.records.record import Record
 
 # Most samples of a step, neighbours on each side that show the drive, and how often it exceeds their steps.
@@ -39,6 +44,71 @@ _FADED, _LONGEST = 5e-4, 3.0
 _HALVES = 8
 # Displacements from which the levels beside a transient are taken.
 _LEVEL = 8
+# Most samples of a spike, neighbours on each side that show the steps, and samples by which the displacement may lag.
+_SPIKE_WIDEST, _SPIKE_NEAR, _SPIKE_LAG = 3, 8, 64
+# Least part of the range, of standard deviations of the noise, and of the steps nearby.
+_SPIKE_LEAST, _SPIKE_SIGMAS, _SPIKE_STEPS = 0.005, 8.0, 3.0
+# What is left of a spike after it, and what the voltage may explain of it, as parts of its height.
+_LEFT, _EXPLAINED = 0.3, 0.3
+# A spike's samples have this part of its height; more of the record than this part are no spikes.
+_CORE, _MOST = 0.5, 0.05
+# Spikes next to others appear when those are gone.
+_SPIKE_PASSES = 6
+_SPIKE_BLOCK = 1 << 19
+# Most glitches or transients that are named one by one.
+_SHOWN = 5
+
+
+class Cleaned(NamedTuple):
+    """A record without its glitches, transients and spikes.
+
+    `record`: the same object if there are none. `glitches`, `transients`, `spikes`: what was left out; the spikes as
+    samples of `record`. `sentences`: one for each glitch and transient, of many for some, and one on the spikes.
+    """
+
+    record: Record
+    glitches: tuple[Glitch, ...]
+    transients: tuple[Transient, ...]
+    spikes: Mask
+    sentences: tuple[str, ...]
+
+
+def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
+    """Leave out the glitches of the voltage, set transients aside, and replace spikes by straight lines.
+
+    The displacement in transients is replaced by a path that follows the voltage, unless `ringing`.
+    """
+    stray = glitches(record.time, record.voltage, record.displacement)
+    if stray:
+        keep = np.ones(len(record), dtype=bool)
+        for glitch in stray:
+            keep[glitch.start : glitch.stop] = False
+        record = record.take(keep)
+    found = transients(record)
+    sentences = [*_shortened(stray, "voltage glitches"), *_shortened(found, "steps after which it swings")]
+    if found:
+        aside = tuple((float(record.time[one.start]), float(record.time[one.stop - 1])) for one in found)
+        path = record.displacement if ringing else settled(record, found)
+        record = replace(record, displacement=path, set_aside=(*record.set_aside, *aside))
+    bad = spikes(record.voltage, record.displacement)
+    if record.counted is not None:
+        bad &= record.counted
+    if bad.any():
+        y, places = record.displacement, runs(bad)
+        straight = np.where(bad, np.interp(record.time, record.time[~bad], y[~bad]), y)
+        sentences.append(
+            f"{counted(len(places), 'spike')} of the displacement, the first at {record.time[places[0][0]]:.6g} s, up "
+            f"to {1e6 * np.abs(y - straight).max():.4g} um, which no voltage explains: replaced by straight lines."
+        )
+        record = replace(record, displacement=straight)
+    return Cleaned(record, stray, found, bad, tuple(sentences))
+
+
+def _shortened(items: Sequence[Glitch | Transient], name: str) -> list[str]:
+    """Return the sentences of all items; beyond five, those of four and how many more there are."""
+    shown = items if len(items) <= _SHOWN else items[: _SHOWN - 1]
+    more = len(items) - len(shown)
+    return [item.sentence for item in shown] + [f"{more} more {name}: left out."] * bool(more)
 
 
 @dataclass(frozen=True)
@@ -61,14 +131,11 @@ class Transient:
     damping: float = 0.0
 
     @property
-    def words(self) -> str:
+    def sentence(self) -> str:
         """A description with step, time and duration."""
         rings = f"rings at {self.frequency:.3g} Hz, damping {self.damping:.2g}," if self.frequency else "overshoots"
-        return f"step to {self.voltages[1]:.4g} V at {self.time:.4g} s {rings} for {1e3 * self.duration:.3g} ms"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return json_values(self, "time_s=time duration_s=duration voltages_V=voltages frequency_Hz=frequency damping")
+        step = f"step to {self.voltages[1]:.4g} V at {self.time:.4g} s"
+        return f"{step} {rings} for {1e3 * self.duration:.3g} ms; these {self.stop - self.start} samples are set aside."
 
 
 def voltage_steps(voltage: Array) -> list[tuple[int, int]]:
@@ -188,3 +255,62 @@ def _half_life(y: Array, first: int) -> int:
     level = float(rest[width:].mean() if rest.size < 2 * width else rest[width : 2 * width].mean())
     gone = np.flatnonzero(np.abs(rest - level) < 0.5 * abs(float(rest[0]) - level))
     return int(gone[0]) + 1 if gone.size else 1
+
+
+def spikes(voltage: Array, displacement: Array) -> Mask:
+    """Return the samples (n,) in spikes of a displacement; both are in any unit, and sampled about evenly."""
+    found = np.zeros(len(displacement), dtype=bool)
+    if len(displacement) <= 2 * _SPIKE_NEAR or not float(np.ptp(displacement)):
+        return found
+    inner = np.quantile(displacement, [0.01, 0.99])
+    usual_range = float(inner[1] - inner[0])
+    least = max(_SPIKE_LEAST * usual_range, _SPIKE_SIGMAS * white_noise(displacement))
+    # A corner of the voltage lies two or three of its steps beside its neighbours.
+    corner = _SPIKE_STEPS * float(np.quantile(np.abs(np.diff(voltage)), 0.95))
+    gain = usual_range / max(float(np.ptp(voltage)), 1e-300)
+    moved = np.maximum(np.abs(_beside_median(voltage)) - corner, 0.0) * gain
+    clean = displacement
+    for _ in range(_SPIKE_PASSES):
+        more = _highest(clean, moved, least)
+        if not more.any():
+            break
+        found |= more
+        clean = bridged(displacement, found)
+    return found if np.count_nonzero(found) <= _MOST * found.size else np.zeros_like(found)
+
+
+def _highest(y: Array, moved: Array, least: float) -> Mask:
+    """Return the highest spike of each group of samples beside their neighbours (n,)."""
+    found, beside = np.zeros(len(y), dtype=bool), np.abs(_beside_median(y))
+    if np.count_nonzero(beside > least) > 2 * _MOST * y.size:
+        return found
+    for first, last in runs(beside > least):
+        start = stop = first + int(np.argmax(beside[first:last]))
+        height = float(beside[start])
+        while start > first and beside[start - 1] > _CORE * height:
+            start -= 1
+        while stop < last and beside[stop] > _CORE * height:
+            stop += 1
+        explained = moved[max(start - _SPIKE_LAG, 0) : stop + _SPIKE_NEAR].max(initial=0.0) > _EXPLAINED * height
+        if not explained and _stands_alone(y, start, stop, height):
+            found[start:stop] = True
+    return found
+
+
+def _stands_alone(y: Array, start: int, stop: int, height: float) -> bool:
+    """Whether the displacement goes on where it was before a run of samples, and moves by far smaller steps nearby."""
+    if start < 1 or stop >= len(y) or stop - start > _SPIKE_WIDEST:
+        return False
+    before, after = y[max(start - _SPIKE_NEAR, 0) : start], y[stop : stop + _SPIKE_NEAR]
+    steps = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
+    # Another spike nearby must not hide this one: the largest steps come in pairs.
+    usual = float(np.sort(steps)[: max(steps.size - 2, 1)].max(initial=0.0))
+    return abs(float(y[stop] - y[start - 1])) < _LEFT * height and _SPIKE_STEPS * usual < height
+
+
+def _beside_median(values: Array) -> Array:
+    """Return each value less the median of the seven around it (n,)."""
+    width = 2 * _SPIKE_WIDEST + 1
+    windows = sliding_window_view(np.pad(values, _SPIKE_WIDEST, mode="edge"), width)
+    parts = [np.median(windows[first : first + _SPIKE_BLOCK], axis=1) for first in range(0, len(windows), _SPIKE_BLOCK)]
+    return np.asarray(values - np.concatenate(parts))

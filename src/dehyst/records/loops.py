@@ -1,0 +1,392 @@
+"""What the loops of a record tell of its origin: an echo, swapped columns, a shifted clock, fringes, a servo, slip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations, pairwise
+from math import sqrt
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._text import counted
+from dehyst._types import Array
+from dehyst.records.signals import NOISE_PEAK, noise_span, turning_points, white_noise
+
+if TYPE_CHECKING:
+    from dehyst.records.record import Record, Span
+
+# Points at which branches are compared, and voltages that are equal, as a part of the range.
+_POINTS, _EQUAL = 32, 0.02
+# A loop's area against its sense: part of its box, and standard deviations of the noise's.
+_AREA, _DEVIATIONS = 0.005, 5.0
+# A jump between sorted branches: part of the range, usual steps, and share of the other steps that go the other way.
+_JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
+# Branches are alike if they differ by this part of what others do.
+_ALIKE = 0.4
+# Most samples of a shift; least gain in displacement, part of the stroke, and level of a turn, of the voltage's range.
+_LATE, _GAINED, _LEVEL = 64, 5e-4, 2e-3
+# Strokes [m] below any sensor's resolution, the size of an atomic nucleus.
+LEAST_STROKE = 1e-15
+# Fringes: least number in a stroke, their least size, part of the range; part of a branch in which they count, and
+# kurtosis below which they are no noise.
+_FRINGES, _FRINGE, _INSIDE, _KURTOSIS = 2.2, 0.3, 0.9, 1.65
+# Without hysteresis, parts of the stroke and of the lag's loop that are left; part of a branch that still turns.
+_STRAIGHT, _ROUND, _TURNS, _VARIES = 5e-4, 0.04, 0.3, 0.2
+# Clamped: least part of the voltage range on a plateau, slope below it, and drop that is no noise, of the stroke.
+_PLATEAU, _SLOPE, _FLAT, _CREEPS = 0.04, 0.3, 5e-4, 0.03
+# Slipping: least drift, part of the stroke, and how much better travel explains it than time.
+_SLIPS, _BETTER, _RETURNS = 0.01, 3.0, 4
+# Least share of the voltage range that a branch of a butterfly covers, and bins of the voltage.
+_WHOLE, _BINS = 0.9, 32
+# Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
+_LEAST, _LOUD = 0.1, 8.0
+# Echo: rounding, and largest digit that may hide a sensor, parts of the stroke; how far values are from multiples of
+# a digit; samples that are looked at first.
+_ROUNDING, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-3, 0.1, 4096
+
+
+def turns_of(voltage: Array) -> NDArray[np.intp]:
+    """Return the turning points of a voltage, as `Record.reversals` does."""
+    return turning_points(voltage, max(_EQUAL * float(np.ptp(voltage)), noise_span(voltage)))
+
+
+def sense(voltage: Array, displacement: Array, cycles: list[Span] | None = None) -> int:
+    """Return 1 if the displacement lags in the loops, -1 if it leads by more than noise explains, 0 if it is open."""
+    if cycles is None:
+        cycles = [slice(int(a), int(b) + 1) for a, b in pairwise(turns_of(voltage)[::2])]
+    area = box = of_y = of_v = 0.0
+    for cycle in cycles:
+        v, y = voltage[cycle], displacement[cycle]
+        dv, dy = np.diff(np.append(v, v[0])), np.diff(np.append(y, y[0]))
+        # Rising below falling is counter-clockwise: the actuator lags, and this sum is positive.
+        area -= float(np.dot(y - y.mean() + 0.5 * dy, dv))
+        box += float(np.ptp(v) * np.ptp(y))
+        of_y, of_v = of_y + float(dv @ dv), of_v + float(dy @ dy)
+    doubt = sqrt(white_noise(displacement) ** 2 * of_y + white_noise(voltage) ** 2 * of_v)
+    return int(np.sign(area)) if abs(area) > _AREA * box + _DEVIATIONS * doubt else 0
+
+
+def leading(record: Record, cycles: list[Span]) -> str:
+    """Return why the loops run clockwise in the (voltage, displacement) plane; empty if they do not."""
+    v, y = record.voltage, record.displacement
+    leads, jumps = sense(v, y, cycles) < 0, _jumps(v)
+    if jumps.size:
+        return _sorted_branches(record, jumps, leads=leads)
+    if not leads:
+        return ""
+    words = "the displacement leads the voltage in the loops"
+    swapped = "the columns look swapped; check which column is which"
+    reverse = "the rows look reversed in time; turn them round, such as record.displacement[::-1]"
+    early = early_turns(record)
+    past = _past(v[early:], y[: y.size - early], record.noise)
+    if early and past >= 0 and sense(v[early:], y[:-early]) >= 0:
+        return _shift(record, early) + "; or the columns are swapped" * (past == 0)
+    if past:
+        return f"{words}: {swapped if past > 0 else reverse}"
+    return f"{words}: either {swapped}; or {reverse}. Equal loops do not tell which"
+
+
+def _jumps(v: Array) -> NDArray[np.intp]:
+    """Return the samples before jumps of the voltage, all one way, against the way of all other steps."""
+    steps = np.diff(v)
+    size = np.abs(steps)
+    far = size > max(_JUMP * float(np.ptp(v)), _STEPS * float(np.median(size)))
+    ways, others = np.sign(steps[far]), np.sign(steps[~far])
+    if not ways.size or abs(ways.sum()) < ways.size or not others.any():
+        return np.zeros(0, dtype=np.intp)
+    against = np.count_nonzero(others == -ways[0]) / np.count_nonzero(others)
+    return np.flatnonzero(far) if against >= _OTHERS else np.zeros(0, dtype=np.intp)
+
+
+def _sorted_branches(record: Record, jumps: NDArray[np.intp], *, leads: bool) -> str:
+    """Return that branches are sorted by voltage, if they alternate; empty for a sawtooth, whose branches are alike."""
+    v, y = record.voltage, record.displacement
+    parts = [slice(a, b) for a, b in pairwise([0, *(jumps + 1).tolist(), v.size]) if b - a > 1]
+    grid = np.linspace(max(v[p].min() for p in parts), min(v[p].max() for p in parts), _POINTS)
+    orders = [part.start + np.argsort(v[part]) for part in parts]
+    curves = [np.interp(grid, v[order], y[order]) for order in orders]
+    next_ones, seconds = (
+        [float(np.abs(b - a).mean()) for a, b in zip(curves, curves[k:], strict=False)] for k in (1, 2)
+    )
+    unlike = float(np.median(next_ones))
+    alternate = unlike > _AREA * record.stroke + record.noise and float(np.median(seconds)) < _ALIKE * unlike
+    if not (alternate if seconds else leads):
+        return ""
+    return (
+        f"the voltage jumps back by up to {np.abs(v[jumps + 1] - v[jumps]).max():.4g} V in one sample, in "
+        f"{counted(jumps.size, 'place')}, first after sample {jumps[0]}: branches that are sorted by voltage; put the "
+        "rows back into the order in which they were measured, every second branch in reverse"
+    )
+
+
+def early_turns(record: Record) -> int:
+    """Return by how many samples the displacement turns before the voltage does; 0 if it does not."""
+    v, y, turns = record.voltage, record.displacement, turns_of(record.voltage)
+    noise = white_noise(v)
+    rests = [_rest(v, *around, _LEVEL * float(np.ptp(v)) + NOISE_PEAK * noise) for around in _around(turns, v.size)]
+    most = min([_LATE, *(int(step) // 3 for step in np.diff(turns))])
+    ends = np.array([rest for rest in rests if most <= rest[0] and rest[1] < v.size - most], dtype=int).reshape(-1, 2)
+    if most < 1 or len(ends) < 2:
+        return 0
+    # The mean of the extremes, some samples before or after the turns: it is largest where the displacement turns.
+    offsets = np.arange(-most, most + 1)
+    ways = np.sign(v[ends[:, 0]] - v[ends[:, 0] - most])
+    tops_y, tops_v = (np.einsum("i,ijk->jk", ways, signal[ends[..., None] + offsets]) / len(ends) for signal in (y, v))
+    best = int(np.argmax(tops_y.sum(axis=0)))
+    # At the first and at the last sample of each rest: it may come early to a rest, if it leaves that early.
+    gained, back = tops_y[:, best] - tops_y[:, most], tops_v[:, most] - tops_v[:, best]
+    of_y, of_v = (_DEVIATIONS * deviation / sqrt(len(ends)) for deviation in (record.noise, noise))
+    clear = gained[1] > _GAINED * record.stroke + of_y and back.mean() > _GAINED * float(np.ptp(v)) + of_v
+    alike = gained[0] > -_ALIKE * gained[1] and gained[1] * np.ptp(v) > _ALIKE * back.mean() * record.stroke
+    return most - best if best < most and clear and alike else 0
+
+
+def _around(turns: NDArray[np.intp], size: int) -> list[tuple[int, int, int]]:
+    """Return each turn between the ones before and after it, or the ends of the record."""
+    points = [0, *turns.tolist(), size - 1]
+    return list(zip(points, points[1:], points[2:], strict=False))
+
+
+def _rest(v: Array, before: int, turn: int, after: int, level: float) -> tuple[int, int]:
+    """Return the first and the last sample at the level of a turn of the voltage."""
+    away = np.abs(v[before : after + 1] - v[turn]) > level
+    rise, fall = np.flatnonzero(away[: turn - before]), np.flatnonzero(away[turn - before :])
+    return before + int(rise[-1]) + 1 if rise.size else before, turn + int(fall[0]) - 1 if fall.size else after
+
+
+def _shift(record: Record, early: int) -> str:
+    """Return that the displacement is early by some samples."""
+    return (
+        f"the displacement turns before the voltage does, by {1e3 * early * record.sample_time:.4g} ms "
+        f"({counted(early, 'sample')}): clocks or columns are shifted, or the voltage is measured late; shift the "
+        "displacement back by that time"
+    )
+
+
+def _past(v: Array, y: Array, noise: float) -> int:
+    """Return 1 if branches that begin alike are alike, as hysteresis has them; -1 if those that end alike are; else 0.
+
+    A branch from the voltage's extreme does not depend on the past. In reversed time such a branch ends there.
+    """
+    turns = turns_of(v)
+    span, low, high = float(np.ptp(v)), float(v[turns].min()), float(v[turns].max())
+    unlike: tuple[list[float], list[float]] = [], []
+    branches = [(int(a), int(b)) for a, b in pairwise(turns)]
+    for one, other in combinations(branches, 2):
+        for k, found in enumerate(unlike):
+            ends = v[one[k]], v[other[k]], v[one[1 - k]], v[other[1 - k]]
+            outer = min(abs(ends[0] - low), abs(ends[0] - high)) < _EQUAL * span
+            if not outer or abs(ends[0] - ends[1]) > _EQUAL * span or abs(ends[2] - ends[3]) < 5 * _EQUAL * span:
+                continue
+            reach = ends[2] if abs(ends[2] - ends[0]) < abs(ends[3] - ends[0]) else ends[3]
+            grid = np.linspace(ends[0], reach, _POINTS)
+            curves = []
+            for a, b in (one, other):
+                order = a + np.argsort(v[a : b + 1])
+                curve = np.interp(grid, v[order], y[order])
+                curves.append(curve - curve[0])
+            found.append(sqrt(float(np.mean((curves[0] - curves[1]) ** 2))))
+    if not (unlike[0] and unlike[1]):
+        return 0
+    after, before = (float(np.median(one)) for one in unlike)
+    if max(after, before) < 2 * noise + 2 * _GAINED * float(np.ptp(y)):
+        return 0
+    return int(after < _ALIKE * before) - int(before < _ALIKE * after)
+
+
+class Butterfly(NamedTuple):
+    """A loop whose displacement both falls and rises with rising voltage, as of a switching ferroelectric.
+
+    Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V].
+    """
+
+    fall: float
+    rise: float
+    low: float
+    high: float
+
+
+def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
+    """Find a fall and a rise on the line midway between rising and falling branches; return None without both.
+
+    On that line hysteresis, a delay, creep and a drift from branch to branch take opposite signs and cancel.
+    """
+    span = float(np.ptp(voltage))
+    points = [0, *turning_points(voltage, _WHOLE * span).tolist(), voltage.size - 1]
+    edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)
+    bins = np.clip(np.searchsorted(edges, voltage) - 1, 0, _BINS - 1)
+    counts, sums = np.zeros((2, _BINS)), np.zeros((2, _BINS))
+    for begin, end in pairwise(points):
+        rise = float(voltage[end] - voltage[begin])
+        if abs(rise) >= _WHOLE * span:
+            part, falling = slice(begin, end + 1), int(rise < 0)
+            counts[falling] += np.bincount(bins[part], minlength=_BINS)
+            sums[falling] += np.bincount(bins[part], displacement[part], _BINS)
+    filled = counts.min(axis=0) > 0
+    if np.count_nonzero(filled) < _BINS // 2:
+        return None
+    (up, down), places = sums[:, filled] / counts[:, filled], (0.5 * (edges[1:] + edges[:-1]))[filled]
+    middle = 0.5 * (up + down)
+    noise = white_noise(displacement) / sqrt(counts[:, filled].min())
+    fall, climbed = np.maximum.accumulate(middle) - middle, middle - np.minimum.accumulate(middle)
+    if min(fall.max(), climbed.max()) < max(_LEAST * float(np.ptp(displacement)), _LOUD * noise):
+        return None
+    top = int(np.argmax(climbed))
+    bottom = int(np.argmin(middle[: top + 1]))
+    # Before the rise the falling branches turn last, after it the rising ones do.
+    low = places[int(np.argmin(down[: top + 1]))] if bottom else voltage.min()
+    high = places[bottom + int(np.argmax(up[bottom:]))] if top < places.size - 1 else voltage.max()
+    return Butterfly(float(fall.max()), float(climbed.max()), float(low), float(high))
+
+
+def echo(record: Record) -> str:
+    """Return that the displacement is a straight function of the voltage, now or some samples ago; or empty."""
+    v, y = record.voltage, record.displacement
+    span = float(np.ptp(y))
+    steps = np.diff(np.unique(y))
+    steps = np.concatenate([steps, np.abs(np.diff(steps))])
+    digit = float(steps[steps > _ROUNDING * span].min(initial=span))
+    digits = (y[:_STRETCH] - y[0]) / digit
+    rounded = digit < _DIGIT * span and np.abs(digits - np.round(digits)).max() < _ON_GRID
+    left = _ROUNDING * span + (0.5 * digit * (1 + 3 / sqrt(y.size)) if rounded else 0.0)
+    middle = slice(max((y.size - _STRETCH) // 2, 0), (y.size + _STRETCH) // 2)
+    for late in range(min(_LATE, y.size // 4) + 1):
+        for part in (middle, slice(None)):
+            sent, shown = v[part][: v[part].size - late], y[part][late:]
+            sent, shown = sent - sent.mean(), shown - shown.mean()
+            power = float(sent @ sent)
+            if not power or np.abs(shown - float(sent @ shown) / power * sent).max() > left:
+                break
+        else:
+            when = f" of {counted(late, 'sample')} before" if late else ""
+            return (
+                f"the displacement is a straight function of the voltage{when}, to {left:.2g} m: without any noise or "
+                "hysteresis, it looks like the set-point and not like the sensor; record what the sensor measures"
+            )
+    return ""
+
+
+def fringes(record: Record) -> str:
+    """Return that the displacement rises and falls many times in a stroke of the voltage; or empty."""
+    v, y = record.voltage, record.displacement
+    turns = turns_of(v)
+    if turns.size < 2 or float(np.ptp(y)) < LEAST_STROKE:
+        return ""
+    own = turning_points(y, _FRINGE * float(np.ptp(y)))
+    # What rings after a step turns where the voltage rests.
+    branch = np.searchsorted(turns, own)
+    ends = v[np.concatenate([[0], turns, [v.size - 1]])]
+    low, high = np.minimum(ends[branch], ends[branch + 1]), np.maximum(ends[branch], ends[branch + 1])
+    inside = np.abs(v[own] - 0.5 * (low + high)) < 0.5 * _INSIDE * (high - low)
+    each = np.bincount(branch[inside], minlength=turns.size + 1)[1:-1] / np.maximum(np.abs(np.diff(v[turns])), 1e-300)
+    many = float(np.median(each)) * float(np.ptp(v)) / (2 * _INSIDE)
+    from_mean = y - y.mean()
+    kurtosis = float(np.mean(from_mean**4) / np.mean(from_mean**2) ** 2)
+    if many < _FRINGES or (kurtosis > _KURTOSIS and noise_span(y) > _FRINGE * float(np.ptp(y))):
+        return ""
+    return (
+        f"the displacement rises and falls about {many:.0f} times in a stroke of the voltage, as the fringes of an "
+        "interferometer or the lines of a grating do; count them first"
+    )
+
+
+def remarks(record: Record) -> Iterator[str]:
+    """Yield sentences on what the loops of a clean record tell of its origin."""
+    turns = turns_of(record.voltage)
+    if turns.size < 2 or record.stroke < LEAST_STROKE or fringes(record):
+        return
+    if sense(record.voltage, record.displacement) >= 0 and (early := early_turns(record)):
+        words = _shift(record, early)
+        yield f"{words[0].upper()}{words[1:]}."
+    yield from _no_hysteresis(record, turns)
+    yield from _clamped(record, turns)
+    yield from _slipping(record, turns)
+
+
+def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
+    """Yield that the displacement is a parabola of the voltage some time ago: a lag, and no hysteresis."""
+    v, time = record.voltage, record.time
+    # A lag is as wide as the voltage is fast, away from the turns.
+    places = np.concatenate([np.arange(a + int(_TURNS * (b - a)), b) for a, b in pairwise(turns.tolist())])
+    rate = np.gradient(v, time)
+    left, (_, gain, _, wide) = _parabola(record, v, places, rate)
+    width = float(np.median(np.abs(wide * rate[places])))
+    least = _STRAIGHT * record.stroke
+    if gain * float(np.ptp(v)) < 0.5 * record.stroke or left > least + 0.1 * width + 1.2 * record.noise or echo(record):
+        return
+    if width < least + 0.2 * record.noise:
+        yield "No hysteresis is found: was a servo on?"
+    sizes, lag = np.abs(np.diff(v[turns])), -wide / gain
+    # Loops of one size do not tell a lag from hysteresis.
+    if width < least + 0.2 * record.noise or lag <= 0 or np.ptp(sizes) < _VARIES * sizes.max():
+        return
+    # A delay, or a filter of first or second order.
+    filtered, twice = _late(time, v, lag), _late(time, _late(time, v, 0.5 * lag), 0.5 * lag)
+    candidates = (np.interp(time - lag, time, v), filtered, twice)
+    if (
+        min(_parabola(record, late, slice(None))[0] for late in candidates)
+        < least + _ROUND * width + 1.2 * record.noise
+    ):
+        yield f"No hysteresis is found beyond a lag of {1e3 * lag:.3g} ms: was a servo on?"
+
+
+def _parabola(record: Record, voltage: Array, places: Any, *others: Array) -> tuple[float, list[float]]:
+    """Return the deviation of the displacement from a parabola of a voltage (n,) and others at places, and weights."""
+    away = voltage - voltage.mean()
+    columns = np.column_stack([np.ones(away.size), away, away**2, *others])[places]
+    scales = np.abs(columns).max(axis=0).clip(1e-300)
+    weights = np.linalg.lstsq(columns / scales, record.displacement[places], rcond=None)[0] / scales
+    return float(np.std(record.displacement[places] - columns @ weights)), weights.tolist()
+
+
+def _late(time: Array, voltage: Array, lag: float) -> Array:
+    """Return a voltage (n,) behind a filter of first order with this lag [s], as the mean of delayed ones."""
+    delays = -np.log(1 - (np.arange(8) + 0.5) / 8)
+    parts = [np.interp(time - lag * part, time, voltage) for part in delays / delays.mean()]
+    return np.asarray(np.mean(parts, axis=0))
+
+
+def _clamped(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
+    """Yield from which voltage on the displacement stays within its noise, on branches that go to an extreme."""
+    branches = [slice(a, b + 1) for a, b in pairwise([0, *turns.tolist(), len(record) - 1])]
+    for sign, side in ((1.0, "above"), (-1.0, "below")):
+        v, y = sign * record.voltage, sign * record.displacement
+        top, span = float(v.max()), float(np.ptp(v))
+        own = [part for part in branches if v[part][-1] > top - _EQUAL * span and v[part][0] < v[part][-1] - 0.5 * span]
+        if not own:
+            continue
+        begin = max(top - 0.5 * span, *(v[part][0] for part in own))
+        grid = np.linspace(begin, min(v[part][-1] for part in own), 101)
+        curve = np.mean([np.interp(grid, np.maximum.accumulate(v[part]), y[part]) for part in own], axis=0)
+        gain, doubt = record.stroke / span, _FLAT * record.stroke + 2 * record.noise / sqrt(len(own))
+        ahead = grid[-1] - grid
+        flat = np.abs(curve - curve[-1]) <= doubt + _CREEPS * gain * ahead
+        first = int(np.flatnonzero(~flat)[-1]) + 1 if not flat.all() else 0
+        before = np.searchsorted(grid, grid[first] - _PLATEAU * span)
+        steep = curve[first] - curve[before] > _SLOPE * gain * (grid[first] - grid[before])
+        if 0 < before < first and ahead[first] > _PLATEAU * span and steep and gain * ahead[first] > 4 * doubt:
+            yield (
+                f"The displacement stays within its noise {side} {sign * grid[first]:.4g} V while the voltage goes on "
+                f"to {sign * top:.4g} V: an amplifier or a sensor at its limit, or the actuator saturates."
+            )
+
+
+def _slipping(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
+    """Yield that the displacement at an extreme of the voltage moves on with travel, where time does not explain it."""
+    v, y = record.voltage, record.displacement
+    lowest = turns[v[turns] < v[turns].min() + _EQUAL * float(np.ptp(v))]
+    if lowest.size < _RETURNS:
+        return
+    travel = np.cumsum(np.abs(np.diff(v, prepend=v[0])))[lowest]
+    left = []
+    for places in (travel, record.time[lowest]):
+        line = np.polyval(np.polyfit(places - places[0], y[lowest], 1), places - places[0])
+        left.append(float(np.std(y[lowest] - line)))
+    moved = float(y[lowest[-1]] - y[lowest[0]])
+    if abs(moved) > _SLIPS * record.stroke and left[1] > _BETTER * (left[0] + record.noise):
+        yield (
+            f"At {v[lowest].min():.4g} V the displacement comes back {1e9 * moved:.3g} nm away, in proportion to the "
+            "travel of the voltage and not to the time: it slips, which is no drift of the sensor."
+        )

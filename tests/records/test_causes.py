@@ -1,0 +1,260 @@
+"""What a record's samples tell of its origin: each fault by its own cause, and an innocent twin without any."""
+
+import numpy as np
+import pytest
+from truths import BoucWenActuator, PreisachActuator
+
+from dehyst import Record, RecordError
+from dehyst.records import cleaned, loops
+from dehyst.records.signals import new_samples, sensor_noise
+from dehyst.virtual import PlayActuator
+
+RATE, NOISE = 50.0, 5e-9
+TOPS = (100, 100, 80, 60, 40, 20, 90, 50, 100)
+
+
+def triangles(rate=RATE, hold=0):
+    """Voltages of triangles to each top at 50 V/s, with rests of some samples."""
+    parts = [np.zeros(1)]
+    for top in TOPS:
+        up = np.linspace(0, top, round(top / 50 * rate) + 1)[1:]
+        parts += [up, np.full(hold, top), up[::-1][1:], np.zeros(1 + hold)]
+    return np.concatenate(parts)
+
+
+def sines(tops=TOPS, samples=200):
+    part = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(samples) / samples)
+    return np.concatenate([*(top * part for top in tops), [0.0]])
+
+
+def bent(v):
+    part = PlayActuator(noise=0.0).play(v) * 1e5
+    return 1e-5 * (0.4 * part + 0.3 * part**2)
+
+
+def straight(v):
+    return 1.2e-7 * v
+
+
+MECHANISMS = {
+    "plays": lambda v: PlayActuator(noise=0.0).play(v),
+    "relays": lambda v: PreisachActuator(noise=0.0).play(v),
+    "bouc-wen": lambda v: BoucWenActuator(noise=0.0).play(v, time=np.arange(v.size) / RATE),
+    "bent": bent,
+}
+DRIVES = {"triangles": triangles(), "sines": sines(), "rests": triangles(hold=25)}
+V = DRIVES["triangles"]
+T = np.arange(V.size) / RATE
+Y = MECHANISMS["plays"](V)
+
+
+def noisy(y, noise=NOISE):
+    return y + noise * np.random.default_rng(1).normal(size=y.size)
+
+
+def record(v, y, rate=RATE):
+    return Record(np.arange(v.size) / rate, v, y)
+
+
+def late(v, samples):
+    places = np.arange(v.size)
+    return np.interp(places - samples, places, v)
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("mechanism", MECHANISMS)
+def test_a_good_record_has_no_cause(mechanism, drive):
+    v = DRIVES[drive]
+    for shift in (0, 2):
+        good = record(v, noisy(late(MECHANISMS[mechanism](v), shift)))
+        good.check_usable()
+        assert good.problems() == ()
+        assert loops.early_turns(good) == 0
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("mechanism", MECHANISMS)
+def test_loops_that_run_the_wrong_way_are_explained_by_what_happened(mechanism, drive):
+    v = DRIVES[drive]
+    y = noisy(MECHANISMS[mechanism](v))
+    for word, other, made in (
+        ("reversed", "swapped", record(v[::-1], y[::-1])),
+        ("swapped", "reversed", record(y * 1e7, v * 1e-7)),
+    ):
+        said = loops.leading(made, made.cycles())
+        assert word in said
+        assert other not in said or "either" in said
+
+
+@pytest.mark.parametrize("samples", [1, 2, 4])
+@pytest.mark.parametrize("drive", ["triangles", "rests"])
+@pytest.mark.parametrize("mechanism", MECHANISMS)
+def test_a_displacement_that_is_early_is_told_by_how_much(mechanism, drive, samples):
+    v = DRIVES[drive]
+    early = record(v[:-samples], noisy(MECHANISMS[mechanism](v))[samples:])
+    assert loops.early_turns(early) == samples
+    assert "either" not in loops.leading(early, early.cycles())
+
+
+def test_loops_of_one_size_leave_open_which():
+    v = sines((100,) * 6)
+    y = noisy(MECHANISMS["plays"](v))
+    backwards = record(v[::-1], y[::-1])
+    said = loops.leading(backwards, backwards.cycles())
+    assert "swapped" in said and "reversed" in said
+
+
+def test_branches_that_are_sorted_are_told_and_a_sawtooth_is_not():
+    up = np.linspace(0, 100, 101)
+    y = MECHANISMS["plays"](np.concatenate([up, up[::-1], up, up[::-1], up, up[::-1]]))
+    branches = [y[k : k + 101][:: -1 if k % 2 else 1] for k in range(0, y.size, 101)]
+    made = record(np.tile(up, 6), noisy(np.concatenate(branches)))
+    with pytest.raises(RecordError, match="sorted"):
+        made.check_usable()
+    saw = np.tile(up, 6)
+    tooth = record(saw, noisy(bent(saw)))
+    assert loops.leading(tooth, tooth.cycles()) == ""
+
+
+@pytest.mark.parametrize(
+    ("displacement", "echoes"),
+    [
+        (straight(V), True),
+        (np.round(straight(V), 9), True),
+        (np.round(0.1234e-6 * V, 9), True),
+        (np.concatenate([np.zeros(2), straight(V)[:-2]]), True),
+        (np.concatenate([np.zeros(7), np.round(0.1234e-6 * V, 9)[:-7]]), True),
+        (noisy(straight(V), 1e-10), False),
+        (np.round(noisy(straight(V), 1e-9), 9), False),
+        (2e-8 * np.round(noisy(0.1234e-6 * V, 4e-9) / 2e-8), False),
+        (Y, False),
+        (np.round(Y, 8), False),
+        (straight(V) * (1 + 1e-5 * V), False),
+    ],
+)
+def test_an_echo_of_the_command_is_no_measurement(displacement, echoes):
+    assert bool(loops.echo(record(V, displacement))) == echoes
+    if echoes:
+        with pytest.raises(RecordError, match="set-point"):
+            record(V, displacement).check_usable()
+
+
+UNEVEN = np.sort(np.random.default_rng(2).choice(V.size - 1, V.size // 6, replace=False))
+HELD = {
+    "every 5th": np.arange(V.size) // 5 * 5,
+    "every 10th": np.arange(V.size) // 10 * 10,
+    "uneven": np.concatenate([[0], UNEVEN])[np.searchsorted(UNEVEN, np.arange(V.size), side="right")],
+}
+
+
+@pytest.mark.parametrize("held", HELD)
+def test_a_polled_displacement_repeats_in_time(held):
+    polled = record(V, noisy(Y)[HELD[held]])
+    found = new_samples(polled.voltage, polled.displacement)
+    assert np.count_nonzero(found) == np.unique(HELD[held]).size
+    assert polled.noise == pytest.approx(NOISE, rel=0.3)
+    (sentence,) = polled.problems()
+    assert "quantised" not in sentence
+    taken = polled.take(np.diff(polled.displacement, prepend=np.nan) != 0)
+    assert len(taken) == np.unique(HELD[held]).size
+    taken.check_usable()
+
+
+@pytest.mark.parametrize("step", [3e-8, 1e-7, 1e-6])
+def test_a_coarse_converter_does_not_repeat_in_time(step):
+    coarse = record(V, step * np.round(noisy(Y) / step))
+    assert new_samples(coarse.voltage, coarse.displacement) is None
+    assert any("quantised" in sentence for sentence in record(V, 1e-6 * np.round(noisy(Y) / 1e-6)).problems())
+    stairs = np.repeat(V[::20], 20)
+    assert new_samples(stairs, MECHANISMS["plays"](stairs)) is None
+
+
+@pytest.mark.parametrize("samples", [10, 16, 24])
+def test_few_samples_a_cycle_are_no_noise(samples):
+    v = triangles(samples / 4)
+    few = record(v, noisy(MECHANISMS["plays"](v)), samples / 4)
+    assert few.noise == pytest.approx(NOISE, rel=0.4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_uneven_steps_are_no_noise(seed):
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(0.02 * rng.gamma(4, 0.25, V.size))
+    v = np.interp(time, T, V)
+    assert sensor_noise(time, v, noisy(MECHANISMS["plays"](v))) == pytest.approx(NOISE, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("time", "word"),
+    [
+        (-T, "sign"),
+        (T[::-1], "wrong sign"),
+        (np.floor(T / 0.05) * 0.05, "rate=50.00"),
+        (np.floor(T / 0.03) * 0.03, "rate=50.00"),
+        (np.concatenate([T[:500], T[:400], T[: V.size - 900]]), "rows 500, 900 of"),
+        (T - 8.0 * (T > 10), "rate=50"),
+        ((T + 86390) % 86400, "rate=50"),
+        (np.where(np.arange(T.size) == 50, T[51], np.where(np.arange(T.size) == 51, T[50], T)), "sort"),
+        (T[np.arange(T.size) // 2], "rate=100"),
+        (T + 1.76e16, "resolution"),
+    ],
+)
+def test_a_time_that_does_not_rise_has_its_own_cause(time, word):
+    with pytest.raises(RecordError, match=word) as caught:
+        Record(time, V, Y)
+    assert "drop" not in str(caught.value)
+
+
+def test_a_time_that_falls_is_judged_by_the_loops():
+    with pytest.raises(RecordError, match="reverse order"):
+        Record(T[::-1], V[::-1], Y[::-1])
+    twice = np.arange(V.size) // 2
+    with pytest.raises(RecordError, match="written twice"):
+        Record(T[twice], V[twice], Y[twice])
+
+
+@pytest.mark.parametrize("drive", ["triangles", "sines"])
+def test_a_servo_leaves_a_lag_and_no_hysteresis(drive):
+    v = DRIVES[drive]
+    for lag in (0, 1.5, 3):
+        (sentence,) = record(v, noisy(straight(late(v, lag)))).problems()
+        assert "servo" in sentence
+        assert not lag or f" {1e3 * lag / RATE:.3g}"[:-1] in sentence
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 85), (0, 94), (8, 100)])
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_clamped_amplifier_is_told_with_its_voltage(drive, low, high):
+    v = DRIVES[drive]
+    (sentence,) = record(v, noisy(MECHANISMS["plays"](np.clip(v, low, high)))).problems()
+    (volts,) = [number for number in (low, high) if number not in (0, 100)]
+    assert any(f" {volts + away:.4g} V" in sentence for away in (-1, -0.5, 0, 0.5, 1))
+
+
+def test_a_walk_with_the_travel_is_no_drift_in_time():
+    v = sines((100, 100, 30, 90, 40, 20, 90, 50))
+    y, travel = MECHANISMS["plays"](v), np.cumsum(np.abs(np.diff(v, prepend=0.0)))
+    (sentence,) = record(v, noisy(y + 1e-9 * travel)).problems()
+    assert "slips" in sentence
+    assert record(v, noisy(y + 1e-7 * np.arange(v.size) / RATE)).problems() == ()
+
+
+@pytest.mark.parametrize("count", [4, 10, 18, 36])
+def test_fringes_are_counted_and_noise_is_not(count):
+    phase = 2 * np.pi * count * Y / np.ptp(Y)
+    fringes = record(V, noisy(0.5e-6 * (1 + np.cos(phase)), 1e-8))
+    with pytest.raises(RecordError, match="fringes"):
+        fringes.check_usable()
+    with pytest.raises(RecordError, match="constant"):
+        record(V, noisy(0 * V, 1e-6)).check_usable()
+
+
+def test_overload_readings_are_left_out_before_the_loops_are_judged():
+    y = noisy(Y)
+    y[[300, 301, 302]], y[700] = 9999.999e-6, -1e-3
+    overloaded = record(V, y)
+    overloaded.check_usable()
+    found = cleaned(overloaded)
+    assert np.flatnonzero(found.spikes).tolist() == [300, 301, 302, 700]
+    assert found.record.stroke == pytest.approx(np.ptp(Y), rel=0.01)
+    assert len(found.sentences) == len(overloaded.problems()) == 1
