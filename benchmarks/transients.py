@@ -13,7 +13,7 @@ import argparse
 import json
 import os
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import cos, exp, pi, sin, sqrt
 from pathlib import Path
 
@@ -231,7 +231,16 @@ def row(name: str, kind: str, samples: int = SAMPLES) -> dict:
         "record": kind,
         "samples": samples,
         "true_frequency_hz": TRUTHS[name].frequency,
-        "transients": [asdict(one) for one in named],
+        "transients": [
+            {
+                "time_s": one.time,
+                "duration_s": one.duration,
+                "voltages_V": one.voltages,
+                "frequency_Hz": one.frequency,
+                "damping": one.damping,
+            }
+            for one in named
+        ],
         "set_aside": error.left_out,
         "expected_largest_percent": expected.largest_percent,
         "expected_rms_percent": 100 * expected.rms / error.stroke,

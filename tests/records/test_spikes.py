@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dehyst.records.cleaning import spikes
+from dehyst.records.glitches import spikes
 
 N = 4000
 TIME = np.arange(N) * 1e-3

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dehyst import Record
-from dehyst.records.cleaning import settled, spikes, transients, voltage_steps
+from dehyst.records.cleaning import settled, transients, voltage_steps
+from dehyst.records.glitches import spikes
 
 RATE = 5000.0
 

@@ -1,9 +1,9 @@
 """Cleaning of a record: what a fit leaves out, each with one sentence.
 
-Glitches of the voltage have a detector of their own. With hysteresis alone, the displacement turns back only where the
-voltage does. After a step of the voltage it turns back by itself if a mass swings or an amplifier overshoots: such a
-transient is real, but no model without inertia follows it. What goes away and comes back within three samples is a
-spike of the sensor.
+Glitches of the voltage and spikes of the displacement are excursions that the other signal does not have, see
+`dehyst.records.glitches`. With hysteresis alone, the displacement turns back only where the voltage does. After a step
+of the voltage it turns back by itself if a mass swings or an amplifier overshoots: such a transient is real, but no
+model without inertia follows it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from math import isfinite, log, pi, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from dehyst._text import counted
 from dehyst._types import Array, Mask
-from dehyst.records.glitches import Glitch, bridged, glitches
+from dehyst.records.glitches import Glitch, glitches, spikes
 from dehyst.records.signals import noise_span, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
@@ -44,17 +43,6 @@ _FADED, _LONGEST = 5e-4, 3.0
 _HALVES = 8
 # Displacements from which the levels beside a transient are taken.
 _LEVEL = 8
-# Most samples of a spike, neighbours on each side that show the steps, and samples by which the displacement may lag.
-_SPIKE_WIDEST, _SPIKE_NEAR, _SPIKE_LAG = 3, 8, 64
-# Least part of the range, of standard deviations of the noise, and of the steps nearby.
-_SPIKE_LEAST, _SPIKE_SIGMAS, _SPIKE_STEPS = 0.005, 8.0, 3.0
-# What is left of a spike after it, and what the voltage may explain of it, as parts of its height.
-_LEFT, _EXPLAINED = 0.3, 0.3
-# A spike's samples have this part of its height; more of the record than this part are no spikes.
-_CORE, _MOST = 0.5, 0.05
-# Spikes next to others appear when those are gone.
-_SPIKE_PASSES = 6
-_SPIKE_BLOCK = 1 << 19
 # Most glitches or transients that are named one by one.
 _SHOWN = 5
 
@@ -246,71 +234,6 @@ def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list
 
 def _half_life(y: Array, first: int) -> int:
     """Return the samples in which half of an overshoot (n,) is gone; its peak is sample `first`."""
-    rest, width = y[first : first + _SOON], _LEVEL
-    while 2 * width < rest.size:
-        earlier, level = float(rest[width // 2 : width].mean()), float(rest[width : 2 * width].mean())
-        if abs(earlier - level) < 0.25 * abs(float(rest[0]) - level):
-            break
-        width *= 2
-    level = float(rest[width:].mean() if rest.size < 2 * width else rest[width : 2 * width].mean())
-    gone = np.flatnonzero(np.abs(rest - level) < 0.5 * abs(float(rest[0]) - level))
-    return int(gone[0]) + 1 if gone.size else 1
-
-
-def spikes(voltage: Array, displacement: Array) -> Mask:
-    """Return the samples (n,) in spikes of a displacement; both are in any unit, and sampled about evenly."""
-    found = np.zeros(len(displacement), dtype=bool)
-    if len(displacement) <= 2 * _SPIKE_NEAR or not float(np.ptp(displacement)):
-        return found
-    inner = np.quantile(displacement, [0.01, 0.99])
-    usual_range = float(inner[1] - inner[0])
-    least = max(_SPIKE_LEAST * usual_range, _SPIKE_SIGMAS * white_noise(displacement))
-    # A corner of the voltage lies two or three of its steps beside its neighbours.
-    corner = _SPIKE_STEPS * float(np.quantile(np.abs(np.diff(voltage)), 0.95))
-    gain = usual_range / max(float(np.ptp(voltage)), 1e-300)
-    moved = np.maximum(np.abs(_beside_median(voltage)) - corner, 0.0) * gain
-    clean = displacement
-    for _ in range(_SPIKE_PASSES):
-        more = _highest(clean, moved, least)
-        if not more.any():
-            break
-        found |= more
-        clean = bridged(displacement, found)
-    return found if np.count_nonzero(found) <= _MOST * found.size else np.zeros_like(found)
-
-
-def _highest(y: Array, moved: Array, least: float) -> Mask:
-    """Return the highest spike of each group of samples beside their neighbours (n,)."""
-    found, beside = np.zeros(len(y), dtype=bool), np.abs(_beside_median(y))
-    if np.count_nonzero(beside > least) > 2 * _MOST * y.size:
-        return found
-    for first, last in runs(beside > least):
-        start = stop = first + int(np.argmax(beside[first:last]))
-        height = float(beside[start])
-        while start > first and beside[start - 1] > _CORE * height:
-            start -= 1
-        while stop < last and beside[stop] > _CORE * height:
-            stop += 1
-        explained = moved[max(start - _SPIKE_LAG, 0) : stop + _SPIKE_NEAR].max(initial=0.0) > _EXPLAINED * height
-        if not explained and _stands_alone(y, start, stop, height):
-            found[start:stop] = True
-    return found
-
-
-def _stands_alone(y: Array, start: int, stop: int, height: float) -> bool:
-    """Whether the displacement goes on where it was before a run of samples, and moves by far smaller steps nearby."""
-    if start < 1 or stop >= len(y) or stop - start > _SPIKE_WIDEST:
-        return False
-    before, after = y[max(start - _SPIKE_NEAR, 0) : start], y[stop : stop + _SPIKE_NEAR]
-    steps = np.abs(np.concatenate([np.diff(before), np.diff(after)]))
-    # Another spike nearby must not hide this one: the largest steps come in pairs.
-    usual = float(np.sort(steps)[: max(steps.size - 2, 1)].max(initial=0.0))
-    return abs(float(y[stop] - y[start - 1])) < _LEFT * height and _SPIKE_STEPS * usual < height
-
-
-def _beside_median(values: Array) -> Array:
-    """Return each value less the median of the seven around it (n,)."""
-    width = 2 * _SPIKE_WIDEST + 1
-    windows = sliding_window_view(np.pad(values, _SPIKE_WIDEST, mode="edge"), width)
-    parts = [np.median(windows[first : first + _SPIKE_BLOCK], axis=1) for first in range(0, len(windows), _SPIKE_BLOCK)]
-    return np.asarray(values - np.concatenate(parts))
+    rest = y[first : first + _SOON]
+    away = np.abs(rest - np.median(rest[rest.size // 2 :]))
+    return int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1

@@ -39,6 +39,9 @@ _COARSEST = 0.1
 # Passes in which glitches behind others are found, and candidates processed at a time.
 _PASSES, _BLOCK = 20, 1 << 14
 
+# Spikes of the displacement: least size, most samples of one, and largest part of the record.
+_LEAST_SPIKE, _WIDEST_SPIKE, _MOST_SPIKES = 0.005, 3, 0.05
+
 Indices = NDArray[np.intp]
 Stretches = list[tuple[int, int]]
 
@@ -75,7 +78,7 @@ def glitches(time: Array, voltage: Array, displacement: Array) -> tuple[Glitch, 
     bad, clean = np.zeros(len(voltage), dtype=bool), voltage
     for _ in range(_PASSES if len(voltage) >= _SHORTEST else 0):
         signals = _Signals.of(clean, displacement)
-        if signals is None or not (found := signals.short() or signals.long() or signals.at_ends()):
+        if signals is None or not (found := signals.inner() or signals.at_ends()):
             break
         for start, stop in found:
             bad[start:stop] = True
@@ -105,16 +108,18 @@ class _Signals(NamedTuple):
     lag: int
     span: float
     longest: int
+    widest: int = _WIDEST
+    way: int = 1
 
     @classmethod
-    def of(cls, v: Array, y: Array) -> _Signals | None:
+    def of(cls, v: Array, y: Array, least: float = _LEAST) -> _Signals | None:
         """Return the scales from quantiles, which glitches do not move; None for a constant voltage."""
         low, middle, high = np.quantile(v, [0.01, 0.5, 0.99]).tolist()
         if not low < high:
             return None
         stroke = float(np.subtract(*np.quantile(y, [0.99, 0.01])))
         cycle = 2 * len(v) / max(int(np.count_nonzero(np.diff(v > middle))), 1)
-        least = max(_LEAST * (high - low), _SIGMAS * _noise(v), _DIGITS * _digit(v))
+        least = max(least * (high - low), _SIGMAS * _noise(v), _DIGITS * _digit(v))
         lag, longest = int(np.clip(_LAG * cycle, *_LAGS)), int(min(_LONGEST, _LONGEST_PART * cycle))
         return cls(v, y, least, stroke / (high - low), max(_SEEN * _noise(y), _digit(y)), lag, high - low, longest)
 
@@ -127,13 +132,13 @@ class _Signals(NamedTuple):
         moved = _FOLLOWS * self.gain * size
         return np.where(moved > self.sensor, moved, 0.0)
 
-    def short(self) -> Stretches:
-        """Return start and stop of glitches with neighbours on both sides."""
+    def inner(self) -> Stretches:
+        """Return start and stop of excursions with neighbours on both sides that the other signal does not follow."""
         from scipy.ndimage import median_filter
 
         candidates: list[tuple[float, int, int]] = []
         jumps, steps = self.jumps(self.least), np.diff(self.v)
-        for width in range(1, _WIDEST + 1):
+        for width in range(1, self.widest + 1):
             # The 98th percentile of the excursion over windows of this width.
             there, back = steps[:-width], steps[width:]
             far = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
@@ -142,10 +147,15 @@ class _Signals(NamedTuple):
             before = before[size > max(self.least, _TIMES * float(np.quantile(far, 1 - 0.02 / width)))]
             for begin in range(0, before.size, _BLOCK):
                 candidates += self._isolated(before[begin : begin + _BLOCK], width)
+        # Longer ones, from one large jump to the next.
+        for before, last in pairwise(self.jumps(max(self.least, _LEAST_LONG * self.span)).tolist()):
+            if self.widest < last - before <= self.longest:
+                long = self._isolated(np.array([before]), last - before)
+                candidates += [one for one in long if one[0] > _LEAST_LONG * self.span]
         if not candidates:
             return []
         # Without excursions as short as a glitch, but with steps.
-        without_pulses = np.asarray(median_filter(self.v, 2 * _WIDEST + 1, mode="nearest"), dtype=np.float64)
+        without_pulses = np.asarray(median_filter(self.v, 2 * self.widest + 1, mode="nearest"), dtype=np.float64)
         return _separate([one for one in candidates if not self._follows(one[1], one[2], without_pulses)])
 
     def _isolated(self, before: Indices, width: int) -> list[tuple[float, int, int]]:
@@ -169,37 +179,15 @@ class _Signals(NamedTuple):
 
     def _follows(self, start: int, stop: int, without_pulses: Array) -> bool:
         """Return whether the displacement follows an excursion, now or later, beyond the effect of a corner nearby."""
-        width, late = stop - start, np.arange(self.lag + 1)
+        width, late = stop - start, np.arange(self.lag + 1) * self.way
         away = _from_chord(self.v, np.array([start - 1]), width)[0]
         size = float(np.sqrt(np.mean(away**2)))
         along = _from_chord(self.y, start - 1 + late, width, beside=1) @ away / (width * size)
         near = start - 1 + np.arange(-self.lag, self.lag + 1)
         corner = float(np.abs(_from_chord(without_pulses, near, width, beside=1)).max())
-        return bool(along.max() > self.gain * (_FOLLOWS * size + _STEEP * corner))
-
-    def long(self) -> Stretches:
-        """Return start and stop of longer excursions, from one large jump to the next."""
-        jumps = self.jumps(max(self.least, _LEAST_LONG * self.span)).tolist()
-        candidates = []
-        for before, last in pairwise(jumps):
-            if _WIDEST < last - before <= self.longest and self._stays(before, last):
-                around = self.v[max(before - self.longest, 0) : last + self.longest]
-                far = abs(float(np.median(self.v[before + 1 : last + 1])) - float(np.median(around)))
-                candidates.append((far, before + 1, last + 1))
-        return _separate(candidates)
-
-    def _stays(self, before: int, last: int) -> bool:
-        """Return whether the displacement moves far less than a real excursion of the voltage would move it."""
-        v, width, where = self.v, last - before, np.array([before])
-        away = _from_chord(v, where, width)[0]
-        side, size = float(np.sign(away[0])), float(np.abs(away).min())
-        beside = np.diff(v[max(before - _NEAR, 0) : before + 1]), np.diff(v[last + 1 : last + 2 + _NEAR])
-        steps = np.abs(np.concatenate(beside))
-        slew = _STEPS * (width + 1) * float(np.quantile(steps, 0.75)) if steps.size else 0.0
-        large = size > max(_LEAST_LONG * self.span, slew) and bool(np.all(side * away > 0))
-        comes_back = abs(float(v[last + 1] - v[before])) <= self.least + slew
-        along = float((side * _from_chord(self.y, where, width + self.lag)).max())
-        return comes_back and large and along <= float(self.seen(size))
+        # A long excursion is a pulse that is left.
+        allowed = _FOLLOWS * size + _STEEP * corner * (width <= self.widest)
+        return bool(along.max() > self.gain * allowed)
 
     def at_ends(self) -> Stretches:
         """Return start and stop of glitches at the record's first or last samples, with neighbours on one side only.
@@ -263,3 +251,19 @@ def _separate(candidates: list[tuple[float, int, int]]) -> list[tuple[int, int]]
             taken.update(range(start, stop))
             kept.append((start, stop))
     return kept
+
+
+def spikes(voltage: Array, displacement: Array) -> Mask:
+    """Return the samples (n,) in spikes of a displacement; both are in any unit, and sampled about evenly."""
+    found, clean = np.zeros(len(displacement), dtype=bool), displacement
+    for _ in range(_PASSES if len(displacement) >= _SHORTEST else 0):
+        signals = _Signals.of(clean, voltage, _LEAST_SPIKE)
+        if signals is None:
+            break
+        more = signals._replace(sensor=0.0, longest=0, widest=_WIDEST_SPIKE, way=-1).inner()
+        if not more:
+            break
+        for start, stop in more:
+            found[start:stop] = True
+        clean = bridged(displacement, found)
+    return found if np.count_nonzero(found) <= _MOST_SPIKES * found.size else np.zeros_like(found)

@@ -23,15 +23,15 @@ _POINTS, _EQUAL = 32, 0.02
 _AREA, _DEVIATIONS = 0.005, 5.0
 # A jump between sorted branches: part of the range, usual steps, and share of the other steps that go the other way.
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
-# Branches are alike if they differ by this part of what others do.
-_ALIKE = 0.4
+# Branches are alike if they differ by this part of what others do; most that are compared.
+_ALIKE, _BRANCHES = 0.4, 40
 # Most samples of a shift; least gain in displacement, part of the stroke, and level of a turn, of the voltage's range.
 _LATE, _GAINED, _LEVEL = 64, 5e-4, 2e-3
 # Strokes [m] below any sensor's resolution, the size of an atomic nucleus.
 LEAST_STROKE = 1e-15
-# Fringes: least number in a stroke, their least size, part of the range; part of a branch in which they count, and
-# kurtosis below which they are no noise.
-_FRINGES, _FRINGE, _INSIDE, _KURTOSIS = 2.2, 0.3, 0.9, 1.65
+# Fringes: least number in a stroke, their least size, part of the range; part of a branch in which they count,
+# kurtosis below which they are no noise, and correlation of a displacement that follows the voltage.
+_FRINGES, _FRINGE, _INSIDE, _KURTOSIS, _FOLLOWS = 2.2, 0.3, 0.9, 1.65, 0.5
 # Without hysteresis, parts of the stroke and of the lag's loop that are left; part of a branch that still turns.
 _STRAIGHT, _ROUND, _TURNS, _VARIES = 5e-4, 0.04, 0.3, 0.2
 # Clamped: least part of the voltage range on a plateau, slope below it, and drop that is no noise, of the stroke.
@@ -125,7 +125,8 @@ def early_turns(record: Record) -> int:
     """Return by how many samples the displacement turns before the voltage does; 0 if it does not."""
     v, y, turns = record.voltage, record.displacement, turns_of(record.voltage)
     noise = white_noise(v)
-    rests = [_rest(v, *around, _LEVEL * float(np.ptp(v)) + NOISE_PEAK * noise) for around in _around(turns, v.size)]
+    points, level = [0, *turns.tolist(), v.size - 1], _LEVEL * float(np.ptp(v)) + NOISE_PEAK * noise
+    rests = [_rest(v, *around, level) for around in zip(points, points[1:], points[2:], strict=False)]
     most = min([_LATE, *(int(step) // 3 for step in np.diff(turns))])
     ends = np.array([rest for rest in rests if most <= rest[0] and rest[1] < v.size - most], dtype=int).reshape(-1, 2)
     if most < 1 or len(ends) < 2:
@@ -141,12 +142,6 @@ def early_turns(record: Record) -> int:
     clear = gained[1] > _GAINED * record.stroke + of_y and back.mean() > _GAINED * float(np.ptp(v)) + of_v
     alike = gained[0] > -_ALIKE * gained[1] and gained[1] * np.ptp(v) > _ALIKE * back.mean() * record.stroke
     return most - best if best < most and clear and alike else 0
-
-
-def _around(turns: NDArray[np.intp], size: int) -> list[tuple[int, int, int]]:
-    """Return each turn between the ones before and after it, or the ends of the record."""
-    points = [0, *turns.tolist(), size - 1]
-    return list(zip(points, points[1:], points[2:], strict=False))
 
 
 def _rest(v: Array, before: int, turn: int, after: int, level: float) -> tuple[int, int]:
@@ -170,30 +165,24 @@ def _past(v: Array, y: Array, noise: float) -> int:
 
     A branch from the voltage's extreme does not depend on the past. In reversed time such a branch ends there.
     """
-    turns = turns_of(v)
-    span, low, high = float(np.ptp(v)), float(v[turns].min()), float(v[turns].max())
-    unlike: tuple[list[float], list[float]] = [], []
-    branches = [(int(a), int(b)) for a, b in pairwise(turns)]
-    for one, other in combinations(branches, 2):
-        for k, found in enumerate(unlike):
-            ends = v[one[k]], v[other[k]], v[one[1 - k]], v[other[1 - k]]
-            outer = min(abs(ends[0] - low), abs(ends[0] - high)) < _EQUAL * span
-            if not outer or abs(ends[0] - ends[1]) > _EQUAL * span or abs(ends[2] - ends[3]) < 5 * _EQUAL * span:
-                continue
-            reach = ends[2] if abs(ends[2] - ends[0]) < abs(ends[3] - ends[0]) else ends[3]
-            grid = np.linspace(ends[0], reach, _POINTS)
-            curves = []
-            for a, b in (one, other):
-                order = a + np.argsort(v[a : b + 1])
-                curve = np.interp(grid, v[order], y[order])
-                curves.append(curve - curve[0])
-            found.append(sqrt(float(np.mean((curves[0] - curves[1]) ** 2))))
-    if not (unlike[0] and unlike[1]):
-        return 0
-    after, before = (float(np.median(one)) for one in unlike)
-    if max(after, before) < 2 * noise + 2 * _GAINED * float(np.ptp(y)):
+    after, before = _unlike(v, y), _unlike(v[::-1], y[::-1])
+    if min(after, before) < 0 or max(after, before) < 2 * noise + 2 * _GAINED * float(np.ptp(y)):
         return 0
     return int(after < _ALIKE * before) - int(before < _ALIKE * after)
+
+
+def _unlike(v: Array, y: Array) -> float:
+    """Return by how much branches differ that begin at one extreme of the voltage, but end elsewhere; -1 for none."""
+    turns = turns_of(v)[:_BRANCHES]
+    near, found = _EQUAL * float(np.ptp(v)), [-1.0]
+    for (a, b), (c, d) in combinations(pairwise(turns.tolist()), 2):
+        outer = min(v[a] - v[turns].min(), v[turns].max() - v[a]) < near
+        if outer and abs(v[a] - v[c]) < near and abs(v[b] - v[d]) > 5 * near:
+            grid = np.linspace(v[a], v[b] if abs(v[b] - v[a]) < abs(v[d] - v[a]) else v[d], _POINTS)
+            orders = [first + np.argsort(v[first : last + 1]) for first, last in ((a, b), (c, d))]
+            curves = [np.interp(grid, v[order], y[order]) for order in orders]
+            found.append(float(np.std(curves[0] - curves[0][0] - curves[1] + curves[1][0])))
+    return float(np.median(found[1:] or found))
 
 
 class Butterfly(NamedTuple):
@@ -256,8 +245,8 @@ def echo(record: Record) -> str:
         for part in (middle, slice(None)):
             sent, shown = v[part][: v[part].size - late], y[part][late:]
             sent, shown = sent - sent.mean(), shown - shown.mean()
-            power = float(sent @ sent)
-            if not power or np.abs(shown - float(sent @ shown) / power * sent).max() > left:
+            gain = float(sent @ shown) / max(float(sent @ sent), 1e-300)
+            if np.abs(shown - gain * sent).max() > left:
                 break
         else:
             when = f" of {counted(late, 'sample')} before" if late else ""
@@ -284,11 +273,12 @@ def fringes(record: Record) -> str:
     many = float(np.median(each)) * float(np.ptp(v)) / (2 * _INSIDE)
     from_mean = y - y.mean()
     kurtosis = float(np.mean(from_mean**4) / np.mean(from_mean**2) ** 2)
-    if many < _FRINGES or (kurtosis > _KURTOSIS and noise_span(y) > _FRINGE * float(np.ptp(y))):
+    noise = kurtosis > _KURTOSIS and noise_span(y) > _FRINGE * float(np.ptp(y))
+    if many < _FRINGES or noise or abs(float(np.corrcoef(v, y)[0, 1])) > _FOLLOWS:
         return ""
     return (
         f"the displacement rises and falls about {many:.0f} times in a stroke of the voltage, as the fringes of an "
-        "interferometer or the lines of a grating do; count them first"
+        "interferometer do, the lines of a grating, or a vibration; count fringes or lines first"
     )
 
 
@@ -318,9 +308,10 @@ def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
         return
     if width < least + 0.2 * record.noise:
         yield "No hysteresis is found: was a servo on?"
+        return
     sizes, lag = np.abs(np.diff(v[turns])), -wide / gain
     # Loops of one size do not tell a lag from hysteresis.
-    if width < least + 0.2 * record.noise or lag <= 0 or np.ptp(sizes) < _VARIES * sizes.max():
+    if lag <= 0 or np.ptp(sizes) < _VARIES * sizes.max():
         return
     # A delay, or a filter of first or second order.
     filtered, twice = _late(time, v, lag), _late(time, _late(time, v, 0.5 * lag), 0.5 * lag)
