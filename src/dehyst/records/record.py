@@ -23,7 +23,6 @@ from dehyst.records import quality, signals
 from dehyst.records.formats.columns import Column
 from dehyst.records.signals import white_noise
 from dehyst.records.tables import Table
-from dehyst.records.times import not_rising
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -151,7 +150,7 @@ class Record:
                 name = f"{self.name} ({self.axes[j]})" if self.axes and column != "time" else self.name
                 if words := quality.fault_of(values, column, unit):
                     raise RecordError(f"record '{name}': {words}")
-        if words := not_rising(self.time, self.voltage, self.displacement):
+        if words := quality.not_rising(self.time, self.voltage, self.displacement):
             raise self._error(words)
         for one in self.others:
             if one.fault:
