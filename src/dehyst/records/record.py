@@ -477,8 +477,8 @@ class Record:
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
         `min_samples`, `min_cycles`: least number of samples and of full voltage cycles. Raise `RecordError` for too few
-        samples or cycles, constant voltage or displacement, a stroke over 0.1 m, an inverted or clipped sensor, or
-        swapped columns.
+        samples or cycles, constant voltage or displacement, an echo of the voltage, fringes, a stroke over 0.1 m, an
+        inverted or clipped sensor, a butterfly loop, or swapped, reversed or sorted columns.
         """
         for words in quality.reasons_against(self.one_axis(), min_samples, min_cycles):
             raise self._error(words)

@@ -69,8 +69,7 @@ class GoldfarbCelanovic(AbstractBaseline):
         given = as_list(records)
         if not given:
             raise IdentifyError("got no records, need the first rise of a relaxed actuator")
-        clean = cleaned(given[0])
-        record, repairs = clean.record, tuple(f"{given[0].name}: {sentence}" for sentence in clean.sentences)
+        record, *_, repairs = cleaned(given[0])
         rise, rest, height = _first_rise(record)
         rho = _break_points(elements, breakaway, height, record.name)
         if len(rise[0]) < rho.size + 2:

@@ -1,4 +1,4 @@
-"""Voltages that are not believed: isolated glitches, ends of the range that few samples reach, far extrapolation."""
+"""What is left out of a record and only that: glitches of the voltage, spikes of the displacement, transients."""
 
 import json
 from dataclasses import replace
@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Compensator, Record
-from dehyst.calibration.experiment import _ends
-from dehyst.identification import Structure
 from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.records.glitches import glitches
-from dehyst.trust import compare
+from dehyst.records.cleaning import settled, transients, voltage_steps
+from dehyst.records.glitches import glitches, spikes
 
 DATA = places.DATA
 PLANTS = [plain_records.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]
@@ -194,29 +192,6 @@ def test_a_channel_that_drops_out_for_longer_is_a_glitch(first, width, voltage):
     assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
 
 
-def test_what_lies_between_two_long_glitches_is_none():
-    samples = [*range(1020, 1030), *range(1045, 1055)]
-    record = with_voltage(CLEAN, samples, 500.0)
-    assert samples_of(glitches(record.time, record.voltage, record.displacement)) == set(samples)
-
-
-def test_a_wider_model_from_a_record_with_glitches_is_that_of_the_clean_one():
-    structure = Structure(elements=10, creep=2)
-    clean = dehyst.identify(CLEAN, structure=structure)
-    fit = dehyst.identify(with_voltage(CLEAN, [1100, 1250], 500.0), structure=structure)
-    assert fit.actuator.limits == clean.actuator.limits
-    assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.02)
-
-
-def test_a_held_out_record_with_a_glitch_is_judged_as_the_clean_one():
-    other = plain_records.loops(plain_records.plant(10), plain_records.DESCENDING_TOPS, noise=5e-9, name="tops")
-    clean = fitted(CLEAN, validate=other)
-    fit = fitted(CLEAN, validate=with_voltage(other, [900], 500.0))
-    assert fit.errors[1].rms == pytest.approx(clean.errors[1].rms, rel=0.02)
-    assert not any("extrapolated" in said for said in fit.remarks)
-    assert any(said.startswith("tops: voltage glitch at sample 900") for said in fit.repairs)
-
-
 def test_a_glitch_among_few_samples_a_cycle_cuts_the_record_only_where_a_reversal_is_lost():
     turns = np.array([0, 1] * 8 + [0])
     y = plain_records.STROKE * np.interp(np.arange(161), 10 * np.arange(17), turns)
@@ -224,20 +199,6 @@ def test_a_glitch_among_few_samples_a_cycle_cuts_the_record_only_where_a_reversa
     assert len(prepare(with_voltage(coarse, [75], 900.0)).pieces) == 1
     first, second = prepare(with_voltage(coarse, [70], 900.0)).pieces
     assert (first.time[-1], second.time[0]) == (coarse.time[69], coarse.time[71])
-
-
-def test_every_reader_of_records_leaves_glitches_out(clean_fit):
-    plant = plain_records.plant(10)
-    rising = plant.simulate(200 * (0.5 - 0.5 * np.cos(np.pi * np.arange(800) / 100)), state=plant.relaxed())
-    volts = 200 * (0.5 - 0.5 * np.cos(np.pi * np.arange(800) / 100))
-    record = Record(np.arange(800) / 200, volts, rising.displacement, "rise")
-    bad = with_voltage(record, [40, 300], 500.0)
-    assert _ends(bad) == pytest.approx(_ends(record), rel=1e-9)
-    compared = compare(
-        CLEAN, validate=with_voltage(CLEAN, [1100], 500.0), models={"paper": lambda _: clean_fit.actuator}
-    )
-    (row,) = compared.rows
-    assert row.scores[1].rms < 0.1
 
 
 def test_samples_cut_off_at_a_gap_do_not_widen_the_limits():
@@ -278,22 +239,6 @@ def test_a_range_that_few_samples_reach_is_reported(samples):
     assert "lie above 180 V, the highest" in said
 
 
-@pytest.mark.parametrize(
-    ("turns", "cycle"), [("MAJOR", 10), ("DESCENDING_TOPS", 30), ("THREE_LOOPS", 100), ("REVERSAL_CURVES", 1000)]
-)
-def test_loops_of_any_kind_have_no_rare_voltages(turns, cycle):
-    path = (*plain_records.MAJOR, *getattr(plain_records, turns))
-    fit = fitted(plain_records.loops(plain_records.plant(10), path, samples=max(cycle // 2, 10)), elements=5)
-    assert not any(said.startswith("Only") for said in fit.remarks)
-
-
-def test_a_single_largest_loop_among_many_smaller_ones_is_enough():
-    tops = np.linspace(1, 0.1, 40)
-    turns = np.concatenate([[0.0], np.stack([tops, np.zeros(40)], axis=1).ravel()])
-    fit = fitted(plain_records.loops(plain_records.plant(10), turns, samples=60))
-    assert not any(said.startswith("Only") for said in fit.remarks)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, clean_fit):
     target = tmp_path_factory.mktemp("glitches")
@@ -313,3 +258,142 @@ def test_simulate_far_beyond_the_records_warns_and_ends_with_status_1(folder, vo
     assert [("outside the identified range 0 to 200 V" in err), ("more than 10 %" in err)] == [outside > 0, far]
     assert bool(result["warnings"]) == (outside > 0)
     assert (folder / "y.csv").exists()
+
+
+N = 4000
+TIME = np.arange(N) * 1e-3
+
+
+def triangle(frequency=2.0):
+    phase = TIME * frequency % 1
+    return 100 * (1 - np.abs(2 * phase - 1))
+
+
+def test_spikes_of_one_to_three_samples_are_found_and_nothing_else():
+    rng = np.random.default_rng(1)
+    v = triangle()
+    y = 1e-7 * v + 2e-8 * rng.normal(size=N)
+    expected = np.zeros(N, dtype=bool)
+    for start, size, height in [(100, 1, 1e-6), (777, 2, -2e-6), (1500, 3, 1e-6), (1508, 1, -8e-7), (3000, 1, 9e-7)]:
+        y[start : start + size] += height
+        expected[start : start + size] = True
+    np.testing.assert_array_equal(spikes(v, y), expected)
+
+
+@pytest.mark.parametrize(
+    "displacement",
+    [
+        pytest.param(lambda: 1e-7 * triangle(40.0), id="corners"),
+        pytest.param(lambda: 1e-5 * (np.floor(TIME / 0.2) % 3), id="steps"),
+        pytest.param(
+            lambda: 1e-5 * (1 - np.exp(-20 * (TIME % 0.5)) * np.cos(2 * np.pi * 180 * (TIME % 0.5))), id="ringing"
+        ),
+        pytest.param(lambda: 1e-6 * np.random.default_rng(0).normal(size=N), id="noise"),
+        pytest.param(lambda: np.zeros(N), id="nothing"),
+    ],
+)
+def test_what_moves_has_no_spikes(displacement):
+    assert not spikes(triangle(), displacement()).any()
+
+
+def test_what_the_voltage_does_is_no_spike():
+    v = triangle()
+    v[1000:1002] += 40
+    y = 1e-7 * v
+    assert not spikes(v, y).any()
+    assert spikes(triangle(), y)[1000:1002].all()
+
+
+def test_too_many_are_no_spikes():
+    v, y = triangle(), 1e-7 * triangle()
+    y[::9] += 2e-6
+    assert not spikes(v, y).any()
+
+
+RATE = 5000.0
+
+
+def stepped(ring=0.0, frequency=1000.0, damping=0.09, *, after=0.0, noise=1e-8, creep=0.0):
+    """A record at rest, a step by -87 V, what rings, then sines; displacements 0.1 um/V."""
+    count = 6000
+    time = np.arange(2 * count) / RATE
+    since = time[count:] - time[count]
+    voltage = np.where(time < time[count], after, after - 87.0)
+    voltage[count:] += 60 * (1 - np.cos(2 * np.pi * since))
+    omega = 2 * np.pi * frequency
+    y = 1e-7 * voltage
+    y[count:] += 8.7e-6 * ring * np.exp(-damping * omega * since) * np.cos(omega * np.sqrt(1 - damping**2) * since)
+    y[count:] -= 8.7e-6 * creep * np.log10(1 + since / 0.001)
+    return Record(time, voltage, y + np.random.default_rng(1).normal(0, noise, y.size))
+
+
+@pytest.mark.parametrize("noise", [1e-9, 1e-8, 3e-8])
+@pytest.mark.parametrize(("frequency", "damping"), [(1000.0, 0.09), (400.0, 0.03), (90.0, 0.1)])
+def test_a_ring_is_named_with_its_frequency_and_damping(frequency, damping, noise):
+    record = stepped(1.0, frequency, damping, noise=noise)
+    (found,) = transients(record)
+    assert (found.start, found.jump) == (5999, 6000)
+    assert found.time == pytest.approx(1.2)
+    assert found.voltages == pytest.approx((0, -87), abs=0.1)
+    assert found.frequency == pytest.approx(frequency, rel=0.04)
+    assert found.damping == pytest.approx(damping, rel=0.25)
+    # What is left of it is hardly more than the noise.
+    left = 8.7e-6 * np.exp(-damping * 2 * np.pi * frequency * found.duration)
+    assert left < 3 * noise + 2e-3 * record.stroke
+
+
+def test_an_overshoot_without_a_ring_is_named():
+    (found,) = transients(stepped(0.3, 1.0, 0.9999))[:1] or (None,)
+    assert found is None
+    record = stepped()
+    over = record.displacement.copy()
+    over[6000:] -= 2e-6 * np.exp(-np.arange(6000) / 30)
+    (found,) = transients(Record(record.time, record.voltage, over))
+    assert found.frequency == 0
+    assert 60 < found.stop - found.start < 400
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.02])
+def test_a_displacement_that_follows_a_step_has_no_transient(creep):
+    record = stepped(creep=creep)
+    assert voltage_steps(record.voltage) == [(5999, 6000)]
+    assert transients(record) == ()
+
+
+def test_a_transient_is_no_spike_and_a_spike_no_transient():
+    ring = stepped(1.0)
+    assert not any("spike" in sentence for sentence in ring.problems())
+    quiet = stepped()
+    y = quiet.displacement.copy()
+    y[[1000, 9000]] += 3e-6
+    spiked = Record(quiet.time, quiet.voltage, y)
+    assert transients(spiked) == ()
+    assert np.flatnonzero(spikes(spiked.voltage, spiked.displacement)).tolist() == [1000, 9000]
+
+
+def test_the_settled_path_leads_from_one_level_to_the_other():
+    record = stepped(1.0)
+    found = transients(record)
+    path = settled(record, found)
+    inside = slice(found[0].start, found[0].stop)
+    assert path[inside].min() > -8.9e-6
+    assert path[inside].max() < 0.1e-6
+    outside = np.ones(len(record), dtype=bool)
+    outside[inside] = False
+    assert np.array_equal(path[outside], record.displacement[outside])
+
+
+def test_a_step_of_several_samples_is_replaced_by_what_its_voltage_does():
+    """From one level to the other in proportion to the voltage."""
+    record = stepped(noise=1e-10)
+    voltage = record.voltage.copy()
+    voltage[6000] = -20.0
+    over = 1e-7 * voltage
+    over[6001:] -= 2e-6 * np.exp(-np.arange(5999) / 30)
+    slow = Record(record.time, voltage, over)
+    (found,) = transients(slow)
+    assert (found.start, found.jump) == (5999, 6001)
+    path = settled(slow, (found,))
+    assert path[6001] == pytest.approx(-8.7e-6, abs=0.02 * 2e-6)
+    share = (path[6000] - path[5999]) / (path[6001] - path[5999])
+    assert share == pytest.approx(20 / 87, rel=1e-6)
