@@ -18,7 +18,7 @@ import numpy as np
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst.records.glitches import Glitch, glitches, spikes
-from dehyst.records.signals import noise_span, runs, turning_points, white_noise
+from dehyst.records.signals import new_samples, noise_span, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,15 +43,16 @@ _FADED, _LONGEST = 5e-4, 3.0
 _HALVES = 8
 # Displacements from which the levels beside a transient are taken.
 _LEVEL = 8
-# Most glitches or transients that are named one by one.
-_SHOWN = 5
+# Most glitches or transients that are named one by one, and fewest new samples.
+_SHOWN, _FEWEST = 5, 20
 
 
 class Cleaned(NamedTuple):
-    """A record without its glitches, transients and spikes.
+    """A record without its glitches, transients, spikes and repeated samples.
 
     `record`: the same object if there are none. `glitches`, `transients`, `spikes`: what was left out; the spikes as
-    samples of `record`. `sentences`: one for each glitch and transient, of many for some, and one on the spikes.
+    samples of the record without glitches. `sentences`: one for each glitch and transient, of many for some, and one on
+    the spikes and on the repeated samples.
     """
 
     record: Record
@@ -62,7 +63,7 @@ class Cleaned(NamedTuple):
 
 
 def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
-    """Leave out the glitches of the voltage, set transients aside, and replace spikes by straight lines.
+    """Leave glitches of the voltage out, and samples that repeat; set transients aside, put lines in place of spikes.
 
     The displacement in transients is replaced by a path that follows the voltage, unless `ringing`.
     """
@@ -89,6 +90,14 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
             f"to {1e6 * np.abs(y - straight).max():.4g} um, which no voltage explains: replaced by straight lines."
         )
         record = replace(record, displacement=straight)
+    new = new_samples(record.voltage, record.displacement)
+    if new is not None and np.count_nonzero(new) >= _FEWEST:
+        rate = np.count_nonzero(new) / float(np.ptp(record.time))
+        sentences.append(
+            f"the displacement is new only at every {round(1 / float(new.mean()))}th sample ({rate:.3g} Hz): those "
+            "that repeat it are left out."
+        )
+        record = record.take(new)
     return Cleaned(record, stray, found, bad, tuple(sentences))
 
 

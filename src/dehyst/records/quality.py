@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import Transient, cleaned
 from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, STROKES, shortened
-from dehyst.records.signals import new_samples, noise_span, resolution, runs
+from dehyst.records.signals import noise_span, resolution, runs
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record
@@ -203,19 +203,12 @@ def _of_samples(record: Record) -> Iterator[str]:
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
         yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
-    new = new_samples(record.voltage, record.displacement)
-    if new is not None:
-        every, rate = 1 / float(new.mean()), np.count_nonzero(new) / float(np.ptp(record.time))
-        yield (
-            f"The displacement is new only at every {every:.3g}th sample ({rate:.3g} Hz) and repeats in between; "
-            "take the new ones: record.take(numpy.diff(record.displacement, prepend=numpy.nan) != 0)."
-        )
     for column, unit in (("voltage", "V"), ("displacement", "m")):
         step, part = resolution(getattr(record, column))
         moves = np.diff(getattr(record, column)) != 0.0
         # A drive that rests moves for many samples at a time.
         often = 8 * np.count_nonzero(moves[1:] > moves[:-1]) > np.count_nonzero(moves)
-        if part > 0.005 and often and (column == "voltage" or new is None):
+        if part > 0.005 and often:
             yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
 
 
