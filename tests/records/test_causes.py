@@ -159,6 +159,11 @@ def test_a_polled_displacement_repeats_in_time(held):
     taken.check_usable()
 
 
+def test_a_displacement_that_is_new_too_seldom_is_refused():
+    with pytest.raises(RecordError, match="every 25th sample"):
+        record(V, noisy(Y)[np.arange(V.size) // 25 * 25]).check_usable()
+
+
 @pytest.mark.parametrize("step", [3e-8, 1e-7, 1e-6])
 def test_a_coarse_converter_does_not_repeat_in_time(step):
     coarse = record(V, step * np.round(noisy(Y) / step))

@@ -43,8 +43,8 @@ _FADED, _LONGEST = 5e-4, 3.0
 _HALVES = 8
 # Displacements from which the levels beside a transient are taken.
 _LEVEL = 8
-# Most glitches or transients that are named one by one, and fewest new samples.
-_SHOWN, _FEWEST = 5, 20
+# Most glitches or transients that are named one by one, and fewest new samples a cycle.
+_SHOWN, FEWEST_NEW = 5, 12
 
 
 class Cleaned(NamedTuple):
@@ -91,7 +91,7 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
         )
         record = replace(record, displacement=straight)
     new = new_samples(record.voltage, record.displacement)
-    if new is not None and np.count_nonzero(new) >= _FEWEST:
+    if new is not None and np.count_nonzero(new) >= FEWEST_NEW * max(len(record.cycles()), 2):
         rate = np.count_nonzero(new) / float(np.ptp(record.time))
         sentences.append(
             f"the displacement is new only at every {round(1 / float(new.mean()))}th sample ({rate:.3g} Hz): those "

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
-from dehyst.records.cleaning import Transient, cleaned
+from dehyst.records.cleaning import FEWEST_NEW, Transient, cleaned
 from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, STROKES, shortened
-from dehyst.records.signals import noise_span, resolution, runs
+from dehyst.records.signals import new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record
@@ -298,6 +298,13 @@ def _reasons(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]
         yield (
             f"{counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; drive it up and back "
             "down, for instance with a sine over the whole range"
+        )
+    new = new_samples(record.voltage, record.displacement)
+    if new is not None and np.count_nonzero(new) < FEWEST_NEW * max(len(cycles), 2):
+        each = np.count_nonzero(new) / max(len(cycles), 1)
+        yield (
+            f"the displacement is new only at every {round(1 / float(new.mean()))}th sample, {each:.2g} times a cycle, "
+            f"and repeats in between; need {FEWEST_NEW} times: read it faster, or drive slower"
         )
     if words := loops.echo(record):
         yield words
