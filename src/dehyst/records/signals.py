@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from math import comb, log, sqrt
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array, Mask
@@ -70,21 +71,18 @@ def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
     turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage[:_STRETCH]))))
     if new is None and np.std(steps) < _EVEN * np.median(steps) and turns < steps.size / _FEW:
         return noise
-    rows = np.flatnonzero(np.ones(displacement.size, dtype=bool) if new is None else new)[:_STRETCH]
-    t, y, way = time[rows], displacement[rows], np.sign(np.diff(voltage[rows]))
+    rows = np.arange(displacement.size)[slice(None) if new is None else new][:_STRETCH]
     if rows.size < 5:
         return noise
-    places = [t[k : t.size - 4 + k] for k in (0, 1, 3, 4)]
-    error, variance = y[2:-2].copy(), np.ones(t.size - 4)
-    for j, (k, place) in enumerate(zip((0, 1, 3, 4), places, strict=True)):
-        others = [one for i, one in enumerate(places) if i != j]
-        weight = np.prod([(t[2:-2] - one) / (place - one) for one in others], axis=0)
-        error -= weight * y[k : y.size - 4 + k]
-        variance += weight**2
-    straight = np.abs(way[:-3] + way[1:-2] + way[2:-1] + way[3:]) == 4
+    t, v, y = (sliding_window_view(signal[rows], 5) for signal in (time, voltage, displacement))
+    straight = np.abs(np.sign(np.diff(v, axis=1)).sum(axis=1)) == 4
     if np.count_nonzero(straight) < _WINDOWS:
         return noise
-    found = float(np.median(np.abs(error[straight]) / np.sqrt(variance[straight]))) / QUARTILE
+    t, y, beside = t[straight], y[straight], [0, 1, 3, 4]
+    # Lagrange's weights of the neighbours.
+    weights = [np.prod([(t[:, 2] - t[:, k]) / (t[:, j] - t[:, k]) for k in beside if k != j], axis=0) for j in beside]
+    away = y[:, 2] - sum(weight * y[:, j] for weight, j in zip(weights, beside, strict=True))
+    found = float(np.median(np.abs(away) / np.sqrt(1 + np.square(weights).sum(axis=0)))) / QUARTILE
     return found if new is not None or _SMALLER * found < noise else noise
 
 
