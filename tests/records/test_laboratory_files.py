@@ -74,7 +74,7 @@ def text(tmp_path, content, name="a.csv"):
     ],
 )
 def test_no_row_with_a_fault_is_taken_for_a_header(tmp_path, content):
-    with pytest.raises(FileFormatError, match="line [23] "):
+    with pytest.raises(FileFormatError, match=r"line [23] "):
         read(text(tmp_path, content))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import io
+import re
 from collections.abc import Iterator, Sequence
 from io import BufferedIOBase
 from typing import Any, NamedTuple
@@ -23,6 +24,8 @@ from dehyst.records.formats.timestamps import Moment, clock_of, is_moment, momen
 _LONGEST_LINE, WIDEST = 1_000_000, 10_000
 # Bytes that are read at once, and those by which an encoding is recognised.
 _BLOCK, _HEAD = 100_000, 4096
+# Groups of digits, whose sign is no decimal sign.
+_TWICE = re.compile(r"\d([.,])\d{3}\1\d{3}")
 # The most tables in a file, and the most characters of a cell, that a message shows.
 _LISTED, _SHOWN = 20, 40
 
@@ -171,11 +174,15 @@ class _Table:
         comma = '"' if self.delimiter == "," else ","
 
         def found(kind: str, sign: str) -> str:
-            pattern = pattern_of(kind, sign, self.delimiter)
+            pattern, mark = (
+                pattern_of(kind, sign, self.delimiter),
+                comma if (sign == ",") != (kind == "groups") else ".",
+            )
             for before, block in self.text.blocks(self.layout.first, self.layout.cut):
                 # The last line of a file may be cut off in the middle of a number.
                 body = block[: block.rfind("\n") + 1] or block
-                if (comma in body or "." in body) and (match := pattern.search(body)):
+                may_be = mark in body or (kind == "certain" and _TWICE.search(body))
+                if may_be and (match := pattern.search(body)):
                     lines = body[: match.start("number")].split("\n")
                     cells = cells_of(f"{lines[-1].strip(' ')}0", self.delimiter)
                     name = shortened(self.names[min(len(cells), self.width) - 1])
@@ -188,48 +195,49 @@ class _Table:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
         allowance.take(self.text.lines * self.width, "the number of its lines")
         # Memory is taken as it is filled.
-        columns = [np.empty(self.text.lines) for _ in self.names]
+        columns = np.empty((self.width, self.text.lines))
         for number, written in self.text.blocks(self.layout.first, self.layout.cut):
             lines = written.removesuffix("\n").split("\n")
             block = pointed(written, notation, self.delimiter)
             rows = lines if block is written else block.removesuffix("\n").split("\n")
-            numbers = self._at_once(rows, lines) or self._by_rows(number, rows, lines)
-            for column, values in zip(columns, numbers, strict=True):
-                column[self.count : self.count + len(values)] = values
-            self.count += len(numbers[0])
+            numbers = self._at_once(rows, lines)
+            numbers = self._by_rows(number, rows, lines) if numbers is None else numbers
+            columns[:, self.count : self.count + len(numbers)] = numbers.T
+            self.count += len(numbers)
         if not self.count:
             raise FileFormatError("a header but no rows; export the measurement again")
-        for column in columns:
-            # A record shares it then.
-            column.flags.writeable = False
-        found = [self._column(place, columns[place][: self.count]) for place in range(self.width)]
+        # A record shares them then.
+        columns.flags.writeable = False
+        first, last = (cells_of(line, self.delimiter) for line in self.ends)
+        ends = list(zip(first, last, strict=False))
+        found = [self._column(place, columns[place, : self.count], ends[place]) for place in range(self.width)]
         self._refuse_several(found)
         return found
 
-    def _at_once(self, rows: list[str], written: list[str]) -> list[Array]:
+    def _at_once(self, rows: list[str], written: list[str]) -> Array | None:
         """Read a block of which all lines are rows of numbers; return none for others."""
         if self.clocks or self.hole or self.blank:
-            return []
+            return None
         try:
             data = np.loadtxt(rows, delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
-            return []
+            return None
         if data.shape != (len(rows), self.width):
-            return []
+            return None
         self.ends = [(self.ends or written)[0], written[-1]]
-        return list(data.T)
+        return data
 
-    def _by_rows(self, before: int, lines: list[str], written: list[str]) -> list[Array]:
+    def _by_rows(self, before: int, lines: list[str], written: list[str]) -> Array:
         """Read a block row by row: slow, but it finds the line of an error and allows text columns and timestamps."""
         rows = dict(self._cells(before, lines))
         if not rows:
-            return [np.empty(0)] * self.width
+            return np.empty((0, self.width))
         numbers = list(rows)
         self.ends = [(self.ends or [written[numbers[0] - before - 1]])[0], written[numbers[-1] - before - 1]]
         if not self.count:
             self.clocks = {place: [] for place, cell in enumerate(rows[numbers[0]]) if is_moment(cell)}
         columns = enumerate(zip(*rows.values(), strict=True))
-        return [self._parsed(place, numbers, cells) for place, cells in columns]
+        return np.column_stack([self._parsed(place, numbers, cells) for place, cells in columns])
 
     def _parsed(self, place: int, numbers: list[int], cells: Sequence[str]) -> Array:
         """Return the numbers of a column; NaN for one that has timestamps, or a fault."""
@@ -277,12 +285,11 @@ class _Table:
             self.blank, count = False, count + 1
             yield number, cells
 
-    def _column(self, place: int, data: Array) -> Column:
+    def _column(self, place: int, data: Array, ends: tuple[str, str]) -> Column:
         """Return a column with the numbers that were read, or with the times of its timestamps."""
         fault = self.faults.get(place, "")
         began: tuple[tuple[str, int, float], ...] = ()
-        first, last = (cells_of(line, self.delimiter)[place] for line in self.ends)
-        stated = (*self.layout.units, *[""] * self.width)[place]
+        stated = self.layout.units[place] if place < len(self.layout.units) else ""
         unit = "s" if place in self.clocks else symbol_of(stated) or stated
         if place in self.clocks and not fault:
             try:
@@ -290,7 +297,7 @@ class _Table:
             except ValueError as error:
                 fault = str(error)
         data = np.empty(0) if fault else data
-        unnamed, ends = "" if self.layout.names else self.layout.unnamed, (first, last)
+        unnamed = "" if self.layout.names else self.layout.unnamed
         return without_groups(Column(self.names[place], data, unit, fault, unnamed=unnamed, ends=ends, began=began))
 
     def _refuse_several(self, columns: list[Column]) -> None:
