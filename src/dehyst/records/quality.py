@@ -91,10 +91,11 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     )
 
 
-def _rate(time: Array) -> str:
-    """Return the sample rate that evenly sampled times (n,) have, as advice."""
+def _rate(time: Array, step: float = 0.0) -> str:
+    """Return the sample rate that evenly sampled times (n,), rounded to a `step` [s], have, as advice."""
     rate = 1 / abs(float(np.polyfit(np.arange(time.size), time, 1)[0]))
-    return f"give the sample rate in place of the time, rate={rate:.6g} if the samples are even"
+    digits = int(np.clip(np.log10(float(np.ptp(time)) / step), 3, 6)) if step else 6
+    return f"give the sample rate in place of the time, rate={rate:.{digits}g} if the samples are even"
 
 
 def _falling(time: Array, voltage: Array, displacement: Array) -> str:
@@ -145,8 +146,8 @@ def _stands(time: Array, stands: NDArray[np.intp], values: Array) -> str:
         return f"{words}: rows that are written twice; leave out one of each two"
     line = np.polyval(np.polyfit(places, time, 1), places)
     if np.abs(time - line).max() <= _EVEN * distinct.min():
-        return f"{words}: even times that are rounded to {distinct.min():.3g} s; {_rate(time)}"
-    return f"{words}: a timer that is coarser than the samples; {_rate(time)}"
+        return f"{words}: even times that are rounded to {distinct.min():.3g} s; {_rate(time, distinct.min())}"
+    return f"{words}: a timer that is coarser than the samples; {_rate(time, distinct.min())}"
 
 
 def other_unit(record: Record) -> str:

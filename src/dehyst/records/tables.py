@@ -212,7 +212,11 @@ class Table:
                 continue
             time = self.select("time").values
             # A time that stands or falls says nothing about the rate.
-            if np.all(np.diff(time) > 0) and np.abs(time - time[0] - clock.data[: time.size]).max() * rate > 1.0:
+            if (
+                time.size > 1
+                and np.all(np.diff(time) > 0)
+                and np.abs(time - time[0] - clock.data[: time.size]).max() * rate > 1.0
+            ):
                 step = float(np.median(np.diff(time)))
                 got = f"{rate:g} Hz, but '{shortened(column.name)}' has steps of {step:.4g} s, or gaps"
                 raise FileFormatError(argument="rate", got=got, need="the rate of that time, or none")
@@ -349,7 +353,7 @@ def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], kn
 def _side_by_side(table: Table) -> bool:
     """Return whether all columns only rise, as those of two branches do that are written side by side."""
     columns = [column.data for column in table.columns if not column.fault]
-    return len(columns) > 2 and all(one.size > 2 and bool(np.all(np.diff(one) >= 0)) for one in columns)
+    return len(columns) > 2 and all(one.size > 2 and bool(np.all(one[1:] >= one[:-1])) for one in columns)
 
 
 def _repeats(assigned: Mapping[str, Column]) -> bool:

@@ -123,9 +123,19 @@ def layout_of(block: str) -> Layout:
     for i in range(place + 2, min(place + _FEW + 2, len(rows))):
         # The rows before are metadata, as R, C and temperature with one value each.
         if shape.fits(rows[i]) and _are_names(rows[i - 1]) and rows[i - 1] not in rows[:place]:
-            begin, place = i - 1, i
+            units = all(map(symbol_of, rows[i - 1])) and all(map(_is_word, rows[i - 2]))
+            begin, place = i - 1 - units, i
     texts, above = [line.text for line in lines[begin:place]], rows[begin:place]
-    if not above:
+    signs = [line.text for line in comments if line.number == lines[place].number - 1]
+    if (
+        signs
+        and shape.width > 1
+        and len(cells_of(signs[0], delimiter)) == shape.width
+        and "#" in signs[0].split(delimiter)
+    ):
+        # A count, which is named by its sign: #, U, x.
+        texts, above = signs, [cells_of(signs[0], delimiter)]
+    elif not above:
         texts = [line.text for line in comments if line.number < lines[0].number]
         texts = [text for text in texts if len(cells_of(text.lstrip("#% \t"), delimiter)) == shape.width]
         above = [cells_of(text.lstrip("#% \t"), delimiter) for text in texts]
@@ -142,7 +152,7 @@ def layout_of(block: str) -> Layout:
         return _below_first_line(lines[0], rows[0], delimiter)
     line, header = lines[place], lines[place - 1].number if place else -1
     # A row that looks like a comment, between the header and the table: #N/A,1,2.
-    between = [other for other in comments if header < other.number < line.number]
+    between = [other for other in comments if header < other.number < line.number and other.text not in texts]
     faulty = (other for other in between if not is_comment(cells_of(other.text, delimiter), shape.width, delimiter))
     line = next(faulty, line)
     top = (*block.split("\n")[: line.number], *heading.clock)
