@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import permutations
 from typing import NamedTuple
 
@@ -82,98 +82,16 @@ def notes_on(proposal: str) -> list[str]:
     return ["Check units and scales.", *(note for mark, note in notes.items() if mark in proposal)]
 
 
-@dataclass(frozen=True, eq=False)
-class Selected:
-    """The column that was selected for a quantity.
+class Selected(NamedTuple):
+    """The column of a quantity: how it was selected, its `values` (n,) in SI units, and what of it is a guess.
 
-    `unit`: unit of the column, from the user or the file. `entry`: how it was selected. `guess`: guessed properties of
-    the column; empty if all are known.
+    Of a periodic signal the values are the signal as it is.
     """
 
-    source: str
-    quantity: str
     column: Column
-    unit: str
     entry: Entry
+    values: Array
     guess: str = ""
-
-    @property
-    def usable(self) -> bool:
-        """Whether it has numbers in a known unit."""
-        return self.unit in FACTORS[self.quantity] and not self.column.fault
-
-    @cached_property
-    def values(self) -> Array:
-        """The column (n,) in SI units; of a periodic signal, the signal as it is.
-
-        Raise `ColumnError` if its cells are not numbers, its unit is unknown, the scale does not fit, or it seems to be
-        a monitor's voltage without a scale.
-        """
-        column, scale, quantity = self.column, self.entry.scale, self.quantity
-        if column.fault:
-            raise self._error(f": {column.fault}")
-        if scale is not None and (fault := scale.fault(quantity, self.unit)):
-            has = f" has the unit '{shortened(self.unit)}', but" if self.unit else ":"
-            raise self._error(f"{has} {fault}", "give a scale for that unit, or leave it out")
-        if scale is None and self.unit not in FACTORS[quantity]:
-            raise self._unknown_unit()
-        # The record refuses overflow and NaN, with the row.
-        with np.errstate(all="ignore"):
-            if scale is None:
-                values: Array = in_si(column.data, self.unit)
-            else:
-                values = column.data if scale.kind else scale.apply(quantity, self.unit, column.data)
-        if quantity == "voltage" and scale is None and column.is_plug and is_small(values):
-            raise self._error(
-                f" has the name of an output or a monitor, and only {values.min():.4g} to {values.max():.4g} V",
-                f"if an amplifier multiplies or divides it, give {quantity}={self._name}*{GAIN} with the gain for "
-                f"{GAIN}; if these are the volts of the actuator, the gain is 1",
-            )
-        # A record shares it then.
-        values.flags.writeable = False
-        return values
-
-    @property
-    def _name(self) -> str:
-        return shortened(self.column.name)
-
-    def _error(self, problem: str, hint: str = "") -> ColumnError:
-        return ColumnError(self.source, self.quantity, f"column '{self._name}'{problem}", hint, self.column)
-
-    def _unknown_unit(self) -> ColumnError:
-        quantity, unit, example = self.quantity, self.unit, QUANTITIES[self.quantity].example
-        known = f"known are {', '.join(FACTORS[quantity])}"
-        if not unit:
-            advice = f'Name it like "{example}", or give its unit, as {quantity}={self._name}:UNIT'
-            return self._error(" has no unit", f"{known}. {advice}")
-        stated = f" has the unit '{shortened(unit)}', which is no {quantity}"
-        if quantity == "time" or (quantity_of(unit) and quantity_of(unit) != "voltage"):
-            return self._error(stated, f"{known}. Select another column with {quantity}=NAME")
-        scale = f"{self._name}*{GAIN} {QUANTITIES[quantity].bare}/{unit}"
-        return self._error(stated, f"{known}. Give its scale, {quantity}={scale}, or select another column")
-
-    def refuse_other_unit(self, given: str) -> None:
-        """Raise ColumnError if the name of the column, the file and the user state different units.
-
-        `given`: the unit that the user gives; without one, two units of the column contradict one another. With one,
-        nobody takes volts for micrometres, amperes for volts, or volts for millivolts, without a scale.
-        """
-        quantity, known, stated = self.quantity, FACTORS[self.quantity], self.column.parts[1]
-        if not given:
-            if named := self.column.contradiction:
-                problem = f" has the unit '{named}' in its name, but the file states '{stated}' for it"
-                ways = [f"{quantity}={self._name}:{unit}" for unit in (named, stated) if unit in known]
-                raise self._error(f"{problem}; correct one of them{''.join(f', or give {way}' for way in ways)}")
-            return
-        same = given in known and stated in known and known[given] == known[stated]
-        if not stated or same or given == self.column.contradiction or given.casefold() == stated.casefold():
-            return
-        factor = (
-            f"{known[given] / known[stated]:g} {stated}" if given in known and stated in known else f"{GAIN} {given}"
-        )
-        scale = f"{quantity}={self._name}*{factor}/{stated}"
-        hint = "select another column" if quantity == "time" else f"give the scale from one to the other, {scale}"
-        raise self._error(f" has the unit '{stated}' in the file, got '{given}'", hint)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -203,22 +121,24 @@ class Table:
         return self.select(quantity, wanted).values
 
     def with_rate(self, rate: float) -> Table:
-        """Return the table with the index over a rate [Hz] as its time, in the place of its columns of time."""
+        """Return the table with the index over a rate [Hz] as its time, in the place of its columns of time.
+
+        Raise `FileFormatError` if a time that rises contradicts the rate; one that stands or falls says nothing.
+        """
         clock = Column("time", np.arange(float(self.rows)) / rate, "s")
         others = [column for column in self.columns if "time" not in column.quantities]
         left = tuple(column.name for column in self.columns if "time" in column.quantities)
-        for column in self.columns if self.fitting("time") == 1 else ():
-            if "time" not in column.quantities or not self.select("time").usable:
-                continue
-            time = self.select("time").values
-            # A time that stands or falls says nothing about the rate.
+        with suppress(ColumnError):
+            time = self.column("time")
+            steps = np.diff(time)
             if (
                 time.size > 1
-                and np.all(np.diff(time) > 0)
-                and np.abs(time - time[0] - clock.data[: time.size]).max() * rate > 1.0
+                and np.all(steps > 0)
+                and np.abs(time - time[0] - clock.data[: time.size]).max() > 1 / rate
             ):
-                step = float(np.median(np.diff(time)))
-                got = f"{rate:g} Hz, but '{shortened(column.name)}' has steps of {step:.4g} s, or gaps"
+                got = (
+                    f"{rate:g} Hz, but the time of {self.source} has steps of {float(np.median(steps)):.4g} s, or gaps"
+                )
                 raise FileFormatError(argument="rate", got=got, need="the rate of that time, or none")
         remarks = (f"The time is that of the rate, not of {listed(left)}.",) if left else ()
         return replace(self, columns=(clock, *others), remarks=(*self.remarks, *remarks))
@@ -227,20 +147,34 @@ class Table:
         """Select the column of a `quantity` of `QUANTITIES`.
 
         `wanted`: as in `Columns`; without a name the one column named like the quantity. Raise `ColumnError` if there
-        are no or several such columns, or units contradict.
+        are no or several such columns, units contradict or are unknown, cells are no numbers, the scale does not fit,
+        or it seems to be a monitor's voltage without a scale.
         """
         entry, fits = self._fits(quantity, wanted)
         if not entry.name and self.columns and self.columns[0].unnamed:
             raise ColumnError(self.source, quantity, self.columns[0].unnamed)
         if len(fits) != 1:
             raise self._not_one(quantity, entry.name, fits)
-        column = fits[0]
+        (column,) = fits
+        if fault := _fault(quantity, column, entry):
+            raise ColumnError(self.source, quantity, f"column '{shortened(column.name)}'{fault[0]}", fault[1], column)
         unit = entry.unit or column.parts[1]
+        # The record refuses overflow and NaN, with the row.
+        with np.errstate(all="ignore"):
+            if entry.scale is None:
+                values: Array = in_si(column.data, unit)
+            else:
+                values = column.data if entry.scale.kind else entry.scale.apply(quantity, unit, column.data)
+        if quantity == "voltage" and entry.scale is None and column.is_plug and is_small(values):
+            problem = f"column '{shortened(column.name)}' has the name of an output or a monitor, and only "
+            hint = (
+                f"if an amplifier multiplies or divides it, give {quantity}={shortened(column.name)}*{GAIN} with the "
+                f"gain for {GAIN}; if these are the volts of the actuator, the gain is 1"
+            )
+            ends = f"{values.min():.4g} to {values.max():.4g} V"
+            raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
         guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if entry.guess else ""
-        guess = "; ".join(part for part in (guess, column.guessed) if part)
-        found = Selected(self.source, quantity, column, unit, entry, guess)
-        found.refuse_other_unit(entry.unit)
-        return found
+        return Selected(column, entry, values, "; ".join(part for part in (guess, column.guessed) if part))
 
     def fitting(self, quantity: str, wanted: str | None = None) -> int:
         """Return the number of columns that `select` would choose from."""
@@ -295,6 +229,50 @@ class Table:
         return found or [*self.columns[place - 1 : place]] if place else found
 
 
+def _fault(quantity: str, column: Column, entry: Entry) -> tuple[str, str] | None:
+    """Return why a column cannot be read as an entry says, and what to try; None if it can."""
+    known, scale, unit, name = FACTORS[quantity], entry.scale, entry.unit or column.parts[1], shortened(column.name)
+    if column.fault:
+        return f": {column.fault}", ""
+    contradiction = _contradiction(quantity, column, entry.unit)
+    if contradiction or (scale is None and unit in known):
+        return contradiction
+    if scale is not None:
+        fault, has = scale.fault(quantity, unit), f" has the unit '{shortened(unit)}', but" if unit else ":"
+        return (f"{has} {fault}", "give a scale for that unit, or leave it out") if fault else None
+    has, way = (
+        f" has the unit '{shortened(unit)}', which is no {quantity}",
+        f"Select another column with {quantity}=NAME",
+    )
+    if not unit:
+        has = " has no unit"
+        way = f"Name it like '{QUANTITIES[quantity].example}', or give its unit, as {quantity}={name}:UNIT"
+    elif quantity != "time" and quantity_of(unit) in ("", "voltage"):
+        scaled = f"{quantity}={name}*{GAIN} {QUANTITIES[quantity].bare}/{unit}"
+        way = f"Give its scale, {scaled}, or select another column"
+    return has, f"known are {', '.join(known)}. {way}"
+
+
+def _contradiction(quantity: str, column: Column, given: str) -> tuple[str, str] | None:
+    """Return how units of the name, the file and the user (`given`) contradict one another, and what to try; or None.
+
+    Nobody takes volts for micrometres, amperes for volts, or volts for millivolts, without a scale.
+    """
+    known, stated, name = FACTORS[quantity], column.parts[1], shortened(column.name)
+    if not given and (named := column.contradiction):
+        ways = [f", or give {quantity}={name}:{unit}" for unit in (named, stated) if unit in known]
+        words = f" has the unit '{named}' in its name, but the file states '{stated}' for it; correct one of them"
+        return f"{words}{''.join(ways)}", ""
+    both = given in known and stated in known
+    same = both and known[given] == known[stated]
+    if not given or not stated or same or given == column.contradiction or given.casefold() == stated.casefold():
+        return None
+    factor = f"{known[given] / known[stated]:g} {stated}" if both else f"{GAIN} {given}"
+    way = f"give the scale from one to the other, {quantity}={name}*{factor}/{stated}"
+    way = "select another column" if quantity == "time" else way
+    return f" has the unit '{stated}' in the file, got '{given}'", way
+
+
 def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[str, Selected]:
     """Return the columns of quantities, whose `values` are known to be numbers in SI units.
 
@@ -304,8 +282,7 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
     problems: list[ColumnError] = []
     for quantity in quantities:
         try:
-            one = table.select(quantity, getattr(columns, quantity))
-            _, found[quantity] = one.values, one
+            found[quantity] = table.select(quantity, getattr(columns, quantity))
         except ColumnError as error:
             problems.append(error)
     if not problems:
@@ -491,7 +468,7 @@ def _timed(table: Table, columns: Columns) -> _Timed | None:
     for name in (columns.time, None):
         if table.fitting("time", name):
             one = table.select("time", name)
-            return _Timed(table, one.column, one.unit, one.values)
+            return _Timed(table, one.column, one.entry.unit or one.column.parts[1], one.values)
     return None
 
 
