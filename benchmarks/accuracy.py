@@ -17,7 +17,7 @@ PICMA stack in a micromanipulator) are read from `examples/measured/p885`, or fr
 import argparse
 import json
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +90,7 @@ def measured(folder: Path) -> dict:
     fit = dehyst.identify([major, ramps])
     seconds = time.perf_counter() - start
     results = {"record": {"seconds": seconds, "errors": [error.as_dict() for error in fit.errors]}}
-    split = dehyst.identify([major, ramps[:SPLIT]], validate=ramps[SPLIT:].with_name("ramps, held out"))
+    split = dehyst.identify([major, ramps[:SPLIT]], validate=replace(ramps[SPLIT:], name="ramps, held out"))
     results["held out"] = {"errors": [error.as_dict() for error in split.errors]}
     return results
 
@@ -140,7 +140,7 @@ def on_measured(folder: Path, name: str, identification: Any) -> dict:
     """Train on the samples before a hold, simulate them again and predict the samples after it."""
     major, ramps = p885(folder)
     lead = float(ramps.time[SPLIT] - ramps.time[0])
-    training, kept = [major, ramps[:SPLIT].with_name("first ramps")], []
+    training, kept = [major, replace(ramps[:SPLIT], name="first ramps")], []
 
     def fit(records: Any) -> AbstractModel:
         kept.append(identification(records))

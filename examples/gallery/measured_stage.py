@@ -6,6 +6,7 @@ A PICMA P-885.91 stack in a flexure micromanipulator, recorded by Aye and Ang (2
 transient and a sensor or amplifier that lags. A model is identified from the first part and predicts the rest.
 """
 
+from dataclasses import replace
 from textwrap import fill
 
 import matplotlib.pyplot as plt
@@ -18,7 +19,7 @@ import dehyst
 # cycles of one height, ``ramps`` cycles that shrink and grow again. The model never sees the growing ones.
 data, names = "../measured/p885", {"voltage": "drive_V", "displacement": "displacement_um"}
 major, ramps = (dehyst.read(f"{data}/{name}.csv", **names) for name in ("major", "ramps"))
-known, rest = ramps[:4500].with_name("shrinking"), ramps[4500:].with_name("growing")
+known, rest = replace(ramps[:4500], name="shrinking"), replace(ramps[4500:], name="growing")
 fit = dehyst.identify([major, known], validate=rest)
 print(fill(str(fit), 85))
 

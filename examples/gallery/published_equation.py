@@ -6,6 +6,7 @@ Chandra and others (2023) found an equation of five terms for a piezoelectric ac
 published the record with it. Their comparison is done again here, with a model of dehyst beside the equation.
 """
 
+from dataclasses import replace
 from textwrap import fill
 
 import matplotlib.pyplot as plt
@@ -19,7 +20,8 @@ import dehyst
 # authors published it. They took two cycles of a sine for training; neither model has seen what is before these.
 columns = "time=2:s, displacement=3:um, voltage=4:V"
 record = dehyst.read("../measured/sine150/hysteresis_v_150_1hz.csv", columns)
-training, before = record[35_000:45_000].with_name("training"), record[:35_000].with_name("not seen")
+training = replace(record[35_000:45_000], name="training")
+before = replace(record[:35_000], name="not seen")
 fit = dehyst.identify(training, validate=before)
 print(fill(" ".join(fit.summary().splitlines()[:2]), 85))
 

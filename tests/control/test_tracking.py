@@ -3,6 +3,7 @@
 Bounds are 1.5 times what was measured when the wider structures came, largest and RMS error in % of the stroke.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import places
@@ -93,7 +94,7 @@ def test_the_rest_of_a_measured_record_is_predicted():
         for name in ("major", "ramps")
     )
     fit = dehyst.identify(
-        [major, ramps[:4500]], validate=ramps[4500:].with_name("rest"), structure="auto", norm="l2", drift=False
+        [major, ramps[:4500]], validate=replace(ramps[4500:], name="rest"), structure="auto", norm="l2", drift=False
     )
     rest = fit.errors[-1]
     assert (rest.record, rest.role) == ("rest", "validation")

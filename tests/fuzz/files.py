@@ -93,7 +93,7 @@ def _used(path: Path) -> str:
             repr(record)
         except dehyst.DehystError as error:
             return f"refused: {type(error).__name__}"
-        record.problems(), record.gaps(), record.cycles()
+        record.problems(), record.cycles()
         try:
             prepared = prepare(record)
             prepared.span(), prepared.coarser(100, 4000)

@@ -83,8 +83,8 @@ def test_a_model_file_keeps_it_and_records_are_compared_by_it(tmp_path):
 def test_a_state_after_a_record_continues_it():
     _, (_, stairs), fit = creeping()
     model, middle = fit.actuator, 3000
-    state, offset = state_after(model, stairs.slice(0, middle))
-    rest = stairs.slice(middle - 1, middle + 1000)
+    state, offset = state_after(model, stairs[:middle])
+    rest = stairs[middle - 1 : middle + 1000]
     y = model.simulate(rest.voltage - offset, time=rest.time, state=state, extrapolate=True).displacement
     assert np.std(y - rest.displacement) < 0.002 * 12e-6
 

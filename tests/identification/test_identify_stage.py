@@ -17,7 +17,7 @@ def fit():
     training, _ = coupled_stage.excited()
     held, found = coupled_stage.excited(7, steps=2)
     first, stop = found.parts[-1][1:]
-    return dehyst.identify_stage(training, validate=held[first:stop].with_name("held-out"))
+    return dehyst.identify_stage(training, validate=replace(held[first:stop], name="held-out"))
 
 
 def exchanged(record):

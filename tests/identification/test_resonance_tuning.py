@@ -11,7 +11,7 @@ from dehyst import Dynamics
 from dehyst.identification.preprocessing.preparation import prepare
 from dehyst.identification.structured_fit import SimulationError, tune_resonance
 from dehyst.records import Record
-from dehyst.records.signals import rms
+from dehyst.records.signals import interpolate, rms
 from dehyst.waveforms import Sampling, descending_tops, staircase
 
 RATE, OMEGA = 5000.0, 2 * np.pi * 250
@@ -23,8 +23,8 @@ def records(actuator, delay=0.0):
     """Fast loops and steps that let it ring, measured late and with noise."""
     rng, found, drive = np.random.default_rng(4), [], Sampling(frequency=40.0, sample_rate=RATE)
     for one in (descending_tops(150.0, drive=drive), staircase(150.0, steps=6, hold=0.05, back=True, drive=drive)):
-        acting = Record(one.time, one.voltage, np.zeros(one.time.size)).delayed(delay) if delay else one
-        y = actuator.simulate(acting.voltage, time=one.time, state=actuator.relaxed()).displacement
+        acting = interpolate(one.time, one.voltage, np.maximum(one.time - delay, 0.0), "pchip")
+        y = actuator.simulate(acting, time=one.time, state=actuator.relaxed()).displacement
         found.append(Record(one.time, one.voltage, y + NOISE * rng.standard_normal(y.size), "rings"))
     return found
 

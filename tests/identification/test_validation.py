@@ -72,9 +72,9 @@ def test_smooth_elements_that_are_strained_at_the_start_are_found(closing, part)
 def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
     plant = wide.plant(wide.STRUCTURES[name])
     record = plant.record()
-    prepared = prepare(record.slice(20, len(record)))
+    prepared = prepare(record[20:])
     assert prepared.lead is None
-    led = replace(prepared, lead=record.slice(0, 20))
+    led = replace(prepared, lead=record[:20])
     (_, with_lead), (_, alone) = (compared(plant.actuator, one) for one in (led, prepared))
     half = with_lead.residual.size // 2
     assert 100 * np.abs(with_lead.residual[half:]).max() / plain_records.STROKE < EXACT
@@ -194,9 +194,9 @@ def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
     half = len(record) // 2
     shift = 0.7 if plant.actuator.transformer is None else 0.0
     shifted = Record(record.time, record.voltage + shift, record.displacement, record.name)
-    state, offset = state_after(plant.actuator, shifted.slice(0, half + 1), plain_records.STROKE)
+    state, offset = state_after(plant.actuator, shifted[: half + 1], plain_records.STROKE)
     assert offset == pytest.approx(shift, abs=1e-6 * plain_records.VOLTS)
-    rest = shifted.slice(half, len(record))
+    rest = shifted[half:]
     voltage = without_offset(plant.actuator, rest.voltage, offset)
     time = rest.time if plant.actuator.needs_time else None
     again = plant.actuator.simulate(voltage, time=time, state=state).displacement
@@ -208,7 +208,7 @@ def test_a_record_follows_from_the_state_in_which_it_began(name):
     """The second half of a record, whose first half brought the actuator into a state that no name describes."""
     plant = wide.plant(wide.STRUCTURES[name])
     record = plant.record()
-    rest = record.slice(len(record) // 3, len(record))
+    rest = record[len(record) // 3 :]
     state, offset = initial_state(plant.actuator, rest, plain_records.STROKE)
     voltage = without_offset(plant.actuator, rest.voltage, offset)
     time = rest.time if plant.actuator.needs_time else None
@@ -219,7 +219,7 @@ def test_a_record_follows_from_the_state_in_which_it_began(name):
 def test_a_lead_without_a_cycle_tells_what_it_can():
     """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
     plant = wide.plant(wide.STRUCTURES["plain"])
-    short = plant.record().slice(0, 30)
+    short = plant.record()[:30]
     state, offset = state_after(plant.actuator, short, plain_records.STROKE)
     assert state.deformation == short.displacement[-1]
     assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)

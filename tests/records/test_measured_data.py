@@ -5,6 +5,7 @@ others reach on it, held out, with a Prandtl-Ishlinskii model of 40 plays, large
 """
 
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -30,7 +31,7 @@ def fitted(norm="l1"):
 @cache
 def split():
     ramps = read("ramps")
-    rest = ramps[4500:].with_name("rest")
+    rest = replace(ramps[4500:], name="rest")
     return dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="maxwell_slip")
 
 

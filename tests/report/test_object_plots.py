@@ -95,7 +95,9 @@ def test_the_record_s_numbers_are_drawn_in_micrometres(things):
     record = things["record"]
     (line,) = record.plot("loop", ax=axes()).lines
     y = line.get_ydata()
-    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx(np.array(record.displacement_range) * 1e6, rel=1e-3)
+    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx(
+        np.array([record.displacement.min(), record.displacement.max()]) * 1e6, rel=1e-3
+    )
 
 
 def test_the_loops_of_an_actuator_lie_within_its_limits(things):

@@ -83,7 +83,7 @@ def test_the_lead_is_played_and_not_counted(records):
 
 def test_the_lead_tells_ours_where_it_began(records):
     """A record that begins in the middle of a motion, but still goes through its range: that tells every cart."""
-    middle = records[1].slice(len(records[1]) // 6, len(records[1]))
+    middle = records[1][len(records[1]) // 6 :]
     lead = 0.5 * float(np.ptp(middle.time))
     score = judged(records[0], HeldOut(middle, lead), {"truth": plant})[0].worst("validation")
     assert (score.largest, score.rms) == pytest.approx((0, 0), abs=1e-6)
@@ -121,7 +121,7 @@ def test_the_lead_tells_any_other_model_a_constant(records):
         / plain_records.STROKE
     )
     first = int(np.argmax(records[1].time >= 6.0))
-    lead = slice(epochs(records[1].slice(0, first + 1))[-1].start, first + 1)
+    lead = slice(epochs(records[1][: first + 1])[-1].start, first + 1)
     assert line.largest_without == pytest.approx(np.abs(error[first:] - error[lead].mean()).max())
     assert line.rms_without == pytest.approx(np.sqrt(np.mean((error[first:] - error[lead].mean()) ** 2)))
     assert line.largest == pytest.approx(np.abs(error[first:] - error[first:].mean()).max())
@@ -133,7 +133,7 @@ def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
     score = judged(records[0], HeldOut(records[1], 0.3), {"line": lambda _: line})[0].scores[1]
     first = score.left_out
     assert records[1].time[first] > 0.3 + records[1].time[0]
-    assert epochs(records[1].slice(0, first + 1)) == []
+    assert epochs(records[1][: first + 1]) == []
     error = 100 * (records[1].displacement - line.slope * records[1].voltage) / plain_records.STROKE
     assert score.largest_without == pytest.approx(np.abs(error[first:] - error[first]).max())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -88,7 +88,7 @@ class ExcitationPlan:
         """Return the major loops at the end of a look."""
         sampling = self.sampling()
         cycle = sampling.play("loop", sampling.legs([self.low, self.high, self.low]))
-        return look.slice(len(look) - 1 - _LOOPS * (len(cycle) - 1), None).with_name("look's loops")
+        return replace(look[len(look) - 1 - _LOOPS * (len(cycle) - 1) :], name="look's loops")
 
     def tops(self, steps: int = 10) -> Excitation:
         """Play two major loops, descending tops, and random turning points, which test the promise."""

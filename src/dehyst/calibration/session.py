@@ -88,7 +88,7 @@ class Session:
         """
         paths = self._paths(name)
         stored = None if again else self._stored(name, excitation)
-        if stored is not None and self._agrees(stored.with_name(name), excitation):
+        if stored is not None and self._agrees(replace(stored, name=name), excitation):
             self.kept.append(name)
             self.sequence.append(stored)
             return stored
@@ -163,7 +163,7 @@ class Session:
                 if not one.samples:
                     one.path.unlink(missing_ok=True)
             raise
-        return played.with_name(name) if self._several else _recorded(paths[0])
+        return replace(played, name=name) if self._several else _recorded(paths[0])
 
     def _report(self, samples: Samples, wanted: Array | None, stroke: Any) -> None:
         """Pass samples to the listener: with several axes, the samples of the axis with the largest error."""

@@ -104,7 +104,7 @@ class FinalEpoch:
         if (delay, lag) not in self._cache:
             whole = list(self.record.acting(delay, lag))[self.number]
             self._cache.clear()
-            self._cache[delay, lag] = whole.slice(self.epoch.start, self.epoch.stop)
+            self._cache[delay, lag] = whole[self.epoch.start : self.epoch.stop]
         return self._cache[delay, lag]
 
     def error(self, actuator: Actuator) -> Array:

@@ -634,7 +634,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Sample
     """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
     For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
-    slow, with uneven steps. The samples have the times at which they were read, by the device's clock.
+    slow, with uneven steps. Readings have the device's time, just after each voltage: `hold` is "line".
     """
     rig._host_paced = True
     period, readings, yielded = 1 / rate, [], time.monotonic()

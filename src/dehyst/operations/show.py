@@ -65,10 +65,7 @@ def show(
         run.say(line)
     record = record_of(table, columns, file.stem)
     own = columns.of_axes() if columns.axes else {"": columns}
-    axes = {
-        axis: _AxisView(one, table, own[axis], axis)
-        for axis, one in zip(record.axes or ("",), record.by_axis(), strict=True)
-    }
+    axes = {axis: _AxisView(record.axis(axis), table, own[axis], axis) for axis in record.axes or ("",)}
     if output is not None:
         write_record(output, record)
     if save is not None:
@@ -131,12 +128,11 @@ class _AxisView:
             column = used.get(quantity) or getattr(self.columns, quantity) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
-        (v0, v1), (y0, y1) = record.voltage_range, record.displacement_range
+        (v0, v1), (y0, y1) = record.voltage_range, _span(record.displacement * 1e6)
         ranges = {
             "time": f"{record.time[0]:.6g} to {record.time[-1]:.6g} s, {1 / record.sample_time:.6g} Hz",
             "voltage": f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}",
-            "displacement": f"{y0 * 1e6:.5g} to {y1 * 1e6:.5g} um: {record.stroke * 1e6:.4g} um, "
-            f"noise {record.noise * 1e9:.2g} nm",
+            "displacement": f"{y0:.5g} to {y1:.5g} um: {record.stroke * 1e6:.4g} um, noise {record.noise * 1e9:.2g} nm",
         }
         for one in record.others:
             ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {one.unit}"
@@ -159,12 +155,15 @@ class _AxisView:
         yield "Notes:" if problems else "No problems found."
         yield from (f"  - {sentence}" for sentence in problems)
         yield ""
-        yield from _drawing(self.record.voltage, self.record.displacement * 1e6, "voltage (V)", "displacement (um)")
+        drawn = slice(None) if self.record.measured is None else self.record.measured
+        x, y = self.record.voltage[drawn], self.record.displacement[drawn] * 1e6
+        yield from _drawing(x, y, "voltage (V)", "displacement (um)")
 
     def _ends(self) -> Iterator[str]:
         """Yield the first and last value of each used column, as in the file and as in the record."""
         timed = ("time",) if self.columns.rate is None else ()
-        for quantity in (*timed, "voltage", "displacement"):
+        measured = ("displacement",) if self.record.measured is None else ()
+        for quantity in (*timed, "voltage", *measured):
             column = self.table.select(quantity, getattr(self.columns, quantity)).column
             # Joining cuts and interpolates rows.
             cells = ("", "") if self.columns.join else column.ends
@@ -198,7 +197,7 @@ class _AxisView:
             "sample_rate_Hz": 1 / record.sample_time,
             "duration_s": float(record.time[-1] - record.time[0]),
             "voltage_V": list(record.voltage_range),
-            "displacement_um": [1e6 * value for value in record.displacement_range],
+            "displacement_um": _span(record.displacement * 1e6),
             "others": {one.column: _span(one.values) for one in record.others},
             "noise_nm": 1e9 * record.noise,
             "cycles": len(record.cycles()),

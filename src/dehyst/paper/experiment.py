@@ -59,7 +59,7 @@ class Measured:
     def cut(self, loop: str) -> Record:
         """Return the cycles of one amplitude."""
         first = CYCLES * CYCLE * list(PEAKS).index(loop)
-        return self.record.slice(first, first + CYCLES * CYCLE + 1).with_name(loop)
+        return replace(self.record[first : first + CYCLES * CYCLE + 1], name=loop)
 
     def known(self, loop: str) -> slice[int, int, None]:
         """Return the samples of one amplitude from the first peak on, where the start has no effect (Lemma 1)."""

@@ -13,6 +13,8 @@ from dehyst.records.signals import (
     NOISE_PEAK,
     bandwidth,
     energy_share,
+    gaps,
+    interpolate,
     largest,
     noise_span,
     percent,

@@ -65,8 +65,11 @@ class Cleaned(NamedTuple):
 def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
     """Leave glitches of the voltage out, and samples that repeat; set transients aside, put lines in place of spikes.
 
-    The displacement in transients is replaced by a path that follows the voltage, unless `ringing`.
+    The displacement in transients is replaced by a path that follows the voltage, unless `ringing`. Known positions
+    are no sensor's: a record of events stays as it is.
     """
+    if record.measured is not None:
+        return Cleaned(record, (), (), np.zeros(len(record), dtype=bool), ())
     stray = glitches(record.time, record.voltage, record.displacement)
     if stray:
         keep = np.ones(len(record), dtype=bool)

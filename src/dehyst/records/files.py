@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst.records.columns import Columns
+from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.columns import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.file_content import content_of
@@ -99,12 +101,23 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     }
     meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}
     channels = tuple(channel for channel, _ in others)
+    hold: Any = "sample" if first["voltage"].column.timing == "sample" else "line"
+    y, scale = first["displacement"], first["displacement"].entry.scale
+    if columns.axes and any((one := part["displacement"].entry.scale) and one.kind for part in parts.values()):
+        need = "one voltage and one displacement; read each axis by itself"
+        raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
+    if scale is not None and scale.kind:
+        record = record_of_periodic(
+            time, voltages[0], displacements[0], scale.period, kind=scale.kind, name=name, unit=y.unit or "a.u."
+        )
+        return replace(record, meta=meta, others=(*channels, *record.others), hold=hold)
     if not columns.axes:
-        return Record(time, voltages[0], displacements[0], name, meta, others=channels)
+        measured = ~np.isnan(displacements[0]) if y.column.timing == "events" else None
+        return Record(time, voltages[0], displacements[0], name, meta, others=channels, hold=hold, measured=measured)
     # Each axis is checked by itself.
     records = [Record(time, v, y, f"{name} ({axis})") for axis, v, y in zip(axes, voltages, displacements, strict=True)]
     voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
-    return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels)
+    return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)
 
 
 def _with_temperature(table: Table, wanted: str) -> Table:
@@ -157,8 +170,9 @@ def write_record(path: PathLike, record: Record) -> None:
 
     CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
     displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
-    Guesses from reading (``record.meta["guesses"]``), and the names of channels other than temperatures and loads, are
-    kept in a comment above the table or in an additional array. An existing file is replaced. The new file is a
+    Guesses from reading (``record.meta["guesses"]``), a `hold` other than "line", and the names of channels other than
+    temperatures and loads, are kept in a comment above the table or in an additional array; cells of the displacement
+    are blank (NaN) where it is not measured. An existing file is replaced. The new file is a
     measurement, not an output: no command replaces it without --force.
 
     Raises
@@ -173,7 +187,10 @@ def write_record(path: PathLike, record: Record) -> None:
     known = record.meta.get("guesses")
     known = known if isinstance(known, Mapping) else {}
     guesses = {of_axes.get(str(quantity), str(quantity)): str(guess) for quantity, guess in known.items()}
-    stated = {"guesses": guesses, "others": [one.column for one in record.others if one.role == "other"]}
+    timing = {one.name: "sample" for one in record.channels if one.role == "drive" and record.hold == "sample"}
+    timing |= {} if record.measured is None else {"displacement": "events"}
+    others = [one.column for one in record.others if one.role == "other"]
+    stated = {"guesses": guesses, "timing": timing, "others": others}
     text = json.dumps({key: value for key, value in stated.items() if value}) if any(stated.values()) else ""
     if Path(path).suffix.lower() == ".npz":
         write_atomically(path, packed({**record.columns("m"), **({MEMBER: np.array(text)} if text else {})}))
@@ -216,9 +233,10 @@ def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None 
 
 def _texts(values: Array, digits: int | None) -> Iterator[str]:
     """Return the texts of numbers, in full or with `digits` significant digits."""
-    if digits is None or not values.size:
-        return map(repr, values.tolist())
     known = np.isfinite(values)
+    if digits is None or not values.size:
+        texts = map(repr, values.tolist())
+        return texts if known.all() else ("" if text == "nan" else text for text in texts)
     low, high = np.min(values, initial=np.inf, where=known), np.max(values, initial=-np.inf, where=known)
 
     def rounded(value: float) -> str:

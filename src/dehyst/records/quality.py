@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, Transient, cleaned
 from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, STROKES, shortened
-from dehyst.records.signals import new_samples, noise_span, resolution, runs
+from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record
@@ -31,7 +31,7 @@ _ROUNDED = 0.02
 # A voltage rests for so many samples at least. What the displacement moves back meanwhile, after it went on: least part
 # of the stroke, and of the way on, which hysteresis makes the longer one.
 _RESTS, _COMES_BACK, _BACK = 5, 0.02, 0.25
-# Fewer samples show no spike.
+# Fewer samples show no spike and no loop.
 _FEWEST = 20
 # Shorter steps [s] are no measurement, and computations with them overflow.
 _SHORTEST = 1e-30
@@ -172,13 +172,15 @@ def problems(record: Record) -> tuple[str, ...]:
     remarks = record.meta.get("remarks", ())
     noted = map(str, remarks) if isinstance(remarks, list | tuple) else ()
     clean = cleaned(record)
+    of_loops: tuple[str, ...] = ()
+    if record.measured is None:
+        of_loops = *_cut_voltage(record, clean.transients), *loops.remarks(clean.record)
     return (
         *guesses(record),
         *_of_times(record),
         *_of_samples(clean.record),
         *(sentence[0].upper() + sentence[1:] for sentence in clean.sentences),
-        *_cut_voltage(record, clean.transients),
-        *loops.remarks(clean.record),
+        *of_loops,
         *_of_units(clean.record),
         *noted,
     )
@@ -186,9 +188,9 @@ def problems(record: Record) -> tuple[str, ...]:
 
 def _of_times(record: Record) -> Iterator[str]:
     usual, steps = record.sample_time, np.diff(record.time)
-    if gaps := record.gaps():
-        i, length = gaps[0]
-        yield f"{counted(len(gaps), 'gap')} in time, the first of {length:.4g} s after sample {i}."
+    if missing := gaps(record.time):
+        i, length = missing[0]
+        yield f"{counted(len(missing), 'gap')} in time, the first of {length:.4g} s after sample {i}."
     if (lost := _rounding(record.time)) > _ROUNDED * usual:
         yield (
             f"Times this large have a resolution of {lost:.2g} s only, {100 * lost / usual:.2g} % of the time step; "
@@ -196,7 +198,7 @@ def _of_times(record: Record) -> Iterator[str]:
         )
     jitter = float(np.std(steps[steps <= 1.5 * usual])) / usual
     if jitter > 0.01:
-        yield f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %; resample the record."
+        yield f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %."
 
 
 def _of_samples(record: Record) -> Iterator[str]:
@@ -204,7 +206,14 @@ def _of_samples(record: Record) -> Iterator[str]:
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
         yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
-    for column, unit in (("voltage", "V"), ("displacement", "m")):
+    signals = [("voltage", "V"), ("displacement", "m")][: 2 if record.measured is None else 1]
+    if record.measured is not None:
+        events = int(np.count_nonzero(record.measured))
+        yield (
+            f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count, and "
+            "between them it is a straight line over time."
+        )
+    for column, unit in signals:
         step, part = resolution(getattr(record, column))
         moves = np.diff(getattr(record, column)) != 0.0
         # A drive that rests moves for many samples at a time.
@@ -267,25 +276,25 @@ def _of_units(record: Record) -> Iterator[str]:
         )
 
 
-def reasons_against(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
+def reasons_against(record: Record) -> Iterator[str]:
     """Yield reasons why no hysteresis loop can be identified from a record without glitches and spikes."""
-    reasons = list(_reasons(record, min_samples, min_cycles))
+    reasons = list(_reasons(record))
     if reasons and len(record) >= _FEWEST and (clean := cleaned(record).record) is not record:
-        reasons = list(_reasons(clean, min_samples, min_cycles))
+        reasons = list(_reasons(clean))
     yield from reasons
 
 
-def _reasons(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]:
+def _reasons(record: Record) -> Iterator[str]:
     """Yield the reasons; later checks may rely on earlier ones."""
-    if len(record) < min_samples:
-        yield f"{len(record)} samples, {min_samples} are needed; record for longer"
+    if len(record) < _FEWEST:
+        yield f"{len(record)} samples, {_FEWEST} are needed; record for longer"
     low, high = record.voltage_range
     if high - low < max(1e-9, 1e-6 * max(abs(low), abs(high))):
         yield f"the voltage is constant at {low:.6g} V; drive the actuator up and down"
         return
-    if words := loops.fringes(record):
+    if record.measured is None and (words := loops.fringes(record)):
         yield words
-    least = max(noise_span(record.displacement), 1e-12 * max(map(abs, record.displacement_range)), loops.LEAST_STROKE)
+    least = max(noise_span(record.displacement), 1e-12 * float(np.abs(record.displacement).max()), loops.LEAST_STROKE)
     if record.stroke <= least:
         yield (
             f"the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, is no more than the range "
@@ -295,11 +304,13 @@ def _reasons(record: Record, min_samples: int, min_cycles: int) -> Iterator[str]
     if words := other_unit(record):
         yield words
     cycles = record.cycles()
-    if len(cycles) < min_cycles:
+    if not cycles:
         yield (
-            f"{counted(len(cycles), 'full cycle')} of the voltage found, {min_cycles} needed; drive it up and back "
-            "down, for instance with a sine over the whole range"
+            "no full cycle of the voltage found, one is needed; drive it up and back down, for instance with a sine "
+            "over the whole range"
         )
+    if record.measured is not None:
+        return
     new = new_samples(record.voltage, record.displacement)
     if new is not None and np.count_nonzero(new) < FEWEST_NEW * max(len(cycles), 2):
         each = np.count_nonzero(new) / max(len(cycles), 1)

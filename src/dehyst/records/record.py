@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from math import isfinite
+from math import nan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,10 +16,10 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
-from dehyst._validation import DEFAULT_AXES, axis_names, keep, plain
+from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
 from dehyst._views import html, tables
 from dehyst._views.pictures import plotted
-from dehyst.records import quality, signals
+from dehyst.records import events, quality, signals
 from dehyst.records.formats.columns import Column
 from dehyst.records.signals import white_noise
 from dehyst.records.tables import Table
@@ -32,8 +32,12 @@ if TYPE_CHECKING:
 __all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 
 Span: TypeAlias = "slice[int, int, None]"
+AnySlice: TypeAlias = "slice[Any, Any, None]"
 
 _COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
+_HOLDS = ("line", "sample")
+# Fewest numbers in a displacement that is blank otherwise.
+_FEWEST_NUMBERS = 20
 
 
 class Channel(NamedTuple):
@@ -95,7 +99,7 @@ class Record:
     """One measurement of an actuator, or of several that move together. Wrong input is an error at construction.
 
     A record of one axis has one-dimensional arrays; a record of several axes has one column for each axis. The latter
-    is sliced and resampled as a whole; methods for one voltage and one displacement need a record from `axis`.
+    is sliced as a whole; methods for one voltage and one displacement need a record from `axis`.
 
     Parameters
     ----------
@@ -116,14 +120,21 @@ class Record:
         Further measured quantities, by name with unit: ``{"temperature_C": ..., "load_N": ..., "humidity [%]": ...}``.
         Temperatures (also in K and degF) are kept in degC, loads (also in mN or kN) in newtons, others unchanged;
         kept as a tuple of `Channel`.
+    hold : {"line", "sample"}
+        What the voltage does between samples. "line": it moves in straight lines, and the displacement is read at the
+        same instant. "sample": it is held until the next sample, and the displacement is read at the end of that time.
+    measured : (n,) array_like of bool, optional
+        Whether the displacement is known at each sample; default: at all, or, if most samples of `displacement` are
+        NaN and at least 20 are not, at these. Elsewhere NaN is replaced by straight lines over time, which hold a
+        place only: no fit and no error counts them. Only a record of one axis may have it.
 
     Raises
     ------
     RecordError
         If arrays have a wrong shape or length, have a unit, are masked or not numeric, have fewer than 2 samples, or
         hold NaN, inf or numbers beyond 1e30; if the time does not rise; if the axes are not different names, one each;
-        or if one of `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to
-        1000 degC.
+        if one of `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to
+        1000 degC; or if `hold` is another word, or `measured` is not one bool a sample.
     """
 
     time: Array
@@ -134,6 +145,8 @@ class Record:
     set_aside: tuple[tuple[float, float], ...] = ()
     axes: tuple[str, ...] = ()
     others: tuple[Channel, ...] = ()
+    hold: Literal["line", "sample"] = "line"
+    measured: Mask | None = None
 
     def __post_init__(self) -> None:
         for column in _COLUMNS:
@@ -145,6 +158,9 @@ class Record:
             raise self._error(f"columns differ in length ({got}); give one value each per sample")
         if len(self) < 2:
             raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the row range")
+        choice(self.hold, "hold", _HOLDS, error=RecordError)
+        keep(self, measured=self._measured())
+        arrays["displacement"] = self.displacement
         for column, unit in _COLUMNS.items():
             for j, values in enumerate(np.atleast_2d(arrays[column].T)):
                 name = f"{self.name} ({self.axes[j]})" if self.axes and column != "time" else self.name
@@ -174,6 +190,24 @@ class Record:
             raise self._error(f"{column} has shape {values.shape}; give one dimension, try .ravel()")
         values.flags.writeable = False
         return values
+
+    def _measured(self) -> Mask | None:
+        """Return where the displacement is known, None if everywhere, and fill blank places between."""
+        y = self.displacement
+        if self.measured is None:
+            known = ~np.isnan(y)
+            if self.axes or not _FEWEST_NUMBERS <= np.count_nonzero(known) < 0.5 * len(self):
+                return None
+        else:
+            known = np.array(self.measured)
+            if self.axes or known.dtype != bool or known.shape != y.shape:
+                got = f"{known.dtype} of shape {known.shape}{' for several axes' if self.axes else ''}"
+                raise self._error(f"measured: got {got}, need one axis, and a bool for each of {len(self)} samples")
+        blank = np.isnan(y) & ~known
+        if blank.any() and known.any():
+            keep(self, displacement=np.where(blank, np.interp(self.time, self.time[known], y[known]), y))
+        known.flags.writeable = False
+        return None if known.all() else known
 
     def _further(self) -> Iterator[Channel]:
         """Yield the channels in `others`, given by name or as those of another record."""
@@ -212,10 +246,12 @@ class Record:
     def __repr__(self) -> str:
         head = f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s"
         others = "".join(f", {one.name}" for one in self.others)
+        others += ", voltage held" * (self.hold == "sample")
         if self.axes:
             return f"{head}, axes {', '.join(self.axes)}{others}>"
-        (v0, v1), (y0, y1) = self.voltage_range, self.displacement_range
-        return f"{head}, {v0:.4g} to {v1:.4g} V, {y0 * 1e6:.6g} to {y1 * 1e6:.6g} um{others}>"
+        (v0, v1), y = self.voltage_range, self.displacement * 1e6
+        events = f" at {counted(int(np.count_nonzero(self.measured)), 'event')}" if self.measured is not None else ""
+        return f"{head}, {v0:.4g} to {v1:.4g} V, {y.min():.6g} to {y.max():.6g} um{events}{others}>"
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, object]] = [
@@ -228,12 +264,12 @@ class Record:
             rows.append((channel.name, f"{low:.6g} to {high:.6g} {unit}"))
         remarks = [
             f"{f'{axis}: ' if axis else ''}{sentence}"
-            for axis, one in zip(self.axes or ("",), self.by_axis(), strict=True)
-            for sentence in one.problems()
+            for axis in self.axes or ("",)
+            for sentence in self.axis(axis).problems()
         ]
         return html.block(f"Record '{self.name}'", html.facts(rows), html.folded("Problems", remarks))
 
-    def __getitem__(self, span: Span) -> Record:
+    def __getitem__(self, span: AnySlice) -> Record:
         if not isinstance(span, slice) or span.step not in (None, 1):
             raise self._error(f"got [{span!r}]; a record takes slices of step 1, try record[10:200]")
         return self.take(span)
@@ -267,6 +303,34 @@ class Record:
             raise record._error(words)
         return record
 
+    @classmethod
+    def from_events(
+        cls,
+        time: ArrayLike,
+        voltage: ArrayLike,
+        event_time: ArrayLike,
+        position: ArrayLike,
+        *,
+        name: str = "record",
+        units: str = "um",
+    ) -> Record:
+        """Make a record whose displacement is known at events only: lines or fringes passed, edges of an encoder.
+
+        `time` and `voltage` (n,) [s] and [V]; `event_time` (k,) [s], rising, and the `position` (k,) then, in `units`.
+        Each event is put on the nearest sample, its position moved by the gain between events times the difference of
+        the voltages; the mean counts where several are nearest to one. `measured` says where they are.
+
+        Raise `RecordError` if there are fewer than 4 events, their times do not rise or lie outside of the record's,
+        a position is not finite, or times and positions differ in number; otherwise as `from_arrays`.
+        """
+        whole = cls(time, voltage, np.zeros(np.shape(time)), name)  # type: ignore[arg-type]
+        counts = per_metre(units, error=RecordError)
+        displacement = events.at_samples(whole.time, whole.voltage, event_time, position) / counts
+        record = replace(whole, displacement=displacement, measured=~np.isnan(displacement))
+        if words := quality.other_unit(record):
+            raise record._error(words)
+        return record
+
     def to_dataframe(self) -> DataFrame:
         """Return time_s and the channels, as voltage_V and displacement_um, as a pandas DataFrame.
 
@@ -275,8 +339,8 @@ class Record:
         others = [one.column for one in self.others]
         return tables.frame(self.columns(), name=self.name, **({"others": others} if others else {}))
 
-    def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
-        """Draw the record: displacement over voltage ("loop"), or both over time ("time").
+    def plot(self, kind: Literal["loop", "time", "signal"] = "loop", *, ax: Axes | None = None) -> Axes:
+        """Draw the record: displacement over voltage ("loop"), both over time ("time"), or a counted signal ("signal").
 
         `kind`: which picture. `ax`: where to draw; default: the axes of a new figure. Return the axes. Raise
         `MissingExtraError` if matplotlib is not installed.
@@ -302,12 +366,15 @@ class Record:
     def columns(self, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
         """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
 
-        `lengths`: unit of displacements.
+        `lengths`: unit of displacements, which are NaN where they are not measured.
         """
         counts, found = per_metre(lengths, error=RecordError), {"time_s": self.time}
         for one in self.channels:
             if one.role == "displacement":
-                found[f"{one.name}_{lengths}"] = one.values * counts if counts != 1 else one.values
+                values = one.values * counts if counts != 1 else one.values
+                found[f"{one.name}_{lengths}"] = (
+                    values if self.measured is None else np.where(self.measured, values, nan)
+                )
             else:
                 found[one.column] = one.values
         return found
@@ -333,10 +400,6 @@ class Record:
             axes=(),
         )
 
-    def by_axis(self) -> tuple[Record, ...]:
-        """Return each axis as a separate record; for one axis the record itself."""
-        return tuple(map(self.axis, range(max(len(self.axes), 1))))
-
     def one_axis(self) -> Record:
         """Return the record; raise `RecordError` if it has several axes."""
         if self.axes:
@@ -357,65 +420,43 @@ class Record:
         return float(self.one_axis().voltage.min()), float(self.voltage.max())
 
     @property
-    def displacement_range(self) -> tuple[float, float]:
-        """Lowest and highest displacement [m]."""
-        return float(self.one_axis().displacement.min()), float(self.displacement.max())
-
-    @property
     def stroke(self) -> float:
         """Displacement peak to peak [m]."""
         return float(np.ptp(self.one_axis().displacement))
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the sensor's white noise [m]."""
+        """Standard deviation of the sensor's white noise [m]; 0 if the displacement is known at events only."""
+        if self.measured is not None:
+            return 0.0
         return signals.sensor_noise(self.time, self.one_axis().voltage, self.displacement)
 
     @property
     def counted(self) -> Mask | None:
-        """Whether each sample counts (n,); None if all do."""
+        """Whether each sample counts in a fit or an error (n,): measured and not set aside; None if all do."""
         if not self.set_aside:
-            return None
-        kept = np.ones(len(self), dtype=bool)
+            return self.measured
+        kept = np.ones(len(self), dtype=bool) if self.measured is None else self.measured.copy()
         for first, last in self.set_aside:
             kept[np.searchsorted(self.time, first) : np.searchsorted(self.time, last, side="right")] = False
         return kept
 
-    def gaps(self) -> list[tuple[int, float]]:
-        """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
-        steps = np.diff(self.time)
-        return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
+    def reversals(self) -> NDArray[np.intp]:
+        """Find the turning points of the voltage (k,): indices of its extremes, alternately minima and maxima.
 
-    def reversals(self, signal: str = "voltage", band: float | None = None) -> NDArray[np.intp]:
-        """Find the turning points of a `signal`, "voltage" or "displacement", by a hysteresis band.
-
-        `band`: way back [V or m] after which an extreme counts as a turning point; by default the larger of 2 % of the
-        signal's range and the range of its noise: 6 standard deviations, more in a long record. Raise `RecordError` for
-        an unknown signal, or a band that is negative or not finite.
-
-        Returns
-        -------
-        (k,) int array
-            Indices of the extremes (the last sample of a plateau), alternately minima and maxima; never the record's
-            ends.
+        An extreme counts if the voltage then goes back by more than 2 % of its range, and than the range of its noise.
+        It is the last sample of a plateau, and never an end of the record.
         """
-        if signal not in ("voltage", "displacement"):
-            raise self._error(f"no signal '{signal}'; try 'voltage' or 'displacement'")
-        values: Array = getattr(self.one_axis(), signal)
-        if band is None:
-            band = max(0.02 * float(np.ptp(values)), signals.noise_span(values))
-        if not (isfinite(band) and band >= 0.0):
-            raise self._error(f"band is {band}; give a number >= 0 in the signal's unit")
-        return signals.turning_points(values, band)
+        values = self.one_axis().voltage
+        return signals.turning_points(values, max(0.02 * float(np.ptp(values)), signals.noise_span(values)))
 
-    def cycles(self, band: float | None = None) -> list[Span]:
+    def cycles(self) -> list[Span]:
         """Return the full cycles between successive voltage minima, or maxima if these give more.
 
         The record's start (or end) counts as an extreme if its leg covers 0.9 of the next leg, so that one excursion up
-        and down is one cycle. A slice includes both its turning points: neighbours share one sample. `band` [V] is the
-        smallest change of voltage that counts as a turn; default: by the range and the noise.
+        and down is one cycle. A slice includes both its turning points: neighbours share one sample.
         """
-        turns = self.reversals("voltage", band)
+        turns = self.reversals()
         if not len(turns):
             return []
         # The outermost sample of the first and of the last leg.
@@ -428,59 +469,26 @@ class Record:
         first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
         return [slice(int(a), int(b) + 1) for a, b in pairwise(points[first::2])]
 
-    def take(self, rows: Span | Mask | NDArray[np.intp]) -> Record:
+    def take(self, rows: AnySlice | Mask | NDArray[np.intp]) -> Record:
         """Return the samples in `rows`: a slice, a bool array (n,), or an array of increasing indices."""
         others = tuple(one._replace(values=one.values[rows]) for one in self.others)
         time, voltage, displacement = (values[rows] for values in (self.time, self.voltage, self.displacement))
-        return replace(self, time=time, voltage=voltage, displacement=displacement, others=others)
-
-    def slice(self, start: int | None, stop: int | None) -> Record:
-        """Return samples `start` to `stop` - 1, with indices as in Python slices."""
-        return self.take(slice(start, stop))
-
-    def between(self, t0: float, t1: float) -> Record:
-        """Return the samples with `t0` <= time <= `t1` [s]."""
-        return self.slice(int(np.searchsorted(self.time, t0)), int(np.searchsorted(self.time, t1, side="right")))
-
-    def with_name(self, name: str) -> Record:
-        """Return the record with another `name`."""
-        return replace(self, name=name)
-
-    def resample(self, dt: float, kind: str = "linear") -> Record:
-        """Resample on a uniform grid of step `dt` [s] from the first sample; `kind` is "linear" or "pchip"."""
-        span = float(self.time[-1] - self.time[0])
-        if not 0.0 < dt <= span:
-            raise self._error(f"dt is {dt} s; give a step above 0 and at most the record's {span:.6g} s")
-        if kind not in ("linear", "pchip"):
-            raise self._error(f"no interpolation '{kind}'; try 'linear' or 'pchip'")
-        grid = np.minimum(self.time[0] + dt * np.arange(int(span / dt + 1e-9) + 1), self.time[-1])
-
-        def moved(values: Array) -> Array:
-            return np.apply_along_axis(lambda column: signals.interpolate(self.time, column, grid, kind), 0, values)
-
-        others = tuple(one._replace(values=moved(one.values)) for one in self.others)
-        voltage, displacement = moved(self.voltage), moved(self.displacement)
-        return replace(self, time=grid, voltage=voltage, displacement=displacement, others=others)
-
-    def delayed(self, delay: float) -> Record:
-        """Return the record with voltage(t - `delay`), delay in s: shape-preserving, constant beyond the ends."""
-        if not isfinite(delay):
-            raise self._error(f"delay is {delay} s; give a finite number of seconds")
-        times = np.clip(self.time - delay, self.time[0], self.time[-1])
-        return replace(self, voltage=signals.interpolate(self.time, self.one_axis().voltage, times, "pchip"))
+        known = None if self.measured is None else self.measured[rows]
+        return replace(self, time=time, voltage=voltage, displacement=displacement, others=others, measured=known)
 
     def problems(self) -> tuple[str, ...]:
         """Return sentences about suspicious properties that do not prevent the record's use; may be empty."""
-        return quality.problems(self.one_axis())
+        held = "The voltage is held until the next sample, and the displacement is read at the end of that time."
+        return (*quality.problems(self.one_axis()), *[held] * (self.hold == "sample"))
 
-    def check_usable(self, min_samples: int = 20, min_cycles: int = 1) -> None:
+    def check_usable(self) -> None:
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
-        `min_samples`, `min_cycles`: least number of samples and of full voltage cycles. Raise `RecordError` for too few
-        samples or cycles, constant voltage or displacement, an echo of the voltage, fringes, a stroke over 0.1 m, an
-        inverted or clipped sensor, a butterfly loop, or swapped, reversed or sorted columns.
+        That is so with fewer than 20 samples or one cycle, constant voltage or displacement, an echo of the voltage,
+        fringes, a stroke over 0.1 m, an inverted or clipped sensor, a butterfly loop, or swapped, reversed or sorted
+        columns.
         """
-        for words in quality.reasons_against(self.one_axis(), min_samples, min_cycles):
+        for words in quality.reasons_against(self.one_axis()):
             raise self._error(words)
 
 

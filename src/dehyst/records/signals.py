@@ -133,6 +133,12 @@ def interpolate(x: Array, y: Array, places: Array, kind: str) -> Array:
     return np.concatenate(parts)
 
 
+def gaps(time: Array) -> list[tuple[int, float]]:
+    """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
+    steps = np.diff(time)
+    return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
+
+
 def runs(mask: Mask) -> list[tuple[int, int]]:
     """Return first and one after the last index of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))

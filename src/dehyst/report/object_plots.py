@@ -30,8 +30,9 @@ _TOPS, _LEG = (0.8, 0.6, 0.4, 0.2), 200
 
 
 def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw a record; `kind` is "loop" or "time"."""
-    kinds = {"loop": lambda: loop_chart(found), "time": lambda: time_charts(found)[1]}
+    """Draw a record; `kind` is "loop", "time" or, of one with a counted signal, "signal"."""
+    names = ("voltage", "time", "signal")[: len(charts := time_charts(found))]
+    kinds = {"loop": lambda: loop_chart(found)} | {name: lambda k=k: charts[k] for k, name in enumerate(names) if k}
     axes = _drawn(kinds, kind, ax, found.name, RecordError)
     if kind == "time":
         _voltage_behind(axes, found)
@@ -105,7 +106,7 @@ def _new_axes() -> Axes:
 def _voltage_behind(ax: Axes, found: Record) -> None:
     """Draw the voltage behind the displacement, on an axis of its own."""
     right: Any = ax.twinx()
-    (line,) = time_charts(found)[0].series
+    line = time_charts(found)[0].series[0]
     right.plot(line.x, line.y, color=_VOLTAGE, lw=0.9)
     right.set_ylabel("voltage (V)", color="#666666")
     right.grid(visible=False)

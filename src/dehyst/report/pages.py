@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dehyst._io import PathLike, write_atomically
+from dehyst._types import Array
 from dehyst.identification import AxisTraces, StageFit
 from dehyst.records import Record
 from dehyst.report import html
@@ -17,7 +18,7 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
 
     `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
     """
-    every = record.by_axis()
+    every = [record.axis(axis) for axis in record.axes or ("",)]
     in_time = [chart for one in every for chart in time_charts(one)]
     parts: list[Part] = [
         f"<h1>{html.escape(record.name)}</h1>",
@@ -31,21 +32,25 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
 
 
 def time_charts(record: Record) -> list[Chart]:
-    """Return voltage and displacement of a record of one axis against time."""
+    """Return voltage and displacement of a record of one axis against time, and a signal that was counted."""
     factor, unit = length_unit(record.stroke)
-    quantities = (record.voltage, Axis("voltage", "V")), (record.displacement * factor, Axis("displacement", unit))
-    charts = []
-    for values, y in quantities:
-        line = Series("", *thinned(record.time, record.time, values), "measured", exact=True)
-        charts.append(Chart(record.name, Axis("time", "s"), y, [line]))
-    return charts
+    quantities = [(record.voltage, Axis("voltage", "V")), (record.displacement * factor, Axis("displacement", unit))]
+    if record.measured is not None:
+        quantities += [(one.values, Axis("signal", one.unit)) for one in record.others if one.name == "signal"]
+    return [Chart(record.name, Axis("time", "s"), y, _drawn(record, record.time, values)) for values, y in quantities]
 
 
 def loop_chart(record: Record) -> Chart:
     """Return the displacement of a record of one axis over its voltage."""
     factor, unit = length_unit(record.stroke)
-    line = Series("", *thinned(record.time, record.voltage, record.displacement * factor), "measured")
-    return Chart(record.name, Axis("voltage", "V"), Axis("displacement", unit), [line])
+    series = _drawn(record, record.voltage, record.displacement * factor)
+    return Chart(record.name, Axis("voltage", "V"), Axis("displacement", unit), series)
+
+
+def _drawn(record: Record, x: Array, y: Array) -> list[Series]:
+    """Return a line through all samples, and points at events."""
+    line, at = Series("", *thinned(record.time, x, y), "measured", exact=x is record.time), record.measured
+    return [line] if at is None else [line, Series("events", x[at], y[at], "simulated", "points", 4.0)]
 
 
 def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:

@@ -247,7 +247,7 @@ def _kept_apart(records: list[Record]) -> tuple[list[Record], list[HeldOut]]:
         whole = HeldOut(record, lead)
         usable = bool(_Played.of(whole).counted())
         try:
-            first = record.between(record.time[0], record.time[0] + lead)
+            first = record[: int(np.searchsorted(record.time, record.time[0] + lead, side="right"))]
             prepare(first).span()
         except (IdentifyError, RecordError):
             usable = False
@@ -327,8 +327,8 @@ def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, str
     """
     before = 0 if stroke is None else int(np.argmax(kept))
     if before and isinstance(model, Actuator):
-        state, offset = state_after(replace(model, delay=0.0), piece.slice(0, before + 1), stroke)
-        rest = piece.slice(before, len(piece))
+        state, offset = state_after(replace(model, delay=0.0), piece[: before + 1], stroke)
+        rest = piece[before:]
         voltage = without_offset(model, rest.voltage, offset)
         motion = model.simulate(voltage, state=state, **timed(model, rest.time))
         return np.asarray((rest.displacement - motion.displacement)[kept[before:]])
@@ -336,7 +336,7 @@ def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, str
     if not before:
         return np.asarray(error[kept])
     # As `state_after` does: over the samples that count, or from the last one.
-    last = epochs(piece.slice(0, before + 1), noise)[-1:]
+    last = epochs(piece[: before + 1], noise)[-1:]
     return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
 
 

@@ -313,10 +313,10 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
 
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     """Return the shift [m] to the model's axis for which the voltages need no offset."""
-    (low, high), measured = actuator.voltage_range, record.record.displacement_range
+    (low, high), measured = actuator.voltage_range, record.record.displacement
     expected = actuator.major_loop(record.record.voltage_range)
     # The middle of the loop first: a sensor may have its zero far away.
-    datum = 0.5 * (sum(expected) - sum(measured))
+    datum = 0.5 * (sum(expected) - float(measured.min()) - float(measured.max()))
     for _ in range(_STEPS):
         offset = compare(actuator, record, stroke, datum=datum).last_offsets()[-1]
         step = offset * stroke / (high - low)

@@ -7,6 +7,7 @@ import pytest
 import dehyst
 from dehyst import Record
 from dehyst.identification.preprocessing import cleaning
+from dehyst.records import gaps
 from examples import at_night
 
 PLANT = plain_records.plant(10)
@@ -108,7 +109,7 @@ def test_a_pause_between_two_repetitions_is_not_mentioned():
     step = cycle.sample_time
     time = np.concatenate([cycle.time, cycle.time[-1] + 3 * step + cycle.time - cycle.time[0]])
     twice = Record(time, np.tile(cycle.voltage, 2), np.tile(cycle.displacement, 2), "twice")
-    assert len(twice.gaps()) == 1
+    assert len(gaps(twice.time)) == 1
     pieces, said = cleaning.split_at_gaps(twice)
     assert ([len(piece) for piece in pieces], said) == ([len(twice)], [])
 

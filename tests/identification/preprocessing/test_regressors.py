@@ -161,7 +161,7 @@ def test_internal_states_are_those_of_the_models_parts_along_lead_and_path(name,
     # Uneven steps of time, too.
     time = record.time + np.where(np.arange(len(record)) % 50 > 40, 1e-3, 0.0)
     record = replace(record, time=time)
-    lead, piece = (record.slice(0, cut), record.slice(cut, len(record))) if cut else (None, record)
+    lead, piece = (record[:cut], record[cut:]) if cut else (None, record)
     whole, found = wide.moved_along(plant.grid, piece, lead), internal_states(plant.grid, piece, lead)
     assert found.shape == whole.shape
     np.testing.assert_allclose(found, whole, rtol=1e-9, atol=1e-15)

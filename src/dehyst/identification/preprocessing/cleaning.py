@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.records import Glitch, Record, cleaned, noise_span
+from dehyst.records import Glitch, Record, cleaned, gaps, noise_span
 
 _BINS = 64
 # Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
@@ -48,7 +48,7 @@ def rest_at_ends(record: Record) -> tuple[int, int]:
     if begin + end >= size - _KEPT:
         return 0, size
     start, stop = max(begin - _KEPT, 0), size - max(end - _KEPT, 0)
-    least = _LEAST_REST * cycle_time(record.slice(start, stop))
+    least = _LEAST_REST * cycle_time(record[start:stop])
     if record.time[start] - record.time[0] < least:
         start = 0
     counted = record.counted
@@ -155,7 +155,7 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
     cuts, sentences = [0], []
     cycle, known_holes = cycle_time(record), holes or {}
     step = _STEP * float(np.median(np.abs(np.diff(record.voltage))))
-    for i, length in record.gaps():
+    for i, length in gaps(record.time):
         jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
         hidden = known_holes.get(float(record.time[i]))
         if hidden is False:
@@ -171,7 +171,7 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
     if len(sentences) > 5:
         sentences = [*sentences[:4], f"{record.name}: {len(sentences) - 4} more gaps, {len(cuts) - 1} cuts in all."]
     cuts.append(len(record))
-    return [record.slice(a, b) for a, b in pairwise(cuts) if b - a >= 20], sentences
+    return [record[a:b] for a, b in pairwise(cuts) if b - a >= 20], sentences
 
 
 def _goes_on(record: Record, i: int, length: float) -> bool:

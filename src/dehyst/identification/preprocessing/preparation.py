@@ -16,7 +16,7 @@ from dehyst.identification.preprocessing.denoising import disturbs, local_polyno
 from dehyst.identification.preprocessing.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import Creep, DisplacementCreep, Dynamics
-from dehyst.records import Record, bandwidth
+from dehyst.records import Record, bandwidth, interpolate
 
 # The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
 # the shortest cycle, and this many of all training records.
@@ -28,7 +28,8 @@ _RINGS = 8.0
 
 def block_of(record: Record, most: float) -> int:
     """Return how many samples a mean may be taken of: `most` at most, 1 at least."""
-    cycles = record.cycles() if most >= 2 else []
+    # A mean of samples would move an event.
+    cycles = record.cycles() if most >= 2 and record.measured is None else []
     if not cycles:
         return 1
     fastest = min(cycle.stop - cycle.start for cycle in cycles) / _A_CYCLE
@@ -129,7 +130,7 @@ class Prepared:
         if lead is not None:
             size = min(self.block, max(len(lead) // 2, 1))
             # Its last mean ends where the record begins.
-            lead = block_means(lead.slice(len(lead) % size, None), size)
+            lead = block_means(lead[len(lead) % size :], size)
         pieces = tuple(block_means(piece, self.block) for piece in self.pieces)
         record = block_means(self.record, self.block)
         samples = self.samples // self.block
@@ -205,7 +206,10 @@ class Prepared:
     def acting(self, delay: float, lag: float = 0.0) -> Iterator[Record]:
         """Yield the pieces with acting voltages: `delay` [s] late, through an amplifier of time constant `lag` [s]."""
         for piece in self.pieces:
-            late = piece.delayed(delay) if delay else piece
+            late = piece
+            if delay:
+                times = np.clip(piece.time - delay, piece.time[0], piece.time[-1])
+                late = replace(piece, voltage=interpolate(piece.time, piece.voltage, times, "pchip"))
             if lag:
                 strain = Creep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
                 late = replace(late, voltage=late.voltage - strain)
@@ -244,7 +248,7 @@ class Prepared:
         cycles = self.record.cycles()
         step = max(1, min((c.stop - c.start for c in cycles), default=0) // cycle)
         stop = max(most * step, cycles[min(3, len(cycles)) - 1].stop if cycles else len(self.record))
-        if step == 1 and stop >= len(self.record):
+        if self.record.measured is not None or (step == 1 and stop >= len(self.record)):
             return self
         ends = np.cumsum([len(piece) for piece in self.pieces])
         remaining = [stop - int(end) + len(piece) for piece, end in zip(self.pieces, ends, strict=True)]
@@ -268,12 +272,7 @@ def counted_samples(columns: Sequence[tuple[Array, Sequence[Epoch]]]) -> list[Ar
 
 def _every(record: Record, step: int, stop: int) -> Record:
     """Return every step-th sample of a record's first `stop`."""
-    return replace(
-        record,
-        time=record.time[:stop:step],
-        voltage=record.voltage[:stop:step],
-        displacement=record.displacement[:stop:step],
-    )
+    return record.take(np.arange(len(record))[:stop:step])
 
 
 def prepare(record: Record, *, ringing: bool = False) -> Prepared:
@@ -288,7 +287,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     first, last = cleaning.rest_at_ends(whole)
     counted = np.ones(len(whole), dtype=bool) if whole.counted is None else whole.counted
     rests = [(int(counted[:first].sum()), "before"), (int(counted[last:].sum()), "after")]
-    record = whole.slice(first, last) if last - first < len(whole) else whole
+    record = whole[first:last] if last - first < len(whole) else whole
     if whole.counted is not None and first and not whole.counted[first - 1]:
         record, way_out = cleaning.without_way_out(record)
         left_out = (*left_out, *way_out)
@@ -306,7 +305,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
         if "gap" not in sentence
     ]
     dropped = cleaning.transient(record)
-    kept = record.slice(dropped, len(record)) if dropped else record
+    kept = record[dropped:] if dropped else record
     if dropped:
         until = float(record.time[dropped] - record.time[0])
         sentences.append(
@@ -314,7 +313,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
             "transient or a rise from an unknown state; left out."
         )
     pieces, gaps = cleaning.split_at_gaps(kept, holes)
-    lead = whole.slice(0, first + dropped) if first + dropped > 1 else None
+    lead = whole[: first + dropped] if first + dropped > 1 else None
     return Prepared(
         kept,
         lead,

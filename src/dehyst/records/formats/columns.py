@@ -151,7 +151,8 @@ class Column:
     whether the name ends with a slash and its unit, as "Position/nm"; this slash does not end a group. `guessed`:
     properties that the file does not state. `ends`: first and last cell in a text file. `began`: possible values of the
     first timestamp (origin, whole seconds, fraction); there are two if the order of day and month is unknown. `kept`:
-    whether a record keeps it as a further channel, regardless of its name.
+    whether a record keeps it as a further channel, regardless of its name. `timing`: what a record file states of its
+    samples: "sample" for a voltage that is held, "events" for a displacement that is known at events only.
     """
 
     name: str
@@ -165,6 +166,7 @@ class Column:
     ends: tuple[str, str] = ("", "")
     began: tuple[tuple[str, int, float], ...] = ()
     kept: bool = False
+    timing: str = ""
 
     @property
     def leaf(self) -> str:

@@ -27,7 +27,7 @@ from dehyst.records.formats.columns import Column, listed, shortened
 from dehyst.records.formats.file_content import Allowance
 
 # Name of the array of an NPZ, and the beginning of the first line of a text, in which a record file states in JSON
-# "guesses" by quantity and the columns of "others"; and the longest such text [bytes].
+# "guesses" and "timing" by quantity and the columns of "others"; and the longest such text [bytes].
 MEMBER = "dehyst-record"
 LINE = f"# {MEMBER}: "
 LONGEST = 4096
@@ -50,12 +50,18 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
     """Return the columns of a record file with the properties that the file states; other text is ignored."""
     try:
         stated = dict(json.loads(text or "{}"))
-        guesses, others = dict(stated.get("guesses", {})), list(stated.get("others", []))
+        guesses, timing = (dict(stated.get(name, {})) for name in ("guesses", "timing"))
+        others = list(stated.get("others", []))
     except (ValueError, TypeError, RecursionError):
         return [*columns]
     demand_version(stated, "this record of dehyst")
     return [
-        replace(one, guessed=str(guesses.get(one.parts[0], one.guessed)), kept=one.kept or one.name in others)
+        replace(
+            one,
+            guessed=str(guesses.get(one.parts[0], one.guessed)),
+            kept=one.kept or one.name in others,
+            timing=str(timing.get(one.parts[0], "")),
+        )
         for one in columns
     ]
 

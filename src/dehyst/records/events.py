@@ -1,0 +1,260 @@
+"""Known positions in place of a sensor: events at samples, and the counting of a periodic signal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._errors import RecordError
+from dehyst._types import Array
+from dehyst._validation import choice, number, vector
+from dehyst.records.signals import noise_span, resolution, runs, turning_points
+
+if TYPE_CHECKING:
+    from dehyst.records.record import Record
+
+# Fewest events of a record, and of the longest branch of a periodic signal.
+_FEWEST = 4
+# A crossing leads from below minus this share of the amplitude to above it; an extreme lies in samples above another.
+_BAND, _TOP = 0.35, 0.6
+# Least share of a signal's range by which it goes back from an extreme; extremes over which the levels are taken.
+_SWING, _LEVELS = 0.3, 5
+# Turns of the voltage below this share of its range, or of the usual way between crossings, matter to no count.
+_LEAST_TURN, _SMALL_TURN = 1e-3, 0.2
+# Of a displacement that is late, two crossings beside a turn are one that is nearer than this share of the usual way.
+_TWICE = 0.4
+# Largest step of the voltage in a sample, and change in which the signal stays near its middle, in half periods; and
+# largest change without a crossing, in usual ways.
+_STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
+# Ways between crossings relative to those beside: a longer one has lost a period, a shorter one has one too many.
+_LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
+# By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
+_NEARER, _FARTHER = 0.75, 1.0
+# Amplitudes that no sample exceeds.
+_BEYOND = 1.5
+# Share of the voltage's range within which two cycles are alike, and half periods by which they may differ.
+_ALIKE, _JUMP = 0.01, 1.6
+
+
+def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: ArrayLike) -> Array:
+    """Return positions (n,) at the samples nearest to events, in the unit of the events, and NaN elsewhere.
+
+    Each is moved by the gain between neighbouring events times the difference of the voltages, so that what is left is
+    of second order; the mean counts where several events are nearest to one sample. `time` (n,) [s], `voltage` (n,)
+    [V], `event_time` (k,) [s], `position` (k,).
+
+    Raise `RecordError` if there are fewer than 4 events, their times do not rise or lie outside of `time`, a position
+    is not finite, or times and positions differ in number.
+    """
+    when = vector(event_time, "event_time", error=RecordError)
+    where = vector(position, "position", error=RecordError)
+    if when.size != where.size or when.size < _FEWEST:
+        got = f"{when.size} times and {where.size} positions of events"
+        raise RecordError(argument="event_time, position", got=got, need=f"one of each for {_FEWEST} events at least")
+    bad = np.flatnonzero((np.diff(when, prepend=when[0]) < 0) | (when < time[0]) | (when > time[-1]))
+    if bad.size:
+        got, need = f"{when[bad[0]]:.9g} s", f"rising times in the record, {time[0]:.9g} to {time[-1]:.9g} s"
+        hint = "sort the events, and check that both have one clock"
+        raise RecordError(argument=f"event_time[{bad[0]}]", got=got, need=need, hint=hint)
+    at = np.interp(when, time, voltage)
+    overall = float(np.ptp(where)) / max(float(np.ptp(voltage)), 1e-300)
+    with np.errstate(all="ignore"):
+        gain = np.diff(where) / np.diff(at)
+    # Two events on both sides of a turn show no gain.
+    gain[~(np.abs(gain - overall) <= overall)] = np.nan
+    beside = np.array([np.append(np.nan, gain), np.append(gain, np.nan)])
+    known = np.count_nonzero(~np.isnan(beside), axis=0)
+    gain = np.where(known > 0, np.nansum(beside, axis=0) / np.maximum(known, 1), overall)
+    nearest = np.clip(np.searchsorted(time, when), 1, time.size - 1)
+    nearest -= when - time[nearest - 1] < time[nearest] - when
+    samples, which, shared = np.unique(nearest, return_inverse=True, return_counts=True)
+    found = np.full(time.size, np.nan)
+    found[samples] = np.bincount(which, where + gain * (voltage[nearest] - at)) / shared
+    return found
+
+
+def record_of_periodic(
+    time: Array, voltage: Array, signal: Array, period: float, *, kind: str, name: str, unit: str = "a.u."
+) -> Record:
+    """Return a record of events, see `counted_events`; it keeps the `signal` [unit] as a further channel of that name.
+
+    `time`, `voltage`, `signal` (n,) [s], [V]; `period` of the displacement [m].
+    """
+    from dehyst.records.record import Record
+
+    others: Any = {f"signal [{unit}]": signal}
+    whole = Record(time, voltage, np.zeros(len(time)), name, others=others)
+    (channel,) = whole.others
+    when, where = counted_events(whole.time, whole.voltage, channel.values, period, kind)
+    return replace(Record.from_events(time, voltage, when, where, name=name, units="m"), others=whole.others)
+
+
+def counted_events(
+    time: Array, voltage: Array, signal: Array, period: float, kind: str = "fringe"
+) -> tuple[Array, Array]:
+    """Count a `signal` (n,) that repeats whenever the displacement has moved by a `period`.
+
+    The count goes up while the voltage rises and down while it falls. Of a "fringe", a sine of the displacement, the
+    crossings of the middle and the extremes between them are events; of a "grating", whose profile is unknown, one edge
+    of each line. Middle and contrast follow the signal's own extremes, so that both may drift.
+
+    Returns
+    -------
+    (k,) array, (k,) array
+        Times [s], and positions in the unit of `period`, about 0 at the first crossing.
+
+    Raises
+    ------
+    RecordError
+        If the signal does not repeat, has too few samples or periods, or a count is lost, with the time.
+    """
+    choice(kind, "kind", ("fringe", "grating"), error=RecordError)
+    if not number(period, "period", error=RecordError) > 0:
+        raise RecordError(argument="period", got=period, need="a length above 0, as half a wavelength")
+    least = max(noise_span(voltage), 2 * resolution(voltage)[0], _LEAST_TURN * float(np.ptp(voltage)))
+    turns = turning_points(voltage, least)
+    z = _normalised(time, signal, turns)
+    found = _crossings(time, voltage, z, turns)
+    # A smaller turn crosses no level twice.
+    turns = turning_points(voltage, max(least, _SMALL_TURN * found.usual))
+    found = _crossings(time, voltage, z, turns)
+    if kind == "grating":
+        even = found.number % 2 == 0
+        found = _Crossings(*(values[even] for values in found))
+    _refuse_lost_counts(time, voltage, z, turns, found, kind)
+    if kind == "grating":
+        return found.time, np.asarray(0.5 * period * found.number)
+    when, count = np.hstack([(found.time, found.number), _extremes(time, z, found)])
+    order = np.argsort(when)
+    return when[order], np.asarray(0.5 * period * count[order])
+
+
+def _refusal(got: str, hint: str) -> RecordError:
+    return RecordError(argument="signal", got=got, need="one in which each period can be counted", hint=hint)
+
+
+class _Crossings(NamedTuple):
+    """Crossings of the middle: times [s], voltages [V], their branches and numbers (k,)."""
+
+    time: Array
+    voltage: Array
+    branch: NDArray[np.intp]
+    number: NDArray[np.intp]
+
+    @property
+    def way(self) -> Array:
+        """The change of the voltage (k - 1,) [V] from each to the next of the same branch, NaN to another branch."""
+        return np.where(np.diff(self.branch) == 0, np.abs(np.diff(self.voltage)), np.nan)
+
+    @property
+    def usual(self) -> float:
+        """The median of these ways [V]; raise `RecordError` if there is none."""
+        if np.isnan(self.way).all():
+            raise _refusal("no period between two turns of the voltage", "drive over more periods")
+        return float(np.nanmedian(self.way))
+
+
+def _normalised(time: Array, signal: Array, turns: NDArray[np.intp]) -> Array:
+    """Return the signal from -1 to 1 between levels that follow its extremes."""
+    extremes = turning_points(signal, max(_SWING * float(np.ptp(signal)), noise_span(signal)))
+    # They alternate; beside a turn of the voltage they are incomplete.
+    above = signal[extremes] > signal[np.roll(extremes, 1)]
+    above[:1] = ~above[1:2]
+    whole = np.ones(extremes.size, dtype=bool)
+    if extremes.size:
+        whole[np.abs(extremes - turns[:, None]).argmin(axis=1)] = False
+    if min(np.count_nonzero(whole & above), np.count_nonzero(whole & ~above)) < 2:
+        hint = "name the column that repeats with the motion, sample faster, or drive over more periods"
+        raise _refusal(f"{extremes.size} extremes beyond its noise", hint)
+    levels = []
+    for own in (extremes[whole & above], extremes[whole & ~above]):
+        padded = np.pad(signal[own], _LEVELS // 2, mode="edge")
+        smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, _LEVELS), axis=1)
+        levels.append(np.interp(time, time[own], smooth))
+    return np.asarray((2 * signal - levels[0] - levels[1]) / (levels[0] - levels[1]))
+
+
+def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp]) -> _Crossings:
+    """Return the counted crossings of the middle, each the zero of a line through its samples."""
+    outside = np.flatnonzero(np.abs(z) > _BAND)
+    last = np.flatnonzero(np.diff(z[outside] > 0))
+    when = np.empty(last.size)
+    for k, (a, b) in enumerate(zip(outside[last].tolist(), outside[last + 1].tolist(), strict=True)):
+        w, t = np.arcsin(np.clip(z[a : b + 1], -1, 1)), time[a : b + 1]
+        slope = float(np.polyfit(t - t.mean(), w, 1)[0])
+        when[k] = np.clip(t.mean() - w.mean() / slope, t[0], t[-1])
+    found = _Crossings(when, np.interp(when, time, voltage), np.searchsorted(time[turns], when), last)
+    alone = np.isnan(np.append(np.nan, found.way[:-1])) | np.isnan(np.append(found.way[1:], np.nan))
+    twice = alone & (found.way < _TWICE * found.usual)
+    kept = ~(np.append(twice, False) | np.append(False, twice))
+    when, at, branch, _ = (values[kept] for values in found)
+    ends = voltage[[0, *turns.tolist(), -1]]
+    rising = np.sign(np.diff(ends))[branch]
+    count = np.cumsum(np.append(0, (rising[1:] + rising[:-1]) // 2))
+    return _Crossings(when, at, branch, count.astype(np.intp))
+
+
+def _extremes(time: Array, z: Array, found: _Crossings) -> tuple[Array, Array]:
+    """Return times and counts of the extremes between two crossings of one branch: vertices of parabolas."""
+    events = []
+    for k in np.flatnonzero(~np.isnan(found.way)).tolist():
+        first, last = np.searchsorted(time, found.time[k : k + 2]).tolist()
+        own = np.flatnonzero(np.abs(z[first:last]) > _TOP) + first
+        if own.size < _FEWEST:
+            continue
+        middle = float(time[own].mean())
+        bend, slope, _ = np.polyfit(time[own] - middle, z[own], 2).tolist()
+        place = middle - 0.5 * slope / bend if bend else np.inf
+        if time[own[0]] <= place <= time[own[-1]]:
+            events.append((place, 0.5 * float(found.number[k] + found.number[k + 1])))
+    when, count = np.array(events).reshape(-1, 2).T
+    return when, count
+
+
+def _refuse_lost_counts(
+    time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], found: _Crossings, kind: str
+) -> None:
+    """Raise `RecordError` where crossings are missing or too many, or may be."""
+
+    def demand(good: object, start: float, end: float) -> None:
+        if not good:
+            hint = "look whether the signal was blocked, weak or sampled too slowly there, and record it anew"
+            raise _refusal(f"a lost count between {start:.6g} and {end:.6g} s", hint)
+
+    way, usual, longest = found.way, found.usual, int(np.bincount(found.branch).max(initial=0))
+    if longest < _FEWEST:
+        raise _refusal(f"{longest} crossings in the longest branch", f"drive over more periods, {_FEWEST} crossings")
+    half = usual if kind == "fringe" else 0.5 * usual
+    fast = np.flatnonzero(np.abs(np.diff(voltage)) > _STEP * half)
+    if fast.size:
+        raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", "sample faster, or drive more slowly")
+    beyond = np.flatnonzero(np.abs(z) > _BEYOND)
+    demand(not beyond.size, *time[[*beyond[:1], *beyond[-1:]]].tolist() or (0, 0))
+    for first, stop in runs(np.abs(z) < _BAND):
+        demand(np.ptp(voltage[first:stop]) < _STAYS * half, *time[[first, stop - 1]].tolist())
+    ends = np.concatenate([time[:1], found.time, time[-1:]])
+    for a, b in pairwise(ends.tolist()):
+        within = voltage[np.searchsorted(time, a) : np.searchsorted(time, b, side="right")]
+        demand(np.ptp(within) <= _LONGEST * usual, a, b)
+    for k in range(way.size):
+        a, b = found.time[k : k + 2].tolist()
+        before, after = (way[j] if 0 <= j < way.size else np.nan for j in (k - 1, k + 1))
+        if not np.isnan(way[k]):
+            # After a turn, the displacement follows the voltage slowly at first.
+            most = _FIRST if np.isnan(before) else _LONG[kind]
+            demand(not (way[k] > most * np.fmax(before, after) or way[k] < _SHORT * np.fmin(before, after)), a, b)
+        elif found.branch[k + 1] == found.branch[k] + 1:
+            there, back = np.abs(voltage[turns[found.branch[k]]] - found.voltage[k : k + 2]).tolist()
+            demand(not there > _LONG[kind] * before, a, b)
+            demand(-_NEARER * usual < back - there < 2 * there + _FARTHER * usual, a, b)
+    # Cycles that are alike end at one place.
+    levels, last = voltage[turns], np.searchsorted(found.branch, np.arange(turns.size), side="right") - 1
+    place = found.number[last] + (levels - found.voltage[last]) / half
+    alike = np.append([False] * 2, np.abs(levels[2:] - levels[:-2]) < _ALIKE * np.ptp(voltage))
+    for k in range(3, turns.size):
+        same = alike[k] and alike[k - 1]
+        demand(not same or abs(place[k] - place[k - 2]) < _JUMP, *time[turns[[k - 2, k]]].tolist())

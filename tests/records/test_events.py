@@ -1,0 +1,295 @@
+"""Records whose displacement is known at events only, how long a sample holds, and the counting of periodic signals."""
+
+import warnings
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from truths import BoucWenActuator
+
+import dehyst
+from dehyst import Record, RecordError
+from dehyst.records.events import counted_events, record_of_periodic
+from dehyst.virtual import PlayActuator
+
+T = np.arange(601) * 0.01
+V = 50 - 50 * np.cos(2 * np.pi * T / 2)
+FULL = 1e-7 * V
+EVENTS = np.arange(0.055, 6, 0.1)
+PLACES = np.interp(EVENTS, T, 0.1 * V)
+KNOWN = Record.from_events(T, V, EVENTS, PLACES, name="lines")
+
+
+def same(record, other):
+    assert (record.hold, record.measured is None) == (other.hold, other.measured is None)
+    assert np.array_equal(record.measured, other.measured)
+    known = slice(None) if other.measured is None else other.measured
+    assert np.allclose(record.displacement[known], other.displacement[known], rtol=0, atol=1e-20)
+
+
+# What a sample means
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+@pytest.mark.parametrize(
+    "record",
+    [
+        KNOWN,
+        Record(T, V, FULL),
+        Record(T, V, FULL, hold="sample"),
+        replace(KNOWN, hold="sample", others={"load_N": T}),
+        # More cells with a number than blank ones.
+        Record(T, V, FULL, measured=np.arange(T.size) % 3 > 0),
+        Record(T, np.c_[V, V], np.c_[FULL, FULL], hold="sample"),
+    ],
+    ids=["events", "line", "sample", "both", "dense", "axes"],
+)
+def test_a_record_file_keeps_both(tmp_path, record, suffix):
+    path = tmp_path / f"a{suffix}"
+    dehyst.write_record(path, record)
+    unit = "um" if suffix == ".csv" else "m"
+    again = dehyst.read(path, f"x=vx_V:x_{unit}, y=vy_V:y_{unit}" if record.axes else None)
+    same(again, record)
+    assert [one.name for one in again.others] == [one.name for one in record.others]
+
+
+def test_a_held_voltage_is_said_and_a_line_is_not():
+    held = Record(T, V, FULL, hold="sample")
+    assert len(held.problems()) == len(Record(T, V, FULL).problems()) + 1
+    assert "held" in repr(held)
+    assert "held" not in repr(Record(T, V, FULL))
+    assert held.axis(0)[3:9].hold == "sample"
+
+
+# Events
+
+
+def test_events_are_moved_to_the_nearest_samples():
+    assert np.count_nonzero(KNOWN.measured) == EVENTS.size
+    assert KNOWN.displacement[KNOWN.measured] == pytest.approx(FULL[KNOWN.measured], abs=2e-9)
+    # The nearest samples, half a step away, without the correction.
+    assert np.abs(np.interp(EVENTS, T, FULL) - FULL[KNOWN.measured]).max() > 5e-8
+    assert KNOWN.displacement == pytest.approx(np.interp(T, T[KNOWN.measured], KNOWN.displacement[KNOWN.measured]))
+    assert KNOWN.noise == 0
+    assert "60 events" in repr(KNOWN)
+    assert any("60 events" in words for words in KNOWN.problems())
+    KNOWN.check_usable()
+
+
+def test_only_events_count():
+    aside = replace(KNOWN, set_aside=((0.0, 2.0),))
+    assert np.array_equal(KNOWN.counted, KNOWN.measured)
+    assert np.array_equal(aside.counted, KNOWN.measured & (T > 2.0))
+    same(KNOWN[100:400], replace(KNOWN[100:400], measured=KNOWN.measured[100:400]))
+    assert np.array_equal(KNOWN.take(T < 3).measured, KNOWN.measured[T < 3])
+    assert np.array_equal(np.isnan(KNOWN.columns()["displacement_um"]), ~KNOWN.measured)
+    same(KNOWN.axis(0), KNOWN)
+
+
+def blank(rows):
+    return np.where(rows, FULL, np.nan)
+
+
+@pytest.mark.parametrize("rows", [np.arange(T.size) % 3 == 0, np.arange(T.size) % 25 == 0])
+def test_mostly_blank_cells_are_events(tmp_path, rows):
+    path = tmp_path / "a.csv"
+    cells = ["" if not known else repr(y) for known, y in zip(rows, (1e6 * FULL).tolist(), strict=True)]
+    lines = [f"{t!r},{v!r},{y}" for t, v, y in zip(T.tolist(), V.tolist(), cells, strict=True)]
+    path.write_text("\n".join(["time_s,voltage_V,displacement_um", *lines]))
+    same(dehyst.read(path), Record(T, V, blank(rows), measured=rows))
+    assert np.array_equal(dehyst.read(path).measured, rows)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        # Few blank cells, few numbers, none.
+        lambda: Record(T, V, blank(np.arange(T.size) != 300)),
+        lambda: Record(T, V, blank(np.arange(T.size) % 2 == 0)),
+        lambda: Record(T, V, blank(np.arange(T.size) % 50 == 0)),
+        lambda: Record(T, V, FULL * np.nan),
+        lambda: Record(T, np.where(T > 1, np.nan, V), FULL),
+        lambda: Record(T, V, blank(T > 1), measured=T > 0.5),
+        lambda: Record(T, V, FULL, measured=T[1:] > 1),
+        lambda: Record(T, V, FULL, measured=T),
+        lambda: Record(T, V, FULL, hold="step"),
+        lambda: Record.from_events(T, V, EVENTS[:3], PLACES[:3]),
+        lambda: Record.from_events(T, V, EVENTS[1:], PLACES),
+        lambda: Record.from_events(T, V, EVENTS + 1, PLACES),
+        lambda: Record.from_events(T, V, EVENTS - 1, PLACES),
+        lambda: Record.from_events(T, V, EVENTS[::-1], PLACES),
+        lambda: Record.from_events(T, V, EVENTS, np.where(EVENTS > 3, np.nan, PLACES)),
+        lambda: Record.from_events(T, V, EVENTS, 1e2 * PLACES, units="mm"),
+        lambda: Record.from_events(T, V, EVENTS, PLACES, units="inch"),
+    ],
+)
+def test_what_is_no_record_of_events_is_refused(make):
+    with pytest.raises(RecordError):
+        make()
+
+
+def test_a_fit_counts_events_only():
+    truth = PlayActuator(noise=0.0)
+    tops = dehyst.waveforms.descending_tops(truth.highest, steps=6)
+    y = truth.play(tops.voltage, time=tops.time)
+    lines = truth.stroke / 20
+    line = np.floor(y / lines)
+    last = np.flatnonzero(np.diff(line))
+    place = lines * np.maximum(line[last], line[last + 1])
+    when = tops.time[last] + np.diff(tops.time)[last] * (place - y[last]) / np.diff(y)[last]
+    fit = dehyst.identify(Record.from_events(tops.time, tops.voltage, when, place, units="m"), structure="maxwell_slip")
+    (errors,) = fit.errors
+    assert errors.samples + errors.left_out <= tops.time.size
+    assert errors.rms < 0.005 * truth.stroke
+
+
+# Counting
+
+FRINGE, LINE = 316.4e-9, 3e-6
+
+
+def driven(rng, shape):
+    """Turning voltages of a record from 0 V."""
+    if shape == "random":
+        return [0, 100, 0, 100, 0, *rng.uniform(0, 100, 16), 0]
+    if shape == "falling":
+        return [0, 100, 0] + [turn for top in np.linspace(100, 30, rng.integers(4, 9)) for turn in (top, 0)]
+    return [0, *[100, float(rng.choice([0, -20]))] * int(rng.integers(3, 7))]
+
+
+def periodic(seed, kind, truth=None, fault=""):
+    """Return time, voltage, displacement in periods, signal, and the times of the fault."""
+    rng = np.random.default_rng(seed)
+    periods = np.exp(rng.uniform(np.log(3), np.log(60))) if kind == "fringe" else rng.uniform(13.5, 16.5)
+    shape = ("triangle", "sine", "falling", "random")[seed % 4]
+    turns, rate = driven(rng, shape), rng.uniform(12, 45)
+    smooth = shape == "sine" or (shape in ("falling", "random") and rng.random() < 0.5)
+    parts = [np.zeros(1)]
+    for a, b in pairwise(turns):
+        s = np.linspace(0, 1, max(12, int(max(150, rate * periods) * abs(b - a) / 100)) + 1)[1:]
+        parts.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * s) if smooth else s))
+    v = np.concatenate(parts)
+    t = 0.01 * np.arange(v.size)
+    truth = truth or (
+        PlayActuator(stroke=1.0, highest=100.0, width=rng.uniform(0.2, 0.6), asymmetry=rng.uniform(-0.1, 0.12), noise=0)
+        if rng.random() < 0.5
+        else BoucWenActuator(
+            stroke=1.0, highest=100.0, lag=rng.uniform(0.04, 0.09), resonance=2e3, delay=0, damping=0.5, noise=0
+        )
+    )
+    y = periods * truth.play(v, time=t)
+    phase, drift = y + rng.uniform(), 0.5 - 0.5 * np.cos(rng.uniform(1, 4) * t / t[-1])
+    if kind == "fringe":
+        wave = np.cos(2 * np.pi * phase)
+    else:
+        share, edge = rng.uniform(0.3, 0.7), rng.uniform(0.02, 0.08)
+        wave = np.tanh((0.5 * share - np.abs((phase + 0.5) % 1 - 0.5)) / edge)
+    signal = 2 + (1 - 0.2 * drift) * wave + 0.1 * t / t[-1]
+    first, span = int(rng.uniform(0.2, 0.75) * t.size), rng.uniform(1.2, 6)
+    last = int(np.searchsorted(np.cumsum(np.abs(np.diff(y))), np.abs(np.diff(y))[:first].sum() + span))
+    last = min(last, t.size - 2)
+    kept = np.ones(t.size, dtype=bool)
+    if fault == "blocked":
+        signal[first:last] = rng.choice([0.0, 2.0])
+    elif fault == "slow":
+        # A sample or two a period.
+        kept[first:last] = np.arange(last - first) % int(0.7 * (last - first) / span) == 0
+    signal += 0.02 * rng.normal(size=t.size)
+    return t[kept], v[kept], y[kept], signal[kept], t[[first, last]]
+
+
+def misses(kind, t, v, y, signal):
+    """Return by how many periods events miss the truth, up to one constant."""
+    when, where = counted_events(t, v, signal, 1.0, kind)
+    error = where - np.interp(when, t, y)
+    return np.abs(error - np.median(error))
+
+
+def outcomes(kind, count, fault="", truth=lambda: None):
+    """Return how many counts are right, refused with a time beside the fault, refused elsewhere, and wrong."""
+    right = named = elsewhere = wrong = 0
+    for seed in range(count):
+        *arrays, (first, last) = periodic(seed, kind, truth(), fault)
+        try:
+            wrong += (missed := misses(kind, *arrays).max()) >= 0.3
+            right += missed < 0.3
+        except RecordError as error:
+            times = [float(word) for word in str(error).replace(",", " ").split() if word.replace(".", "").isdigit()]
+            margin = 0.1 * arrays[0][-1]
+            near = any(first - margin <= time <= last + margin for time in times)
+            named, elsewhere = named + near, elsewhere + (not near)
+    return right, named, elsewhere, wrong
+
+
+@pytest.mark.parametrize("kind", ["fringe", "grating"])
+@pytest.mark.parametrize("seed", range(8))
+def test_counts_are_right(kind, seed):
+    *arrays, _ = periodic(seed, kind)
+    assert misses(kind, *arrays).max() < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "fault", "right", "wrong"),
+    [
+        ("fringe", "", 100, 0),
+        ("grating", "", 100, 0),
+        ("fringe", "slow", 5, 0),
+        ("grating", "slow", 5, 0),
+        ("fringe", "blocked", 5, 0),
+        ("grating", "blocked", 5, 1),
+    ],
+)
+def test_a_hundred_counts_are_right_or_refused_where_one_is_lost(kind, fault, right, wrong):
+    found = outcomes(kind, 100, fault)
+    assert found[0] == right if not fault else found[0] <= right
+    assert found[3] <= wrong
+    # A closed loop is looked at last: its cycle holds the lost count.
+    assert found[1] >= 0.9 * (found[1] + found[2])
+
+
+def clean(**how):
+    t, v, y, signal, _ = periodic(1, "fringe")
+    return how.get("t", lambda t: t)(t), how.get("v", lambda v: v)(v), how.get("s", lambda s, _: s)(signal, y)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"s": lambda s, _: np.random.default_rng(1).normal(size=s.size)},
+        {"s": lambda s, _: np.full(s.size, 2.0)},
+        # No period, one in all, too few a branch.
+        {"s": lambda _, y: y},
+        {"s": lambda _, y: np.cos(2 * np.pi * y / np.ptp(y))},
+        {"s": lambda _, y: np.cos(1.3 * np.pi * y / np.ptp(y) + 1)},
+        {"s": lambda s, _: np.where(np.arange(s.size) == 7, np.nan, s)},
+        {"v": lambda v: np.where(np.arange(v.size) % 2, v, v + 30)},
+        {"v": lambda v: 0 * v},
+    ],
+)
+def test_what_cannot_be_counted_is_refused(change):
+    with pytest.raises(RecordError), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record_of_periodic(*clean(**change), FRINGE, kind="fringe", name="a")
+
+
+@pytest.mark.parametrize(("period", "kind"), [(0, "fringe"), (-1, "fringe"), (np.nan, "fringe"), (FRINGE, "grid")])
+def test_an_impossible_period_or_kind_is_refused(period, kind):
+    with pytest.raises(RecordError):
+        record_of_periodic(*clean(), period, kind=kind, name="a")
+
+
+@pytest.mark.parametrize(("kind", "period"), [("fringe", FRINGE), ("grating", LINE)])
+def test_a_file_of_a_periodic_signal_is_a_record_of_events(tmp_path, kind, period):
+    t, v, y, signal, _ = periodic(2, kind)
+    path = tmp_path / "a.csv"
+    dehyst.records.write_columns(path, {"time_s": t, "voltage_V": v, "photodiode_V": signal})
+    columns = f"time=time_s, voltage=voltage_V, displacement=photodiode_V*{kind} {1e9 * period:.6g} nm"
+    record = dehyst.read(path, columns)
+    error = record.displacement[record.measured] / period - y[record.measured]
+    assert np.abs(error - np.median(error)).max() < 0.2
+    assert [(one.name, one.unit) for one in record.others] == [("signal", "V")]
+    assert len(record) == t.size
+    axes = record.plot("signal")
+    assert [line.get_xdata().size for line in axes.lines][-1] == np.count_nonzero(record.measured)
