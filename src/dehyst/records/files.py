@@ -107,8 +107,9 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
         need = "one voltage and one displacement; read each axis by itself"
         raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
     if scale is not None and scale.kind:
+        unit = y.entry.unit or y.column.parts[1]
         record = record_of_periodic(
-            time, voltages[0], displacements[0], scale.period, kind=scale.kind, name=name, unit=y.unit or "a.u."
+            time, voltages[0], displacements[0], scale.period, kind=scale.kind, name=name, unit=unit or "a.u."
         )
         return replace(record, meta=meta, others=(*channels, *record.others), hold=hold)
     if not columns.axes:
