@@ -34,7 +34,7 @@ _RESTS, _COMES_BACK, _BACK = 5, 0.02, 0.25
 # Fewer samples show no spike and no loop.
 _FEWEST = 20
 # Shorter steps [s] are no measurement, and computations with them overflow.
-_SHORTEST = 1e-30
+SHORTEST = 1e-30
 # Largest difference of an evenly rounded time from a straight line, in its steps; least samples of a sweep.
 _EVEN, _SWEEP = 1.2, 3
 # A time starts again within this part of its way so far; largest part of a step by which even times vary.
@@ -71,7 +71,7 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     `voltage` and `displacement` (n,) tell reversed rows from a wrong sign, and rows that are written twice.
     """
     steps = np.diff(time)
-    if not np.any(steps < _SHORTEST):
+    if not np.any(steps < SHORTEST):
         return ""
     # The first of several axes.
     voltage, displacement = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
@@ -84,9 +84,9 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
         return _falls(time, falls)
     if stands.size:
         return _stands(time, stands, np.column_stack([voltage, displacement]))
-    i = int(np.argmax(steps < _SHORTEST))
+    i = int(np.argmax(steps < SHORTEST))
     return (
-        f"time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need {_SHORTEST:g} s at least; "
+        f"time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need {SHORTEST:g} s at least; "
         "check the time's unit, or give a sample rate"
     )
 
