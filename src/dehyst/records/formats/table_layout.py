@@ -126,19 +126,11 @@ def layout_of(block: str) -> Layout:
             units = all(map(symbol_of, rows[i - 1])) and all(map(_is_word, rows[i - 2]))
             begin, place = i - 1 - units, i
     texts, above = [line.text for line in lines[begin:place]], rows[begin:place]
-    signs = [line.text for line in comments if line.number == lines[place].number - 1]
-    if (
-        signs
-        and shape.width > 1
-        and len(cells_of(signs[0], delimiter)) == shape.width
-        and "#" in signs[0].split(delimiter)
-    ):
-        # A count, which is named by its sign: #, U, x.
-        texts, above = signs, [cells_of(signs[0], delimiter)]
-    elif not above:
-        texts = [line.text for line in comments if line.number < lines[0].number]
-        texts = [text for text in texts if len(cells_of(text.lstrip("#% \t"), delimiter)) == shape.width]
-        above = [cells_of(text.lstrip("#% \t"), delimiter) for text in texts]
+    if not any(len(row) == shape.width for row in above):
+        # Names in comments.
+        before = [line.text for line in comments if line.number < lines[place].number]
+        named = [(text, cells) for text in before if (cells := _commented(text, delimiter, shape.width))]
+        texts, above = [text for text, _ in named] or texts, [cells for _, cells in named] or above
     heading = _beside(rows) or _heading(above, rows[place:], shape)
     if place and not heading.names:
         width = len(above[-1])
@@ -158,6 +150,12 @@ def layout_of(block: str) -> Layout:
     top = (*block.split("\n")[: line.number], *heading.clock)
     texts = texts[len(texts) - heading.lines :]
     return Layout(line.number, delimiter, heading.names, heading.units, line.text.strip(), top, tuple(texts))
+
+
+def _commented(text: str, delimiter: str | None, width: int) -> list[str]:
+    """Return the cells of a comment, as many as the columns, or none; a sign of its own may name a count."""
+    signed, plain = cells_of(text, delimiter), cells_of(text.lstrip("#% \t"), delimiter)
+    return plain if len(plain) == width else signed if len(signed) == width and signed[0] in _MARKS else []
 
 
 def _below_first_line(line: _Line, names: list[str], delimiter: str | None) -> Layout:
