@@ -106,6 +106,7 @@ KEYS = {
     "displacement": ("record.csv", "", "displacement=back_um"),
     "displacement scale": ("record.csv", "displacement=monitor_V*0.09um/V", "displacement=monitor_V*0.08um/V"),
     "rate": ("record.csv", "", "rate=50"),
+    "hold": ("record.csv", "", "hold=sample"),
     "temperature": ("record.csv", "", "temperature=bare:C"),
     "join": ("record.csv", "", "join=other.csv, displacement=extra_um"),
     "decimal": ("commas.txt", "", "decimal=comma"),

@@ -94,6 +94,7 @@ NO_COLUMNS = {
     "rate=nan": "rate",
     "max_size=-1": "max_size",
     "decimal=;": "decimal",
+    "hold=long": "hold",
     "voltage=a*GAIN": "columns",
     "voltage=a*0": "columns",
     "voltage=a*1e999": "columns",
@@ -123,7 +124,7 @@ def test_something_else_is_refused(given):
     [
         Columns(),
         Columns(time="Time, local:ms", voltage='a "b":mV*100', displacement="3:um?", rate=50.0),
-        Columns(displacement="pd*fringe 316.4 nm", join="second.csv", decimal=",", max_size=20.0),
+        Columns(displacement="pd*fringe 316.4 nm", join="second.csv", decimal=",", max_size=20.0, hold="sample"),
         Columns(axes={"x": "vx_V:x_um", "y": "vy*2:y:nm*-1 um/um"}, temperature="4:C", wanted="path"),
     ],
 )

@@ -25,13 +25,14 @@ RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
 _PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER}|{PERIOD})\s*([^\W\d]+)")
+HOLDS = ("line", "sample")
 _SIGNS = {"point": ".", "comma": ","}
 _COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
 # Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
 TEXT_KEYS = ("decimal", "max_size")
-RECORD = ("time", "voltage", "displacement", "temperature", "rate", "join", *TEXT_KEYS)
-VOLTAGE = tuple(key for key in RECORD if key != "displacement")
-PATH = tuple(key for key in RECORD if key != "voltage")
+RECORD = ("time", "voltage", "displacement", "temperature", "rate", "hold", "join", *TEXT_KEYS)
+VOLTAGE = tuple(key for key in RECORD if key not in ("displacement", "hold"))
+PATH = tuple(key for key in RECORD if key not in ("voltage", "hold"))
 # Longest file of columns [bytes].
 _LONGEST = 10_000
 
@@ -155,6 +156,9 @@ class Columns:
         The same for the displacement in a file of a path, if the columns of records are given too.
     rate : float, optional
         Samples per second [Hz], in the place of a column of time.
+    hold : str, optional
+        "sample" if a converter holds the voltage from one sample to the next, and the displacement is read at the end;
+        default: as the file says, or "line"; see `Record`.
     join : path, optional
         Second file of the same measurement, aligned on time, or on the sample if one of the files has no time.
     decimal : str, optional
@@ -177,6 +181,7 @@ class Columns:
     temperature: str | None = None
     wanted: str | None = None
     rate: float | None = None
+    hold: str | None = None
     join: PathLike | None = None
     decimal: str | None = None
     max_size: float = MOST / 1e6
@@ -185,7 +190,7 @@ class Columns:
     metavar: ClassVar[str] = "TEXT"
     about: ClassVar[str] = (
         "How files are read, as 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE that `show --save` "
-        "wrote. Other keys: rate=HZ, temperature=NAME:C, join=FILE, decimal=point|comma, max_size=MB, and "
+        "wrote. Other keys: rate=HZ, temperature=NAME:C, hold=sample, join=FILE, decimal=point|comma, max_size=MB, and "
         "of several axes x=VOLTAGE:DISPLACEMENT; default: columns are found by their names."
     )
 
@@ -202,9 +207,10 @@ class Columns:
             if value is not None and not (number and 0 < value < float("inf")):
                 need = "the number of samples a second" if key == "rate" else "a number of MB"
                 raise FileFormatError(argument=key, got=repr(value), need=f"{need}, above 0")
-        if self.decimal not in (None, *_SIGNS.values()):
-            need = f"one of {' and '.join(map(repr, _SIGNS.values()))}"
-            raise FileFormatError(argument="decimal", got=repr(self.decimal), need=need)
+        for key, known in (("decimal", (*_SIGNS.values(),)), ("hold", HOLDS)):
+            if getattr(self, key) not in (None, *known):
+                need = f"one of {' and '.join(map(repr, known))}"
+                raise FileFormatError(argument=key, got=repr(getattr(self, key)), need=need)
         object.__setattr__(self, "join", None if self.join is None else path_of(self.join, "join"))
         object.__setattr__(self, "axes", dict(self.axes))
 
@@ -292,6 +298,8 @@ class Columns:
         found = {name: value for name in _COLUMNS if (value := getattr(self, name))}
         if self.rate is not None:
             found["rate"] = f"{self.rate:.12g}"
+        if self.hold is not None:
+            found["hold"] = self.hold
         if self.join is not None:
             found["join"] = str(self.join)
         if self.decimal is not None:

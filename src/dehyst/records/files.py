@@ -101,7 +101,8 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     }
     meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}
     channels = tuple(channel for channel, _ in others)
-    hold: Any = "sample" if first["voltage"].column.timing == "sample" else "line"
+    stated = "sample" if first["voltage"].column.timing == "sample" else "line"
+    hold: Any = columns.hold or stated
     y, scale = first["displacement"], first["displacement"].entry.scale
     if columns.axes and any((one := part["displacement"].entry.scale) and one.kind for part in parts.values()):
         need = "one voltage and one displacement; read each axis by itself"
