@@ -13,7 +13,7 @@ import argparse
 import json
 import os
 import time
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from math import cos, exp, pi, sin, sqrt
 from pathlib import Path
 
@@ -31,7 +31,6 @@ Array = np.ndarray
 RATE, SAMPLES = 5000.0, 50_000
 HIGHEST, STROKE, NOISE = 150.0, 20e-6, 0.0011
 RECORDS = ("step first", "step last", "staircase")
-NAMED = ("time_s", "duration_s", "voltages_V", "frequency_Hz", "damping")
 
 
 class Swing:
@@ -225,13 +224,14 @@ def row(name: str, kind: str, samples: int = SAMPLES) -> dict:
     """Return the JSON values of one case."""
     found = run(name, kind, samples)
     expected, error = found.fit.expectation, found.fit.errors[0]
-    named = transients(record_of(name, kind, samples)[0])
+    record, _, _ = record_of(name, kind, samples)
+    named = transients(record)
     return {
         "truth": name,
         "record": kind,
         "samples": samples,
         "true_frequency_hz": TRUTHS[name].frequency,
-        "transients": [dict(zip(NAMED, astuple(one)[3:], strict=True)) for one in named],
+        "transients": [{"time_s": float(record.time[jump]), "samples": stop - start} for start, jump, stop in named],
         "set_aside": error.left_out,
         "expected_largest_percent": expected.largest_percent,
         "expected_rms_percent": 100 * expected.rms / error.stroke,

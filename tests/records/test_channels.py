@@ -194,13 +194,6 @@ def test_a_recording_keeps_them(tmp_path):
         Recording(tmp_path / "c.csv", others=["temperature"])
 
 
-@pytest.mark.parametrize(("temperature", "remarks"), [(20.0, 0), (295.0, 1), (180.0, 0), (400.0, 0)])
-def test_kelvins_in_a_column_of_degrees_are_remarked(temperature, remarks):
-    time = np.arange(100.0)
-    record = Record(time, np.sin(time), 1e-6 * np.sin(time), others={"temperature_C": temperature + time / 10})
-    assert sum("temperature_K" in sentence for sentence in record.problems()) == remarks
-
-
 def test_several_temperatures_are_remarked_because_none_is_used():
     record = Record(T, V, Y, others={"temperature_C": T, "room_degC": T})
     assert record.temperature is None

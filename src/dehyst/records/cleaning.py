@@ -1,34 +1,36 @@
 """Cleaning of a record: what a fit leaves out, each with one sentence.
 
-Glitches of the voltage and spikes of the displacement are excursions that the other signal does not have, see
-`dehyst.records.glitches`. With hysteresis alone, the displacement turns back only where the voltage does. After a step
-of the voltage it turns back by itself if a mass swings or an amplifier overshoots: such a transient is real, but no
-model without inertia follows it.
+Glitches of the voltage and spikes of the displacement are short excursions that go away and come back at once. They are
+larger than the signal's steps nearby, its noise, its resolution and most of its excursions; and the other signal has
+none, now or somewhat later. If the sensor is too noisy to show that, the voltage is not changed. With hysteresis alone,
+the displacement turns back only where the voltage does. After a step of the voltage it turns back by itself if a mass
+swings or an amplifier overshoots: such a transient is real, but no model without inertia follows it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from math import isfinite, log, pi, sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from math import comb, log, sqrt
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array, Mask
-from dehyst.records.glitches import Glitch, glitches, spikes
-from dehyst.records.signals import new_samples, noise_span, runs, turning_points, white_noise
+from dehyst.records.signals import QUARTILE, new_samples, noise_span, resolution, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dehyst.records.record import Record
 
-# Most samples of a step, neighbours on each side that show the drive, and how often it exceeds their steps.
-_WIDEST, _NEAR, _TIMES = 8, 8, 8.0
-# Least step as a part of the voltage's range, least part of it in a sample, and standard deviations of its noise.
-_LEAST, _PART, _SIGMAS = 0.02, 0.05, 8.0
+# Most samples of a step or excursion, neighbours on each side that show the signal's steps, and least size: share of
+# the range, and multiple of the noise's deviation.
+_NEAR, _LEAST, _SIGMAS = 8, 0.02, 8.0
+# Most samples of a step, how often it exceeds the steps nearby, and least part of it in a sample.
+_WIDEST_STEP, _TIMES, _PART = 8, 8.0, 0.05
 # Least motion against the voltage, as parts of the displacement's step and range.
 _SWING, _VISIBLE = 0.02, 0.002
 # Times the mean gain by which a displacement may follow the voltage away from a turn.
@@ -38,48 +40,68 @@ _SOON, _AHEAD = 400, 4096
 # Latest next turn of a ring, in usual half periods, which the first ones may exceed.
 _LATE = 2.5
 # A ring counts until it is below this share of the range, or the noise; at most this multiple of its visible part.
-_FADED, _LONGEST = 5e-4, 3.0
-# Half-lives until an overshoot that does not swing is over.
-_HALVES = 8
-# Displacements from which the levels beside a transient are taken.
-_LEVEL = 8
+_FADED, _LONGEST_RING = 5e-4, 3.0
+# Half-lives until an overshoot that does not swing is over; displacements from which the levels beside it are taken.
+_HALVES, _LEVEL = 8, 8
 # Most glitches or transients that are named one by one, and fewest new samples a cycle.
 _SHOWN, FEWEST_NEW = 5, 12
+# Fewest samples of a record that shows excursions, most samples of a glitch and of a spike, least size of a spike, and
+# largest part of a record that spikes are.
+_SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005, 0.05
+# Least size of an excursion in steps of resolution, usual excursions and steps nearby; at an end, where it cannot come
+# back, in the largest steps. Digits of a signal are a part of its range at most.
+_DIGITS, _USUAL, _STEPS, _STEPS_AT_END, _COARSEST = 1.5, 1.5, 1.5, 3.0, 0.1
+# Least share of its mean gain with which the displacement follows: a small excursion moves an actuator by half of the
+# mean slope, and half of that can fall between two samples. Multiple of the noise deviation below which it is hidden,
+# and gain next to a turn over the mean gain.
+_FOLLOWS, _SEEN, _STEEPER = 0.2, 2.0, 2.0
+# Largest lag of the displacement: share of a cycle, and its bounds in samples.
+_LAG, _LAGS = 0.05, (8, 64)
+# Longer excursions, such as a channel that drops out: most samples, share of a cycle, least share of the range.
+_LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
+# Passes in which excursions behind others are found, and candidates processed at a time.
+_PASSES, _BLOCK = 20, 1 << 14
+
+Indices = NDArray[np.intp]
+Stretches = list[tuple[int, int]]
 
 
 class Cleaned(NamedTuple):
     """A record without its glitches, transients, spikes and repeated samples.
 
-    `record`: the same object if there are none. `glitches`, `transients`, `spikes`: what was left out; the spikes as
-    samples of the record without glitches. `sentences`: one for each glitch and transient, of many for some, and one on
-    the spikes and on the repeated samples.
+    `record`: the same object if there are none. `glitches`: start and stop of each, as samples of the given record.
+    `sentences`: one for each glitch and transient, of many for some, and one on the spikes and on the repeated samples.
     """
 
     record: Record
-    glitches: tuple[Glitch, ...]
-    transients: tuple[Transient, ...]
-    spikes: Mask
+    glitches: Stretches
     sentences: tuple[str, ...]
 
 
 def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
     """Leave glitches of the voltage out, and samples that repeat; set transients aside, put lines in place of spikes.
 
-    The displacement in transients is replaced by a path that follows the voltage, unless `ringing`. Known positions
-    are no sensor's: a record of events stays as it is.
+    The displacement in transients is replaced by a path that follows the voltage, unless `ringing`.
     """
-    if record.measured is not None:
-        return Cleaned(record, (), (), np.zeros(len(record), dtype=bool), ())
-    stray = glitches(record.time, record.voltage, record.displacement)
+    bad = glitches(record.voltage, record.displacement)
+    stray = runs(bad)
+    words = [
+        f"voltage glitch at sample{f's {a} to {b - 1}' if b - a > 1 else f' {a}'} ({record.time[a]:.6g} s): "
+        f"{record.voltage[a]:.6g} V; the displacement does not follow: left out."
+        for a, b in stray
+    ]
+    sentences = _shortened(words, "voltage glitches: left out.")
     if stray:
-        keep = np.ones(len(record), dtype=bool)
-        for glitch in stray:
-            keep[glitch.start : glitch.stop] = False
-        record = record.take(keep)
-    found = transients(record)
-    sentences = [*_shortened(stray, "voltage glitches"), *_shortened(found, "steps after which it swings")]
-    if found:
-        aside = tuple((float(record.time[one.start]), float(record.time[one.stop - 1])) for one in found)
+        record = record.take(~bad)
+    if found := transients(record):
+        time = record.time
+        words = [
+            f"step to {record.voltage[jump]:.4g} V at {time[jump]:.4g} s swings for "
+            f"{1e3 * (time[stop - 1] - time[jump]):.3g} ms; these {stop - start} samples are set aside."
+            for start, jump, stop in found
+        ]
+        sentences += _shortened(words, "steps after which it swings: set aside.")
+        aside = tuple((float(time[start]), float(time[stop - 1])) for start, _, stop in found)
         path = record.displacement if ringing else settled(record, found)
         record = replace(record, displacement=path, set_aside=(*record.set_aside, *aside))
     bad = spikes(record.voltage, record.displacement)
@@ -101,131 +123,95 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
             "that repeat it are left out."
         )
         record = record.take(new)
-    return Cleaned(record, stray, found, bad, tuple(sentences))
+    return Cleaned(record, stray, tuple(sentences))
 
 
-def _shortened(items: Sequence[Glitch | Transient], name: str) -> list[str]:
-    """Return the sentences of all items; beyond five, those of four and how many more there are."""
-    shown = items if len(items) <= _SHOWN else items[: _SHOWN - 1]
-    more = len(items) - len(shown)
-    return [item.sentence for item in shown] + [f"{more} more {name}: left out."] * bool(more)
+def _shortened(sentences: list[str], rest: str) -> list[str]:
+    """Return all sentences; of more than five, four and how many more there are."""
+    if len(sentences) <= _SHOWN:
+        return sentences
+    return [*sentences[: _SHOWN - 1], f"{len(sentences) - _SHOWN + 1} more {rest}"]
 
 
-@dataclass(frozen=True)
-class Transient:
-    """A step of the voltage, and the ringing or overshoot of the displacement after it.
-
-    Samples `start` to `stop` - 1 of a record, counted from 0: the first one is the last before the step. `jump`: first
-    sample after the step. `time`: time of the step [s]. `duration`: time until the ringing is over [s]. `voltages`:
-    voltages before and after the step [V]. `frequency` [Hz] and `damping` (of critical) of the ring; 0 if it overshoots
-    once.
-    """
-
-    start: int
-    jump: int
-    stop: int
-    time: float
-    duration: float
-    voltages: tuple[float, float]
-    frequency: float = 0.0
-    damping: float = 0.0
-
-    @property
-    def sentence(self) -> str:
-        """A description with step, time and duration."""
-        rings = f"rings at {self.frequency:.3g} Hz, damping {self.damping:.2g}," if self.frequency else "overshoots"
-        step = f"step to {self.voltages[1]:.4g} V at {self.time:.4g} s"
-        return f"{step} {rings} for {1e3 * self.duration:.3g} ms; these {self.stop - self.start} samples are set aside."
-
-
-def voltage_steps(voltage: Array) -> list[tuple[int, int]]:
+def voltage_steps(voltage: Array) -> Stretches:
     """Return the last sample before and the first one after each step of a voltage (n,) [V].
 
     A step takes few samples, and is large compared with the range, the noise and neighbouring changes.
     """
     change, span = np.abs(np.diff(voltage)), float(np.ptp(voltage))
     noise = _SIGMAS * white_noise(voltage)
-    fast = change > max(_PART * _LEAST * span, noise)
-    if not span or not fast.any():
-        return []
     steps = []
-    for start, stop in runs(fast):
-        if stop - start > _WIDEST:
-            continue
+    for start, stop in runs(change > max(_PART * _LEAST * span, noise)):
         height = abs(float(voltage[stop] - voltage[start]))
         beside = np.concatenate([change[max(start - _NEAR, 0) : start], change[stop : stop + _NEAR]])
-        if height > max(_LEAST * span, noise, _TIMES * float(beside.max(initial=0.0))):
+        large = height > max(_LEAST * span, noise, _TIMES * float(beside.max(initial=0.0)))
+        if large and stop - start <= _WIDEST_STEP:
             steps.append((start, stop))
     return steps
 
 
-def transients(record: Record) -> tuple[Transient, ...]:
+def transients(record: Record) -> list[tuple[int, int, int]]:
     """Find the steps of the voltage after which the displacement rings or overshoots, in order.
 
+    Each is the last sample before the step, the first one after it, and one after the last sample that rings.
     Transients that were already replaced are not found again.
     """
     steps, counted = voltage_steps(record.voltage), record.counted
     if counted is not None:
         steps = [(start, jump) for start, jump in steps if counted[start]]
     ends = [*(start for start, _ in steps), len(record)][1:]
-    found = [_after(record, start, jump, end) for (start, jump), end in zip(steps, ends, strict=False)]
-    return tuple(one for one in found if one is not None)
+    stops = [_rings_until(record, *step, end) for step, end in zip(steps, ends, strict=False)]
+    return [(*step, stop) for step, stop in zip(steps, stops, strict=True) if stop]
 
 
-def settled(record: Record, found: tuple[Transient, ...]) -> Array:
+def settled(record: Record, found: Sequence[tuple[int, int, int]]) -> Array:
     """Return the displacement (n,) [m] with each transient replaced by a path that follows the voltage.
 
     Ringing after the hysteresis does not affect it, so the path follows the voltage from one level to the other.
     """
     v, y = record.voltage, record.displacement.copy()
     gain = float(np.ptp(record.displacement)) / max(float(np.ptp(v)), 1e-300)
-    for one in found:
-        before = slice(max(one.start + 1 - _LEVEL, 0), one.start + 1)
-        low = float(np.mean(y[before] - gain * (v[before] - v[one.start])))
-        after = slice(one.stop, min(one.stop + _LEVEL, len(record)))
-        if after.start >= after.stop:
-            after = slice(max(one.stop - 2 * _LEVEL, one.jump), one.stop)
-        last = min(one.stop, len(record) - 1)
-        end = float(np.mean(y[after] - gain * (v[after] - v[last])))
-        high = end - gain * float(v[last] - v[one.jump])
-        way = (v[one.start : one.jump + 1] - v[one.start]) / (v[one.jump] - v[one.start])
-        y[one.start : one.jump + 1] = low + (high - low) * way
-        y[one.jump : one.stop] = np.linspace(high, end, last - one.jump + 1)[: one.stop - one.jump]
+
+    def level(part: slice, at: int) -> float:
+        """Mean displacement at samples, as if all had the voltage of one."""
+        return float(np.mean(y[part] - gain * (v[part] - v[at])))
+
+    for start, jump, stop in found:
+        low = level(slice(max(start + 1 - _LEVEL, 0), start + 1), start)
+        last = min(stop, len(record) - 1)
+        after = slice(stop, stop + _LEVEL) if stop < len(record) else slice(max(stop - 2 * _LEVEL, jump), stop)
+        end = level(after, last)
+        high = end - gain * float(v[last] - v[jump])
+        way = (v[start : jump + 1] - v[start]) / (v[jump] - v[start])
+        y[start : jump + 1] = low + (high - low) * way
+        y[jump:stop] = np.linspace(high, end, last - jump + 1)[: stop - jump]
     y.flags.writeable = False
     return y
 
 
-def _after(record: Record, start: int, jump: int, end: int) -> Transient | None:
-    """Return the transient after a step, before sample `end`; None if the displacement follows the voltage."""
+def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
+    """Return where a ring or overshoot after a step is over, before sample `end`; 0 if there is none."""
     window = slice(start, min(jump + _AHEAD, end))
     v, y = record.voltage[window], record.displacement[window]
     if y.size < _LEVEL:
-        return None
-    noise = white_noise(record.displacement)
-    height, stroke = float(np.ptp(y[: _SOON + jump - start])), record.stroke
-    least = max(_SWING * height, _VISIBLE * stroke, noise_span(y) if noise else 0.0)
+        return 0
+    noise, stroke = white_noise(record.displacement), record.stroke
+    soon = _SOON + jump - start
+    least = max(_SWING * float(np.ptp(y[:soon])), _VISIBLE * stroke, noise_span(y) if noise else 0.0)
     gain = stroke / float(np.ptp(record.voltage))
     turns = _own_turns(v, y, jump - start, least, gain)
-    if not turns or turns[0] > _SOON + jump - start:
-        return None
-    step, at = record.sample_time, turns[-1]
-    frequency = damping = 0.0
-    if len(turns) >= 3:
-        half = (turns[-1] - turns[0]) / (len(turns) - 1)
-        swings = np.abs(np.diff(y[turns]))
-        # The size falls by the same factor each half period.
-        fall = -float(np.polyfit(np.arange(swings.size), np.log(swings), 1)[0]) if swings.size > 1 else log(2)
-        fall = fall if isfinite(fall) and fall > 0 else 0.0
-        frequency, damping = 0.5 / (half * step), fall / sqrt(pi**2 + fall**2)
-        left = log(max(0.5 * float(swings[-1]) / max(_FADED * stroke, noise), 1.0))
-        over = at + half * min(2 + left / max(fall, 1e-3), _LONGEST * len(turns))
+    if not turns or turns[0] > soon:
+        return 0
+    over = float(turns[-1])
+    if len(turns) < 3:
+        over += _HALVES * _half_life(y - gain * v, turns[-1])
     else:
-        over = at + _HALVES * _half_life(y - gain * v, at)
-    stop = min(start + int(over) + 1, end)
-    volts = float(record.voltage[start]), float(record.voltage[jump])
-    began = float(record.time[jump])
-    duration = float(record.time[min(stop, len(record)) - 1]) - began
-    return Transient(start, jump, stop, began, duration, volts, frequency, damping)
+        half, swings = (turns[-1] - turns[0]) / (len(turns) - 1), np.abs(np.diff(y[turns]))
+        # The size falls by the same factor each half period.
+        fall = -float(np.polyfit(np.arange(swings.size), np.log(swings), 1)[0])
+        left = log(max(0.5 * float(swings[-1]) / max(_FADED * stroke, noise), 1.0))
+        over += half * min(2 + left / max(fall, 1e-3), _LONGEST_RING * len(turns))
+    return min(start + int(over) + 1, end)
 
 
 def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list[int]:
@@ -249,3 +235,173 @@ def _half_life(y: Array, first: int) -> int:
     rest = y[first : first + _SOON]
     away = np.abs(rest - np.median(rest[rest.size // 2 :]))
     return int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1
+
+
+def glitches(voltage: Array, displacement: Array) -> Mask:
+    """Return the samples (n,) in glitches of a voltage; both are in any unit, and sampled about evenly."""
+    return _excursions(voltage, displacement, _LEAST, ends=True, widest=_WIDEST, way=1)
+
+
+def spikes(voltage: Array, displacement: Array) -> Mask:
+    """Return the samples (n,) in spikes of a displacement; both are in any unit, and sampled about evenly."""
+    found = _excursions(displacement, voltage, _LEAST_SPIKE, sensor=0.0, longest=0, widest=_WIDEST_SPIKE, way=-1)
+    return found if np.count_nonzero(found) <= _MOST_SPIKES * found.size else np.zeros_like(found)
+
+
+def _excursions(values: Array, other: Array, least: float, *, ends: bool = False, **options: Any) -> Mask:
+    """Return the samples of excursions that another signal does not have, at the record's ends also if asked."""
+    bad, clean, places = np.zeros(len(values), dtype=bool), values, np.arange(len(values))
+    for _ in range(_PASSES if len(values) >= _SHORTEST else 0):
+        signals = _Signals.of(clean, other, least, options)
+        found = [] if signals is None else signals.inner() or (signals.at_ends() if ends else [])
+        if not found:
+            break
+        for start, stop in found:
+            bad[start:stop] = True
+        # A straight line in place of the excursions, so that the next pass finds hidden ones.
+        clean = np.where(bad, np.interp(places, places[~bad], values[~bad]), values)
+    return bad
+
+
+class _Signals(NamedTuple):
+    """Voltage and displacement (n,), and what counts as large in them.
+
+    `least`: excursion [V] that noise, resolution or usual excursions explain. `gain`: displacement per volt, over the
+    range. `sensor`: displacement that noise or resolution of the sensor explains. `lag`: samples by which the
+    displacement may lag. `span`: range of the voltage [V]. `longest`: samples that an excursion may last.
+    """
+
+    v: Array
+    y: Array
+    least: float
+    gain: float
+    sensor: float
+    lag: int
+    span: float
+    longest: int
+    widest: int
+    way: int
+
+    @classmethod
+    def of(cls, v: Array, y: Array, least: float, options: dict[str, Any]) -> _Signals | None:
+        """Return the scales from quantiles, which excursions do not move; None for a constant voltage."""
+        low, middle, high = np.quantile(v, [0.01, 0.5, 0.99]).tolist()
+        if not low < high:
+            return None
+        stroke = float(np.subtract(*np.quantile(y, [0.99, 0.01])))
+        cycle = 2 * len(v) / max(int(np.count_nonzero(np.diff(v > middle))), 1)
+        least = max(least * (high - low), _SIGMAS * _noise(v), _DIGITS * _digit(v))
+        lag, longest = int(np.clip(_LAG * cycle, *_LAGS)), int(min(_LONGEST, _LONGEST_PART * cycle))
+        sensor = max(_SEEN * _noise(y), _digit(y))
+        scales = {"gain": stroke / (high - low), "sensor": sensor, "lag": lag, "span": high - low, "longest": longest}
+        return cls(v, y, least, **(scales | options))
+
+    def inner(self) -> Stretches:
+        """Return start and stop of excursions with neighbours on both sides that the other signal does not follow."""
+        from scipy.ndimage import median_filter
+
+        candidates: list[tuple[float, int, int]] = []
+        steps = np.diff(self.v)
+        jumps, far_jumps = (
+            np.flatnonzero(np.abs(steps) > least) for least in (self.least, max(self.least, _LEAST_LONG * self.span))
+        )
+        for width in range(1, self.widest + 1):
+            # The 98th percentile of the excursion over windows of this width.
+            there, back = steps[:-width], steps[width:]
+            far = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+            before = np.intersect1d(jumps, jumps - width, assume_unique=True)
+            size = np.abs(_from_chord(self.v, before, width)).min(axis=1)
+            before = before[size > max(self.least, _USUAL * float(np.quantile(far, 1 - 0.02 / width)))]
+            for begin in range(0, before.size, _BLOCK):
+                candidates += self._isolated(before[begin : begin + _BLOCK], width)
+        # Longer ones, from one large jump to the next.
+        for first, last in pairwise(far_jumps.tolist()):
+            if self.widest < last - first <= self.longest:
+                long = self._isolated(np.array([first]), last - first)
+                candidates += [one for one in long if one[0] > _LEAST_LONG * self.span]
+        if not candidates:
+            return []
+        # Without excursions as short as a glitch, but with steps.
+        without_pulses = np.asarray(median_filter(self.v, 2 * self.widest + 1, mode="nearest"), dtype=np.float64)
+        return _separate([one for one in candidates if not self._follows(one[1], one[2], without_pulses)])
+
+    def _isolated(self, before: Indices, width: int) -> list[tuple[float, int, int]]:
+        """Return size, start and stop of excursions after samples that come back and exceed the steps nearby."""
+        after, ends = before + width + 1, np.arange(_NEAR + 1)
+        beside = [np.clip(places, 0, self.v.size - 1) for places in (before[:, None] - ends, after[:, None] + ends)]
+        steps = np.abs(np.hstack([np.diff(self.v[places]) for places in beside]))
+        slew = (width + 1) * np.quantile(steps, 0.75, axis=1)
+        away = _from_chord(self.v, before, width)
+        size = np.abs(away).min(axis=1)
+        # At an edge of the voltage, within half of the excursion.
+        back = np.abs(self.v[after] - self.v[before]) <= np.maximum(self.least + _STEPS * slew, 0.5 * size)
+        # The top of a staircase is wide and as high as the neighbouring steps; a single sample is not.
+        stair = _STEPS * steps.max(axis=1) if width > 1 else 0.0
+        kept = (
+            back
+            & (size > self.least + np.maximum(_STEPS / 2 * slew, stair))
+            & (_FOLLOWS * self.gain * size > self.sensor)
+        )
+        # Of two equal candidates, the one farther from its surroundings.
+        level = np.median(self.v[np.hstack(beside)], axis=1)
+        inside = self.v[before[:, None] + np.arange(1, width + 1)]
+        far = size + 0.1 * np.abs(inside - level[:, None]).min(axis=1)
+        return [(d, a + 1, a + 1 + width) for d, a in zip(far[kept].tolist(), before[kept].tolist(), strict=True)]
+
+    def _follows(self, start: int, stop: int, without_pulses: Array) -> bool:
+        """Return whether the displacement follows an excursion, now or later, beyond the effect of a corner nearby."""
+        width, late = stop - start, np.arange(self.lag + 1) * self.way
+        away = _from_chord(self.v, np.array([start - 1]), width)[0]
+        size = float(np.sqrt(np.mean(away**2)))
+        along = _from_chord(self.y, start - 1 + late, width, beside=1) @ away / (width * size)
+        near = start - 1 + np.arange(-self.lag, self.lag + 1)
+        corner = float(np.abs(_from_chord(without_pulses, near, width, beside=1)).max())
+        # A long excursion is a pulse that is left.
+        allowed = _FOLLOWS * size + _STEEPER * corner * (width <= self.widest)
+        return bool(along.max() > self.gain * allowed)
+
+    def at_ends(self) -> Stretches:
+        """Return start and stop of excursions at the record's ends, by its mirror images before and after it.
+
+        They exceed all other steps of the record: a step at its end may be one that the displacement, which lags, has
+        not followed yet.
+        """
+        size, beside = len(self.v), 4 * _NEAR
+        usual = float(np.abs(np.diff(self.v[_WIDEST:-_WIDEST])).max())
+        v, y = (np.pad(signal, beside, "reflect") for signal in (self.v, self.y))
+        found = self._replace(v=v, y=y, least=self.least + _STEPS_AT_END * usual).inner()
+        within = [(max(a - beside, 0), min(b - beside, size)) for a, b in found]
+        return [(a, b) for a, b in within if a == 0 < b or a < b == size]
+
+
+def _noise(values: Array) -> float:
+    """Return the white noise, in the unit of the values: the least of three estimates (slopes, corners, steps)."""
+    spreads = ((float(np.median(np.abs(np.diff(values, k)))), comb(2 * k, k)) for k in (1, 2))
+    return min(white_noise(values), *(spread / QUARTILE / sqrt(parts) for spread, parts in spreads))
+
+
+def _digit(values: Array) -> float:
+    """Return the resolution, in the unit of the values; 0 for a signal of few large steps, which does not show it."""
+    step, part = resolution(values)
+    return step if part <= _COARSEST else 0.0
+
+
+def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
+    """Return deviations (k, width) of samples after `before` from a chord over them and `beside` more on each side."""
+    last, span = len(values) - 1, width + 1 + 2 * beside
+    # The minimum of the maximum is `numpy.clip` in a third of its time.
+    left, right = (values[np.minimum(np.maximum(i, 0), last)] for i in (before - beside, before + width + 1 + beside))
+    inside = np.arange(1, width + 1)
+    chord = left[:, None] + (right - left)[:, None] * ((inside + beside) / span)
+    return np.asarray(values[np.minimum(np.maximum(before[:, None] + inside, 0), last)] - chord)
+
+
+def _separate(candidates: list[tuple[float, int, int]]) -> list[tuple[int, int]]:
+    """Return the largest candidates, no two of which touch: the gap between two glitches looks like a glitch."""
+    taken: set[int] = set()
+    kept = []
+    for _, start, stop in sorted(candidates, reverse=True):
+        if taken.isdisjoint(range(start - 1, stop + 1)):
+            taken.update(range(start, stop))
+            kept.append((start, stop))
+    return kept

@@ -6,37 +6,30 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
-from dehyst.records.cleaning import FEWEST_NEW, Transient, cleaned
+from dehyst.records.cleaning import FEWEST_NEW, cleaned
 from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, STROKES, shortened
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record
 
-# Larger numbers [V, m, s] are no measurement, and computations with them overflow.
-LARGEST = 1e30
+# Larger numbers [V, m, s] are no measurement, and computations with them overflow; nor are shorter steps [s].
+LARGEST, SHORTEST = 1e30, 1e-30
 # A stroke [m] of no piezo actuator; amplified ones reach millimetres.
 _LONGEST_STROKE = 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
-# Range of the temperatures of a laboratory [K]: in degC no piezo ceramic works there.
-_KELVINS = 250.0, 330.0
-# Share of the time step up to which the rounding of large times is not reported.
-_ROUNDED = 0.02
+# Share of the time step up to which the rounding of large times is not reported, and rounding [s] that no clock has.
+_ROUNDED, _ROUNDING = 0.02, 1e-9
 # A voltage rests for so many samples at least. What the displacement moves back meanwhile, after it went on: least part
 # of the stroke, and of the way on, which hysteresis makes the longer one.
 _RESTS, _COMES_BACK, _BACK = 5, 0.02, 0.25
-# Fewer samples show no spike and no loop.
-_FEWEST = 20
-# Shorter steps [s] are no measurement, and computations with them overflow.
-SHORTEST = 1e-30
-# Largest difference of an evenly rounded time from a straight line, in its steps; least samples of a sweep.
-_EVEN, _SWEEP = 1.2, 3
+# Fewer samples show no spike; least samples of a sweep.
+_FEWEST, _SWEEP = 20, 3
 # A time starts again within this part of its way so far; largest part of a step by which even times vary.
 _AGAIN, _VARIES = 0.1, 0.5
 # Most rows that are named.
@@ -71,24 +64,56 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     `voltage` and `displacement` (n,) tell reversed rows from a wrong sign, and rows that are written twice.
     """
     steps = np.diff(time)
-    if not np.any(steps < SHORTEST):
+    bad = np.flatnonzero(steps < SHORTEST)
+    if not bad.size:
         return ""
     # The first of several axes.
     voltage, displacement = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
-    falls, stands = np.flatnonzero(steps < 0.0), np.flatnonzero(steps == 0.0)
+    i, begins = int(bad[0]), np.flatnonzero(steps < 0.0) + 1
+    words = f"time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s"
+    words = f"{words}, and the time does not rise in {counted(bad.size, 'place')}"
     if not steps.any():
         return f"the time stands still at {time[0]:.9g} s; give a sample rate"
-    if falls.size + stands.size == steps.size:
+    if begins.size and bad.size == steps.size:
         return _falling(time, voltage, displacement)
-    if falls.size:
-        return _falls(time, falls)
-    if stands.size:
-        return _stands(time, stands, np.column_stack([voltage, displacement]))
-    i = int(np.argmax(steps < SHORTEST))
-    return (
-        f"time[{i + 1}] is {steps[i]:.3g} s after time[{i}], which no clock resolves, need {SHORTEST:g} s at least; "
-        "check the time's unit, or give a sample rate"
-    )
+    if not begins.size and not steps[bad].any():
+        twice = all(np.array_equal(values[bad], values[bad + 1]) for values in (voltage, displacement))
+        return f"{words}: {_equal(time, twice=twice)}"
+    sizes, ordered = np.diff([0, *begins.tolist(), time.size]), np.diff(np.sort(time))
+    again = np.abs(time[begins] - time[0]) <= _AGAIN * (time[begins - 1] - time[0])
+    if begins.size and sizes.min() >= _SWEEP and again.all():
+        rows = ", ".join(map(str, begins[:_NAMED])) + ", ..." * (begins.size > _NAMED)
+        return (
+            f"the time starts again in row{'s' * (begins.size > 1)} {rows} of {time.size}, counted from 0: "
+            f"{begins.size + 1} sweeps; read each as a record of its own, and give all of them to identify"
+        )
+    advice = "correct these times, or give the sample rate in their place, rate="
+    advice += f"{1 / float(np.median(steps[steps > 0])):.6g} if the samples are even"
+    if np.ptp(ordered) < _VARIES * np.median(ordered):
+        advice = "sorted by time the rows are even, so they are out of order; sort them"
+    return f"{words}; {advice}"
+
+
+def _falling(time: Array, voltage: Array, displacement: Array) -> str:
+    """Return the error for a time that never rises."""
+    way = loops.sense(voltage, displacement)
+    sign = f"the time has the wrong sign: {_rate(time)}, or multiply it by -1"
+    turn = "the rows are in reverse order: turn them round, such as array[::-1]"
+    told = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
+    return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {told}"
+
+
+def _equal(time: Array, *, twice: bool) -> str:
+    """Return why some times equal the one before; `twice`: whether their rows do."""
+    steps = np.diff(np.unique(time))
+    if (lost := _rounding(time)) > _ROUNDING:
+        return (
+            f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
+            f"sample before they are saved, or {_rate(time)}"
+        )
+    if twice and np.ptp(steps) < _VARIES * np.median(steps):
+        return "rows that are written twice; leave out one of each two"
+    return f"times in steps of {steps.min():.3g} s, coarser than the samples; {_rate(time, float(steps.min()))}"
 
 
 def _rate(time: Array, step: float = 0.0) -> str:
@@ -96,58 +121,6 @@ def _rate(time: Array, step: float = 0.0) -> str:
     rate = 1 / abs(float(np.polyfit(np.arange(time.size), time, 1)[0]))
     digits = int(np.clip(np.log10(float(np.ptp(time)) / step), 3, 6)) if step else 6
     return f"give the sample rate in place of the time, rate={rate:.{digits}g} if the samples are even"
-
-
-def _falling(time: Array, voltage: Array, displacement: Array) -> str:
-    """Return the error for a time that never rises."""
-    turn, sign = "turn the rows round, such as array[::-1]", f"{_rate(time)}, or multiply it by -1"
-    way = loops.sense(voltage, displacement)
-    if way > 0:
-        advice = f"the loops run the right way round as the rows are, so the time has the wrong sign: {sign}"
-    elif way < 0:
-        advice = f"the loops run the wrong way round as the rows are, so these are in reverse order: {turn}"
-    else:
-        advice = f"either the rows are in reverse order: {turn}; or the time has the wrong sign: {sign}"
-    return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {advice}"
-
-
-def _falls(time: Array, falls: NDArray[np.intp]) -> str:
-    """Return the error for a time that falls between some rows."""
-    begins = falls + 1
-    sizes = np.diff([0, *begins.tolist(), time.size])
-    if sizes.min() >= _SWEEP and np.all(np.abs(time[begins] - time[0]) <= _AGAIN * (time[begins - 1] - time[0])):
-        rows = ", ".join(map(str, begins[:_NAMED])) + ", ..." * (begins.size > _NAMED)
-        return (
-            f"the time starts again in row{'s' * (begins.size > 1)} {rows} of {time.size}, counted from 0: "
-            f"{begins.size + 1} sweeps; read each as a record of its own, and give all of them to identify"
-        )
-    i = int(falls[0])
-    words = f"time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s"
-    ordered = np.diff(np.sort(time))
-    if np.ptp(ordered) < _VARIES * np.median(ordered):
-        return f"{words}: the rows are out of order, and sorted by time they are even; sort them"
-    if sizes.min() >= _SWEEP:
-        return (
-            f"{words}: a clock that was set back, or that counts up to a limit only; add what is missing to the times "
-            f"from there on, or give the sample rate in its place, rate={1 / float(np.median(np.diff(time))):.6g}"
-        )
-    return f"{words}, and the time falls in {counted(falls.size, 'place')}; correct these times, or give a sample rate"
-
-
-def _stands(time: Array, stands: NDArray[np.intp], values: Array) -> str:
-    """Return the error for equal times, at rows with these values (n, 2)."""
-    i = int(stands[0])
-    words = f"{counted(stands.size, 'time')} equal the one before, the first is time[{i + 1}] = {time[i]:.9g} s"
-    if (lost := _rounding(time)) > 1e-9:
-        words += f", as large as these they have a resolution of {lost:.2g} s only:"
-        return f"{words} count them from the record's first sample before they are saved, or {_rate(time)}"
-    places, distinct = np.arange(time.size), np.diff(np.unique(time))
-    if np.array_equal(values[stands], values[stands + 1]) and np.ptp(distinct) < _VARIES * np.median(distinct):
-        return f"{words}: rows that are written twice; leave out one of each two"
-    line = np.polyval(np.polyfit(places, time, 1), places)
-    if np.abs(time - line).max() <= _EVEN * distinct.min():
-        return f"{words}: even times that are rounded to {distinct.min():.3g} s; {_rate(time, distinct.min())}"
-    return f"{words}: a timer that is coarser than the samples; {_rate(time, distinct.min())}"
 
 
 def other_unit(record: Record) -> str:
@@ -170,19 +143,16 @@ def guesses(record: Record) -> tuple[str, ...]:
 def problems(record: Record) -> tuple[str, ...]:
     """Return sentences about suspicious but allowed properties, see `Record.problems`."""
     remarks = record.meta.get("remarks", ())
-    noted = map(str, remarks) if isinstance(remarks, list | tuple) else ()
     clean = cleaned(record)
-    of_loops: tuple[str, ...] = ()
-    if record.measured is None:
-        of_loops = *_cut_voltage(record, clean.transients), *loops.remarks(clean.record)
     return (
         *guesses(record),
         *_of_times(record),
         *_of_samples(clean.record),
         *(sentence[0].upper() + sentence[1:] for sentence in clean.sentences),
-        *of_loops,
+        *_cut_voltage(clean.record),
+        *loops.remarks(clean.record),
         *_of_units(clean.record),
-        *noted,
+        *(map(str, remarks) if isinstance(remarks, list | tuple) else ()),
     )
 
 
@@ -222,30 +192,28 @@ def _of_samples(record: Record) -> Iterator[str]:
             yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
 
 
-def _cut_voltage(record: Record, found: tuple[Transient, ...]) -> Iterator[str]:
-    """Yield that the voltage rests at its extreme while the displacement goes on and comes back, outside of transients.
+def _at_extremes(values: Array) -> Iterator[tuple[float, str, int, int]]:
+    """Yield sign and name of an extreme, and start and stop of each run of samples there."""
+    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
+        up = sign * values
+        yield from ((sign, side, a, b) for a, b in runs(up >= up.max() - 1e-12 * float(np.ptp(up))))
+
+
+def _cut_voltage(record: Record) -> Iterator[str]:
+    """Yield that the voltage rests at its extreme while the displacement goes on and comes back.
 
     In a hold the displacement creeps on and does not turn. A mass may make it turn: this is no reason to refuse.
     """
     least = max(_COMES_BACK * record.stroke, noise_span(record.displacement))
-    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
-        v, y = sign * record.voltage, sign * record.displacement
-        at = runs(v >= v.max() - 1e-12 * float(np.ptp(v)))
-        cut = [
-            (a, b)
-            for a, b in at
-            if _RESTS <= b - a < v.size
-            and not any(one.start < b and a < one.stop for one in found)
-            and (fall := float(y[a:b].max() - y[b - 1])) > least
-            and fall > _BACK * float(y[a:b].max() - y[a])
-        ]
-        if cut:
-            a, b = cut[0]
+    for sign, side, a, b in _at_extremes(record.voltage):
+        y = sign * record.displacement[a:b]
+        if _RESTS <= b - a < len(record) and y.max() - y[-1] > max(least, _BACK * float(y.max() - y[0])):
             yield (
-                f"The voltage looks cut off at its {side}, {sign * v[a]:.6g} V, in {counted(len(cut), 'place')}, first "
-                f"over samples {a} to {b - 1}: the displacement goes on and comes back there. Record the voltage that "
-                "the actuator gets, or a range that the monitor shows whole."
+                f"The voltage looks cut off at its {side}, {record.voltage[a]:.6g} V, over samples {a} to {b - 1}: the "
+                "displacement goes on and comes back there. Record the voltage that the actuator gets, or a range that "
+                "the monitor shows whole."
             )
+            return
 
 
 def _of_units(record: Record) -> Iterator[str]:
@@ -253,20 +221,11 @@ def _of_units(record: Record) -> Iterator[str]:
     if not STROKES[0] <= record.stroke <= STROKES[1]:
         stroke = f"{record.stroke * 1e6:.4g} um"
         yield f"The stroke is {stroke}, unusual for a piezo actuator; check the displacement's unit."
-    if highest > HIGHEST_VOLTAGE:
-        yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check the voltage's unit and scale."
+    if not _LEAST_VOLTAGE <= highest <= HIGHEST_VOLTAGE:
+        yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check its unit and scale."
     temperatures = [one.column for one in record.others if one.role == "temperature"]
     if len(temperatures) > 1:
         yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
-    for one in record.others:
-        low, high = float(one.values.min()), float(one.values.max())
-        if one.role == "temperature" and _KELVINS[0] <= low and high <= _KELVINS[1]:
-            yield (
-                f"{one.column} is {low:.4g} to {high:.4g} degC, which are the kelvins of a laboratory; if "
-                f"they are, name the column {one.name}_K."
-            )
-    if 0 < highest < _LEAST_VOLTAGE:
-        yield f"The voltage stays below {highest:.3g} V, unusual for a piezo actuator; check its unit and scale."
     columns = record.meta.get("columns")
     monitor = str(columns.get("voltage", "")) if isinstance(columns, dict) else ""
     if "monitor" in monitor.lower() and not record.meta.get("scales", {}).get("voltage"):
@@ -339,13 +298,12 @@ def _reasons(record: Record) -> Iterator[str]:
 def _clipped(record: Record, least: int) -> Iterator[str]:
     """Yield that the sensor stays at its extreme while the voltage goes on in that direction."""
     needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * float(np.ptp(record.voltage))
-    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
-        y, v = sign * record.displacement, sign * record.voltage
-        for a, b in runs(y >= y.max() - 1e-12 * record.stroke):
-            # A dead zone after a reversal is flat too, but there the voltage only goes back.
-            if b - a >= least and v[a:b].max() - v[a] > needed:
-                yield (
-                    f"the sensor is clipped, or the amplifier: the displacement sits at its {side} {sign * y[a]:.6g} m "
-                    f"over samples {a} to {b - 1} while the voltage still moves; lower the voltage range or shift the "
-                    "sensor's range"
-                )
+    for sign, side, a, b in _at_extremes(record.displacement):
+        v = sign * record.voltage[a:b]
+        # A dead zone after a reversal is flat too, but there the voltage only goes back.
+        if b - a >= least and v.max() - v[0] > needed:
+            yield (
+                f"the sensor is clipped, or the amplifier: the displacement sits at its {side} "
+                f"{record.displacement[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; lower the "
+                "voltage range or shift the sensor's range"
+            )

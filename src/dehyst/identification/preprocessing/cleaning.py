@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array
-from dehyst.records import Glitch, Record, cleaned, gaps, noise_span
+from dehyst.records import Record, cleaned, gaps, noise_span
 
 _BINS = 64
 # Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
@@ -32,7 +32,7 @@ def clean(record: Record, *, ringing: bool = False) -> tuple[Record, Mapping[flo
     before each -> whether a reversal may lie in it, by the displacements left out.
     """
     found = cleaned(record, ringing=ringing)
-    holes = dict(_hole(record, glitch) for glitch in found.glitches if len(glitch.neighbours) == 2)
+    holes = dict(_hole(record, start - 1, stop) for start, stop in found.glitches if start and stop < len(record))
     return found.record, holes, tuple(f"{record.name}: {sentence}" for sentence in found.sentences)
 
 
@@ -101,11 +101,10 @@ def _creeps(y: Array, record: Record) -> bool:
     return bool(moved > max(_FLAT * record.stroke, 6 * record.noise * (2 / quarter) ** 0.5))
 
 
-def _hole(record: Record, glitch: Glitch) -> tuple[float, bool]:
-    """Return the time of the sample before a glitch, and whether the displacement may reverse in it."""
-    before, after = glitch.start - 1, glitch.stop
+def _hole(record: Record, before: int, after: int) -> tuple[float, bool]:
+    """Return the time of the sample before a hole, and whether the displacement may reverse in it."""
     ends = sorted(record.displacement[[before, after]].tolist())
-    inside = record.displacement[glitch.start : glitch.stop]
+    inside = record.displacement[before + 1 : after]
     beyond = max(ends[0] - float(inside.min()), float(inside.max()) - ends[1])
     long = record.time[after] - record.time[before] > 1.5 * (after - before) * record.sample_time
     hidden = bool(long) or beyond > max(_TURN * record.stroke, 6 * record.noise)
