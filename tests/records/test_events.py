@@ -11,6 +11,7 @@ from truths import BoucWenActuator
 import dehyst
 from dehyst import Record, RecordError
 from dehyst.records.events import counted_events, record_of_periodic
+from dehyst.report.pages import time_charts
 from dehyst.virtual import PlayActuator
 
 T = np.arange(601) * 0.01
@@ -291,5 +292,5 @@ def test_a_file_of_a_periodic_signal_is_a_record_of_events(tmp_path, kind, perio
     assert np.abs(error - np.median(error)).max() < 0.2
     assert [(one.name, one.unit) for one in record.others] == [("signal", "V")]
     assert len(record) == t.size
-    axes = record.plot("signal")
-    assert [line.get_xdata().size for line in axes.lines][-1] == np.count_nonzero(record.measured)
+    *_, chart = time_charts(record)
+    assert (chart.y.quantity, len(chart.series[-1].x)) == ("signal", np.count_nonzero(record.measured))

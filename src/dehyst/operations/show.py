@@ -19,10 +19,9 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
 
-# What a guess is marked with, and the factor and unit in which values of a quantity are shown.
+# What a guess is marked with, the factor and unit in which a quantity is shown, and sizes of the list and the drawing.
 _GUESSED = "guessed, verify"
 _SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
-# Columns of a file that are listed, and characters of the drawing.
 _MOST, _WIDTH, _HEIGHT = 40, 60, 16
 _of_record = Only(lambda given: not is_model(given["file"]), "with a model")
 
@@ -53,8 +52,7 @@ def show(
     if is_model(file):
         from dehyst.model import Actuator, Stage
 
-        kind = Stage if format_of(file) == "dehyst-stage" else Actuator
-        model = kind.load(file)
+        model = (Stage if format_of(file) == "dehyst-stage" else Actuator).load(file)
         return Result(model.as_dict(), model.summary().split("\n"))
     columns.demand(RECORD, "here", axes=bool(columns.axes))
     table = table_of(file, columns)
@@ -73,9 +71,8 @@ def show(
     if report is not None:
         from dehyst.report import write_record_page
 
-        write_record_page(
-            report, record, [row for one in axes.values() for row in one.understood()], command=run.command
-        )
+        rows = [row for one in axes.values() for row in one.understood()]
+        write_record_page(report, record, rows, command=run.command)
     fields = {axis: {**one.fields(), "file_columns": file_columns} for axis, one in axes.items()}
     lines = [line for one in axes.values() for line in one.lines()]
     return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report, Columns=save)])
@@ -113,8 +110,7 @@ class _AxisView:
     name: str
 
     def _guessed(self, quantity: str) -> bool:
-        guesses = self.record.meta.get("guesses", {})
-        return quantity in guesses or f"{quantity} of {self.name}" in guesses
+        return not {quantity, f"{quantity} of {self.name}"}.isdisjoint(self.record.meta.get("guesses", {}))
 
     def understood(self) -> list[tuple[str, str, str]]:
         """Return each quantity, its column and its range, in words."""
@@ -129,10 +125,11 @@ class _AxisView:
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
         (v0, v1), (y0, y1) = record.voltage_range, _span(record.displacement * 1e6)
+        noise = "" if record.measured is not None else f", noise {record.noise * 1e9:.2g} nm"
         ranges = {
             "time": f"{record.time[0]:.6g} to {record.time[-1]:.6g} s, {1 / record.sample_time:.6g} Hz",
             "voltage": f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}",
-            "displacement": f"{y0:.5g} to {y1:.5g} um: {record.stroke * 1e6:.4g} um, noise {record.noise * 1e9:.2g} nm",
+            "displacement": f"{y0:.5g} to {y1:.5g} um: {record.stroke * 1e6:.4g} um{noise}",
         }
         for one in record.others:
             ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {one.unit}"
@@ -155,15 +152,13 @@ class _AxisView:
         yield "Notes:" if problems else "No problems found."
         yield from (f"  - {sentence}" for sentence in problems)
         yield ""
-        drawn = slice(None) if self.record.measured is None else self.record.measured
-        x, y = self.record.voltage[drawn], self.record.displacement[drawn] * 1e6
-        yield from _drawing(x, y, "voltage (V)", "displacement (um)")
+        shown = self.record if self.record.measured is None else self.record.take(self.record.measured)
+        yield from _drawing(shown.voltage, shown.displacement * 1e6, "voltage (V)", "displacement (um)")
 
     def _ends(self) -> Iterator[str]:
         """Yield the first and last value of each used column, as in the file and as in the record."""
-        timed = ("time",) if self.columns.rate is None else ()
-        measured = ("displacement",) if self.record.measured is None else ()
-        for quantity in (*timed, "voltage", *measured):
+        without = {"time": self.columns.rate is not None, "displacement": self.record.measured is not None}
+        for quantity in (one for one in _SHOWN if not without.get(one)):
             column = self.table.select(quantity, getattr(self.columns, quantity)).column
             # Joining cuts and interpolates rows.
             cells = ("", "") if self.columns.join else column.ends

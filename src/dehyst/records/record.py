@@ -339,8 +339,8 @@ class Record:
         others = [one.column for one in self.others]
         return tables.frame(self.columns(), name=self.name, **({"others": others} if others else {}))
 
-    def plot(self, kind: Literal["loop", "time", "signal"] = "loop", *, ax: Axes | None = None) -> Axes:
-        """Draw the record: displacement over voltage ("loop"), both over time ("time"), or a counted signal ("signal").
+    def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
+        """Draw the record: displacement over voltage ("loop"), or both over time ("time").
 
         `kind`: which picture. `ax`: where to draw; default: the axes of a new figure. Return the axes. Raise
         `MissingExtraError` if matplotlib is not installed.

@@ -30,9 +30,8 @@ _TOPS, _LEG = (0.8, 0.6, 0.4, 0.2), 200
 
 
 def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw a record; `kind` is "loop", "time" or, of one with a counted signal, "signal"."""
-    names = ("voltage", "time", "signal")[: len(charts := time_charts(found))]
-    kinds = {"loop": lambda: loop_chart(found)} | {name: lambda k=k: charts[k] for k, name in enumerate(names) if k}
+    """Draw a record; `kind` is "loop" or "time"."""
+    kinds = {"loop": lambda: loop_chart(found), "time": lambda: time_charts(found)[1]}
     axes = _drawn(kinds, kind, ax, found.name, RecordError)
     if kind == "time":
         _voltage_behind(axes, found)
@@ -42,9 +41,7 @@ def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
 def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an actuator; `kind` as in `Actuator.plot`."""
     if kind == "creep" and not found.creep_times.size:
-        raise ModelError(
-            f"got 'creep' of an actuator without creep, '{found.name}'", argument="kind", hint="try 'loop'"
-        )
+        raise ModelError(argument="kind", got="'creep' of an actuator without creep", need="'loop' or another part")
     kinds = {
         "loop": lambda: _actuator_loops(found),
         "elements": lambda: element_charts(found)[0],
@@ -72,9 +69,7 @@ def fit(found: Fit, kind: str | None, ax: Axes | None) -> Axes:
 
 def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an assessment; `kind` as in `Insight.plot`."""
-    kinds: dict[str, Callable[[], Chart]] = {
-        "directions": lambda: trust_section.directions_chart(found.identifiability)
-    }
+    kinds = {"directions": lambda: trust_section.directions_chart(found.identifiability)}
     if (band := found.band) is not None:
         kinds["band"] = lambda: trust_section.band_chart(band, found.evidence.stroke)
     return _drawn(kinds, kind or list(kinds)[-1], ax, found.actuator.name, ModelError)

@@ -35,16 +35,15 @@ def time_charts(record: Record) -> list[Chart]:
     """Return voltage and displacement of a record of one axis against time, and a signal that was counted."""
     factor, unit = length_unit(record.stroke)
     quantities = [(record.voltage, Axis("voltage", "V")), (record.displacement * factor, Axis("displacement", unit))]
-    if record.measured is not None:
-        quantities += [(one.values, Axis("signal", one.unit)) for one in record.others if one.name == "signal"]
+    quantities += [(one.values, Axis("signal", one.unit)) for one in record.others if one.name == "signal"]
     return [Chart(record.name, Axis("time", "s"), y, _drawn(record, record.time, values)) for values, y in quantities]
 
 
 def loop_chart(record: Record) -> Chart:
     """Return the displacement of a record of one axis over its voltage."""
     factor, unit = length_unit(record.stroke)
-    series = _drawn(record, record.voltage, record.displacement * factor)
-    return Chart(record.name, Axis("voltage", "V"), Axis("displacement", unit), series)
+    x, y = Axis("voltage", "V"), Axis("displacement", unit)
+    return Chart(record.name, x, y, _drawn(record, record.voltage, record.displacement * factor))
 
 
 def _drawn(record: Record, x: Array, y: Array) -> list[Series]:
