@@ -22,7 +22,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Grid, Structure
 from dehyst.model import Actuator, DisplacementCreep, Dynamics
-from dehyst.records import Record, energy_share, resolution, turning_points
+from dehyst.records import Record, bandwidth, resolution, turning_points
 
 # Rows for a trial, and for the final program.
 FEW_ROWS, _MOST_ROWS = 4000, 30_000
@@ -204,8 +204,8 @@ class TrainingData:
         # Where no voltage has energy at a resonance, noise is what is fitted.
         resonance = found.dynamics.frequency / (2 * np.pi)
         pieces = [piece for item in self.training for piece in item.pieces]
-        share = max(energy_share(piece.voltage, piece.sample_time, 0.5 * resonance) for piece in pieces)
-        return replace(self, lagging=found) if share > RULES.excited else self
+        highest = max(bandwidth(piece.voltage, piece.sample_time, RULES.excited) for piece in pieces)
+        return replace(self, lagging=found) if highest > 0.5 * resonance else self
 
     @cached_property
     def drifting(self) -> tuple[int, ...]:

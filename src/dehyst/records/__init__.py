@@ -11,7 +11,6 @@ from dehyst.records.recording import Recording, about_of, demand_disk_space, unu
 from dehyst.records.signals import (
     NOISE_PEAK,
     bandwidth,
-    energy_share,
     gaps,
     interpolate,
     largest,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations, pairwise
 from math import sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.records.signals import NOISE_PEAK, noise_span, turning_points, white_noise
+from dehyst.records.signals import noise_span, turning_points, white_noise
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
@@ -25,8 +25,8 @@ _AREA, _DEVIATIONS = 0.005, 5.0
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
 # Branches are alike if they differ by this part of what others do; most that are compared.
 _ALIKE, _BRANCHES = 0.4, 40
-# Most samples of a shift; least gain in displacement, part of the stroke, and level of a turn, of the voltage's range.
-_LATE, _GAINED, _LEVEL = 64, 5e-4, 2e-3
+# Most samples of a shift; least gain by it, as a part; least fall of the gain beyond it, over its rise.
+_LATE, _GAINED, _SHARP = 64, 5e-4, 0.7
 # Strokes [m] below any sensor's resolution, the size of an atomic nucleus.
 LEAST_STROKE = 1e-15
 # Fringes: least number in a stroke, their least size, part of the range; part of a branch in which they count,
@@ -80,10 +80,9 @@ def leading(record: Record, cycles: list[Span]) -> str:
     swapped = "the columns look swapped; check which column is which"
     reverse = "the rows look reversed in time; turn them round, such as record.displacement[::-1]"
     early = early_turns(record)
-    past = _past(v[early:], y[: y.size - early], record.noise)
-    if early and past >= 0 and sense(v[early:], y[:-early]) >= 0:
-        return _shift(record, early) + "; or the columns are swapped" * (past == 0)
-    if past:
+    if early and sense(v[early:], y[:-early]) >= 0:
+        return _shift(record, early)
+    if past := _past(v, y, record.noise):
         return f"{words}: {swapped if past > 0 else reverse}"
     return f"{words}: either {swapped}; or {reverse}. Equal loops do not tell which"
 
@@ -123,32 +122,21 @@ def _sorted_branches(record: Record, jumps: NDArray[np.intp], *, leads: bool) ->
 
 def early_turns(record: Record) -> int:
     """Return by how many samples the displacement turns before the voltage does; 0 if it does not."""
-    v, y, turns = record.voltage, record.displacement, turns_of(record.voltage)
-    noise = white_noise(v)
-    points, level = [0, *turns.tolist(), v.size - 1], _LEVEL * float(np.ptp(v)) + NOISE_PEAK * noise
-    rests = [_rest(v, *around, level) for around in zip(points, points[1:], points[2:], strict=False)]
-    most = min([_LATE, *(int(step) // 3 for step in np.diff(turns))])
-    ends = np.array([rest for rest in rests if most <= rest[0] and rest[1] < v.size - most], dtype=int).reshape(-1, 2)
-    if most < 1 or len(ends) < 2:
+    steps_v, steps_y = np.diff(record.voltage), np.diff(record.displacement)
+    most = min([_LATE, *(int(step) // 3 for step in np.diff(turns_of(record.voltage)))])
+    if most < 1 or turns_of(record.voltage).size < 2:
         return 0
-    # The mean of the extremes, some samples before or after the turns: it is largest where the displacement turns.
-    offsets = np.arange(-most, most + 1)
-    ways = np.sign(v[ends[:, 0]] - v[ends[:, 0] - most])
-    tops_y, tops_v = (np.einsum("i,ijk->jk", ways, signal[ends[..., None] + offsets]) / len(ends) for signal in (y, v))
-    best = int(np.argmax(tops_y.sum(axis=0)))
-    # At the first and at the last sample of each rest: it may come early to a rest, if it leaves that early.
-    gained, back = tops_y[:, best] - tops_y[:, most], tops_v[:, most] - tops_v[:, best]
-    of_y, of_v = (_DEVIATIONS * deviation / sqrt(len(ends)) for deviation in (record.noise, noise))
-    clear = gained[1] > _GAINED * record.stroke + of_y and back.mean() > _GAINED * float(np.ptp(v)) + of_v
-    alike = gained[0] > -_ALIKE * gained[1] and gained[1] * np.ptp(v) > _ALIKE * back.mean() * record.stroke
-    return most - best if best < most and clear and alike else 0
-
-
-def _rest(v: Array, before: int, turn: int, after: int, level: float) -> tuple[int, int]:
-    """Return the first and the last sample at the level of a turn of the voltage."""
-    away = np.abs(v[before : after + 1] - v[turn]) > level
-    rise, fall = np.flatnonzero(away[: turn - before]), np.flatnonzero(away[turn - before :])
-    return before + int(rise[-1]) + 1 if rise.size else before, turn + int(fall[0]) - 1 if fall.size else after
+    # Both move the same way but between their turns: the sum of products is largest where these coincide.
+    part = steps_y[: steps_y.size - most]
+    alike = np.array([float(part @ steps_v[late : late + part.size]) for late in range(most + 1)])
+    best = int(np.argmax(alike))
+    gained = float(alike[best] - alike[0])
+    moved = steps_v[best : best + part.size] - steps_v[: part.size]
+    of_y, of_v = record.noise * float(np.linalg.norm(moved)), white_noise(record.voltage) * float(np.linalg.norm(part))
+    clear = gained > 1.4 * _DEVIATIONS * (of_y + of_v) + _GAINED * alike[best]
+    # At turns of a sine a lead changes as little as a shift does.
+    sharp = 0 < best < most and best * (alike[best] - alike[best + 1]) > _SHARP * gained
+    return best if clear and sharp else 0
 
 
 def _shift(record: Record, early: int) -> str:
@@ -185,22 +173,11 @@ def _unlike(v: Array, y: Array) -> float:
     return float(np.median(found[1:] or found))
 
 
-class Butterfly(NamedTuple):
-    """A loop whose displacement both falls and rises with rising voltage, as of a switching ferroelectric.
+def butterfly(voltage: Array, displacement: Array) -> tuple[float, float, float] | None:
+    """Return a fall and a rise [m] on the line midway between branches, and the voltage between; None without both.
 
-    Fall and rise of the displacement with rising voltage [m], and the voltages between which it rises [V].
-    """
-
-    fall: float
-    rise: float
-    low: float
-    high: float
-
-
-def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
-    """Find a fall and a rise on the line midway between rising and falling branches; return None without both.
-
-    On that line hysteresis, a delay, creep and a drift from branch to branch take opposite signs and cancel.
+    On that line hysteresis, a delay, creep and a drift from branch to branch take opposite signs and cancel. An
+    actuator driven beyond its coercive field falls and rises, as a switching ferroelectric.
     """
     span = float(np.ptp(voltage))
     points = [0, *turning_points(voltage, _WHOLE * span).tolist(), voltage.size - 1]
@@ -224,10 +201,7 @@ def butterfly_of(voltage: Array, displacement: Array) -> Butterfly | None:
         return None
     top = int(np.argmax(climbed))
     bottom = int(np.argmin(middle[: top + 1]))
-    # Before the rise the falling branches turn last, after it the rising ones do.
-    low = places[int(np.argmin(down[: top + 1]))] if bottom else voltage.min()
-    high = places[bottom + int(np.argmax(up[bottom:]))] if top < places.size - 1 else voltage.max()
-    return Butterfly(float(fall.max()), float(climbed.max()), float(low), float(high))
+    return float(fall.max()), float(climbed.max()), float(places[bottom or top])
 
 
 def echo(record: Record) -> str:
@@ -303,10 +277,10 @@ def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
     rate = np.gradient(v, time)
     left, (_, gain, _, wide) = _parabola(record, v, places, rate)
     width = float(np.median(np.abs(wide * rate[places])))
-    least = _STRAIGHT * record.stroke
-    if gain * float(np.ptp(v)) < 0.5 * record.stroke or left > least + 0.1 * width + 1.2 * record.noise or echo(record):
+    least = _STRAIGHT * record.stroke + 1.2 * record.noise
+    if gain * float(np.ptp(v)) < 0.5 * record.stroke or left > least + 0.1 * width or echo(record):
         return
-    if width < least + 0.2 * record.noise:
+    if width < least - record.noise:
         yield "No hysteresis is found: was a servo on?"
         return
     sizes, lag = np.abs(np.diff(v[turns])), -wide / gain
@@ -314,12 +288,8 @@ def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
     if lag <= 0 or np.ptp(sizes) < _VARIES * sizes.max():
         return
     # A delay, or a filter of first or second order.
-    filtered, twice = _late(time, v, lag), _late(time, _late(time, v, 0.5 * lag), 0.5 * lag)
-    candidates = (np.interp(time - lag, time, v), filtered, twice)
-    if (
-        min(_parabola(record, late, slice(None))[0] for late in candidates)
-        < least + _ROUND * width + 1.2 * record.noise
-    ):
+    delayed = (np.interp(time - lag, time, v), _late(time, v, lag), _late(time, _late(time, v, 0.5 * lag), 0.5 * lag))
+    if min(_parabola(record, one, slice(None))[0] for one in delayed) < least + _ROUND * width:
         yield f"No hysteresis is found beyond a lag of {1e3 * lag:.3g} ms: was a servo on?"
 
 

@@ -279,11 +279,12 @@ def _reasons(record: Record) -> Iterator[str]:
         )
     if words := loops.echo(record):
         yield words
-    if loop := loops.butterfly_of(record.voltage, record.displacement):
+    if loop := loops.butterfly(record.voltage, record.displacement):
+        fall, rise, turn = loop
         yield (
-            f"the displacement both rises, by {loop.rise * 1e6:.3g} um, and falls, by {loop.fall * 1e6:.3g} um, with "
-            "rising voltage: a butterfly loop, of an actuator driven beyond its coercive field, or a sensor that folds "
-            f"over; record between {loop.low:.3g} and {loop.high:.3g} V"
+            f"the displacement both rises, by {rise * 1e6:.3g} um, and falls, by {fall * 1e6:.3g} um, with rising "
+            "voltage: a butterfly loop, of an actuator driven beyond its coercive field, or a sensor that folds over; "
+            f"record on one side of {turn:.3g} V"
         )
     if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
         yield (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from math import comb, log, sqrt
 
 import numpy as np
@@ -15,10 +15,8 @@ from dehyst._types import Array, Mask
 NOISE_PEAK = 4.0
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
-# Samples processed at a time, to bound the memory of a long record; and neighbours of interpolated samples.
-_BLOCK, _NEIGHBOURS = 1 << 19, 4
-# Number and length of the stretches from which the noise of a long signal is estimated.
-_STRETCHES, _STRETCH = 16, 1 << 17
+# Number and length of the stretches from which the noise of a long signal is estimated; rows judged in time.
+_STRETCHES, _STRETCH, _ROWS = 16, 1 << 14, 1 << 17
 # Quartile of normal noise, in standard deviations.
 QUARTILE = 0.6744897501960817
 # The noise on the grid of time: needed if steps vary by this part, or the voltage turns in this many samples; least
@@ -52,11 +50,9 @@ def white_noise(values: Array) -> float:
     """
     if len(values) < _ORDER + 2:
         return 0.0
-    parts = [values]
     if len(values) > _STRETCHES * _STRETCH:
-        starts = np.linspace(0, len(values) - _STRETCH, _STRETCHES).astype(int)
-        parts = [values[start : start + _STRETCH] for start in starts.tolist()]
-    spread = float(np.median(np.abs(np.concatenate([np.diff(part, _ORDER) for part in parts]))))
+        values = sliding_window_view(values, _STRETCH)[:: len(values) // _STRETCHES]
+    spread = float(np.median(np.abs(np.diff(values, _ORDER))))
     return spread / QUARTILE / sqrt(comb(2 * _ORDER, _ORDER))
 
 
@@ -66,12 +62,12 @@ def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
     The latter counts where it is far smaller: for uneven steps, repeated samples and few samples a cycle. It uses new
     samples only, and their distances from the cubic through two neighbours on each side, without a turn in between.
     """
-    noise, steps = white_noise(displacement), np.diff(time[:_STRETCH])
+    noise, steps = white_noise(displacement), np.diff(time[:_ROWS])
     new = new_samples(voltage, displacement)
-    turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage[:_STRETCH]))))
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage[:_ROWS]))))
     if new is None and np.std(steps) < _EVEN * np.median(steps) and turns < steps.size / _FEW:
         return noise
-    rows = np.arange(displacement.size)[slice(None) if new is None else new][:_STRETCH]
+    rows = np.arange(displacement.size)[slice(None) if new is None else new][:_ROWS]
     if rows.size < 5:
         return noise
     t, v, y = (sliding_window_view(signal[rows], 5) for signal in (time, voltage, displacement))
@@ -123,20 +119,7 @@ def interpolate(x: Array, y: Array, places: Array, kind: str) -> Array:
         return np.interp(places, x, y)
     from scipy.interpolate import PchipInterpolator
 
-    parts = [np.empty(0)]
-    for begin in range(0, len(places), _BLOCK):
-        # A slope depends on one neighbour on each side.
-        block = places[begin : begin + _BLOCK]
-        first = max(int(np.searchsorted(x, block.min())) - _NEIGHBOURS, 0)
-        last = int(np.searchsorted(x, block.max(), side="right")) + _NEIGHBOURS
-        parts.append(np.asarray(PchipInterpolator(x[first:last], y[first:last])(block), dtype=np.float64))
-    return np.concatenate(parts)
-
-
-def gaps(time: Array) -> list[tuple[int, float]]:
-    """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
-    steps = np.diff(time)
-    return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
+    return np.asarray(PchipInterpolator(x, y)(places), dtype=np.float64)
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
@@ -148,15 +131,12 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
 def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     """Find the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
     # Only inner local extremes and samples of plateaus can be turning points, or complete a way back.
-    extremes = []
-    for begin in range(0, len(values) - 2, _BLOCK):
-        steps = np.sign(np.diff(values[begin : begin + _BLOCK + 2]))
-        extremes.append(np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + begin + 1)
-    kept = np.concatenate(([0], *extremes, [len(values) - 1]))
+    steps = np.sign(np.diff(values))
+    kept = np.concatenate(([0], np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + 1, [len(values) - 1]))
     turns: list[int] = []
     low = high = float(values[0])
     at_low = at_high = direction = 0
-    for i, level in _numbered(values, kept):
+    for i, level in enumerate(values[kept].tolist()):
         if level >= high and direction >= 0:
             high, at_high = level, i
         if level <= low and direction <= 0:
@@ -172,32 +152,20 @@ def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     return kept[turns]
 
 
-def _numbered(values: Array, places: NDArray[np.intp]) -> Iterator[tuple[int, float]]:
-    """Yield values at places with their numbers, in blocks: Python numbers take four times the memory of NumPy's."""
-    for begin in range(0, len(places), _BLOCK):
-        yield from enumerate(values[places[begin : begin + _BLOCK]].tolist(), begin)
-
-
-def _spectrum(signal: Array) -> Array:
-    """Return the power of a signal less the line between its ends, in a Hann window."""
-    line = np.linspace(signal[0], signal[-1], signal.size)
-    return np.abs(np.fft.rfft((signal - line) * np.hanning(signal.size))) ** 2
-
-
-def energy_share(signal: Array, sample_time: float, frequency: float) -> float:
-    """Return the share of a signal's AC energy above a `frequency` [Hz]; `sample_time` [s]."""
-    power = _spectrum(signal)
-    above = np.fft.rfftfreq(signal.size, sample_time) > frequency
-    total = float(power[1:].sum())
-    return float(power[above].sum()) / total if total > 0 else 0.0
+def gaps(time: Array) -> list[tuple[int, float]]:
+    """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
+    steps = np.diff(time)
+    return [(int(i), float(steps[i])) for i in np.flatnonzero(steps > 1.5 * np.median(steps))]
 
 
 def bandwidth(signal: Array, sample_time: float, share: float) -> float:
     """Return the frequency [Hz] above which a signal has this share of its AC energy, without noise.
 
-    White noise as strong as the median of the upper half of the spectrum is not counted. `sample_time` [s].
+    The signal is taken from the line between its ends, in a Hann window. White noise as strong as the median of the
+    upper half of the spectrum is not counted. `sample_time` [s].
     """
-    power = _spectrum(signal)[1:]
+    from_line = (signal - np.linspace(signal[0], signal[-1], signal.size)) * np.hanning(signal.size)
+    power = np.abs(np.fft.rfft(from_line)[1:]) ** 2
     # The power of noise in a line of the spectrum is distributed exponentially: its mean is the median over ln 2.
     power -= float(np.median(power[power.size // 2 :])) / log(2)
     above = np.cumsum(power[::-1])[::-1]
