@@ -473,30 +473,18 @@ def _timed(table: Table, columns: Columns) -> _Timed | None:
 
 
 def _offset(first: _Timed, second: _Timed) -> float:
-    """Return the time [s] from the zero of the first file's clock to that of the second's.
-
-    Where the order of day and month is unknown, the one in which the files overlap counts.
-    """
-    ones, twos = first.column.began, second.column.began
-    if not ones and not twos:
-        return 0.0
-    origins = [f"times from {began[0][0]}" if began else "seconds from an unknown moment" for began in (ones, twos)]
+    """Return the time [s] from the zero of the first file's clock to that of the second's."""
+    one, two = first.column.began, second.column.began
+    origins = [f"times from {began[0]}" if began else "seconds from an unknown moment" for began in (one, two)]
     if origins[0] != origins[1]:
         raise FileFormatError(
             f"join: {first.table.source} has {origins[0]} and {second.table.source} has {origins[1]}, need one clock "
             "for both; save both with date and offset from UTC, or both in seconds from one moment"
         )
-    offsets = list(dict.fromkeys(float(two[1] - one[1]) + (two[2] - one[2]) for one in ones for two in twos))
-    if ones[0][0].startswith("midnight"):
-        offsets = [offset - _DAY * round(offset / _DAY) for offset in offsets]
-    (a, b), (c, d) = ((float(np.min(one.seconds)), float(np.max(one.seconds))) for one in (first, second))
-    common = [offset for offset in offsets if max(a, c + offset) <= min(b, d + offset)]
-    if len(common) > 1:
-        raise FileFormatError(
-            f"join: the dates of {first.table.source} and {second.table.source} may be month/day/year or "
-            "day/month/year, and both give times in common; write the dates as 2026-03-04"
-        )
-    return (common or offsets)[0]
+    if one is None or two is None:
+        return 0.0
+    offset = float(two[1] - one[1]) + (two[2] - one[2])
+    return offset - _DAY * round(offset / _DAY) if one[0].startswith("midnight") else offset
 
 
 def _alike(first: Array, second: Array) -> bool:

@@ -57,7 +57,7 @@ def text(tmp_path, content, name="a.csv"):
     ],
 )
 def test_endless_lines(tmp_path, content):
-    refused(text(tmp_path, content), r"line \d is longer than 1000000 bytes")
+    refused(text(tmp_path, content), r"line \d is longer than 1000000 characters")
 
 
 def test_columns_without_number(tmp_path):

@@ -149,10 +149,10 @@ class Column:
     another file, are computed, or are in a structure next to plain arrays; it is then ignored if another column fits.
     `unnamed`: if the file has no names and the name is therefore a number: the reason, and what to try. `divided`:
     whether the name ends with a slash and its unit, as "Position/nm"; this slash does not end a group. `guessed`:
-    properties that the file does not state. `ends`: first and last cell in a text file. `began`: possible values of the
-    first timestamp (origin, whole seconds, fraction); there are two if the order of day and month is unknown. `kept`:
-    whether a record keeps it as a further channel, regardless of its name. `timing`: what a record file states of its
-    samples: "sample" for a voltage that is held, "events" for a displacement that is known at events only.
+    properties that the file does not state. `ends`: first and last cell in a text file. `began`: the first timestamp
+    (origin, whole seconds, fraction). `kept`: whether a record keeps it as a further channel, regardless of its name.
+    `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
+    that is known at events only.
     """
 
     name: str
@@ -164,7 +164,7 @@ class Column:
     divided: bool = False
     guessed: str = ""
     ends: tuple[str, str] = ("", "")
-    began: tuple[tuple[str, int, float], ...] = ()
+    began: tuple[str, int, float] | None = None
     kept: bool = False
     timing: str = ""
 

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from io import BufferedIOBase
-from typing import Any
+from typing import Any, BinaryIO
 
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
 from dehyst.records.formats import containers, vendor_files
 from dehyst.records.formats.columns import TEXT, Column
 from dehyst.records.formats.file_content import Allowance, Content
-from dehyst.records.formats.text_table import as_utf8, read_text
+from dehyst.records.formats.text_table import read_text
 
 Loader = Callable[[Any, Allowance], list[Column]]
 # Bytes by which a text is recognised: the longest header of a GCS array.
 _HEAD = 50_000
 
 
-def _read_text(stream: BufferedIOBase, allowance: Allowance) -> list[Column]:
+def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read a text file in the format that its first bytes show."""
-    stream, mark = as_utf8(stream), containers.LINE.encode()
+    mark = containers.LINE.encode()
     stream.seek(0)
     head = stream.read(_HEAD)
     stream.seek(0)

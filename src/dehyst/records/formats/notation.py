@@ -1,7 +1,7 @@
-"""The decimal sign of a text table, decided once for the whole file, and its numbers in the notation of Python.
+"""The numbers and the timestamps of a text table, in the notation of Python and in seconds.
 
 A sign between digits is a decimal sign or groups thousands. `0,5` and `50,1234` have a decimal comma for certain, and
-`1,234,567` and `1,234.5` have commas that group; `12,011` can be both. What is certain decides for the others; where
+`1,234,567` and `1,234.5` have commas that group; `12,011` can be both. What is certain decides for the file; where
 nothing is certain, two readings are possible, and the file is refused.
 """
 
@@ -9,14 +9,29 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime
 from functools import cache
 from typing import NamedTuple
 
+import numpy as np
+
 from dehyst._errors import DecimalSignError, FileFormatError
+from dehyst._types import Array
 
 SIGNS = (".", ",")
 _OTHER = {".": ",", ",": "."}
 _NAMES = {".": "point", ",": "comma"}
+_STAMP = re.compile(
+    r"(?:(\d{4}-\d\d?-\d\d?|\d\d?\.\d\d?\.\d{4}|\d\d?/\d\d?/\d{4})[T, ]+)?"
+    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|([+-]\d\d):?(\d\d))?"
+)
+_DATES = ("%Y-%m-%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y")
+_DAY, _HOUR = 86_400, 3600
+# Characters of a timestamp; the search for one takes their number squared.
+_LONGEST = 64
+# Longest time step [s] beside which an hour more, or less, is a change of the clock.
+_LONGEST_STEP = 600
 
 
 class Notation(NamedTuple):
@@ -113,3 +128,82 @@ def pattern_of(kind: str, sign: str, delimiter: str | None) -> re.Pattern[str]:
         "doubtful": rf"[1-9]\d{{0,2}}{s}\d{{3}}",
     }[kind]
     return re.compile(rf"(?m){before}(?P<number>[-+]?{body}){after}")
+
+
+class Moment(NamedTuple):
+    """A timestamp: its origin, its date as written, the whole seconds of this day, and the fraction of a second.
+
+    `origin`: "UTC" or "local time"; without a date "midnight" or "midnight UTC".
+    """
+
+    origin: str
+    date: str
+    seconds: int
+    fraction: float
+
+
+def moment(cell: str) -> Moment:
+    """Return a timestamp: ISO 8601, day.month.year, month/day/year or day/month/year, or the time of day alone.
+
+    Raise ValueError for any other text.
+    """
+    match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST and cell.isascii() else None
+    if match is None:
+        raise ValueError(cell)
+    date, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
+    origin = " ".join(("midnight",) * (not date) + ("UTC",) * bool(zone)) or "local time"
+    offset = _HOUR * int(ahead) + 60 * int(ahead[0] + more) if ahead else 0
+    seconds = _HOUR * int(hours) + 60 * int(minutes) + int(whole) - offset
+    return Moment(origin, date or "", seconds, float(f"0.{fraction or 0}"))
+
+
+def is_moment(cell: str) -> bool:
+    """Return whether a cell is a timestamp."""
+    with suppress(ValueError):
+        return bool(moment(cell))
+    return False
+
+
+def clock_of(moments: list[Moment]) -> tuple[Array, tuple[str, int, float]]:
+    """Return the times [s] of timestamps since the first one, and its origin, whole seconds and fraction.
+
+    A time of day that jumps back by half a day is the next day's. Raise `ValueError` with the reason if they count from
+    different origins, the order of day and month is unknown, or the local time changes by an hour.
+    """
+    origin = moments[0].origin
+    if origins := sorted({one.origin for one in moments} - {origin}):
+        raise ValueError(
+            f"its times count from {origin} and from {origins[0]}; write all with date and offset from UTC"
+        )
+    days = _days({one.date for one in moments})
+    whole = np.array([_DAY * days[one.date] + one.seconds for one in moments], dtype=np.int64)
+    fraction = np.array([one.fraction for one in moments])
+    seconds = (whole - whole[0]) + (fraction - fraction[0])
+    if origin.startswith("midnight"):
+        seconds = seconds + _DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
+    steps = np.diff(seconds)
+    usual = float(np.median(steps)) if steps.size > 2 else 0.0
+    changed = np.flatnonzero(np.abs(np.abs(steps - usual) - _HOUR) <= 0.5 * usual)
+    if not origin.endswith("UTC") and 0 < usual < _LONGEST_STEP and changed.size:
+        i = int(changed[0])
+        raise ValueError(
+            f"its local time goes on by {steps[i]:.6g} s after sample {i}, otherwise by {usual:.3g} s: the clock was "
+            "changed by an hour, for summer time perhaps; write the times in UTC, or give the sample rate in Hz"
+        )
+    # The one day of which the month is unknown is the origin.
+    origin = origin if all(days.values()) or not moments[0].date else f"{origin} of {moments[0].date}"
+    return seconds, (origin, int(whole[0]), moments[0].fraction)
+
+
+def _days(dates: set[str]) -> dict[str, int]:
+    """Return the days of all dates; 0 without a date, or for a single one that can be read in two ways."""
+    found: list[dict[str, int]] = []
+    for form in _DATES if dates != {""} else ():
+        with suppress(ValueError):
+            found.append({date: datetime.strptime(date, form).toordinal() for date in dates})
+    if len(found) != 1 and (len(dates) > 1 or not (found or "" in dates)):
+        raise ValueError(
+            f"its dates {'may be' if found else 'are neither all'} month/day/year {'or' if found else 'nor all'} "
+            "day/month/year; write the dates as 2026-03-04, or give the sample rate in Hz"
+        )
+    return found[0] if len(found) == 1 else dict.fromkeys(dates, 0)

@@ -1,17 +1,20 @@
-"""Where the table of a text file begins, its separator, and the names and units above it."""
+"""Where the table of a text file begins, its separator, and the names, the units and the time step above it."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections import Counter
+from collections.abc import Callable, Sequence
+from math import isfinite
 from typing import NamedTuple
 
-from dehyst._errors import FileFormatError
-from dehyst._units import symbol_of
-from dehyst.records.formats.columns import shortened
-from dehyst.records.formats.notation import readings
-from dehyst.records.formats.timestamps import is_moment
+import numpy as np
+
+from dehyst._errors import DecimalSignError, FileFormatError
+from dehyst._units import FACTORS, symbol_of
+from dehyst.records.formats.columns import Column, shortened
+from dehyst.records.formats.notation import Notation, is_moment, readings
 
 # Lines that are looked at: an oscilloscope writes some 30 lines above its table.
 _HEAD = 400
@@ -290,3 +293,120 @@ def _beside(rows: list[list[str]]) -> _Heading | None:
     return _Heading(
         names, ("", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *names[5:])
     )
+
+
+# Letters of the words for the time from one sample to the next, for samples a second, for the time of the first sample,
+# and for the unit of times.
+_WORDS = {
+    "step": "xinc xincr xincrement sampleinterval samplinginterval sampleperiod timestep deltat dt horizontalinterval "
+    "abtastintervall abtastzeit",
+    "rate": "samplerate samplingrate samplefrequency samplingfrequency abtastrate abtastfrequenz sampling",
+    "start": "xorg xorigin xzero xstart starttime horizontaloffset",
+    "unit": "xunit xunits horizontalunits timeunit",
+}
+_KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
+# A number that a comma between cells cuts into 10 and 000.
+_CUT = re.compile(r"\d,0\d")
+_VALUE = re.compile(r"\s*([-+]?[.,]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*([^\W\d]+(?:/[^\W\d]+)?)?\s*")
+# Key, unit in brackets, and the rest of a line.
+_LINE = re.compile(r"[#%;\s\"]*([A-Za-z][^\[\](){}:=;,\t\"\d]*)(?:[\[(]([^\[\]()]*)[\])])?[\s\":=;,]+(.*)")
+# The longest line that is looked at.
+_LONGEST_LINE = 400
+# Relative difference of steps that state the same.
+_SAME = 1e-6
+
+
+class _Stated(NamedTuple):
+    """What a line of the header states: a kind of `_KINDS`, a number as it is written, its unit, and words."""
+
+    kind: str
+    number: str
+    unit: str
+    words: str
+
+
+def with_clock(
+    columns: list[Column], lines: Sequence[str], delimiter: str | None, notation: Callable[[], Notation]
+) -> list[Column]:
+    """Return columns with the time that the `lines` above a table state, in the place of one that counts samples.
+
+    Nothing changes if the header states no step, or if a column has a time with its unit. If steps contradict one
+    another, or their decimal sign is unknown, the time has a fault. A step without a unit is taken for seconds, as a
+    guess. `notation`: function that returns that of the table, for numbers that can be read in two ways.
+    """
+    if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
+        return columns
+    place = next((k for k, column in enumerate(columns) if _counts(column)), None)
+    stated = [one for line in lines if len(line) <= _LONGEST_LINE for one in _stated(line, delimiter)]
+    named = place is None and any("time" in column.quantities for column in columns)
+    if named or not any(one.kind in ("step", "rate") for one in stated):
+        return columns
+    rest = [column for k, column in enumerate(columns) if k != place]
+    try:
+        clock = _clock(stated, notation)
+    except FileFormatError as error:
+        return [Column("time", np.empty(0), "s", f"{error}; or give the sample rate in Hz"), *rest]
+    if clock is None:
+        return columns
+    step, start, guessed = clock
+    counts = np.arange(float(columns[0].data.size)) if place is None else columns[place].data
+    with np.errstate(all="ignore"):
+        return [Column("time", start + step * counts, "s", guessed=guessed), *rest]
+
+
+def _counts(column: Column) -> bool:
+    """Return whether a column counts samples: whole numbers that rise by one, or by more where samples are left out."""
+    steps = np.diff(column.data)
+    if not steps.size or column.data[0] % 1 or np.any(steps % 1) or steps.min() != 1:
+        return False
+    return bool(steps.max() == 1) or not (column.quantities or symbol_of(column.parts[1]))
+
+
+def _stated(line: str, delimiter: str | None) -> list[_Stated]:
+    """Return what a line as "XInc, 0.01, s", "# Sample interval [ms] = 2" or "dt 0,01" states."""
+    match = _LINE.fullmatch(line)
+    key = re.sub(r"[^a-z]", "", match[1].lower()) if match else ""
+    if match is None or key not in _KINDS:
+        return []
+    # A comma between digits belongs to a number, where the cells are not between commas.
+    comma = "," if delimiter == "," and not _CUT.search(match[3]) else r",(?!\d)|(?<!\d),"
+    cells = [cell.strip(' "') for cell in re.split(r"[;\t]" if re.search(r"[;\t]", match[3]) else comma, match[3])]
+    if _KINDS[key] == "unit":
+        return [_Stated("unit", "", symbol_of(cell), "") for cell in cells if symbol_of(cell)]
+    found = []
+    for cell, after in zip(cells, [*cells[1:], ""], strict=True):
+        value = _VALUE.fullmatch(cell)
+        unit = value[2] if value else ""
+        unit = unit or (after if symbol_of(after) or after.lower() in _HERTZ else "") or match[2] or ""
+        # The word "sampling" alone can mean anything; 12.05.2024 is no number.
+        if value and readings(value[1]) and (unit or key != "sampling"):
+            found.append(_Stated(_KINDS[key], value[1], unit, f"'{key}' of '{value[1]}'"))
+    return found
+
+
+def _clock(stated: list[_Stated], notation: Callable[[], Notation]) -> tuple[float, float, str] | None:
+    """Return the step of a header, the time of its first sample [s], and what is a guess; raise FileFormatError."""
+    common = next((one.unit for one in stated if one.kind == "unit"), "")
+    steps: list[tuple[bool, float, str]] = []
+    start = 0.0
+    for kind, text, unit, words in (one for one in stated if one.kind != "unit"):
+        known = readings(text)
+        sign = next(iter(known)) if len(set(known.values())) == 1 else notation().decimal if notation().shown else ""
+        if not sign:
+            raise DecimalSignError(f"the header states {words}, which can be read in two ways; give the decimal sign")
+        factor = FACTORS["time"].get(symbol_of(unit or common), 0.0 if unit else 1.0)
+        if kind == "start":
+            start = known[sign] * factor
+        elif kind == "step":
+            steps.append((not unit and not common, known[sign] * factor, words))
+        elif hertz := known[sign] * _HERTZ.get(unit.lower(), 0.0 if unit else 1.0):
+            steps.append((not unit, 1 / hertz, words))
+    steps = [one for one in steps if isfinite(one[1]) and one[1] > 0]
+    sizes = [step for _, step, _ in steps]
+    if not steps:
+        return None
+    if max(sizes) - min(sizes) > _SAME * max(sizes):
+        raise FileFormatError(f"the header states different steps: {', '.join(c[2] for c in steps)}; correct it")
+    guessed, step, words = min(steps, key=lambda one: one[0])
+    return step, start, f"time step of {step:g} s, from {words} in the header without a unit" * guessed

@@ -6,8 +6,8 @@ import codecs
 import io
 import re
 from collections.abc import Iterator, Sequence
-from io import BufferedIOBase
-from typing import Any, NamedTuple
+from contextlib import suppress
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -16,13 +16,21 @@ from dehyst._types import Array
 from dehyst._units import symbol_of
 from dehyst.records.formats.columns import Column, shortened, without_groups
 from dehyst.records.formats.file_content import Allowance
-from dehyst.records.formats.notation import Notation, notation_of, pattern_of, pointed
-from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in
-from dehyst.records.formats.timestamps import Moment, clock_of, is_moment, moment, with_clock
+from dehyst.records.formats.notation import (
+    Moment,
+    Notation,
+    clock_of,
+    is_moment,
+    moment,
+    notation_of,
+    pattern_of,
+    pointed,
+)
+from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in, with_clock
 
-# Longest line [bytes] and most columns of a measurement.
+# Longest line [characters] and most columns of a measurement.
 _LONGEST_LINE, WIDEST = 1_000_000, 10_000
-# Bytes that are read at once, and those by which an encoding is recognised.
+# Characters that are read at once, and bytes by which an encoding is recognised.
 _BLOCK, _HEAD = 100_000, 4096
 # Groups of digits, whose sign is no decimal sign.
 _TWICE = re.compile(r"\d([.,])\d{3}\1\d{3}")
@@ -30,92 +38,58 @@ _TWICE = re.compile(r"\d([.,])\d{3}\1\d{3}")
 _LISTED, _SHOWN = 20, 40
 
 
-def as_utf8(stream: BufferedIOBase) -> BufferedIOBase:
-    """Return text in UTF-16, which Windows programs write as "Unicode text", in UTF-8; other bytes as they are."""
-    stream.seek(0)
-    head, encoding = stream.read(_HEAD), ""
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        encoding = "utf-16"
-    elif b"\0" in head:
-        # Latin letters and digits leave every second byte 0.
-        big, little = (part.count(0) / max(len(part), 1) for part in (head[::2], head[1::2]))
-        encoding = "utf-16-be" if big > 0.8 and not little else "utf-16-le" if little > 0.8 and not big else ""
-    try:
-        return io.BytesIO((head + stream.read()).decode(encoding).encode()) if encoding else stream
-    except UnicodeError:
-        return stream
+class _Text:
+    """A text: blocks of its lines, from the beginning as often as one likes.
 
-
-class _Text(NamedTuple):
-    """A text: its bytes, which can be read again, the place of the first and behind the last, and their encoding.
-
-    `lines`: their number, or more. `marks`: which of `,` and `"` the text holds.
+    `whole_lines`: whether a last line without its end is left out.
     """
 
-    stream: BufferedIOBase
-    start: int
-    stop: int
-    encoding: str
-    lines: int
-    marks: str
-
-    @classmethod
-    def of(cls, stream: BufferedIOBase, whole_lines: bool) -> _Text:
-        """Look through a text; raise FileFormatError if it is none, or has too long lines for a table."""
-        encoding, decoder = "utf-8", codecs.getincrementaldecoder("utf-8")()
-        lines = size = whole = 0
-        marks = ""
-        stream.seek(0)
-        chunk = stream.read(_BLOCK)
-        start = len(codecs.BOM_UTF8) * chunk.startswith(codecs.BOM_UTF8)
-        while True:
-            if b"\0" in chunk:
-                raise FileFormatError("no text (it holds NUL bytes); save it as UTF-8 text or correct its suffix")
-            try:
-                if encoding == "utf-8":
-                    decoder.decode(chunk, final=not chunk)
-            except UnicodeDecodeError:
-                # Instruments write the micro sign so.
-                encoding = "latin-1"
-            if not chunk:
-                return cls(stream, start, whole if whole_lines else size, encoding, lines + 1, marks)
-            marks += "".join(mark for mark in ',"' if mark not in marks and mark.encode() in chunk)
-            ends = chunk.replace(b"\r", b"\n") if b"\r" in chunk else chunk
-            first = ends.find(b"\n")
-            if size - whole + (first if first >= 0 else len(chunk)) > _LONGEST_LINE:
-                raise FileFormatError(
-                    f"line {lines + 1} is longer than {_LONGEST_LINE} bytes, longer than any row of a "
-                    "measurement; check that this is a table with a line for each sample"
-                )
-            whole = size + ends.rfind(b"\n") + 1 if first >= 0 else whole
-            lines += ends.count(b"\n") - (chunk.count(b"\r\n") if ends is not chunk else 0)
-            size, chunk = size + len(chunk), stream.read(_BLOCK)
+    def __init__(self, stream: BinaryIO, encoding: str, whole_lines: bool) -> None:
+        self.whole_lines = whole_lines
+        # It makes one end of line of the ends of all systems.
+        self.lines = io.TextIOWrapper(stream, encoding)
 
     def blocks(self, skip: int = 0, cut: str = "") -> Iterator[tuple[int, str]]:
         """Yield blocks of whole lines from behind the first lines on, each with the number of the line before it.
 
-        `cut`: what separates cells, if tabs are to replace it.
+        `cut`: what separates cells, if tabs are to replace it. Raise FileFormatError for no text, or a line that is too
+        long for a row.
         """
-        number, at = 0, self.start
-        while at < self.stop:
-            self.stream.seek(at)
-            data = self.stream.read(min(_BLOCK, self.stop - at))
-            data += self.stream.readline(self.stop - at - len(data))
-            if not data:
-                return
-            block, at = data.decode(self.encoding), at + len(data)
-            if "\r" in block:
-                block = block.replace("\r\n", "\n").replace("\r", "\n")
+        self.lines.seek(0)
+        number = 0
+        while block := self.lines.read(_BLOCK) + self.lines.readline(_LONGEST_LINE):
+            if "\0" in block:
+                raise FileFormatError("no text (it holds NUL bytes); save it as UTF-8 text or correct its suffix")
+            if len(block) > _LONGEST_LINE and len(block) - block.rfind("\n", 0, -1) > _LONGEST_LINE:
+                raise FileFormatError(
+                    f"line {number + block.count(chr(10), 0, -1) + 1} is longer than {_LONGEST_LINE} characters, "
+                    "longer than any row of a measurement; check that this is a table with a line for each sample"
+                )
+            block = block[: block.rfind("\n") + 1] if self.whole_lines else block
             count = block.count("\n")
             left = min(max(skip - number, 0), count)
-            block = block.split("\n", left)[left] if left else block
-            if block:
-                yield number + left, block.replace(cut, "\t") if cut else block
+            rest = block.split("\n", left)[left] if left else block
+            if rest:
+                yield number + left, rest.replace(cut, "\t") if cut else rest
             number += count
 
 
+def _encodings(stream: BinaryIO) -> tuple[str, ...]:
+    """Return the encodings that a text may have; Windows programs write UTF-16 as "Unicode text"."""
+    stream.seek(0)
+    head = stream.read(_HEAD)
+    # Latin letters and digits leave every second byte 0.
+    big, little = head[::2].count(0), head[1::2].count(0)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16", "latin-1"
+    if max(big, little) > 0.4 * len(head) and not min(big, little):
+        return "utf-16-be" if big else "utf-16-le", "latin-1"
+    # Instruments write the micro sign in Latin-1.
+    return "utf-8-sig", "latin-1"
+
+
 def read_text(
-    data: bytes | BufferedIOBase, allowance: Allowance, decimal: str | None = None, whole_lines: bool = False
+    data: bytes | BinaryIO, allowance: Allowance, decimal: str | None = None, whole_lines: bool = False
 ) -> list[Column]:
     """Read the columns of a text file; those with words have a fault, those without a name say so.
 
@@ -123,10 +97,22 @@ def read_text(
     without its end is left out. Raise `FileFormatError` for no text, no rows, rows that differ in length from the
     header, several tables, or more than allowed.
     """
-    text = _Text.of(io.BytesIO(data) if isinstance(data, bytes) else data, whole_lines)
-    layout, given = layout_of(next((block for _, block in text.blocks()), "")), decimal or allowance.decimal
+    stream = io.BytesIO(data) if isinstance(data, bytes) else data
+    for encoding in _encodings(stream):
+        text = _Text(stream, encoding, whole_lines)
+        with suppress(UnicodeDecodeError):
+            try:
+                return _read(text, allowance, decimal or allowance.decimal)
+            finally:
+                text.lines.detach()
+    raise FileFormatError("no text; save it as UTF-8 text or correct its suffix")
+
+
+def _read(text: _Text, allowance: Allowance, decimal: str | None) -> list[Column]:
+    """Read the columns of a text."""
+    layout = layout_of(next((block for _, block in text.blocks()), ""))
     table = _Table(text, layout)
-    columns = table.columns(allowance, table.notation(given))
+    columns = table.columns(allowance, table.notation(decimal))
     if layout.names:
         # Separators without a name: an empty column, or what stands beside the table.
         columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
@@ -139,12 +125,13 @@ def read_text(
         or one.fault
         or not np.array_equal(one.data, column.data, equal_nan=True)
     ]
-    return with_clock(columns, layout.above, layout.delimiter, lambda: table.notation(given))
+    return with_clock(columns, layout.above, layout.delimiter, lambda: table.notation(decimal))
 
 
 class _Table:
     """The rows of a text file, read block by block.
 
+    `lines`: their number, or more. `comma`: what a cell with a comma shows, and `commas`: whether there is one.
     `count`: rows so far. `faults`, `clocks`: why a column cannot be read, and the timestamps of one that has them.
     `ends`: the first and the last row as they are written. `hole`, `blank`: line of the first empty row, and whether
     there was a blank line, since the last row. `headers`: lines of repeated headers. `breaks`: line and sample of rows
@@ -162,6 +149,10 @@ class _Table:
                 f"the header has {self.width} columns, at most {WIDEST} are read; check the separator, or keep time, "
                 "voltage and displacement only"
             )
+        # Between commas, a cell with a comma is in quotes.
+        self.comma, self.commas, self.lines = '"' if self.delimiter == "," else ",", False, 1
+        for _, block in text.blocks(layout.first, layout.cut):
+            self.commas, self.lines = self.commas or self.comma in block, self.lines + block.count("\n")
         self.count, self.hole, self.blank = 0, 0, False
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
@@ -171,12 +162,11 @@ class _Table:
 
     def notation(self, decimal: str | None) -> Notation:
         """Return the notation of the numbers; `decimal`: the decimal sign that the user states."""
-        comma = '"' if self.delimiter == "," else ","
 
         def found(kind: str, sign: str) -> str:
             pattern, mark = (
                 pattern_of(kind, sign, self.delimiter),
-                comma if (sign == ",") != (kind == "groups") else ".",
+                self.comma if (sign == ",") != (kind == "groups") else ".",
             )
             for before, block in self.text.blocks(self.layout.first, self.layout.cut):
                 # The last line of a file may be cut off in the middle of a number.
@@ -189,13 +179,13 @@ class _Table:
                     return f"line {before + len(lines)}, column '{name}' holds '{match['number'][:_SHOWN]}'"
             return ""
 
-        return notation_of(found, self.delimiter, comma in self.text.marks, decimal)
+        return notation_of(found, self.delimiter, self.commas, decimal)
 
     def columns(self, allowance: Allowance, notation: Notation) -> list[Column]:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
-        allowance.take(self.text.lines * self.width, "the number of its lines")
+        allowance.take(self.lines * self.width, "the number of its lines")
         # Memory is taken as it is filled.
-        columns = np.empty((self.width, self.text.lines))
+        columns = np.empty((self.width, self.lines))
         for number, written in self.text.blocks(self.layout.first, self.layout.cut):
             lines = written.removesuffix("\n").split("\n")
             block = pointed(written, notation, self.delimiter)
@@ -288,7 +278,7 @@ class _Table:
     def _column(self, place: int, data: Array, ends: tuple[str, str]) -> Column:
         """Return a column with the numbers that were read, or with the times of its timestamps."""
         fault = self.faults.get(place, "")
-        began: tuple[tuple[str, int, float], ...] = ()
+        began: tuple[str, int, float] | None = None
         stated = self.layout.units[place] if place < len(self.layout.units) else ""
         unit = "s" if place in self.clocks else symbol_of(stated) or stated
         if place in self.clocks and not fault:
