@@ -3,8 +3,7 @@
 from dehyst.records.cleaning import cleaned
 from dehyst.records.columns import Columns
 from dehyst.records.files import read, read_table, table_of, write_columns, write_record
-from dehyst.records.formats.loaders import LOADERS
-from dehyst.records.formats.vendor_files import GCS_END, GCS_SEPARATORS, gcs_entries
+from dehyst.records.formats.loaders import GCS_END, GCS_SEPARATORS, LOADERS, gcs_entries
 from dehyst.records.quality import guesses
 from dehyst.records.record import Record
 from dehyst.records.recording import Recording, about_of, demand_disk_space, unused_path

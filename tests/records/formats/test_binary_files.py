@@ -226,8 +226,6 @@ def elsewhere(kind, name="displacement_um"):
         with h5py.File(path, "a") as file:
             if kind == "storage":
                 file.create_dataset(name, shape=(N,), dtype="<f8", external=[(str(secret), 0, N * 8)])
-            elif kind == "link":
-                file[name] = h5py.ExternalLink(str(secret), "x")
             else:
                 layout = h5py.VirtualLayout(shape=(N,), dtype="f8")
                 layout[:] = h5py.VirtualSource(str(secret), "x", shape=(N,))
@@ -236,21 +234,11 @@ def elsewhere(kind, name="displacement_um"):
     return write
 
 
-COMPLEX = NAMED | {"displacement_um": Y + 1j}
-PAIRS = NAMED | {"displacement_um": np.zeros(N, [("real", "f8"), ("imag", "f8")])}
-
-
 @pytest.mark.parametrize(
     ("name", "write"),
     {
-        **{f"{kind}{suffix}": elsewhere(kind) for kind in ("storage", "link", "virtual") for suffix in (".h5", ".mat")},
-        "a.npz": lambda path: np.savez(path, **COMPLEX),
+        **{f"{kind}{suffix}": elsewhere(kind) for kind in ("storage", "virtual") for suffix in (".h5", ".mat")},
         "objects.npz": lambda path: np.savez(path, **NAMED | {"displacement_um": np.array([{}] * N)}),
-        "a.npy": lambda path: np.save(path, structured(COMPLEX)),
-        "a.h5": hdf5(COMPLEX),
-        "pairs.h5": hdf5(PAIRS),
-        "a.mat": matlab(COMPLEX),
-        "struct.mat": matlab({"data": COMPLEX}),
         "cell.mat": matlab(NAMED | {"displacement_um": np.array([Y, V], dtype=object)}),
         "object.mat": matlab73(NAMED | {"displacement_um": T}, {"displacement_um.MATLAB_object_decode": 3}),
     }.items(),

@@ -32,7 +32,6 @@ MEMBER = "dehyst-record"
 LINE = f"# {MEMBER}: "
 LONGEST = 4096
 # Why variables cannot be used.
-_COMPLEX = "holds complex numbers; export their real part, or their magnitude, as a column of its own"
 _OBJECT = "holds a MATLAB object, which only MATLAB reads: save its fields as a struct or arrays"
 _CELL = "holds a cell array; save the arrays in its cells as variables of their own"
 _PYTHON = "holds Python objects, which are not opened, because that runs code; save arrays of numbers"
@@ -87,7 +86,7 @@ class _Declared(NamedTuple):
     def kind(self) -> str:
         """What it may hold: "series" of samples, a "table" of several, or "" for anything else."""
         many = max(self.shape, default=0)
-        if many > 1 and _product(self.shape) == many and (self.dtype.names or self.dtype.kind in "fiuc"):
+        if many > 1 and _product(self.shape) == many and (self.dtype.names or self.dtype.kind in "fiu"):
             return "series"
         table = len(self.shape) == 2 and 1 < min(self.shape) <= _MOST_SERIES and many >= 2 * min(self.shape)
         return "table" if table and self.dtype.kind in "fiu" else ""
@@ -114,11 +113,9 @@ class _Declared(NamedTuple):
 
 
 def _vector(name: str, values: Any, unit: str = "") -> list[Column]:
-    """Return the column of an array of numbers in one dimension; complex ones have a fault."""
-    if values.dtype.kind not in "fiuc" or values.size < 2 or values.size != max(values.shape):
+    """Return the column of an array of numbers in one dimension; others are left out."""
+    if values.dtype.kind not in "fiu" or values.size < 2 or values.size != max(values.shape):
         return []
-    if values.dtype.kind == "c":
-        return [Column(name, np.empty(0), fault=_COMPLEX)]
     with np.errstate(all="ignore"):
         return [Column(name, np.ascontiguousarray(values.ravel(), dtype=np.float64), unit)]
 
@@ -187,31 +184,21 @@ _DEEPEST, _MOST_NAMES, _LONGEST_UNIT, _MOST_VALUES = 64, 100_000, 256, 16
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read the datasets of all groups that hard links lead to, each once; those with samples elsewhere have a fault.
-
-    Soft links are ignored, because their targets are found under their own names. External links are not followed.
-    """
+    """Read the datasets of all groups, each once; those with samples elsewhere have a fault. Links are not followed."""
     import h5py
 
-    links: dict[str, Any] = {}
+    arrays: list[_Declared] = []
 
-    def keep(name: str, link: Any) -> bool | None:
-        links[name] = link
-        return len(links) > _MOST_NAMES or name.count("/") >= _DEEPEST or None
+    def keep(name: str, item: Any) -> bool | None:
+        if isinstance(item, h5py.Dataset) and item.shape is not None and not name.startswith("#"):
+            arrays.append(_dataset(name, item, allowance))
+        return len(arrays) > _MOST_NAMES or name.count("/") >= _DEEPEST or None
 
     with h5py.File(io.BytesIO(data), "r") as file:
-        if file.visititems_links(keep):
+        if file.visititems(keep):
             raise FileFormatError(
-                f"more than {_MOST_NAMES} names, or groups more than {_DEEPEST} deep; keep the record's columns only"
+                f"more than {_MOST_NAMES} datasets, or groups more than {_DEEPEST} deep; keep the record's columns only"
             )
-        arrays, seen = [], set()
-        for name, link in links.items():
-            if isinstance(link, h5py.ExternalLink):
-                arrays.append(_Declared(name, (), np.dtype("f8"), tuple, fault=_ELSEWHERE, foreign=True))
-            elif isinstance(link, h5py.HardLink) and not name.startswith("#") and (item := file[name]) not in seen:
-                seen.add(item)
-                if isinstance(item, h5py.Dataset) and item.shape is not None:
-                    arrays.append(_dataset(name, item, allowance))
         return _columns_of(arrays, allowance)
 
 
@@ -220,19 +207,17 @@ def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
     shape, dtype, matlab = item.shape, item.dtype, _attribute(item, "MATLAB_class")
     fault = _ELSEWHERE if item.is_virtual or item.external else _CELL if matlab == [b"cell"] else ""
     fault = _OBJECT if "MATLAB_object_decode" in item.attrs else fault
-    # MATLAB writes complex numbers as pairs, text and the shape of an empty array as numbers; netCDF writes a dimension
-    # without coordinates as zeros.
-    pairs = dtype.names == ("real", "imag") and _product(shape) == max(shape, default=0)
+    # MATLAB writes text and the shape of an empty array as numbers; netCDF writes a dimension without coordinates as
+    # zeros.
     if matlab == [b"char"] or "MATLAB_empty" in item.attrs or "not a netCDF variable" in str(_attribute(item, "NAME")):
         shape = ()
     read = partial(_unpacked, item, name, allowance)
-    fault = fault or (_COMPLEX if pairs else "")
     # The unit of the group, unless the dataset has one, or the name of another quantity.
     unit, group = _unit(item), _unit(item.parent)
     column = Column(name, np.empty(0), unit)
     if group and not symbol_of(column.parts[1]) and (not column.quantities or quantity_of(group) in column.quantities):
         unit = group
-    return _Declared(name, shape, dtype, read, unit, fault, bool(fault) and not pairs)
+    return _Declared(name, shape, dtype, read, unit, fault, bool(fault))
 
 
 def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:

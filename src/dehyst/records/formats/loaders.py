@@ -1,16 +1,198 @@
-"""The readable formats, and the reading of a file within a bound of its size."""
+"""The readable formats, the reading of a file within a bound of its size, and tables that are read as plain text.
+
+These are GCS arrays of PI, LabVIEW measurements (.lvm) and Excel sheets (.xlsx). Their lines keep their numbers, so
+that messages name the right ones.
+"""
 
 from __future__ import annotations
 
+import io
+import re
 import warnings
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from dataclasses import replace
+from decimal import Decimal
+from itertools import zip_longest
+from math import inf, isfinite, nan
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
-from dehyst.records.formats import containers, vendor_files
-from dehyst.records.formats.columns import TEXT, Column
+from dehyst.records.formats import containers
+from dehyst.records.formats.columns import TEXT, Column, shortened
+from dehyst.records.formats.containers import apart
 from dehyst.records.formats.file_content import Allowance, Content
 from dehyst.records.formats.text_table import read_text
+
+GCS_END = "# END_HEADER"
+# The separators of a GCS array by their number; None: blanks.
+GCS_SEPARATORS = {"9": "\t", "32": None, "44": ",", "59": ";"}
+_END = re.compile(rb"(?m)^#[ \t]*END_HEADER[ \t\r]*\n\s*")
+_ENTRY = re.compile(r"#\s*([A-Z_]+\d*)\s*=\s*(.*)")
+
+
+def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
+    """Return keys and values of the header of a GCS array."""
+    return [(match[1], match[2].strip()) for line in lines if (match := _ENTRY.fullmatch(line.strip()))]
+
+
+def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units."""
+    above, rows = _END.split(data, maxsplit=1)
+    lines = _decoded(above).split("\n")
+    header = dict(gcs_entries(lines))
+    separator, step = GCS_SEPARATORS.get(header.get("SEPARATOR", "")), _number(header.get("SAMPLE_TIME", ""))
+    width = len(rows.partition(b"\n")[0].decode("latin-1").split(separator))
+    names = (header.get(f"NAME{k}", f"column {k + 1}").replace('"', "") for k in range(width))
+    head = (separator or " ").join(f'"{name}"' for name in names)
+    columns = read_text(b"\n" * (len(lines) - 1) + head.encode() + b"\n" + rows, allowance)
+    samples = len(columns[0].data)
+    if not 0 < step < inf:
+        return columns
+    allowance.take(samples, "the time of its samples")
+    return [Column("time", np.arange(float(samples)) * step, "s"), *columns]
+
+
+# The name of a column of times, and the part of a sample by which the clocks of channels may differ.
+_CLOCK, _SAME = "X_Value", 0.01
+_LABVIEW_END = b"***End_of_Header***"
+
+
+def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read the segment of a LabVIEW measurement file: its channels with their units, and their time.
+
+    Raise `FileFormatError` for a header without its end, more than one segment, channels with clocks of their own, or
+    fewer samples than the header states.
+    """
+    parts = data.replace(b"\r\n", b"\n").split(_LABVIEW_END)
+    if len(parts) != 3:
+        count = max(len(parts) - 2, 0)
+        raise FileFormatError(f"got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own")
+    sign = b"," if re.search(rb"\nSeparator[\t,]Comma", parts[0]) else b"\t"
+    lines = (_decoded(line).split(sign.decode()) for line in b"".join(parts[:2]).split(b"\n"))
+    header = {key.strip(): [cell.strip() for cell in cells] for key, *cells in lines}
+    _, *rows = parts[2].split(b"\n")
+    names = rows[0].split(sign) if rows else []
+    # A remark on the sample follows its channels; without a column of times, its place is empty.
+    end = names.index(b"Comment") if b"Comment" in names else len(names)
+    begin = int(header.get("X_Columns", [])[:1] == ["No"])
+    table = b"\n".join(sign.join(row.split(sign)[begin:end]) for row in rows)
+    decimal = next((mark for mark in header.get("Decimal_Separator", [])[:1] if mark in (".", ",")), None)
+    columns = read_text(b"\n" * b"".join(parts[:2]).count(b"\n") + b"\n" + table, allowance, decimal)
+    return _with_header(columns, header)
+
+
+def _with_header(columns: list[Column], header: dict[str, list[str]]) -> list[Column]:
+    """Return the channels with their units, after their time: a column of it, else the step of the header."""
+    channels = [column for column in columns if column.name != _CLOCK]
+    clocks = [c.data for c in columns if c.name == _CLOCK and c.data.size and np.isfinite(c.data).all()]
+
+    def cells(key: str) -> list[str]:
+        # With a column of time for each channel, the cells above these are empty.
+        stated = [cell for cell in header.get(key, []) if cell]
+        return stated if len(stated) == len(channels) else header.get(key, [])[: len(channels)]
+
+    count = max((column.data.size for column in channels), default=0)
+    most = max(map(_number, cells("Samples")), default=0.0)
+    if count < most:
+        raise FileFormatError(
+            f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
+            "correct Samples in its header to read what is there"
+        )
+    start, step = (next(map(_number, cells(key)), nan) for key in ("X0", "Delta_X"))
+    slack = _SAME * abs(step)
+    differing = [_CLOCK] * (len(clocks) > 1)
+    for key, allowed in {"X0": slack, "Delta_X": slack / max(most, 1.0), "Date": 0.0, "Time": slack}.items():
+        stated = {cell for cell in cells(key) if cell}
+        # Dates are no numbers, and differ if their texts do.
+        if len(stated) > 1 and not np.ptp([_number(cell) for cell in stated]) <= allowed:
+            differing.append(key)
+    if differing:
+        raise apart((column.name for column in channels), ", ".join(differing))
+    units = [*cells("Y_Unit_Label"), *[""] * len(channels)]
+    channels = [replace(column, unit=unit) for column, unit in zip(channels, units, strict=False)]
+    if not clocks and isfinite(start + step):
+        clocks = [start + step * np.arange(float(count))]
+    unit = "s" if header.get("X_Dimension", ["Time"])[:1] == ["Time"] else ""
+    return [*(Column("time", clock, unit) for clock in clocks), *channels]
+
+
+def _decoded(text: bytes) -> str:
+    """Return text in UTF-8, or in Latin-1, as instruments write it."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def _number(cell: str) -> float:
+    """Return a number with a decimal point or comma, or the seconds of a time as 12:00:00.5; NaN for other text."""
+    seconds = 0.0
+    try:
+        for part in cell.replace(",", ".").split(":"):
+            seconds = 60 * seconds + float(part)
+    except ValueError:
+        return float("nan")
+    return seconds
+
+
+# The least memory of a cell while it is read [bytes], and the cells that an empty row counts for.
+_CELL, _ROW = 32, 16
+# A text that may be a number with a decimal comma, or with groups of digits.
+_SIGNED = re.compile(r"[-+]?\d*[.,][\d.,]*(?:[eE][-+]?\d+)?")
+
+
+def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
+    """Read the tables of a workbook; the names of several sheets are put before those of their columns."""
+    import openpyxl
+
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for member in archive.infolist():
+            allowance.check(member.file_size, f"sheet '{member.filename}'")
+    tables: dict[str, list[Column]] = {}
+    with closing(openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)) as workbook:
+        for sheet in workbook.worksheets:
+            lines, decimal = _lines(sheet, allowance)
+            if sum(map(bool, map(str.strip, lines))) > 1:
+                tables[sheet.title] = read_text("\n".join(lines).encode() + b"\n", allowance, decimal)
+    if not tables:
+        raise FileFormatError("no sheet with rows found; save the measurement in a sheet")
+    return [
+        column if len(tables) == 1 else replace(column, name=f"{title}/{column.name}")
+        for title, columns in tables.items()
+        for column in columns
+    ]
+
+
+def _lines(sheet: Any, allowance: Allowance) -> tuple[list[str], str | None]:
+    """Return the rows of a sheet as text, and their decimal sign; the latter is unknown if texts hold numbers.
+
+    The range that a sheet declares is not believed: programs write a wrong one.
+    """
+    sheet.reset_dimensions()
+    rows, cells, what = [], 0, f"the cells of sheet '{shortened(sheet.title)}'"
+    for row in sheet.iter_rows(values_only=True):
+        cells += max(len(row), _ROW)
+        allowance.check(_CELL * cells, what)
+        rows.append(row)
+    allowance.check(len(rows) * max(map(len, rows), default=0), what)
+    columns = [column for column in zip_longest(*rows) if any(cell is not None for cell in column)]
+    texts = (cell.strip() for column in columns for cell in column if isinstance(cell, str))
+    signed = any(_SIGNED.fullmatch(text) for text in texts)
+    lines = ["\t".join(_cell(cell, signed) for cell in row) for row in zip(*columns, strict=True)]
+    return lines, None if signed else "."
+
+
+def _cell(value: Any, bare: bool) -> str:
+    """Return the text of a cell; of a number without a decimal sign if it is to be `bare`."""
+    if isinstance(value, float) and bare and isfinite(value):
+        sign, digits, exponent = Decimal(repr(value)).as_tuple()
+        return f"{'-' * sign}{''.join(map(str, digits))}e{exponent}"
+    return "" if value is None else " ".join(str(value).split())
+
 
 Loader = Callable[[Any, Allowance], list[Column]]
 # Bytes by which a text is recognised: the longest header of a GCS array.
@@ -23,10 +205,10 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     stream.seek(0)
     head = stream.read(_HEAD)
     stream.seek(0)
-    if vendor_files.is_labview(head):
-        return vendor_files.read_labview(stream.read(), allowance)
-    if vendor_files.is_gcs(head):
-        return vendor_files.read_gcs(stream.read(), allowance)
+    if head.lstrip(b"\xef\xbb\xbf").startswith(b"LabVIEW Measurement"):
+        return read_labview(stream.read(), allowance)
+    if _END.search(head):
+        return read_gcs(stream.read(), allowance)
     # Each line of a record of dehyst ends: one that does not was cut off while it was written.
     columns = read_text(stream, allowance, whole_lines=head.startswith(mark))
     stated = head[len(mark) : containers.LONGEST].split(b"\n")[0] if head.startswith(mark) else b""
@@ -36,7 +218,7 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 # The function of the bytes of a file, of the stream of a text, and the allowance that returns its columns, by suffix.
 LOADERS: dict[str, Loader] = {
     **dict.fromkeys((*TEXT, ".lvm", ".asc"), _read_text),
-    ".xlsx": vendor_files.read_xlsx,
+    ".xlsx": read_xlsx,
     ".mat": containers.read_mat,
     ".h5": containers.read_hdf5,
     ".hdf5": containers.read_hdf5,

@@ -306,11 +306,11 @@ _WORDS = {
 }
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
-# A number that a comma between cells cuts into 10 and 000.
-_CUT = re.compile(r"\d,0\d")
-_VALUE = re.compile(r"\s*([-+]?[.,]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*([^\W\d]+(?:/[^\W\d]+)?)?\s*")
-# Key, unit in brackets, and the rest of a line.
+# Key, unit in brackets, and the rest of a line; a number in it, and its unit.
 _LINE = re.compile(r"[#%;\s\"]*([A-Za-z][^\[\](){}:=;,\t\"\d]*)(?:[\[(]([^\[\]()]*)[\])])?[\s\":=;,]+(.*)")
+_VALUE = re.compile(
+    r"(?<![^\s\";,])([-+]?[.,]?\d(?:[\d.,]*\d)?(?:[eE][-+]?\d+)?)[\s\";,]*([^\W\d]+(?:/[^\W\d]+)?)?(?![^\s\";,])"
+)
 # The longest line that is looked at.
 _LONGEST_LINE = 400
 # Relative difference of steps that state the same.
@@ -369,19 +369,17 @@ def _stated(line: str, delimiter: str | None) -> list[_Stated]:
     key = re.sub(r"[^a-z]", "", match[1].lower()) if match else ""
     if match is None or key not in _KINDS:
         return []
-    # A comma between digits belongs to a number, where the cells are not between commas.
-    comma = "," if delimiter == "," and not _CUT.search(match[3]) else r",(?!\d)|(?<!\d),"
-    cells = [cell.strip(' "') for cell in re.split(r"[;\t]" if re.search(r"[;\t]", match[3]) else comma, match[3])]
     if _KINDS[key] == "unit":
-        return [_Stated("unit", "", symbol_of(cell), "") for cell in cells if symbol_of(cell)]
+        return [_Stated("unit", "", symbol_of(cell), "") for cell in re.split(r"[\s,;]+", match[3]) if symbol_of(cell)]
+    # Between commas, one before a zero belongs to a number: 10,000.
+    rest = match[3].replace(",", " ") if delimiter == "," and not re.search(r"\d,0\d", match[3]) else match[3]
     found = []
-    for cell, after in zip(cells, [*cells[1:], ""], strict=True):
-        value = _VALUE.fullmatch(cell)
-        unit = value[2] if value else ""
-        unit = unit or (after if symbol_of(after) or after.lower() in _HERTZ else "") or match[2] or ""
+    for number, behind in _VALUE.findall(rest):
+        unit = behind or match[2] or ""
+        known = not unit or unit.lower() in _HERTZ or symbol_of(unit) in FACTORS["time"]
         # The word "sampling" alone can mean anything; 12.05.2024 is no number.
-        if value and readings(value[1]) and (unit or key != "sampling"):
-            found.append(_Stated(_KINDS[key], value[1], unit, f"'{key}' of '{value[1]}'"))
+        if known and readings(number) and (unit or key != "sampling"):
+            found.append(_Stated(_KINDS[key], number, unit, f"'{key}' of '{number}'"))
     return found
 
 
