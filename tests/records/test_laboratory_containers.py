@@ -3,61 +3,10 @@
 import laboratory_files
 import numpy as np
 import pytest
-from laboratory_containers import NM, TRAPS, TWINS
-from laboratory_files import N, T, V, Y, assert_measured
+from laboratory_files import T, V, Y, assert_measured
 
-from dehyst._errors import FileFormatError, RecordError
 from dehyst.records import read, write_columns, write_record
 from dehyst.records.tables import ColumnsError
-
-# Of traps that can be read right: the clock and the displacement, if they are others.
-CLOCKS = {"gap.parquet": T + 0.7 * (T[N // 2] <= T)}
-STROKES = {"group.h5": NM * 1e-9, "small.mat": NM * 1e-9}
-# Their channels do not have the clock of the truth in common.
-APART = ("starts.lvm", "steps.lvm", "multi.lvm", "times.lvm", "late.tdms")
-
-
-def outcome(path, columns):
-    """How a file is read, pasting what is proposed: "refused", "right", "guessed" or "wrong"."""
-    for _ in range(3):
-        try:
-            record = read(path, columns)
-            record.check_usable()
-            break
-        except ColumnsError as error:
-            if error.proposal in ("", columns):
-                return "refused"
-            columns = error.proposal
-        except (FileFormatError, RecordError):
-            return "refused"
-    else:
-        return "refused"
-    if record.meta.get("guesses"):
-        return "guessed"
-    expected = CLOCKS.get(path.name, T), V, STROKES.get(path.name, Y)
-    found = record.time - record.time[0], record.voltage, record.displacement
-    alike = len(record) == N and all(
-        np.allclose(a, b, rtol=0, atol=1e-6 * np.ptp(b)) for a, b in zip(found, expected, strict=True)
-    )
-    return "right" if alike and path.name not in APART else "wrong"
-
-
-@pytest.mark.parametrize("name", TRAPS)
-def test_no_trap_is_read_wrong_in_silence(name, tmp_path):
-    write, words = TRAPS[name]
-    write(tmp_path / name)
-    assert outcome(tmp_path / name, words) in ("refused", "right", "guessed")
-
-
-@pytest.mark.parametrize("name", TWINS)
-def test_innocent_twins_are_read(name, tmp_path):
-    write, words = TWINS[name]
-    write(tmp_path / name)
-    record = read(tmp_path / name, words)
-    assert_measured(record)
-    record.check_usable()
-    assert "guesses" not in record.meta
-
 
 # Guesses
 

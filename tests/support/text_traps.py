@@ -19,20 +19,13 @@ NOISY = np.interp(FAST, T, UM) + NOISE * np.random.default_rng(3).standard_norma
 
 
 class Trap(NamedTuple):
-    """A file that is easily read wrong, and what may happen to it: "refused", "remarked" or "right".
-
-    `words`: in the message or the remark. `twin`: an innocent file that looks alike. `options`,
-    `twin_options`: texts of columns. `start`: the time of the first sample of the trap [s].
-    """
+    """A file that is easily read wrong; `twin`: an innocent file that looks alike; of both the texts of columns."""
 
     trap: Callable[[Path], None]
-    end: str
-    words: str
     twin: Callable[[Path], None]
     options: str = ""
     twin_options: str = ""
     suffix: str = ".csv"
-    start: float = 0.0
 
 
 def point(values: np.ndarray, digits: int) -> list[str]:
@@ -125,102 +118,70 @@ SUMMER = [text if k < 600 else text.replace("T12", "T13") for k, text in enumera
 TRAPS: dict[str, Trap] = {
     "thousands beside decimal points, tabs": Trap(
         table("\t", TIMES_NM, SECONDS, VOLTS, grouped(NM + 1e4)),
-        "refused",
-        "line 2, column 'displacement_nm' holds '10,000'",
         table("\t", HEAD, comma(T, 3), comma(V, 3), comma(UM, 3)),
     ),
     "thousands beside decimal points, semicolons": Trap(
         table(";", "time_s,voltage_mV,displacement_um", SECONDS, grouped(MV + 1e3), MICROMETRES),
-        "refused",
-        "column 'voltage_mV' holds '1,000'",
         table(";", HEAD, comma(T, 3), comma(V, 4), comma(UM, 3)),
     ),
     "thousands in a part of the values": Trap(
         table("\t", TIMES_NM, SECONDS, VOLTS, grouped(NM)),
-        "refused",
-        "column 'displacement_nm' holds '1,0",
         table("\t", HEAD, point(T, 3), point(V, 3), point(UM, 3)),
     ),
     "points for thousands beside decimal commas": Trap(
         table(";", TIMES_NM, comma(T, 3), comma(V, 4), german(NM)),
-        "refused",
-        '","',
         table(";", TIMES_NM, comma(T, 3), comma(V, 4), point(NM, 0)),
     ),
     "commas before three digits, nothing else": Trap(
         table("\t", MILLI, point(1e3 * T, 0), grouped(MV + 1e3), grouped(NM + 1e3)),
-        "refused",
-        '","',
         table("\t", "time_ms,voltage_mV,displacement_pm", point(1e3 * T, 0), grouped(MV), grouped(PM)),
     ),
     "points before three digits, nothing else": Trap(
         table(";", MILLI, point(1e3 * T, 0), german(MV + 1e3), german(NM + 1e3)),
-        "refused",
-        '","',
         table(";", TIMES_NM, SECONDS, VOLTS, grouped(NM, 1)),
     ),
     "thousands in quotes": Trap(
         table(",", TIMES_NM, SECONDS, VOLTS, quoted(grouped(NM))),
-        "refused",
-        '"."',
         table(",", HEAD, *(quoted(comma(values, 3)) for values in (T, V, UM))),
     ),
     "thousands as text in a workbook": Trap(
         sheet([TIMES_NM.split(","), *zip(T.tolist(), V.tolist(), grouped(NM + 1e4), strict=True)]),
-        "refused",
-        "line 2, column 'displacement_nm' holds '10,000'",
         sheet([HEAD.split(","), *zip(T.tolist(), V.tolist(), comma(UM, 4), strict=True)]),
         suffix=".xlsx",
     ),
     "two decimal signs": Trap(
         table(";", HEAD, SECONDS, comma(V, 4), comma(UM, 4)),
-        "refused",
-        "one decimal sign",
         table(";", f"{HEAD},note", comma(T, 3), comma(V, 4), comma(UM, 4), ["ok, at 1.5 kHz"] * N),
     ),
     "a number cut off at the end": Trap(
         table("\t", MILLI, point(1e3 * T, 0), grouped(MV + 1e3), grouped(NM + 1e3), cut=2),
-        "refused",
-        '"."',
         table("\t", HEAD, comma(T, 3), comma(V, 4), comma(UM, 3), cut=1),
     ),
     "a row of units against the names": Trap(
         with_lines(HEAD, BODY, {2: "ms,mV,nm"}),
-        "refused",
-        "has the unit 'V' in its name, but the file states 'mV'",
         with_lines(HEAD, BODY, {2: "Seconds,V,µm"}),
     ),
     "no value in the first column": Trap(
         with_lines(HEAD, BODY, {700: "#N/A,1,2"}, lost=True),
-        "refused",
-        "line 700 holds '#N/A'",
         with_lines(HEAD, BODY, {700: "# a pause, then on"}),
     ),
     "no value in the first row": Trap(
         with_lines(HEAD, BODY, {2: "#DIV/0!,#DIV/0!,#DIV/0!"}, lost=True),
-        "refused",
-        "line 2 holds '#DIV/0!'",
         with_lines(HEAD, BODY, {2: "# s,V,um"}),
     ),
     "no value in every seventh row": Trap(
         with_lines("displacement_um,voltage_V", rows(UM, V), dict.fromkeys(SEVENTH, "#N/A,1"), lost=True),
-        "refused",
-        "line 9 holds '#N/A'",
         with_lines("displacement_um,voltage_V", rows(UM, V), dict.fromkeys(SEVENTH, "# pause,")),
         RATE,
         RATE,
     ),
     "rows behind a percent sign": Trap(
         with_lines("displacement_um,voltage_V", rows(UM, V), dict.fromkeys(SEVENTH, "%,1"), lost=True),
-        "refused",
-        "line 9 holds '%'",
         with_lines("% made, by, a rig", f"{HEAD}\n{BODY}", {40: "% half of it"}),
         RATE,
     ),
     "empty rows": Trap(
         with_lines("voltage_V,displacement_um", PAIRS, dict.fromkeys(SEVENTH, ","), lost=True),
-        "refused",
-        "line 9 is an empty row",
         with_lines("voltage_V,displacement_um", PAIRS, {2: ",", N + 2: ",", N + 3: ","}),
         RATE,
         RATE,
@@ -230,16 +191,12 @@ TRAPS: dict[str, Trap] = {
             with_lines("voltage_V", rows(V), dict.fromkeys(SEVENTH, ""), lost=True),
             with_lines("displacement_um", rows(UM), {k + 3: "" for k in SEVENTH}, lost=True),
         ),
-        "refused",
-        "line 9 is an empty row",
         both(with_lines("voltage_V", rows(V), {N + 2: ""}), with_lines("displacement_um", rows(UM), {})),
         f"{JOIN}, {RATE}",
         f"{JOIN}, {RATE}",
     ),
     "empty rows of a workbook": Trap(
         sheet([["voltage_V", "displacement_um"], *(["", ""] if k % 7 == 6 else [*row] for k, row in PAIRED)]),
-        "refused",
-        "line 8 is an empty row",
         sheet([["run 7"], [], ["voltage_V", "displacement_um"], *np.c_[V, UM].tolist(), ["", ""]]),
         RATE,
         RATE,
@@ -247,17 +204,12 @@ TRAPS: dict[str, Trap] = {
     ),
     "timestamps of which one file starts later": Trap(
         both(drive(stamps(T)), channel(stamps(T[LATE]), "displacement_um", UM[LATE])),
-        "right",
-        "",
         both(drive(SECONDS, "time_s"), channel(point(1e3 * FAST, 6), "displacement_um", NOISY, "time_ms")),
         JOIN,
         JOIN,
-        start=0.1,
     ),
     "timestamps two hours apart": Trap(
         both(drive([f"{text}Z" for text in stamps(T)]), sensor([f"{text}+02:00" for text in stamps(T)])),
-        "refused",
-        "need times in common",
         both(
             drive([f"{text}Z" for text in stamps(T)]),
             sensor([f"{text}+02:00" for text in stamps(T, "2026-03-04T14:00:00")]),
@@ -267,50 +219,36 @@ TRAPS: dict[str, Trap] = {
     ),
     "timestamps in one of two files": Trap(
         both(drive(stamps(T)), channel(point(T[LATE] - 0.1, 3), "displacement_um", UM[LATE], "time_s")),
-        "refused",
-        "one clock",
         both(drive(stamps(T, form="%H:%M:%S.%f")), sensor(stamps(T, form="%H:%M:%S.%f"))),
         JOIN,
         JOIN,
     ),
     "a gap of the second file": Trap(
         both(sensor(SECONDS, "time_s"), channel(point(T[HOLE], 3), "voltage_V", V[HOLE], "time_s")),
-        "remarked",
-        "second.csv has 1 gap",
         both(drive(SECONDS, "time_s"), channel(point(T[HOLE], 3), "displacement_um", UM[HOLE], "time_s")),
         JOIN,
         JOIN,
     ),
     "a second file of few samples": Trap(
         both(sensor(SECONDS, "time_s"), channel(point(T[FEW], 3), "voltage_V", V[FEW], "time_s")),
-        "remarked",
-        "second.csv has 12 samples",
         both(sensor(SECONDS, "time_s"), channel(point(T[THIRD], 3), "voltage_V", V[THIRD], "time_s")),
         JOIN,
         JOIN,
     ),
     "days and months": Trap(
         table(",", HEAD, stamps(T, "2026-03-04T23:59:59", DAY_FIRST), VOLTS, MICROMETRES),
-        "refused",
-        "month/day/year",
         table(",", HEAD, stamps(T, "2026-03-12T23:59:59", DAY_FIRST), VOLTS, MICROMETRES),
     ),
     "an hour of summer time": Trap(
         table(",", HEAD, SUMMER, VOLTS, MICROMETRES),
-        "refused",
-        "summer time",
         table(",", HEAD, [f"{text}+0{1 + (k >= 600)}:00" for k, text in enumerate(SUMMER)], VOLTS, MICROMETRES),
     ),
     "thousands in UTF-16": Trap(
         table("\t", TIMES_NM, SECONDS, VOLTS, grouped(NM), encoding="utf-16"),
-        "refused",
-        "holds '1,0",
         table("\t", HEAD, comma(T, 3), comma(V, 4), comma(UM, 4), encoding="utf-16"),
     ),
     "UTF-16 without its mark, cut off": Trap(
         table("\t", HEAD, SECONDS, VOLTS, MICROMETRES, cut=3, encoding="utf-16-le"),
-        "refused",
-        "NUL bytes",
         table("\t", HEAD, SECONDS, VOLTS, MICROMETRES, encoding="utf-16-le"),
     ),
 }
