@@ -14,7 +14,6 @@ from dehyst._errors import FileFormatError
 MOST = 500_000_000
 # Bytes of a double.
 _DOUBLE = 8
-_RAISE = "give a larger max_size=MB if you trust the file"
 
 
 class Content(NamedTuple):
@@ -59,14 +58,14 @@ class Allowance:
         self.left -= numbers * _DOUBLE
 
     def check(self, size: int, what: str) -> None:
-        """Refuse a `size` [bytes] of `what` is read that is negative or exceeds the remaining memory."""
+        """Refuse a `size` [bytes] of `what` that is negative or exceeds the remaining memory."""
         if size < 0:
             raise FileFormatError(f"{what} declares a negative size; the file is damaged, take a copy")
         if size > self.left:
             raise FileFormatError(
-                f"{what} declares {_in_words(size)}, more than the {_in_words(self.left)} left of the "
-                f"{_in_words(self.most)} that a file may take",
-                hint=_RAISE,
+                f"{what} has {_in_words(size)}, more than the {_in_words(self.left)} left of the "
+                f"{_in_words(self.most)} that are allowed",
+                hint="give a larger max_size=MB if you trust the file",
                 change=("columns",),
             )
 
@@ -89,12 +88,7 @@ def content_of(path: Path, most: float) -> Content:
         with path.open("rb") as source:
             stream = io.BytesIO(source.read(allowed + 1))
         size = stream.getbuffer().nbytes
-    if size > allowed:
-        raise FileFormatError(
-            f"{path}: the file has more than the {_in_words(allowed)} that are allowed",
-            hint=f"{_RAISE}, or shorten it",
-            change=("columns",),
-        )
+    Allowance(allowed).check(size, f"{path}: the file")
     if not size:
         raise FileFormatError(f"{path}: the file is empty; export the measurement again")
     opened = path.open("rb") if state.st_size else stream

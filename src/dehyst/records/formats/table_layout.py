@@ -135,15 +135,15 @@ def layout_of(block: str) -> Layout:
         named = [(text, cells) for text in before if (cells := _commented(text, delimiter, shape.width))]
         texts, above = [text for text, _ in named] or texts, [cells for _, cells in named] or above
     heading = _beside(rows) or _heading(above, rows[place:], shape)
+    below = any(map(shape.is_row, rows[begin : max(place - heading.lines, 0)]))
     if place and not heading.names:
         width = len(above[-1])
         words = width > 1 and all(map(_is_word, above[-1]))
         points = any("." in cell for row in rows[place:] for cell in row)
         if words and delimiter == "," and width < shape.width <= 2 * width and not points:
             raise _two_readings(lines[place], width, shape.width)
-        if (place == 1 and words and width != shape.width) or _heading(above[:1], rows[place:], shape).names:
-            return _below_first_line(lines[0], rows[0], delimiter)
-    if any(map(shape.is_row, rows[begin : max(place - heading.lines, 0)])):
+        below |= (place == 1 and words and width != shape.width) or bool(_heading(above[:1], rows[place:], shape).names)
+    if below:
         return _below_first_line(lines[0], rows[0], delimiter)
     line, header = lines[place], lines[place - 1].number if place else -1
     # A row that looks like a comment, between the header and the table: #N/A,1,2.
@@ -295,14 +295,12 @@ def _beside(rows: list[list[str]]) -> _Heading | None:
     )
 
 
-# Letters of the words for the time from one sample to the next, for samples a second, for the time of the first sample,
-# and for the unit of times.
+# Letters of the words for the time from one sample to the next, for samples a second, and for the first sample's time.
 _WORDS = {
     "step": "xinc xincr xincrement sampleinterval samplinginterval sampleperiod timestep deltat dt horizontalinterval "
     "abtastintervall abtastzeit",
     "rate": "samplerate samplingrate samplefrequency samplingfrequency abtastrate abtastfrequenz sampling",
     "start": "xorg xorigin xzero xstart starttime horizontaloffset",
-    "unit": "xunit xunits horizontalunits timeunit",
 }
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
@@ -369,8 +367,6 @@ def _stated(line: str, delimiter: str | None) -> list[_Stated]:
     key = re.sub(r"[^a-z]", "", match[1].lower()) if match else ""
     if match is None or key not in _KINDS:
         return []
-    if _KINDS[key] == "unit":
-        return [_Stated("unit", "", symbol_of(cell), "") for cell in re.split(r"[\s,;]+", match[3]) if symbol_of(cell)]
     # Between commas, one before a zero belongs to a number: 10,000.
     rest = match[3].replace(",", " ") if delimiter == "," and not re.search(r"\d,0\d", match[3]) else match[3]
     found = []
@@ -385,19 +381,18 @@ def _stated(line: str, delimiter: str | None) -> list[_Stated]:
 
 def _clock(stated: list[_Stated], notation: Callable[[], Notation]) -> tuple[float, float, str] | None:
     """Return the step of a header, the time of its first sample [s], and what is a guess; raise FileFormatError."""
-    common = next((one.unit for one in stated if one.kind == "unit"), "")
     steps: list[tuple[bool, float, str]] = []
     start = 0.0
-    for kind, text, unit, words in (one for one in stated if one.kind != "unit"):
+    for kind, text, unit, words in stated:
         known = readings(text)
         sign = next(iter(known)) if len(set(known.values())) == 1 else notation().decimal if notation().shown else ""
         if not sign:
             raise DecimalSignError(f"the header states {words}, which can be read in two ways; give the decimal sign")
-        factor = FACTORS["time"].get(symbol_of(unit or common), 0.0 if unit else 1.0)
+        factor = FACTORS["time"].get(symbol_of(unit), 0.0 if unit else 1.0)
         if kind == "start":
             start = known[sign] * factor
         elif kind == "step":
-            steps.append((not unit and not common, known[sign] * factor, words))
+            steps.append((not unit, known[sign] * factor, words))
         elif hertz := known[sign] * _HERTZ.get(unit.lower(), 0.0 if unit else 1.0):
             steps.append((not unit, 1 / hertz, words))
     steps = [one for one in steps if isfinite(one[1]) and one[1] > 0]
