@@ -53,8 +53,8 @@ _SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005,
 _DIGITS, _USUAL, _STEPS, _STEPS_AT_END, _COARSEST = 1.5, 1.5, 1.5, 3.0, 0.1
 # Least share of its mean gain with which the displacement follows: a small excursion moves an actuator by half of the
 # mean slope, and half of that can fall between two samples. Multiple of the noise deviation below which it is hidden,
-# and gain next to a turn over the mean gain.
-_FOLLOWS, _SEEN, _STEEPER = 0.2, 2.0, 2.0
+# and gain next to a turn, and at an end, over the mean gain.
+_FOLLOWS, _SEEN, _STEEPER, _STEEP_AT_END = 0.2, 2.0, 2.0, 5.0
 # Largest lag of the displacement: share of a cycle, and its bounds in samples.
 _LAG, _LAGS = 0.05, (8, 64)
 # Longer excursions, such as a channel that drops out: most samples, share of a cycle, least share of the range.
@@ -268,7 +268,8 @@ class _Signals(NamedTuple):
 
     `least`: excursion [V] that noise, resolution or usual excursions explain. `gain`: displacement per volt, over the
     range. `sensor`: displacement that noise or resolution of the sensor explains. `lag`: samples by which the
-    displacement may lag. `span`: range of the voltage [V]. `longest`: samples that an excursion may last.
+    displacement may lag. `span`: range of the voltage [V]. `longest` and `widest`: samples that a long excursion
+    and others may last. `way`: 1 if `y` follows, -1 if it leads. `steep`: its gain next to a turn, over the mean.
     """
 
     v: Array
@@ -281,6 +282,7 @@ class _Signals(NamedTuple):
     longest: int
     widest: int
     way: int
+    steep: float = _STEEPER
 
     @classmethod
     def of(cls, v: Array, y: Array, least: float, options: dict[str, Any]) -> _Signals | None:
@@ -335,18 +337,8 @@ class _Signals(NamedTuple):
         size = np.abs(away).min(axis=1)
         # At an edge of the voltage, within half of the excursion.
         back = np.abs(self.v[after] - self.v[before]) <= np.maximum(self.least + _STEPS * slew, 0.5 * size)
-        # The top of a staircase is wide and as high as the neighbouring steps; a single sample is not.
-        stair = _STEPS * steps.max(axis=1) if width > 1 else 0.0
-        kept = (
-            back
-            & (size > self.least + np.maximum(_STEPS / 2 * slew, stair))
-            & (_FOLLOWS * self.gain * size > self.sensor)
-        )
-        # Of two equal candidates, the one farther from its surroundings.
-        level = np.median(self.v[np.hstack(beside)], axis=1)
-        inside = self.v[before[:, None] + np.arange(1, width + 1)]
-        far = size + 0.1 * np.abs(inside - level[:, None]).min(axis=1)
-        return [(d, a + 1, a + 1 + width) for d, a in zip(far[kept].tolist(), before[kept].tolist(), strict=True)]
+        kept = back & (size > self.least + _STEPS / 2 * slew) & (_FOLLOWS * self.gain * size > self.sensor)
+        return [(d, a + 1, a + 1 + width) for d, a in zip(size[kept].tolist(), before[kept].tolist(), strict=True)]
 
     def _follows(self, start: int, stop: int, without_pulses: Array) -> bool:
         """Return whether the displacement follows an excursion, now or later, beyond the effect of a corner nearby."""
@@ -357,7 +349,7 @@ class _Signals(NamedTuple):
         near = start - 1 + np.arange(-self.lag, self.lag + 1)
         corner = float(np.abs(_from_chord(without_pulses, near, width, beside=1)).max())
         # A long excursion is a pulse that is left.
-        allowed = _FOLLOWS * size + _STEEPER * corner * (width <= self.widest)
+        allowed = _FOLLOWS * size + self.steep * corner * (width <= self.widest)
         return bool(along.max() > self.gain * allowed)
 
     def at_ends(self) -> Stretches:
@@ -369,7 +361,7 @@ class _Signals(NamedTuple):
         size, beside = len(self.v), 4 * _NEAR
         usual = float(np.abs(np.diff(self.v[_WIDEST:-_WIDEST])).max())
         v, y = (np.pad(signal, beside, "reflect") for signal in (self.v, self.y))
-        found = self._replace(v=v, y=y, least=self.least + _STEPS_AT_END * usual).inner()
+        found = self._replace(v=v, y=y, least=self.least + _STEPS_AT_END * usual, steep=_STEEP_AT_END).inner()
         within = [(max(a - beside, 0), min(b - beside, size)) for a, b in found]
         return [(a, b) for a, b in within if a == 0 < b or a < b == size]
 

@@ -71,11 +71,9 @@ def sense(voltage: Array, displacement: Array, cycles: list[Span] | None = None)
 def leading(record: Record, cycles: list[Span]) -> str:
     """Return why the loops run clockwise in the (voltage, displacement) plane; empty if they do not."""
     v, y = record.voltage, record.displacement
-    leads, jumps = sense(v, y, cycles) < 0, _jumps(v)
-    if jumps.size:
-        return _sorted_branches(record, jumps, leads=leads)
-    if not leads:
-        return ""
+    leads = sense(v, y, cycles) < 0
+    if (words := _sorted_branches(v, y, record.noise, leads=leads)) is not None or not leads:
+        return words or ""
     words = "the displacement leads the voltage in the loops"
     swapped = "the columns look swapped; check which column is which"
     reverse = "the rows look reversed in time; turn them round, such as record.displacement[::-1]"
@@ -87,34 +85,29 @@ def leading(record: Record, cycles: list[Span]) -> str:
     return f"{words}: either {swapped}; or {reverse}. Equal loops do not tell which"
 
 
-def _jumps(v: Array) -> NDArray[np.intp]:
-    """Return the samples before jumps of the voltage, all one way, against the way of all other steps."""
-    steps = np.diff(v)
-    size = np.abs(steps)
-    far = size > max(_JUMP * float(np.ptp(v)), _STEPS * float(np.median(size)))
-    ways, others = np.sign(steps[far]), np.sign(steps[~far])
-    if not ways.size or abs(ways.sum()) < ways.size or not others.any():
-        return np.zeros(0, dtype=np.intp)
-    against = np.count_nonzero(others == -ways[0]) / np.count_nonzero(others)
-    return np.flatnonzero(far) if against >= _OTHERS else np.zeros(0, dtype=np.intp)
+def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | None:
+    """Return that the voltage jumps between branches, which are sorted by voltage; None if it does not jump.
 
-
-def _sorted_branches(record: Record, jumps: NDArray[np.intp], *, leads: bool) -> str:
-    """Return that branches are sorted by voltage, if they alternate; empty for a sawtooth, whose branches are alike."""
-    v, y = record.voltage, record.displacement
+    Empty for a sawtooth, whose branches do not alternate.
+    """
+    steps, stroke = np.diff(v), float(np.ptp(y))
+    far = np.abs(steps) > max(_JUMP * float(np.ptp(v)), _STEPS * float(np.median(np.abs(steps))))
+    ways, others, jumps = np.sign(steps[far]), np.sign(steps[~far]), np.flatnonzero(far)
+    # All jumps go one way, against the way of all other steps.
+    one_way = jumps.size and others.any() and abs(ways.sum()) == ways.size
+    if not one_way or np.count_nonzero(others == -ways[0]) < _OTHERS * np.count_nonzero(others):
+        return None
     parts = [slice(a, b) for a, b in pairwise([0, *(jumps + 1).tolist(), v.size]) if b - a > 1]
     grid = np.linspace(max(v[p].min() for p in parts), min(v[p].max() for p in parts), _POINTS)
     orders = [part.start + np.argsort(v[part]) for part in parts]
-    curves = [np.interp(grid, v[order], y[order]) for order in orders]
-    next_ones, seconds = (
-        [float(np.abs(b - a).mean()) for a, b in zip(curves, curves[k:], strict=False)] for k in (1, 2)
-    )
-    unlike = float(np.median(next_ones))
-    alternate = unlike > _AREA * record.stroke + record.noise and float(np.median(seconds)) < _ALIKE * unlike
-    if not (alternate if seconds else leads):
+    curves = np.array([np.interp(grid, v[order], y[order]) for order in orders])
+    unlike, alike = (np.abs(curves[k:] - curves[:-k]).mean(axis=1) for k in (1, 2))
+    if alike.size:
+        leads = np.median(unlike) > max(_AREA * stroke + noise, np.median(alike) / _ALIKE)
+    if not leads:
         return ""
     return (
-        f"the voltage jumps back by up to {np.abs(v[jumps + 1] - v[jumps]).max():.4g} V in one sample, in "
+        f"the voltage jumps back by up to {np.abs(steps[far]).max():.4g} V in one sample, in "
         f"{counted(jumps.size, 'place')}, first after sample {jumps[0]}: branches that are sorted by voltage; put the "
         "rows back into the order in which they were measured, every second branch in reverse"
     )

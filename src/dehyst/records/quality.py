@@ -136,8 +136,7 @@ def other_unit(record: Record) -> str:
 def guesses(record: Record) -> tuple[str, ...]:
     """Return a sentence about each guess made when a record was read."""
     guessed = record.meta.get("guesses")
-    guessed = guessed if isinstance(guessed, dict) else {}
-    return tuple(f"The {quantity} is guessed, verify: {words}." for quantity, words in guessed.items())
+    return tuple(f"The {key} is guessed, verify: {words}." for key, words in dict(guessed or {}).items())
 
 
 def problems(record: Record) -> tuple[str, ...]:
@@ -176,8 +175,9 @@ def _of_samples(record: Record) -> Iterator[str]:
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
         yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
-    signals = [("voltage", "V"), ("displacement", "m")][: 2 if record.measured is None else 1]
+    signals = [("voltage", "V"), ("displacement", "m")]
     if record.measured is not None:
+        signals.pop()
         events = int(np.count_nonzero(record.measured))
         yield (
             f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count, and "
@@ -219,8 +219,7 @@ def _cut_voltage(record: Record) -> Iterator[str]:
 def _of_units(record: Record) -> Iterator[str]:
     highest = max(map(abs, record.voltage_range))
     if not STROKES[0] <= record.stroke <= STROKES[1]:
-        stroke = f"{record.stroke * 1e6:.4g} um"
-        yield f"The stroke is {stroke}, unusual for a piezo actuator; check the displacement's unit."
+        yield f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check its unit and scale."
     if not _LEAST_VOLTAGE <= highest <= HIGHEST_VOLTAGE:
         yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check its unit and scale."
     temperatures = [one.column for one in record.others if one.role == "temperature"]
