@@ -50,14 +50,10 @@ def test_a_butterfly_seen_by_an_inverted_sensor_is_one_too(noise):
         with_displacement(record, -record.displacement).check_usable()
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-7])
-def test_bipolar_loops_within_the_coercive_field_are_usable(noise):
-    butterfly(-40, 120, noise).check_usable()
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-7])
-def test_a_sensor_that_is_only_inverted_is_told_so(noise):
+@pytest.mark.parametrize("noise", [0.0, 1e-7])
+def test_loops_within_the_coercive_field_are_none(noise):
     record = butterfly(-40, 120, noise)
+    record.check_usable()
     with pytest.raises(RecordError, match="the sensor's sign"):
         with_displacement(record, -record.displacement).check_usable()
     # Poled the other way and kept there: the whole displacement falls.

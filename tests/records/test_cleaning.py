@@ -278,34 +278,31 @@ def test_spikes_of_one_to_three_samples_are_found_and_nothing_else():
     np.testing.assert_array_equal(spikes(v, y), expected)
 
 
+PULSE = triangle() + 40.0 * np.isin(np.arange(N), [1000, 1001])
+
+
 @pytest.mark.parametrize(
-    "displacement",
+    ("voltage", "displacement"),
     [
-        pytest.param(lambda: 1e-7 * triangle(40.0), id="corners"),
-        pytest.param(lambda: 1e-5 * (np.floor(TIME / 0.2) % 3), id="steps"),
+        pytest.param(triangle(), 1e-7 * triangle(40.0), id="corners"),
+        pytest.param(triangle(), 1e-5 * (np.floor(TIME / 0.2) % 3), id="steps"),
         pytest.param(
-            lambda: 1e-5 * (1 - np.exp(-20 * (TIME % 0.5)) * np.cos(2 * np.pi * 180 * (TIME % 0.5))), id="ringing"
+            triangle(),
+            1e-5 * (1 - np.exp(-20 * (TIME % 0.5)) * np.cos(2 * np.pi * 180 * (TIME % 0.5))),
+            id="ringing",
         ),
-        pytest.param(lambda: 1e-6 * np.random.default_rng(0).normal(size=N), id="noise"),
-        pytest.param(lambda: np.zeros(N), id="nothing"),
+        pytest.param(triangle(), 1e-6 * np.random.default_rng(0).normal(size=N), id="noise"),
+        pytest.param(triangle(), np.zeros(N), id="nothing"),
+        pytest.param(PULSE, 1e-7 * PULSE, id="what the voltage does"),
+        pytest.param(triangle(), 1e-7 * triangle() + 2e-6 * (np.arange(N) % 9 == 0), id="too many"),
     ],
 )
-def test_what_moves_has_no_spikes(displacement):
-    assert not spikes(triangle(), displacement()).any()
+def test_what_moves_has_no_spikes(voltage, displacement):
+    assert not spikes(voltage, displacement).any()
 
 
-def test_what_the_voltage_does_is_no_spike():
-    v = triangle()
-    v[1000:1002] += 40
-    y = 1e-7 * v
-    assert not spikes(v, y).any()
-    assert spikes(triangle(), y)[1000:1002].all()
-
-
-def test_too_many_are_no_spikes():
-    v, y = triangle(), 1e-7 * triangle()
-    y[::9] += 2e-6
-    assert not spikes(v, y).any()
+def test_a_pulse_without_a_voltage_is_a_spike():
+    assert spikes(triangle(), 1e-7 * PULSE)[1000:1002].all()
 
 
 RATE = 5000.0
