@@ -116,8 +116,9 @@ def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | 
 def early_turns(record: Record) -> int:
     """Return by how many samples the displacement turns before the voltage does; 0 if it does not."""
     steps_v, steps_y = np.diff(record.voltage), np.diff(record.displacement)
-    most = min([_LATE, *(int(step) // 3 for step in np.diff(turns_of(record.voltage)))])
-    if most < 1 or turns_of(record.voltage).size < 2:
+    turns = turns_of(record.voltage)
+    most = min(_LATE, int(np.median(np.diff(turns))) // 3) if turns.size > 1 else 0
+    if not most:
         return 0
     # Both move the same way but between their turns: the sum of products is largest where these coincide.
     part = steps_y[: steps_y.size - most]
