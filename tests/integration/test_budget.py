@@ -19,7 +19,7 @@ ROOMS = {
     "exports": 1382,
     "fleet": 314,
     "foundation": 1418,
-    "identification": 10019,
+    "identification": 9950,
     "instruments": 2874,
     "model": 3713,
     "operations": 4182,
