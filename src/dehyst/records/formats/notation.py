@@ -24,7 +24,7 @@ _OTHER = {".": ",", ",": "."}
 _NAMES = {".": "point", ",": "comma"}
 _STAMP = re.compile(
     r"(?:(\d{4}-\d\d?-\d\d?|\d\d?\.\d\d?\.\d{4}|\d\d?/\d\d?/\d{4})[T, ]+)?"
-    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|([+-]\d\d):?(\d\d))?"
+    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(AM|PM|am|pm)?\s*(Z|([+-]\d\d):?(\d\d))?"
 )
 _DATES = ("%Y-%m-%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y")
 _DAY, _HOUR = 86_400, 3600
@@ -150,10 +150,11 @@ def moment(cell: str) -> Moment:
     match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST and cell.isascii() else None
     if match is None:
         raise ValueError(cell)
-    date, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
+    date, hours, minutes, whole, fraction, half, zone, ahead, more = match.groups()
     origin = " ".join(("midnight",) * (not date) + ("UTC",) * bool(zone)) or "local time"
     offset = _HOUR * int(ahead) + 60 * int(ahead[0] + more) if ahead else 0
-    seconds = _HOUR * int(hours) + 60 * int(minutes) + int(whole) - offset
+    hour = int(hours) % 12 + 12 * (half in ("PM", "pm")) if half else int(hours)
+    seconds = _HOUR * hour + 60 * int(minutes) + int(whole) - offset
     return Moment(origin, date or "", seconds, float(f"0.{fraction or 0}"))
 
 
