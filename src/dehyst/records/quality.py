@@ -42,14 +42,14 @@ def fault_of(values: Array, column: str, unit: str) -> str:
     if len(bad):
         return (
             f"{column} holds {counted(len(bad), 'value')} not finite, the first is {column}[{bad[0]}] = "
-            f"{values[bad[0]]} {unit}; cut these rows out or fill them in"
+            f"{values[bad[0]]} {unit}; fill them in from their neighbours, or record them anew"
         )
     if (largest := max(-values.min(), values.max())) <= LARGEST:
         return ""
     i = int(np.argmax(np.abs(values)))
     return (
         f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times the largest number that "
-        f"is taken ({LARGEST:g}): correct or cut that row, or check the column's unit"
+        f"is taken ({LARGEST:g}): correct that value, or check the column's unit"
     )
 
 
