@@ -32,7 +32,7 @@ from dehyst.identification.temperature import TemperatureEffect, temperature_eff
 from dehyst.identification.training_data import TrainingData
 from dehyst.identification.validation import MOST_ROWS
 from dehyst.model import Actuator, Outcome
-from dehyst.records import Record
+from dehyst.records import Record, thinned
 
 # Turns of a model at the reference temperature and the gain by it, and the change of the gain that ends them.
 _TURNS, _SAME = 8, 0.002
@@ -129,7 +129,7 @@ def identify(
     _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
-    training, held_out = as_list(records), as_list(validate)
+    training, held_out = ([thinned(one) for one in as_list(given)] for given in (records, validate))
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     own = settings.of_maxwell_slip if structure == "auto" else []

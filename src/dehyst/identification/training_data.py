@@ -185,7 +185,9 @@ class TrainingData:
         The search is left when the deadline passes.
         """
         step, cycle = self.times[0], min(cycle_time(item.record) for item in self.training)
-        if cycle > RULES.slowest_cycle * step:
+        # Events are too few to show how a resonance swings.
+        events = any(item.record.measured is not None for item in self.training)
+        if events or cycle > RULES.slowest_cycle * step:
             return self
         training_error = training_errors()
 

@@ -2,6 +2,7 @@
 
 from dehyst.records.cleaning import cleaned
 from dehyst.records.columns import Columns
+from dehyst.records.events import thinned
 from dehyst.records.files import read, read_table, table_of, write_columns, write_record
 from dehyst.records.formats.loaders import GCS_END, GCS_SEPARATORS, LOADERS, gcs_entries
 from dehyst.records.quality import guesses

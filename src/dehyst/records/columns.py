@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -18,13 +19,13 @@ from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import axis_names
 from dehyst.records.formats.columns import GAIN, GUESS, PERIOD, QUANTITIES
-from dehyst.records.formats.file_content import MOST
+from dehyst.records.formats.file_content import MOST, content_of
 
 # What a user replaces by the samples a second.
 RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
-_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER}|{PERIOD})\s*([^\W\d]+)")
+_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER}|{PERIOD})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
 _SIGNS = {"point": ".", "comma": ","}
 _COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
@@ -63,7 +64,7 @@ class Scale(NamedTuple):
             if quantity_of(periodic[3]) != "displacement":
                 need = "a length, as in *fringe 316.4 nm"
                 raise FileFormatError(argument="columns", got=f"*{text}", need=need)
-            return cls(number, symbol_of(periodic[3]), "", periodic[1])
+            return cls(number, symbol_of(periodic[3]), "", periodic[1].lower())
         return cls(number, match[2] or "", match[3] or "")  # type: ignore[index]
 
     @property
@@ -195,9 +196,11 @@ class Columns:
     )
 
     def __post_init__(self) -> None:
+        if not isinstance(self.axes, Mapping):
+            raise FileFormatError(argument="axes", got=repr(self.axes), need="columns by the names of axes")
         for key in _COLUMNS:
             value = getattr(self, key)
-            if not isinstance(value, str | None):
+            if not isinstance(value, str | None) or (value is not None and not value.strip()):
                 raise FileFormatError(argument=key, got=repr(value), need="the name of a column, as 'voltage_V'")
             if value is not None:
                 Entry.of(value)
@@ -227,6 +230,8 @@ class Columns:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the columns that a text declares; raise `FileFormatError` if it declares none."""
+        if not isinstance(text, str):
+            raise FileFormatError(argument="columns", got=repr(text), need="a text")
         if text.startswith("@"):
             return cls.parse(_text_in(Path(text[1:])))
         found: dict[str, Any] = {"axes": {}}
@@ -237,6 +242,8 @@ class Columns:
                 found[key] = _SIGNS.get(value, value)
             elif key in RECORD or key in _COLUMNS:
                 found[key] = value
+            elif near := get_close_matches(key.lower(), (*RECORD, *_COLUMNS), cutoff=0.8):
+                raise FileFormatError(argument="columns", got=f"the key {key!r}", need=f"{near[0]}, if that is meant")
             else:
                 found["axes"][key] = value
         return cls(**found)
@@ -316,7 +323,8 @@ AS_FOUND = Columns()
 def entries_of(text: str) -> dict[str, str]:
     """Return the value of each key in a text; raise `FileFormatError` for an entry without them, or a key twice."""
     found: dict[str, str] = {}
-    for entry in next(csv.reader([text], skipinitialspace=True), []):
+    # Lines are as good as blanks.
+    for entry in next(csv.reader([" ".join(text.splitlines())], skipinitialspace=True), []):
         key, equals, value = (part.strip() for part in entry.partition("="))
         if not equals or not key or not value:
             need = "KEY=VALUE with commas between them, as in 'time=Time:ms, voltage=Ch1*100'"
@@ -351,8 +359,8 @@ def columns_of_axis(text: str) -> list[str]:
 def _text_in(path: Path) -> str:
     """Return the text of a file that `Columns.save` wrote."""
     with reading_errors(path, "text"):
-        text = path.read_bytes()[:_LONGEST].decode().strip()
-    if not text or text.startswith("@"):
+        text = content_of(path, _LONGEST).data.decode("utf-8-sig").strip()
+    if text.startswith("@"):
         raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")
     return text
 

@@ -17,8 +17,8 @@ from dehyst.records.signals import noise_span, resolution, runs, turning_points
 if TYPE_CHECKING:
     from dehyst.records.record import Record
 
-# Fewest events of a record, and of the longest branch of a periodic signal.
-_FEWEST = 4
+# Fewest events of a record, and of the longest branch of a periodic signal; samples kept for each event, and at most.
+_FEWEST, _EACH, _MOST = 4, 100, 10_000
 # A crossing leads from below minus this share of the amplitude to above it; an extreme lies in samples above another.
 _BAND, _TOP = 0.35, 0.6
 # Least share of a signal's range by which it goes back from an extreme; extremes over which the levels are taken.
@@ -75,6 +75,19 @@ def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: Arr
     found = np.full(time.size, np.nan)
     found[samples] = np.bincount(which, where + gain * (voltage[nearest] - at)) / shared
     return found
+
+
+def thinned(record: Record) -> Record:
+    """Return a record of events with fewer samples, because nothing is measured between these."""
+    known = record.measured
+    wanted = 0 if known is None else min(_EACH * int(np.count_nonzero(known)), _MOST)
+    if known is None or len(record) < 2 * wanted:
+        return record
+    every = len(record) // max(wanted, 1)
+    coarse = record.take(np.arange(0, len(record), every))
+    own = known & (record.time <= coarse.time[-1])
+    y = at_samples(coarse.time, coarse.voltage, record.time[own], record.displacement[own])
+    return replace(coarse, displacement=y, measured=~np.isnan(y))
 
 
 def record_of_periodic(

@@ -23,6 +23,8 @@ LARGEST, SHORTEST = 1e30, 1e-30
 _LONGEST_STROKE = 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
+# Fewest events from which a loop is identified.
+_LEAST_EVENTS = 60
 # Share of the time step up to which the rounding of large times is not reported, and rounding [s] that no clock has.
 _ROUNDED, _ROUNDING = 0.02, 1e-9
 # A voltage rests for so many samples at least. What the displacement moves back meanwhile, after it went on: least part
@@ -32,6 +34,8 @@ _RESTS, _COMES_BACK, _BACK = 5, 0.02, 0.25
 _FEWEST, _SWEEP = 20, 3
 # A time starts again within this part of its way so far; largest part of a step by which even times vary.
 _AGAIN, _VARIES = 0.1, 0.5
+# Share of equal times below which only single ones repeat.
+_SINGLE = 0.02
 # Most rows that are named.
 _NAMED = 5
 
@@ -39,6 +43,8 @@ _NAMED = 5
 def fault_of(values: Array, column: str, unit: str) -> str:
     """Return an error for the first value of a `column` that is not finite or whose powers would overflow; or empty."""
     bad = np.flatnonzero(~np.isfinite(values))
+    if len(bad) == len(values):
+        return f"{column} holds no finite number; export it again, or select another column"
     if len(bad):
         return (
             f"{column} holds {counted(len(bad), 'value')} not finite, the first is {column}[{bad[0]}] = "
@@ -72,8 +78,9 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     i, begins = int(bad[0]), np.flatnonzero(steps < 0.0) + 1
     words = f"time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s"
     words = f"{words}, and the time does not rise in {counted(bad.size, 'place')}"
-    if not steps.any():
-        return f"the time stands still at {time[0]:.9g} s; give a sample rate"
+    if begins.size == 0 and (steps.min() > 0.0 or not steps.any()):
+        unresolved = f"steps of {steps.min():.3g} s, need {SHORTEST:g} s, which a clock resolves; check the time's unit"
+        return unresolved if steps.any() else f"the time stands still at {time[0]:.9g} s; give a sample rate"
     if begins.size and bad.size == steps.size:
         return _falling(time, voltage, displacement)
     if not begins.size and not steps[bad].any():
@@ -113,6 +120,9 @@ def _equal(time: Array, *, twice: bool) -> str:
         )
     if twice and np.ptp(steps) < _VARIES * np.median(steps):
         return "rows that are written twice; leave out one of each two"
+    # Times of a coarse timer repeat all over the record.
+    if time.size - 1 - steps.size < _SINGLE * time.size:
+        return f"single times that repeat; correct them, or {_rate(time)}"
     return f"times in steps of {steps.min():.3g} s, coarser than the samples; {_rate(time, float(steps.min()))}"
 
 
@@ -129,7 +139,7 @@ def other_unit(record: Record) -> str:
         return ""
     return (
         f"got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is the displacement in "
-        'micrometres? Correct the unit of its column, or try Record.from_arrays with units "um"; a rig reads metres'
+        'micrometres? Correct its unit, or give units "um" in Python; a rig reads metres'
     )
 
 
@@ -269,6 +279,9 @@ def _reasons(record: Record) -> Iterator[str]:
             "over the whole range"
         )
     if record.measured is not None:
+        events = int(np.count_nonzero(record.measured))
+        few = f"the displacement is known at {events} events, {_LEAST_EVENTS} are needed; drive over more of them"
+        yield from [few] * (events < _LEAST_EVENTS)
         return
     new = new_samples(record.voltage, record.displacement)
     if new is not None and np.count_nonzero(new) < FEWEST_NEW * max(len(cycles), 2):

@@ -149,6 +149,9 @@ class Record:
     measured: Mask | None = None
 
     def __post_init__(self) -> None:
+        for argument, kinds in (("meta", Mapping), ("axes", Iterable), ("others", Iterable), ("set_aside", Iterable)):
+            if not isinstance(getattr(self, argument), kinds):
+                raise self._error(f"{argument}: got {getattr(self, argument)!r}, need {kinds.__name__.lower()}")
         for column in _COLUMNS:
             keep(self, **{column: self._frozen(getattr(self, column), column)})
         keep(self, meta=dict(self.meta), axes=self._named_axes(), others=tuple(self._further()))

@@ -183,7 +183,7 @@ class Table:
     def label(self, column: Column) -> str:
         """Return the name by which a column is selected: its own, or its number if it has none of its own."""
         own = self._named(column.name)
-        plain = Entry.of(column.name) == Entry(column.name) and not column.name.startswith("@")
+        plain = Entry.of(column.name) == Entry(column.name) and not {*"\r\n"} & {*column.name}
         return column.name if len(own) == 1 and plain else str(self.columns.index(column) + 1)
 
     def _not_one(self, quantity: str, wanted: str, fits: list[Column]) -> ColumnError:
@@ -193,6 +193,8 @@ class Table:
         select = (
             f"Select one with {quantity}=NAME" if not numbers else f"Select one by its number, {quantity}={numbers}"
         )
+        if "*" in wanted:
+            select += "; or give a factor as NUMBER, NUMBER UNIT/UNIT, or fringe NUMBER UNIT after the *"
         # Where several columns fit, their names are found already.
         example = QUANTITIES[quantity].example
         hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
@@ -267,6 +269,8 @@ def _contradiction(quantity: str, column: Column, given: str) -> tuple[str, str]
     same = both and known[given] == known[stated]
     if not given or not stated or same or given == column.contradiction or given.casefold() == stated.casefold():
         return None
+    if given not in known:
+        return f" has the unit '{stated}' in the file, got '{given}'", f"known are {', '.join(known)}"
     factor = f"{known[given] / known[stated]:g} {stated}" if both else f"{GAIN} {given}"
     way = f"give the scale from one to the other, {quantity}={name}*{factor}/{stated}"
     way = "select another column" if quantity == "time" else way
@@ -317,11 +321,16 @@ def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], kn
         if quantity not in assigned:
             continue
         given = Entry.of(getattr(columns, quantity) or "")
+        if "*" in given.name:
+            # The factor that was given is not understood.
+            return ""
         if quantity == "displacement" and repeats and given.scale is None:
             entries[quantity] = f"{table.label(assigned[quantity])}{GUESS}*fringe {PERIOD} nm"
         elif text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
             entries[quantity] = text
-    if "time" in wanted and "time" not in assigned and not columns.time:
+    # Of a time with a fault in some rows, a rate would take these for samples.
+    faulty = any(error.column for error in problems if error.quantity == "time")
+    if "time" in wanted and "time" not in assigned and not columns.time and not faulty:
         entries["rate"] = RATE
     complete = {error.quantity for error in problems} - {"time"} <= entries.keys()
     return text_of(columns.entries() | entries) if complete and entries else ""
@@ -330,7 +339,8 @@ def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], kn
 def _side_by_side(table: Table) -> bool:
     """Return whether all columns only rise, as those of two branches do that are written side by side."""
     columns = [column.data for column in table.columns if not column.fault]
-    return len(columns) > 2 and all(one.size > 2 and bool(np.all(one[1:] >= one[:-1])) for one in columns)
+    rise = [one.size > 2 and bool(np.all(one[1:] >= one[:-1])) and one[-1] > one[0] for one in columns]
+    return len(rise) > 2 and all(rise)
 
 
 def _repeats(assigned: Mapping[str, Column]) -> bool:
@@ -430,7 +440,9 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     """
     first, second = (_timed(one, columns) for one in (table, other))
     stem = other.source.rsplit(".", 1)[0]
-    added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if second is None or c is not second.column]
+    # One time is enough.
+    twice = second.column if first is not None and second is not None else None
+    added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if c is not twice]
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
     if first is None or second is None or _alike(first.seconds, second.seconds):
@@ -441,6 +453,9 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
             hint = "give the rate of the first, or save each with its time"
             raise FileFormatError(argument="join", got=got, need="as many, or a time in both", hint=hint)
         return replace(table, columns=(*table.columns, *added))
+    if columns.rate is not None and table.rows == other.rows:
+        got = f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.seconds)):.6g} s"
+        raise FileFormatError(argument="rate", got=got, need="none: the time of that file holds for both")
     for one in (first, second):
         if not np.all(np.diff(one.seconds) > 0):
             raise FileFormatError(

@@ -187,7 +187,8 @@ class RowSource:
                 rho, np.full(rho.size, path.displacement[0]), np.ascontiguousarray(path.displacement)
             )
             for k, epoch in enumerate(spans, before):
-                at = np.arange(epoch.start + -place % step, epoch.stop, step)
+                # Events are few: none is passed over.
+                at = np.arange(epoch.start + -place % step, epoch.stop, 1 if path.measured is not None else step)
                 place += epoch.stop - epoch.start
                 at = at if path.counted is None else at[path.counted[at]]
                 y, elongation, known = path.displacement[at], elongations[at], 2 * rho <= epoch.reach
