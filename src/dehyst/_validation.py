@@ -69,9 +69,8 @@ def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> A
     # That of a table or a series of pandas is a method.
     if isinstance(mask, np.ndarray | np.bool_ | bool) and np.any(mask):
         raise error(argument=what, got="an array with masked values", need="all of them")
-    if stored in "mM" and stored:
-        hint = "give seconds, as (time - time[0]) / numpy.timedelta64(1, 's')"
-        raise error(argument=what, got="dates or durations", need="plain numbers", hint=hint)
+    if stored and stored in "mM":
+        raise error(argument=what, got="dates or durations", need="plain numbers, as seconds since the first")
     if stored == "c":
         raise error(argument=what, got="complex numbers", need="real ones", hint="give their real part, or magnitude")
     return plain(np.asarray(values).tolist(), what, error=error) if stored == "O" and np.ndim(values) else values

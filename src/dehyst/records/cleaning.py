@@ -300,8 +300,6 @@ class _Signals(NamedTuple):
 
     def inner(self) -> Stretches:
         """Return start and stop of excursions with neighbours on both sides that the other signal does not follow."""
-        from scipy.ndimage import median_filter
-
         candidates: list[tuple[float, int, int]] = []
         steps = np.diff(self.v)
         jumps, far_jumps = (
@@ -323,6 +321,8 @@ class _Signals(NamedTuple):
                 candidates += [one for one in long if one[0] > _LEAST_LONG * self.span]
         if not candidates:
             return []
+        from scipy.ndimage import median_filter
+
         # Without excursions as short as a glitch, but with steps.
         without_pulses = np.asarray(median_filter(self.v, 2 * self.widest + 1, mode="nearest"), dtype=np.float64)
         return _separate([one for one in candidates if not self._follows(one[1], one[2], without_pulses)])

@@ -173,6 +173,8 @@ class Table:
             )
             ends = f"{values.min():.4g} to {values.max():.4g} V"
             raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
+        # A record shares it then.
+        values.flags.writeable = False
         guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if entry.guess else ""
         return Selected(column, entry, values, "; ".join(part for part in (guess, column.guessed) if part))
 
@@ -190,9 +192,8 @@ class Table:
         request = f"column '{wanted}' for {quantity}" if wanted else f"{quantity} column"
         count = f"{len(fits)} columns fit: {listed(tuple(c.name for c in fits))} as " if fits else "no "
         numbers = " or ".join(str(self.columns.index(c) + 1) for c in fits) if len({c.name for c in fits}) == 1 else ""
-        select = (
-            f"Select one with {quantity}=NAME" if not numbers else f"Select one by its number, {quantity}={numbers}"
-        )
+        way = f"by its number, {quantity}={numbers}" if numbers else f"with {quantity}=NAME"
+        select = f"Select one {way}"
         if "*" in wanted:
             select += "; or give a factor as NUMBER, NUMBER UNIT/UNIT, or fringe NUMBER UNIT after the *"
         # Where several columns fit, their names are found already.
