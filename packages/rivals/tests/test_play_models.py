@@ -340,7 +340,7 @@ def test_what_are_no_records_is_refused(kind):
         kind.fit([])
     with pytest.raises(IdentifyError, match=r"need records"):
         kind.fit("loop.csv")
-    with pytest.raises(RecordError, match="voltage found, 1 needed"):
+    with pytest.raises(RecordError, match="full cycle"):
         kind.fit(recorded(PlayActuator().play, through((0, 1))))
 
 

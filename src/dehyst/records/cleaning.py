@@ -119,8 +119,8 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
     if new is not None and np.count_nonzero(new) >= FEWEST_NEW * max(len(record.cycles()), 2):
         rate = np.count_nonzero(new) / float(np.ptp(record.time))
         sentences.append(
-            f"the displacement is new only at every {round(1 / float(new.mean()))}th sample ({rate:.3g} Hz): those "
-            "that repeat it are left out."
+            f"the displacement is new only at about every {round(1 / float(new.mean()))}th sample ({rate:.3g} Hz): "
+            "those that repeat it are left out."
         )
         record = record.take(new)
     return Cleaned(record, stray, tuple(sentences))

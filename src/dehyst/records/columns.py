@@ -261,18 +261,13 @@ class Columns:
         """Files that are read in addition to those of a command."""
         return () if self.join is None else (path_of(self.join),)
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The keys that were given."""
-        return tuple(self.entries())
-
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
         """Raise an error for keys other than these, and for axes unless `axes`; `words`: where they have no effect.
 
         With `axes`, the columns of voltage and displacement are those of the axes.
         """
         known = [key for key in keys if not (axes and key in ("voltage", "displacement"))]
-        wrong = [key for key in self.keys if key not in (*known, *(self.axes if axes else ()))]
+        wrong = [key for key in self.entries() if key not in (*known, *(self.axes if axes else ()))]
         if wrong:
             got = f"{wrong[0]} has no effect {words}"
             raise FileFormatError(got, argument="columns", hint=f"leave it out; known are {', '.join(known)}")

@@ -82,7 +82,7 @@ def leading(record: Record, cycles: list[Span]) -> str:
         return _shift(record, early)
     if past := _past(v, y, record.noise):
         return f"{words}: {swapped if past > 0 else reverse}"
-    return f"{words}: either {swapped}; or {reverse}. Equal loops do not tell which"
+    return f"{words}: either {swapped}; or {reverse}. The loops do not tell which"
 
 
 def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | None:
@@ -201,20 +201,14 @@ def butterfly(voltage: Array, displacement: Array) -> tuple[float, float, float]
 def echo(record: Record) -> str:
     """Return that the displacement is a straight function of the voltage, now or some samples ago; or empty."""
     v, y = record.voltage, record.displacement
-    span = float(np.ptp(y))
-    steps = np.diff(np.unique(y))
-    steps = np.concatenate([steps, np.abs(np.diff(steps))])
-    digit = float(steps[steps > _ROUNDING * span].min(initial=span))
-    digits = (y[:_STRETCH] - y[0]) / digit
-    rounded = digit < _DIGIT * span and np.abs(digits - np.round(digits)).max() < _ON_GRID
-    left = _ROUNDING * span + (0.5 * digit * (1 + 3 / sqrt(y.size)) if rounded else 0.0)
+    left, of_v = _rounded(y), _rounded(v)
     middle = slice(max((y.size - _STRETCH) // 2, 0), (y.size + _STRETCH) // 2)
     for late in range(min(_LATE, y.size // 4) + 1):
         for part in (middle, slice(None)):
             sent, shown = v[part][: v[part].size - late], y[part][late:]
             sent, shown = sent - sent.mean(), shown - shown.mean()
             gain = float(sent @ shown) / max(float(sent @ sent), 1e-300)
-            if np.abs(shown - gain * sent).max() > left:
+            if np.abs(shown - gain * sent).max() > left + abs(gain) * of_v:
                 break
         else:
             when = f" of {counted(late, 'sample')} before" if late else ""
@@ -223,6 +217,17 @@ def echo(record: Record) -> str:
                 "hysteresis, it looks like the set-point and not like the sensor; record what the sensor measures"
             )
     return ""
+
+
+def _rounded(values: Array) -> float:
+    """Return by how much the digits in which values are written may change them."""
+    span = float(np.ptp(values))
+    steps = np.diff(np.unique(values))
+    steps = np.concatenate([steps, np.abs(np.diff(steps))])
+    digit = float(steps[steps > _ROUNDING * span].min(initial=span))
+    digits = (values[:_STRETCH] - values[0]) / digit
+    rounded = digit < _DIGIT * span and np.abs(digits - np.round(digits)).max() < _ON_GRID
+    return _ROUNDING * span + (0.5 * digit * (1 + 3 / sqrt(values.size)) if rounded else 0.0)
 
 
 def fringes(record: Record) -> str:
@@ -255,7 +260,9 @@ def remarks(record: Record) -> Iterator[str]:
     turns = turns_of(record.voltage)
     if turns.size < 2 or record.stroke < LEAST_STROKE or fringes(record):
         return
-    if sense(record.voltage, record.displacement) >= 0 and (early := early_turns(record)):
+    if _sorted_branches(record.voltage, record.displacement, record.noise, leads=False) == "":
+        yield "The voltage falls back in one sample, several times: a sawtooth, or branches that are sorted by voltage."
+    if sense(record.voltage, record.displacement, record.cycles()) >= 0 and (early := early_turns(record)):
         words = _shift(record, early)
         yield f"{words[0].upper()}{words[1:]}."
     yield from _no_hysteresis(record, turns)

@@ -92,6 +92,9 @@ def new_samples(voltage: Array, displacement: Array) -> Mask | None:
     spans = np.diff(np.unique(displacement))
     digit = float(spans[spans > 1e-9 * spans.sum()].min())
     gain, moved = spans.sum() / max(float(np.ptp(voltage)), 1e-300), np.abs(voltage[last] - voltage[first])
+    # A displacement that a servo or friction holds now and then repeats in few runs.
+    if np.count_nonzero(last > first) < 0.5 * first.size:
+        return None
     held = moved > noise_span(voltage)
     late = held & (gain * moved > _DIGITS * digit + gain * noise_span(voltage))
     # A dead zone and a clipped sensor repeat values too, but seldom.

@@ -409,12 +409,9 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     )
 
 
-# Part of a sample by which the times of two files may differ and are still the same.
-_SAME = 0.01
-# A time step above this multiple of the median is a gap.
-_GAP = 2.5
-# Samples of one file for each of the other from which on that is remarked.
-_FEW = 4.0
+# Part of a sample by which the times of two files may differ and are still the same; a step above this multiple of the
+# median is a gap; samples of one file for each of the other from which on that is remarked.
+_SAME, _GAP, _FEW = 0.01, 2.5, 4.0
 _DAY = 86_400
 
 
@@ -459,10 +456,8 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         raise FileFormatError(argument="rate", got=got, need="none: the time of that file holds for both")
     for one in (first, second):
         if not np.all(np.diff(one.seconds) > 0):
-            raise FileFormatError(
-                f"{one.table.source}: the time does not rise, which joining needs; give rate={RATE} in its place, with "
-                "this file as the first one"
-            )
+            need = f"one that rises; give rate={RATE} in its place, with this file as the first one"
+            raise FileFormatError(argument="join", got=f"a time of {one.table.source} that falls", need=need)
     kept, moved = first, second
     own = table.fitting("displacement", columns.displacement)
     if not own and replace(other, columns=tuple(added)).fitting("displacement", columns.displacement):
@@ -504,10 +499,8 @@ def _offset(first: _Timed, second: _Timed) -> float:
 
 
 def _alike(first: Array, second: Array) -> bool:
-    if first.size != second.size or first.size < 2:
-        return first.size == second.size
-    step = float(np.median(np.abs(np.diff(first))))
-    return bool(np.all(np.abs(first - second) <= _SAME * step))
+    step = float(np.median(np.abs(np.diff(first)))) if first.size > 1 else np.inf
+    return first.size == second.size and bool(np.all(np.abs(first - second) <= _SAME * step))
 
 
 def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
@@ -525,16 +518,11 @@ def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
     steps = np.diff(others)
     gaps = np.flatnonzero(steps > _GAP * np.median(steps))
     gaps = gaps[(others[gaps + 1] > places[0]) & (others[gaps] < places[-1])]
-    if gaps.size:
-        i = int(gaps[0])
+    if gaps.size or places.size > _FEW * max(near.size, 1):
+        apart = f", and {counted(gaps.size, 'gap')} of up to {steps[gaps].max():.4g} s" if gaps.size else ""
         remarks.append(
-            f"{moved.table.source} has {counted(gaps.size, 'gap')} in time, the first of {steps[i]:.4g} s from "
-            f"{others[i]:.6g} s on: its columns are straight lines there; leave these times out."
-        )
-    if places.size > _FEW * max(near.size, 1):
-        remarks.append(
-            f"{moved.table.source} has {counted(near.size, 'sample')} for {places.size} of {kept.table.source}: its "
-            "columns are straight lines between them; record both equally fast."
+            f"{moved.table.source} has {counted(near.size, 'sample')} for {places.size} of {kept.table.source}{apart}: "
+            "its columns are straight lines between them; record both equally fast."
         )
     return inside, remarks
 

@@ -95,14 +95,14 @@ _PLUG_RANGE = 10.5
 _CHANNEL = re.compile(r"(?:(?:ch|chan|channel|kanal|voie|in|ain|ai|input|analog)[\s_.]*[0-9a-d]|[a-d]\d)(?![^\W_])")
 # What is wanted of a stage, not what it does.
 _SET_POINT = re.compile(
-    r"target|soll|consigne|desired|wanted|nominal|demand|command|reference|(?<![^\W\d_])(?:set|ref|cmd)(?![^\W\d_])|"
+    r"target|soll|ziel|vorgabe|führungsgr|request|consigne|desired|wanted|nominal|demand|command|reference|(?<![^\W\d_])(?:set|ref|cmd)(?![^\W\d_])|"
     r"set[\s_-]?(?:point|value|pos)"
 )
 # Names of columns that count samples.
 _COUNTS = re.compile(r"(?:index|idx|samples?|points?|count(?:er)?|no|nr|n|sequence|num|number|row)?")
 # Units of what is no voltage, length, time, temperature or load, where a name ends with one.
 _FOREIGN = re.compile(
-    r"mA|uA|amps?|%|percent|pct|ppm|permille|deg|degrees?|m?rad|urad|arcsec|m?bar|psi|[kM]?Pa|counts?|cts|ticks?|steps?|"
+    r"mA|uA|amps?|%|percent|prozent|pct|ppm|permille|deg|degrees?|m?rad|urad|arcsec|m?bar|psi|[kM]?Pa|counts?|cts|ticks?|steps?|"
     r"codes?|digits|lsb|raw|inch|inches|mils?|kip|lbf|gauss|tesla|u?strain|k?Hz|ohm|[pnu]F|[un]C|rpm|dBm",
     re.IGNORECASE,
 )
@@ -184,7 +184,7 @@ class Column:
         if self.divided and (divided := _DIVIDED.fullmatch(text)):
             return divided[1], divided[2]
         if len(text) <= _SHOWN:
-            if (written := _WRITTEN_OUT.fullmatch(text)) and symbol_of(written[2]):
+            if (written := _WRITTEN_OUT.fullmatch(text)) and (symbol_of(written[2]) or _is_foreign(written[2])):
                 return written[1].strip(), written[2]
             if bracketed := _BRACKETS.fullmatch(text):
                 return bracketed[1].strip(), bracketed[2].strip()
@@ -261,6 +261,11 @@ class Column:
         counts = steps.size > 0 and bool(np.all(steps == steps[0]) and steps[0] % 1 == 0 and self.data[0] % 1 == 0)
         named = _COUNTS.fullmatch(word.strip(" .#").lower()) is not None
         return counts and not unit and (named or (bool(self.unnamed) and steps[0] == 1))
+
+
+def _is_foreign(unit: str) -> bool:
+    """Return whether a unit that is written out is one of another quantity."""
+    return unit in ("A", "N") or _FOREIGN.fullmatch(unit) is not None
 
 
 def without_groups(column: Column) -> Column:
