@@ -79,8 +79,7 @@ def virtual() -> dict:
 
 
 def p885(folder: Path) -> tuple[dehyst.Record, dehyst.Record]:
-    columns = {"voltage": "drive_V", "displacement": "displacement_um"}
-    major, ramps = (dehyst.read(folder / name, **columns) for name in ("major.csv", "ramps.csv"))
+    major, ramps = (dehyst.read(folder / name, "voltage=drive_V") for name in ("major.csv", "ramps.csv"))
     return major, ramps
 
 

@@ -17,7 +17,7 @@ DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
 BUSY = 2
 IDENTIFY = """
 import sys, dehyst
-dehyst.identify([dehyst.read(path, voltage="drive_V", displacement="displacement_um") for path in sys.argv[1:]])
+dehyst.identify([dehyst.read(path, "voltage=drive_V") for path in sys.argv[1:]])
 """
 FREE = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
 

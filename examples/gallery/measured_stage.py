@@ -17,8 +17,8 @@ import dehyst
 # %%
 # The files are in the repository, in ``examples/measured/p885``, with their source and licence. ``major`` holds 40
 # cycles of one height, ``ramps`` cycles that shrink and grow again. The model never sees the growing ones.
-data, names = "../measured/p885", {"voltage": "drive_V", "displacement": "displacement_um"}
-major, ramps = (dehyst.read(f"{data}/{name}.csv", **names) for name in ("major", "ramps"))
+data = "../measured/p885"
+major, ramps = (dehyst.read(f"{data}/{name}.csv", "voltage=drive_V") for name in ("major", "ramps"))
 known, rest = replace(ramps[:4500], name="shrinking"), replace(ramps[4500:], name="growing")
 fit = dehyst.identify([major, known], validate=rest)
 print(fill(str(fit), 85))
