@@ -179,8 +179,8 @@ def _neighbour_remarks(fit: Fit, records: Sequence[Path], columns: Columns) -> l
         if path.is_fifo() or columns.rate is not None:
             continue
         table = table_of(path, columns)
-        chosen = table.select("voltage", columns.voltage).column.name
-        others = {c.name: c.data for c in table.columns if c.name != chosen and not c.fault and c.parts[1] in _VOLTS}
+        used = {table.select(name, getattr(columns, name)).column.name for name in ("voltage", "displacement")}
+        others = {c.name: c.data for c in table.columns if c.name not in used and not c.fault and c.parts[1] in _VOLTS}
         if others:
             time = clock_of(table, columns).get("time_s")
             remarks += [] if time is None else [one.sentence for one in followed(trace, time, others, error.stroke)]
