@@ -309,6 +309,6 @@ def _connected(scheduler: str | None) -> Iterator[Any]:
             yield client
     except DehystError:
         raise
-    # What Dask raises while its scheduler goes depends on what it did then.
+    # Dask raises several errors while its scheduler ends.
     except (OSError, CancelledError) as error:
         raise LinkError("the connection to Dask is lost; the same command continues the table") from error

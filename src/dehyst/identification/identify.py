@@ -129,7 +129,7 @@ def identify(
     _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
-    training, held_out = ([thinned(one) for one in as_list(given)] for given in (records, validate))
+    training, held_out = ([thinned(record) for record in as_list(given)] for given in (records, validate))
     if not training:
         raise IdentifyError("got no records, need one loop of voltage and displacement at least")
     own = settings.of_maxwell_slip if structure == "auto" else []

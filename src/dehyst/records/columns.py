@@ -318,7 +318,7 @@ AS_FOUND = Columns()
 def entries_of(text: str) -> dict[str, str]:
     """Return the value of each key in a text; raise `FileFormatError` for an entry without them, or a key twice."""
     found: dict[str, str] = {}
-    # Lines are as good as blanks.
+    # A line break separates words as a blank does.
     for entry in next(csv.reader([" ".join(text.splitlines())], skipinitialspace=True), []):
         key, equals, value = (part.strip() for part in entry.partition("="))
         if not equals or not key or not value:

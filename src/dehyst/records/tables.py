@@ -173,7 +173,7 @@ class Table:
             )
             ends = f"{values.min():.4g} to {values.max():.4g} V"
             raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
-        # A record shares it then.
+        # The record shares these values.
         values.flags.writeable = False
         guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if entry.guess else ""
         return Selected(column, entry, values, "; ".join(part for part in (guess, column.guessed) if part))
@@ -329,7 +329,7 @@ def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], kn
             entries[quantity] = f"{table.label(assigned[quantity])}{GUESS}*fringe {PERIOD} nm"
         elif text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
             entries[quantity] = text
-    # Of a time with a fault in some rows, a rate would take these for samples.
+    # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")
     if "time" in wanted and "time" not in assigned and not columns.time and not faulty:
         entries["rate"] = RATE
@@ -438,9 +438,9 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     """
     first, second = (_timed(one, columns) for one in (table, other))
     stem = other.source.rsplit(".", 1)[0]
-    # One time is enough.
-    twice = second.column if first is not None and second is not None else None
-    added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if c is not twice]
+    # Where both files have a time, that of the first is kept.
+    second_time = second.column if first is not None and second is not None else None
+    added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if c is not second_time]
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
     if first is None or second is None or _alike(first.seconds, second.seconds):

@@ -196,7 +196,7 @@ class _Table:
             self.count += len(numbers)
         if not self.count:
             raise FileFormatError("a header but no rows; export the measurement again")
-        # A record shares them then.
+        # The record shares these columns.
         columns.flags.writeable = False
         first, last = (cells_of(line, self.delimiter) for line in self.ends)
         ends = list(zip(first, last, strict=False))
