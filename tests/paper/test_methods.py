@@ -7,8 +7,8 @@ import plain_records
 import pytest
 
 from dehyst import Actuator, IdentifyError, MaxwellSlip, Record, Spring
-from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.validation import compare, errors_of
+from dehyst.identification.comparison import compare, errors_of
+from dehyst.identification.preparation import prepare
 from dehyst.paper.methods import _rows, identify, identify_antisymmetric, initial_displacements, loops_of
 
 N = 10

@@ -85,7 +85,7 @@ def training(kind, **options):
         recorded(kind(seed=i, **options).play, through(TOPS, 100 + 100 * i), seconds=0.02 + 0.03 * i) for i in range(2)
     ]
     if options:
-        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, ramp=1.0, drive=Sampling(sample_rate=20.0))
+        stairs = standard.staircase(VOLTS, steps=5, hold=60.0, drive=Sampling(0.1, sample_rate=20.0))
         voltage = np.concatenate([through((0, 1, 0, 1, 0), 200), stairs.voltage])
         records.append(recorded(kind(seed=9, **options).play, voltage, name="stairs"))
     return records

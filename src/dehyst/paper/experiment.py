@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst import identification
 from dehyst._types import Array, Progress
-from dehyst.control import Compensator
-from dehyst.identification import Norm
+from dehyst.control import plan_path
+from dehyst.identification import Structure
 from dehyst.model import Actuator, State
 from dehyst.paper.methods import BreakPointLoop, identify, loops_of
 from dehyst.records import Record, largest, percent
@@ -84,7 +84,7 @@ class PaperTracking:
 
 
 class PaperPlan(NamedTuple):
-    """One identification to try: number of elements, norm and records.
+    """One identification to try: number of elements and records.
 
     `whole`: whether by the whole record, or by the paper's method. `tops`: whether descending tops are in the training,
     in addition to the major and the small loop. `noiseless`: whether the sensor is perfect.
@@ -93,7 +93,6 @@ class PaperPlan(NamedTuple):
     key: str
     whole: bool = True
     elements: int = ELEMENTS
-    norm: Norm = "l1"
     tops: bool = False
     noiseless: bool = False
 
@@ -106,7 +105,6 @@ PLANS = (
     PaperPlan("record", elements=40),
     PaperPlan("record_noiseless", elements=40, noiseless=True),
     PaperPlan("record_tops", elements=40, tops=True),
-    PaperPlan("record_tops_l2", elements=40, norm="l2", tops=True),
 )
 
 
@@ -188,8 +186,7 @@ def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan
     fit = identification.identify(
         records,
         progress=lambda words: progress(f"{step}: {words}"),
-        elements=plan.elements,
-        norm=plan.norm,
+        structure=Structure(elements=plan.elements, knots=min(plan.elements, 40) + 1, smoothing=0.0),
         shared_datum=True,
         delay=0.0,
         drift=False,
@@ -218,8 +215,8 @@ def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> Pap
     wanted = bottom + truth.stroke * shape
     homing, voltage = raised_cosine(truth.highest, drive=DRIVE).voltage, truth.highest * shape
     if actuator is not None:
-        compensator = Compensator(actuator, (0.0, truth.highest), period=1 / DRIVE.rate)
-        voltage = compensator.trajectory(wanted, state=_after(actuator, homing)).voltage
+        options: dict[str, Any] = {"limits": (0.0, truth.highest), "start": _after(actuator, homing), "home": False}
+        voltage = plan_path(actuator, wanted, **options).voltage
     exact = replace(truth, noise=0.0)
     exact.play(np.concatenate([STARTS[run.start], homing]))
     time = np.arange(wanted.size) / DRIVE.rate

@@ -19,8 +19,8 @@ import numpy as np
 from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
-from dehyst.identification import Branch, families, voltage_at
 from dehyst.model import Actuator, MaxwellSlip, Spring, parts_in_segments
+from dehyst.paper.branches import Branch, families, voltage_at
 from dehyst.records import Record
 
 # Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself.

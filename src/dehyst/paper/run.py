@@ -102,7 +102,7 @@ def page(result: Paper, plates: Sequence[Plate]) -> str:
 def _tables(result: Paper) -> Iterator[str]:
     """Yield the summary and the identifications of both actuators, and Table 1."""
     loops = (f"{loop.capitalize()} loop" for loop in PEAKS)
-    limits: Row = ("Identification", "N", "Norm", *loops, "Tracking", "Outcome")
+    limits: Row = ("Identification", "N", *loops, "Tracking", "Outcome")
     for name, found in result.experiments.items():
         yield f"<h2>{_ACTUATORS[name].capitalize()}</h2>\n{_muted(_OF_SUMMARY)}"
         yield table(("Quantity", "Paper", ("Measured", "no model"), *tables.MODELS.values()), _summary(found), texts=1)
@@ -126,7 +126,7 @@ def _identification(row: dict[str, Any]) -> Row:
     given = "descending tops added" if row["tops"] else "perfect sensor" if row["noiseless"] else ""
     method = "Whole record" if row["whole"] else "The paper's method"
     errors = (_value(row[key], "%") for key in (*PEAKS, "tracking"))
-    return ((method, given), str(row["elements"]), row["norm"], *errors, row["outcome"].replace("_", " ").lower())
+    return ((method, given), str(row["elements"]), *errors, row["outcome"].replace("_", " ").lower())
 
 
 def _value(value: float | None, unit: str) -> str:

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 from dehyst import ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number, vector
-from dehyst.identification import Solution, solve
 from dehyst.records import Record, rms
 from dehyst.trust import AbstractBaseline
 from dehyst_rivals import _rivals as compiled
+from dehyst_rivals.least_squares import Solution, solve
 from dehyst_rivals.training import Training, fit_with_delay
 
 _SEARCH_ROWS = 2000
@@ -168,7 +168,7 @@ class _BoucWenFit:
         # Integrals of Bernstein's quadratics: a slope whose coefficients are positive is positive.
         columns = np.column_stack([1 - (1 - t) ** 3, t * t * (3 - 2 * t), t**3]) / 3
         target = self.training.displacement - columns @ np.full(3, self.floor)
-        return solve(self.training.nuisances, columns, target, norm="l2"), (low, high)
+        return solve(self.training.nuisances, columns, target), (low, high)
 
     def residual(self, at: Array) -> Array:
         """Return the residuals (n,) in parts of the stroke."""

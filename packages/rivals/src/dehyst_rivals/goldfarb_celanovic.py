@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import IdentifyError
 from dehyst._types import Array
 from dehyst._validation import count, keep, vector
-from dehyst.identification import Branch, as_list, voltage_at
+from dehyst.identification import as_list
 from dehyst.model import Actuator, MaxwellSlip, Spring, State
-from dehyst.records import Record, cleaned
+from dehyst.paper.branches import Branch, voltage_at
+from dehyst.records import Record, cleaned, reversals
 from dehyst.trust import AbstractBaseline
 
 
@@ -92,7 +93,7 @@ class GoldfarbCelanovic(AbstractBaseline):
 
 def _first_rise(record: Record) -> tuple[Branch, float, float]:
     """Return the branch up to the first turning point of the voltage, the displacement at rest and the height [m]."""
-    turns = record.reversals()
+    turns = reversals(record)
     end = int(turns[0]) if turns.size else len(record) - 1
     y, v = record.displacement[: end + 1], record.voltage[: end + 1]
     if v[-1] <= v[0]:

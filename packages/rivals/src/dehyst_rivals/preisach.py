@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import count, fraction, keep, number
-from dehyst.identification import solve
-from dehyst.records import Record, rms
+from dehyst.records import Record, reversals, rms
 from dehyst.trust import AbstractBaseline
 from dehyst_rivals import _rivals as compiled
+from dehyst_rivals.least_squares import solve
 from dehyst_rivals.training import Training, fit_with_delay
 
 _MOST_ROWS = 8000
@@ -179,7 +179,6 @@ def _densities(training: Training, n: int, smoothing: float, least: float) -> tu
         np.vstack([training.nuisances, np.zeros((len(rough), training.nuisances.shape[1]))]),
         np.vstack([columns, rough]),
         np.concatenate([training.displacement - columns @ floor, -rough @ floor]),
-        norm="l2",
     )
     density, table = np.zeros((n, n)), np.zeros((n + 1, n + 1))
     density[cells] = solution.nonnegative + floor
@@ -261,7 +260,7 @@ def _everett_table(training: Training, n: int, least: float) -> Array:
 def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tuple[bool, _Curve]]:
     """Yield, for each leg after `first` that leaves the major loop, whether it falls, and its curve."""
     v, y, near = piece.voltage, piece.displacement, _NEAR * (high - low)
-    turns = piece.reversals()
+    turns = reversals(piece)
     ends = np.append(turns, len(v) - 1)
     for k in range(len(turns)):
         a, b = int(ends[k]), int(ends[k + 1])

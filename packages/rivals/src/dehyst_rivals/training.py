@@ -27,11 +27,10 @@ from dehyst.identification import (
     cycle_time,
     epochs,
     prepare,
-    searched_delay,
-    worthwhile,
 )
-from dehyst.records import rms
+from dehyst.records import counting, rms
 from dehyst_rivals import _rivals as compiled
+from dehyst_rivals.searches import searched_delay, worthwhile
 
 Model = TypeVar("Model")
 # Samples that count in a fit of plays, and in the search for a delay.
@@ -181,7 +180,7 @@ def _assemble(items: list[Prepared], lag: float, drifting: Sequence[int]) -> Tra
             rows = np.zeros(0, np.intp)
             for own in epochs(piece, item.noise):
                 at = np.arange(own.start, own.stop)
-                at = at if piece.counted is None else at[piece.counted[at]]
+                at = at if (counted := counting(piece)) is None else at[counted[at]]
                 rows = np.append(rows, at)
                 reach.append(np.full(at.size, np.ptp(piece.voltage[: own.start])))
                 drifts.append(drift[at])
