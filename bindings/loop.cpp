@@ -1,5 +1,6 @@
 #include "loop.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "tables.h"
@@ -8,12 +9,14 @@ namespace {
 
 // The memory of a loop as one row of numbers, so that it can be saved, restored and compared bit for bit.
 struct Loop {
+    // Samples of a block of `run`, and of the shortest path that is taken in blocks.
+    static constexpr long BLOCK = 8192, SHORTEST = 1000;
+    static constexpr double FARTHEST = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
     const Core &core;
     std::vector<double> decay, gain, tap, memory, start;
     dehyst_model model{};
     dehyst_loop loop{};
-    dehyst_follow following{};
-    nb::object on_clamp;
+    nb::object on_clamp, slow;
     bool reported[2] = {false, false};
     bool busy = false;
     double per_metre = 1; // of displacements that offer and step are given
@@ -149,15 +152,49 @@ struct Loop {
         if (memory.empty()) throw std::runtime_error("this loop has not begun");
     }
 
+    // A block on the stack of reversals, which gives the voltages of steps up to rounding. Nothing has changed if it is
+    // false: the loop has parts that such a block lacks, or a voltage is refused or clamped.
+    bool run_block(const double *u, double *v, long n) {
+        const dehyst_output &output = model.output;
+        const size_t j = core.stiffness.size(), k = size_t(output.branches);
+        if (model.lag > 0 || model.taps > 1 || model.actuator.inertia) return false;
+        std::vector<double> cart(carts(), carts() + core.rho.size()), strain(strains(), inputs()), w(u, u + n);
+        if (loop.gain != 1 || loop.offset != 0)
+            for (double &one : w) one = (one - loop.offset) / loop.gain;
+        double *behind = strain.data() + strain.size() - k;
+        if (k > 0) dehyst_output_compensate(&output, behind, loop.driven, w.data(), w.data(), n);
+        // Sums of what is wrong, which a compiler takes several samples at a time.
+        int far = 0, refused = 0;
+        for (long t = 0; t < n; t++) far += !(std::fabs(w[t]) <= FARTHEST);
+        if (far) return false;
+        dehyst_state state{{loop.w, cart.data()}, strain.data(), strain.data() + j, 0, 0, 0};
+        Core::Workspace work(core.rho.size(), core.knot.size(), core.length.size(), true);
+        dehyst_compensate_run(&model.actuator, &model.step, &state, &work.workspace, w.data(), nullptr, v, n);
+        for (long t = 0; t < n; t++) refused += !(v[t] >= model.low) | !(v[t] <= model.high);
+        for (long t = 1; t < n; t++) refused += !(std::fabs(v[t] - v[t - 1]) <= model.change);
+        if (refused || !(std::fabs(v[0] - loop.sent) <= model.change)) return false;
+        std::copy(cart.begin(), cart.end(), carts());
+        std::copy(strain.begin(), strain.end(), strains());
+        loop.w = loop.wanted = loop.target = *inputs() = w[n - 1];
+        if (k > 0) loop.driven = w[n - 1];
+        loop.candidate = loop.voltage = loop.sent = v[n - 1];
+        loop.offer = DEHYST_NOTHING;
+        return true;
+    }
     Output run(Input u) {
         demand_free();
-        const size_t n = u.size();
-        Output out = room<Output>(n);
+        const long n = long(u.size());
+        Output out = room<Output>(u.size());
         const double *source = u.data();
         {
             const Busy mark(busy);
             nb::gil_scoped_release release;
-            dehyst_loop_run(&model, &loop, memory.data(), source, out.data(), long(n));
+            for (long first = 0, count; first < n; first += count) {
+                count = std::min(BLOCK, n - first);
+                double *v = out.data() + first;
+                if (n >= SHORTEST && run_block(source + first, v, count)) continue;
+                dehyst_loop_run(&model, &loop, memory.data(), source + first, v, count);
+            }
         }
         return out;
     }
@@ -210,16 +247,6 @@ struct Loop {
         demand_free();
         demand(dehyst_loop_scale(&loop, gain, offset));
     }
-    // Gain and offset by a reading of the sensor: 0, 1 or 2 as in C; other numbers begin anew.
-    int follow(double reading, double rate, double most_gain, double most_offset) {
-        demand_free();
-        if (rate != following.rate || most_gain != following.gain || most_offset != following.offset) {
-            dehyst_follow begun{};
-            demand(dehyst_follow_begin(&model, &loop, memory.data(), rate, most_gain, most_offset, &begun));
-            following = begun;
-        }
-        return dehyst_loop_follow(&model, &loop, memory.data(), &following, reading);
-    }
     std::tuple<unsigned long, unsigned long, unsigned long> counts() const {
         return {loop.limited, loop.slewed, loop.refused};
     }
@@ -244,8 +271,7 @@ struct Loop {
         for (size_t i = 0; i < row.size(); i++)
             if (!std::isfinite(row(i))) demand(DEHYST_ERR_FINITE);
         // As `dehyst_check` bounds the place of a mass.
-        const double farthest = 1 / DEHYST_EPSILON / DEHYST_EPSILON;
-        if (std::fabs(row(4)) > farthest || std::fabs(row(7)) > farthest) demand(DEHYST_ERR_FINITE);
+        if (std::fabs(row(4)) > FARTHEST || std::fabs(row(7)) > FARTHEST) demand(DEHYST_ERR_FINITE);
         demand(dehyst_loop_scale(&loop, row(5), row(6)));
         loop.sent = row(0), loop.acting = row(1), loop.intended[0] = row(2), loop.intended[1] = row(3);
         loop.rate = row(4), loop.driven = row(7);
@@ -261,6 +287,39 @@ double plain(nb::handle number) {
     PyObject *type = reinterpret_cast<PyObject *>(Py_TYPE(number.ptr()));
     if (!PyFloat_CheckExact(number.ptr()) && type != numpys) throw nb::type_error("need a float");
     return PyFloat_AsDouble(number.ptr());
+}
+
+// An integral of the error ahead of a loop.
+struct Feedback {
+    Loop &loop;
+    dehyst_feedback memory{};
+
+    Feedback(Loop &loop_, double gain, double bound, int late) : loop(loop_) {
+        loop.demand_free();
+        demand(dehyst_feedback_begin(&loop.model, &loop.loop, loop.memory.data(), gain, bound, late, &memory));
+    }
+    // A reading that is not a number says nothing. A step that is refused changes nothing.
+    double step(double wanted, double measured) {
+        loop.demand_free();
+        const dehyst_feedback before = memory;
+        const dehyst_model *model = &loop.model;
+        const double by = dehyst_feedback_correct(model, &loop.loop, loop.memory.data(), &memory, measured / loop.per_metre);
+        try {
+            return loop.step(wanted / loop.per_metre + by);
+        } catch (...) {
+            memory = before;
+            throw;
+        }
+    }
+};
+
+// Why the sensor of a cycle is not believed, from what it should show [m] and shows; 0: it is.
+int judge(Input expected, Input measured, double bound) {
+    if (expected.size() != measured.size()) demand(DEHYST_ERR_SIZE);
+    dehyst_sensor sensor;
+    dehyst_sensor_begin(&sensor);
+    for (size_t i = 0; i < expected.size(); i++) dehyst_sensor_read(&sensor, bound, expected(i), measured(i));
+    return dehyst_sensor_judge(&sensor);
 }
 
 // Loops with the same period. They belong to this bank alone.
@@ -311,15 +370,26 @@ void bind_loop(nb::module_ &m) {
         .def("commit", &Loop::commit)
         .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u) / loop.per_metre); })
         .def_rw("per_metre", &Loop::per_metre)
+        .def_rw("slow", &Loop::slow)
+        // A step of a float without a temperature; all else, and what is refused, by the slow one of Python.
+        .def("quick", [](Loop &loop, nb::handle u, nb::handle temperature) -> nb::object {
+            if (temperature.is_none() && PyFloat_CheckExact(u.ptr())) {
+                const double wanted = PyFloat_AsDouble(u.ptr()) / loop.per_metre;
+                if (std::isfinite(wanted)) {
+                    try {
+                        return nb::float_(loop.step(wanted));
+                    } catch (const CoreError &) {
+                    }
+                }
+            }
+            return loop.slow(u, temperature);
+        }, nb::arg("displacement").none(), nb::arg("temperature").none() = nb::none())
         .def("run", &Loop::run)
         .def("trace", &Loop::trace)
         .def("tables", &Loop::tables)
         .def("sent", &Loop::sent)
         .def("displacement", &Loop::displacement)
         .def("scale", &Loop::scale)
-        .def("follow", [](Loop &loop, double reading, double rate, double gain, double offset) {
-            return loop.follow(reading, rate, gain, offset);
-        })
         .def("counts", &Loop::counts)
         .def("state", &Loop::state)
         .def("rest", &Loop::rest)
@@ -328,5 +398,13 @@ void bind_loop(nb::module_ &m) {
         .def("ids", &Loop::ids)
         .def("save", &Loop::save)
         .def("restore", &Loop::restore);
+    nb::class_<Feedback>(m, "Feedback")
+        .def(nb::init<Loop &, double, double, int>(), nb::keep_alive<1, 2>())
+        .def("step", [](Feedback &f, nb::handle u, nb::handle measured) {
+            return f.step(plain(u), measured.is_none() ? NAN : plain(measured));
+        }, nb::arg("wanted"), nb::arg("measured").none())
+        .def_prop_ro("correction", [](const Feedback &f) { return f.memory.correction; })
+        .def_prop_ro("fault", [](const Feedback &f) { return int(f.memory.fault); });
+    m.def("judge", &judge);
     nb::class_<Bank>(m, "Bank").def(nb::init<nb::list>(), nb::keep_alive<1, 2>()).def("run", &Bank::run);
 }

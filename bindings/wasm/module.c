@@ -15,7 +15,7 @@ extern unsigned char __heap_base;
 static dehyst_model model;
 static dehyst_loop *loop;
 static dehyst_real *memory;
-static dehyst_follow *sensor;
+static dehyst_feedback *sensor;
 static dehyst_real *inputs, *voltages, *displacements;
 static unsigned char *offers;
 static unsigned reserved, state_begin, state_end;
@@ -100,12 +100,16 @@ EXPORT(dehyst_status, begin)(void) { return dehyst_loop_begin(&model, loop, memo
 EXPORT(dehyst_status, scale)(dehyst_real gain, dehyst_real offset) { return dehyst_loop_scale(loop, gain, offset); }
 EXPORT(dehyst_real, gain)(void) { return loop->gain; }
 EXPORT(dehyst_real, offset)(void) { return loop->offset; }
-/* Begin to learn gain and offset from a sensor, within bounds; `follow` learns from a reading. */
-EXPORT(dehyst_status, follow_begin)(dehyst_real rate, dehyst_real gain, dehyst_real offset)
+/* Begin to feed back a sensor; `correct` returns the correction of a period, `fault` why the sensor is not believed. */
+EXPORT(dehyst_status, feedback)(dehyst_real gain, dehyst_real bound, int late)
 {
-    return dehyst_follow_begin(&model, loop, memory, rate, gain, offset, sensor);
+    return dehyst_feedback_begin(&model, loop, memory, gain, bound, late, sensor);
 }
-EXPORT(int, follow)(dehyst_real reading) { return dehyst_loop_follow(&model, loop, memory, sensor, reading); }
+EXPORT(dehyst_real, correct)(dehyst_real measured)
+{
+    return dehyst_feedback_correct(&model, loop, memory, sensor, measured);
+}
+EXPORT(dehyst_fault, fault)(void) { return sensor->fault; }
 
 EXPORT(dehyst_real, displacement)(void) { return dehyst_loop_displacement(&model, loop, memory); }
 

@@ -120,34 +120,58 @@ dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loo
  * @param offset [m]
  * @return DEHYST_ERR_SIGN or DEHYST_ERR_FINITE if the gain is not positive, or a number not finite: nothing changes then */
 dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset);
-/* Gain and offset that follow a sensor: weighted means of displacement and reading, and their squares about them. */
-typedef struct dehyst_follow {
-    dehyst_real rate;                       /* weight of a sample that counts, above 0 and at most 0.5 */
-    dehyst_real gain, offset;               /* most by which the gain may differ from 1, and the offset from 0 [m] */
-    dehyst_real least;                      /* motion from one sample that counts to the next [m] */
-    dehyst_real place, reading;             /* displacement of the model and reading at the last one [m] */
-    dehyst_real mean, read;                 /* means of displacements and readings [m] */
-    dehyst_real moved, common, seen;        /* mean squares and product about them [m^2] */
-    unsigned long clamped;                  /* clamped and refused voltages of the loop so far */
-    unsigned long learnt, refused;          /* numbers of samples that counted, and of readings that were not believed */
-} dehyst_follow;
-/* Begin to follow a sensor, with the present gain of the loop.
- * @param rate weight of a sample: after 1 / rate samples the weight of one has fallen to a third
- * @param gain, offset bounds: the gain stays within 1 - gain and 1 + gain, the offset within -offset and offset [m]; with
- *                     offset 0 only the gain is learnt, and the zero of the sensor may drift
- * @return DEHYST_ERR_SIGN or DEHYST_ERR_FINITE if a number is impossible */
-dehyst_status dehyst_follow_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
-                                  dehyst_real rate, dehyst_real gain, dehyst_real offset, dehyst_follow *follow);
-/* Learn gain and offset of the displacement from a reading [m] of the sensor, between two periods: the displacement that
- * all voltages sent so far have caused. The next voltages follow as fast as the slew rate allows.
- *
- * A sample counts if the actuator has moved by two breakaway elongations and by a fiftieth of its range since the last one.
- * Nothing is learnt from a sample whose voltage was clamped, from a reading that is not a number or has not changed, and as
- * long as readings do not follow the displacement. For models without delay.
- * @return 0 if nothing is new; 1 if gain and offset are new; 2 if they are new and one is held at its bound: the sensor
- *         asks for more. Once or twice is noise; always is a sensor in other units (micrometres), or too narrow a bound */
-int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehyst_real *memory, dehyst_follow *follow,
-                       dehyst_real reading);
+/* Why a sensor is not believed. */
+typedef enum dehyst_fault {
+    DEHYST_BELIEVED = 0,   /* it is believed */
+    DEHYST_FAR = 1,        /* most readings are farther from the model than the bound: another unit, scale or zero */
+    DEHYST_STUCK = 2,      /* it hardly moves while the actuator does */
+    DEHYST_SCALED = 3,     /* it moves less than half, or more than twice, as much as the actuator */
+    DEHYST_CONTRADICTS = 4 /* it moves at other times: inverted, late by more than a sixth of a cycle, or noise */
+} dehyst_fault;
+/* What a sensor says over a cycle, beside what it should: means, and squares and product about them. */
+typedef struct dehyst_sensor {
+    dehyst_real expected, reading;       /* [m] */
+    dehyst_real moved, common, seen;     /* [m^2] */
+    unsigned long near_count, far_count; /* readings within the bound, and beyond */
+} dehyst_sensor;
+void dehyst_sensor_begin(dehyst_sensor *sensor);
+/* Take a reading [m] beside the one that is expected [m]; return whether it counts: it is a number within the bound [m]. */
+int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading);
+/* Return whether the sensor is believed after a cycle. */
+dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor);
+
+/* Most samples by which a reading may be late. */
+#ifndef DEHYST_FEEDBACK_LATE
+#define DEHYST_FEEDBACK_LATE 63
+#endif
+/* An integral of the error of a sensor, ahead of the loop. */
+typedef struct dehyst_feedback {
+    dehyst_real gain, bound, least;            /* of a reading, largest correction [m], motion that can be judged [m] */
+    dehyst_real correction;                    /* added to the wanted displacement [m] */
+    dehyst_real back;                          /* how much of it is taken back in a period [m], once not believed */
+    dehyst_real low, high, last, travelled;    /* of the present cycle [m] */
+    dehyst_real past[DEHYST_FEEDBACK_LATE + 1]; /* displacements that were meant [m] */
+    int late, at;
+    unsigned long samples; /* of the present cycle */
+    dehyst_fault fault;    /* DEHYST_BELIEVED, or why the sensor is not believed any more */
+    dehyst_sensor sensor;
+} dehyst_feedback;
+/* Begin to feed back a sensor, without a correction; after a fault, this begins anew.
+ * @param gain share of the error that a reading takes away, 0 to 1; `Feedback.gain` in Python keeps a margin
+ * @param bound largest correction, and farthest that a reading may be from the model [m]
+ * @param late periods by which a reading is late; with preview, the samples ahead
+ * @return DEHYST_ERR_SIGN, DEHYST_ERR_FINITE or DEHYST_ERR_SIZE if a number is impossible */
+dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                                    dehyst_real gain, dehyst_real bound, int late, dehyst_feedback *feedback);
+/* Return the correction [m] to add to the wanted displacement of this period. Call it once a period, before the step or
+ * the offer. A voltage that limits or slew rate changed makes no error. While the sensor says nothing, the correction is
+ * held; after a cycle in which it contradicts the model it is taken back, and the sensor is not believed any more.
+ * @param measured displacement [m] after all voltages sent so far; not a number: nothing was measured */
+dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                                    dehyst_feedback *feedback, dehyst_real measured);
+/* Correct and step: return the voltage, which then counts as sent. */
+dehyst_real dehyst_feedback_step(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
+                                 dehyst_feedback *feedback, dehyst_real wanted, dehyst_real measured);
 /* Write a snapshot, which any processor restores bit for bit; nothing that is on offer is kept.
  * @param bytes [DEHYST_SNAPSHOT(...)] the result
  * @return their number, or 0 if `size` is less */

@@ -167,17 +167,11 @@ static int has_output(const dehyst_model *model, const dehyst_loop *loop)
     return model->output.branches > 0 || loop->gain != 1 || loop->offset != 0;
 }
 
-/* Return the displacement of the model, without gain and offset. */
-static dehyst_real unscaled(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
-{
-    const dehyst_real m = before_creep(model, loop);
-    if (model->output.branches == 0) return m;
-    return crept(&model->output, memory + dehyst_memory_size(model) - model->taps - model->output.branches, m);
-}
-
 dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
-    const dehyst_real m = unscaled(model, loop, memory);
+    dehyst_real m = before_creep(model, loop);
+    if (model->output.branches > 0)
+        m = crept(&model->output, memory + dehyst_memory_size(model) - model->taps - model->output.branches, m);
     return has_output(model, loop) ? loop->offset + loop->gain * m : m;
 }
 
@@ -191,82 +185,131 @@ dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real
     return DEHYST_OK;
 }
 
-/* Of the range: motion between two samples that count, and standard deviation of displacements at the beginning. */
-#define LEAST_MOTION ((dehyst_real)0.02)
-#define FIRST_SPREAD ((dehyst_real)0.25)
-/* Least square of the correlation of readings with displacements. */
-#define CORRELATED ((dehyst_real)0.95)
+/* Of the range: motion over which a sensor can be judged. */
+#define LEAST_MOTION ((dehyst_real)0.01)
+/* Readings that are needed for that. */
+#define LEAST_READINGS 8
+/* A believable sensor moves as the model does: correlation, and squared ratio, within these bounds. */
+#define CORRELATED ((dehyst_real)0.5)
+#define STUCK ((dehyst_real)0.0625)
+#define TOO_LITTLE ((dehyst_real)0.25)
+#define TOO_MUCH ((dehyst_real)4)
 
-static unsigned long stopped(const dehyst_loop *loop) { return loop->limited + loop->slewed + loop->refused; }
+void dehyst_sensor_begin(dehyst_sensor *sensor)
+{
+    sensor->expected = sensor->reading = sensor->moved = sensor->common = sensor->seen = 0;
+    sensor->near_count = sensor->far_count = 0;
+}
 
-dehyst_status dehyst_follow_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
-                                  dehyst_real rate, dehyst_real gain, dehyst_real offset, dehyst_follow *follow)
+int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading)
+{
+    dehyst_sensor *s = sensor;
+    dehyst_real dm, dy;
+    if (!is_finite(reading)) return 0;
+    if (!(magnitude(reading - expected) <= bound)) {
+        s->far_count++;
+        return 0;
+    }
+    s->near_count++;
+    dm = expected - s->expected;
+    dy = reading - s->reading;
+    s->expected += dm / (dehyst_real)s->near_count;
+    s->reading += dy / (dehyst_real)s->near_count;
+    s->moved += dm * (expected - s->expected);
+    s->common += dm * (reading - s->reading);
+    s->seen += dy * (reading - s->reading);
+    return 1;
+}
+
+dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor)
+{
+    const dehyst_sensor *s = sensor;
+    if (s->near_count + s->far_count < LEAST_READINGS) return DEHYST_BELIEVED;
+    if (s->far_count > s->near_count) return DEHYST_FAR;
+    if (s->seen < STUCK * s->moved) return DEHYST_STUCK;
+    if (s->seen < TOO_LITTLE * s->moved || s->seen > TOO_MUCH * s->moved) return DEHYST_SCALED;
+    if (!(s->common > 0 && s->common * s->common > CORRELATED * CORRELATED * s->moved * s->seen))
+        return DEHYST_CONTRADICTS;
+    return DEHYST_BELIEVED;
+}
+
+/* Return the displacement that a sensor without delay should show now. With preview, that is the newest wanted one; where
+ * limits or slew rate kept the elements from it, by as much less. */
+static dehyst_real meant(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
+{
+    const dehyst_real *inputs = memory + dehyst_memory_size(model) - model->taps;
+    if (model->taps == 1) return dehyst_loop_displacement(model, loop, memory);
+    return loop->offset + loop->gain * (crept(&model->output, inputs - model->output.branches, inputs[0]) +
+                                        (loop->w - loop->target));
+}
+
+dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                                    dehyst_real gain, dehyst_real bound, int late, dehyst_feedback *feedback)
 {
     const dehyst_plain *plain = &model->actuator.plain;
     const dehyst_real range = plain->spring.knot[plain->spring.size - 1] - plain->spring.knot[0];
-    const dehyst_real slides = plain->slip.size > 0 ? 2 * plain->slip.rho[0] : 0;
-    if (!is_finite(rate) || !is_finite(gain) || !within_reach(offset)) return DEHYST_ERR_FINITE;
-    if (!(rate > 0) || rate > (dehyst_real)0.5 || !(gain > 0) || !(gain < 1) || offset < 0) return DEHYST_ERR_SIGN;
-    follow->rate = rate;
-    follow->gain = gain;
-    follow->offset = offset;
-    follow->least = slides > LEAST_MOTION * range ? slides : LEAST_MOTION * range;
-    follow->place = follow->mean = unscaled(model, loop, memory);
-    follow->reading = follow->read = 0;
-    follow->moved = FIRST_SPREAD * range * (FIRST_SPREAD * range);
-    follow->common = loop->gain * follow->moved;
-    follow->seen = loop->gain * follow->common;
-    follow->clamped = stopped(loop);
-    follow->learnt = follow->refused = 0;
+    int k;
+    if (!is_finite(gain) || !within_reach(bound)) return DEHYST_ERR_FINITE;
+    if (!(gain >= 0) || gain > 1 || bound < 0) return DEHYST_ERR_SIGN;
+    if (late < 0 || late > DEHYST_FEEDBACK_LATE) return DEHYST_ERR_SIZE;
+    feedback->gain = gain;
+    feedback->bound = bound;
+    feedback->least = LEAST_MOTION * range;
+    feedback->correction = feedback->back = feedback->travelled = 0;
+    feedback->low = feedback->high = feedback->last = meant(model, loop, memory);
+    for (k = 0; k <= late; k++) feedback->past[k] = feedback->last;
+    feedback->late = late;
+    feedback->at = 0;
+    feedback->samples = 0;
+    feedback->fault = DEHYST_BELIEVED;
+    dehyst_sensor_begin(&feedback->sensor);
     return DEHYST_OK;
 }
 
-/* Take a sample into the means: displacement m and reading. */
-static void weigh(dehyst_follow *f, dehyst_real m, dehyst_real reading)
+/* Judge the sensor after each way there and back, and begin another one. */
+static void judge_cycle(dehyst_feedback *f, dehyst_real expected)
 {
-    const dehyst_real dm = m - f->mean, dy = reading - f->read, keep = 1 - f->rate, step = f->rate * dm;
-    f->mean += step;
-    f->read += f->rate * dy;
-    f->moved = keep * (f->moved + step * dm);
-    f->common = keep * (f->common + step * dy);
-    f->seen = keep * (f->seen + f->rate * dy * dy);
-    f->place = m;
-    f->reading = reading;
+    f->samples++;
+    f->travelled += magnitude(expected - f->last);
+    f->last = expected;
+    f->low = expected < f->low ? expected : f->low;
+    f->high = expected > f->high ? expected : f->high;
+    if (f->high - f->low < f->least || f->travelled < 2 * (f->high - f->low)) return;
+    if (f->sensor.near_count + f->sensor.far_count < LEAST_READINGS) return;
+    f->fault = dehyst_sensor_judge(&f->sensor);
+    /* Taken back within a quarter of the cycle, so that nothing jumps. */
+    f->back = 4 * magnitude(f->correction) / (dehyst_real)f->samples;
+    f->low = f->high = expected;
+    f->travelled = 0;
+    f->samples = 0;
+    dehyst_sensor_begin(&f->sensor);
 }
 
-int dehyst_loop_follow(const dehyst_model *model, dehyst_loop *loop, const dehyst_real *memory, dehyst_follow *follow,
-                       dehyst_real reading)
+dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
+                                    dehyst_feedback *feedback, dehyst_real measured)
 {
-    dehyst_follow *f = follow;
-    const dehyst_real m = unscaled(model, loop, memory);
-    const unsigned long clamped = stopped(loop);
-    dehyst_real slope, gain, zero, offset;
-    if (clamped != f->clamped) {
-        f->clamped = clamped;
-        return 0;
+    dehyst_feedback *f = feedback;
+    dehyst_real expected;
+    f->past[f->at] = meant(model, loop, memory);
+    f->at = f->at < f->late ? f->at + 1 : 0;
+    expected = f->past[f->at];
+    if (f->fault != DEHYST_BELIEVED) {
+        const dehyst_real left = magnitude(f->correction) - f->back;
+        f->correction = left > 0 ? (f->correction > 0 ? left : -left) : 0;
+        return f->correction;
     }
-    if (magnitude(m - f->place) < f->least) return 0;
-    if (!within_reach(reading) || reading == f->reading) {
-        f->refused++;
-        return 0;
-    }
-    if (f->learnt == 0) {
-        /* The zero of the sensor. */
-        f->read = reading;
-        f->mean = m;
-    }
-    f->learnt++;
-    weigh(f, m, reading);
-    if (!(f->common > 0) || !(f->common * f->common >= CORRELATED * f->moved * f->seen)) {
-        f->refused++;
-        return 0;
-    }
-    slope = f->common / f->moved;
-    gain = slope > 1 + f->gain ? 1 + f->gain : slope < 1 - f->gain ? 1 - f->gain : slope;
-    zero = f->read - gain * f->mean;
-    offset = zero > f->offset ? f->offset : zero < -f->offset ? -f->offset : zero;
-    if (dehyst_loop_scale(loop, gain, offset) != DEHYST_OK) return 0;
-    return gain != slope || (f->offset > 0 && offset != zero) ? 2 : 1;
+    /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
+    if (dehyst_sensor_read(&f->sensor, f->bound, expected, measured))
+        f->correction -= f->gain * (measured - expected + f->correction);
+    judge_cycle(f, expected);
+    return f->correction;
+}
+
+dehyst_real dehyst_feedback_step(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
+                                 dehyst_feedback *feedback, dehyst_real wanted, dehyst_real measured)
+{
+    const dehyst_real correction = dehyst_feedback_correct(model, loop, memory, feedback, measured);
+    return dehyst_loop_step(model, loop, memory, wanted + correction);
 }
 
 /* Return the displacement of the elements or the mass that makes u: without creep behind them, gain and offset. */
@@ -361,13 +404,12 @@ OUT_OF_LINE static void move_output(const dehyst_model *model, dehyst_loop *loop
 }
 
 /* End a period in which v was sent. Creep behind the elements is driven by the displacement that was wanted, if that is
- * what v leads to, else by the one that was reached. With preview it is always the wanted one: the one that is reached
- * comes later, and a strain that is driven now by one, now by the other would jump by the motion between them. */
+ * what v leads to, else by the one that was reached. */
 static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real v, int as_wanted)
 {
     int m;
     for (m = model->taps - 1; m > 0; m--) inputs[m] = inputs[m - 1];
-    if (loop->offer != DEHYST_NOTHING && is_finite(loop->wanted)) inputs[0] = loop->wanted;
+    if (loop->offer != DEHYST_NOTHING && within_reach(loop->wanted)) inputs[0] = loop->wanted;
     if (model->output.branches > 0)
         move_output(model, loop, inputs, as_wanted ? inputs[0] : before_creep(model, loop));
     loop->sent = v;
@@ -400,7 +442,7 @@ void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_rea
         follow(model, loop, &state, v, as_wanted);
     }
     keep_state(loop, &state, memory);
-    end_period(model, loop, inputs, v, as_wanted || model->taps > 1);
+    end_period(model, loop, inputs, v, as_wanted);
 }
 
 void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v)

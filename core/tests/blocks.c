@@ -336,35 +336,34 @@ static void go_on_with_another_model(bench *b, unsigned char *bytes, unsigned lo
     free(tables);
 }
 
-/* Whatever a sensor says, gain and offset stay within their bounds and voltages within limits and slew rate. */
-static void follow_a_sensor(bench *b)
+/* Whatever a sensor says, the correction stays within its bound and voltages within limits and slew rate; a sensor that is not
+ * believed loses its correction. */
+static void feed_back(bench *b)
 {
     static const dehyst_real wild[] = {(dehyst_real)NAN, (dehyst_real)INFINITY, (dehyst_real)1e30, (dehyst_real)-1e30, 0};
     dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], last;
-    const dehyst_real gain = (dehyst_real)between(0.01, 0.9), offset = (dehyst_real)(bits() & 1 ? 0 : 0.1);
+    const dehyst_real bound = (dehyst_real)between(0.001, 0.5), gain = (dehyst_real)between(0.001, 1);
+    const double scale = between(-1, 2), share = between(0, 1), pace = between(0.01, 3);
     const dehyst_model *m = &b->model;
-    dehyst_follow follow;
+    dehyst_feedback feedback;
     dehyst_loop loop;
     int k;
     dehyst_loop_begin(m, &loop, memory);
-    demand(dehyst_follow_begin(m, &loop, memory, 0, gain, 0, &follow) == DEHYST_ERR_SIGN, "a rate of 0", 0);
-    demand(dehyst_follow_begin(m, &loop, memory, (dehyst_real)0.1, 1, 0, &follow) == DEHYST_ERR_SIGN, "a gain of 1", 0);
-    demand(dehyst_follow_begin(m, &loop, memory, (dehyst_real)0.1, gain, (dehyst_real)NAN, &follow) == DEHYST_ERR_FINITE,
+    demand(dehyst_feedback_begin(m, &loop, memory, -1, 1, 0, &feedback) == DEHYST_ERR_SIGN, "a gain below 0", 0);
+    demand(dehyst_feedback_begin(m, &loop, memory, 0, (dehyst_real)NAN, 0, &feedback) == DEHYST_ERR_FINITE,
            "a bound that is not a number", 0);
-    demand(dehyst_follow_begin(m, &loop, memory, (dehyst_real)between(0.01, 0.5), gain, offset, &follow) == DEHYST_OK,
-           "to follow", 0);
-    last = loop.sent;
+    demand(dehyst_feedback_begin(m, &loop, memory, 0, 1, DEHYST_FEEDBACK_LATE + 1, &feedback) == DEHYST_ERR_SIZE,
+           "a longer delay than there is room for", 0);
+    demand(dehyst_feedback_begin(m, &loop, memory, gain, bound, (int)below(5), &feedback) == DEHYST_OK, "to feed back", 0);
     for (k = 0; k < 10 * STEPS; k++) {
-        const dehyst_real place = dehyst_loop_displacement(m, &loop, memory), before = loop.gain;
-        const dehyst_real said = bits() & 3 ? (dehyst_real)between(-1, 2) * place + (dehyst_real)0.01 : wild[below(5)];
-        const int learnt = dehyst_loop_follow(m, &loop, memory, &follow, said);
-        demand(learnt || loop.gain == before, "another gain without a word", k);
-        demand(learnt != 2 || loop.gain == 1 + gain || loop.gain == 1 - gain || fabs((double)loop.offset) == (double)offset,
-               "a bound that is not reached", k);
-        demand(fabs((double)(loop.gain - 1)) <= (double)gain * (1 + 1e-6), "a gain beyond its bound", k);
-        demand(fabs((double)loop.offset) <= (double)offset, "an offset beyond its bound", k);
+        const dehyst_real place = dehyst_loop_displacement(m, &loop, memory), before = feedback.correction;
+        const dehyst_real said = between(0, 1) < share ? (dehyst_real)(scale * place) : wild[below(5)];
+        const int believed = feedback.fault == DEHYST_BELIEVED;
         last = loop.sent;
-        dehyst_loop_step(m, &loop, memory, (dehyst_real)between(-0.2, 1.2));
+        dehyst_feedback_step(m, &loop, memory, &feedback, (dehyst_real)(0.5 + 0.7 * sin(pace * k)), said);
+        demand(fabs((double)feedback.correction) <= (double)bound * (1 + 1e-6), "a correction beyond its bound", k);
+        demand(believed || fabs((double)feedback.correction) <= fabs((double)before), "a correction by a sensor of no credit", k);
+        demand(believed || feedback.fault != DEHYST_BELIEVED, "a sensor that is believed again", k);
         demand(loop.sent >= m->low && loop.sent <= m->high, "a voltage beyond the limits", k);
         demand(fabs((double)(loop.sent - last)) <= (double)m->change * (1 + 1e-6), "faster than the slew rate", k);
     }
@@ -387,7 +386,7 @@ int main(int count, char **word)
         for (k = 0; k < 20; k++) refuse_what_was_broken(bytes, size, broken);
         go_on_from_snapshots(b);
         go_on_with_another_model(b, bytes, size);
-        follow_a_sensor(b);
+        for (k = 0; k < 20; k++) feed_back(b);
         free(broken);
         free(bytes);
     }

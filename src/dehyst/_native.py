@@ -142,7 +142,9 @@ class StepCoefficients(NamedTuple):
 
 CoreError = compiled.CoreError
 Bank = compiled.Bank
+Feedback = compiled.Feedback
 Loop = compiled.Loop
+judge = compiled.judge
 
 
 def checked(function: Callable[..., Any], *arguments: object) -> Any:

@@ -116,7 +116,7 @@ def bench(kind, seed):
         smooth = SmoothSlip(stroke * np.array([0.03, 0.1, 0.4]), [1.0, 0.5, 0.8], slope * np.array([0.5, 0.3, 0.2]))
         actuator = replace(actuator, smooth=smooth)
     if "mass" in kind:
-        actuator = replace(actuator, dynamics=Dynamics(30.0, 0.3, slope))
+        actuator = replace(actuator, dynamics=Dynamics(4.8, 0.3, slope))
     model = actuator.model
     state = model.complete_state(our.make_state(plain, seed, "arbitrary"))
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")

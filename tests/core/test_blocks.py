@@ -58,53 +58,62 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
     low, high = loop.reach
     path = np.random.default_rng(3).uniform(low, high, 80)
     loop.run(path[:40])
-    kept, other = loop.snapshot_block(), loop.clone()
+    kept, other = loop._snapshot_block(), loop._clone()
     expected = loop.run(path[40:])
     for place in range(8 * len(kept)):
         broken = bytearray(kept)
         broken[place // 8] ^= 1 << place % 8
         with pytest.raises(ModelError):
-            other.restore_block(bytes(broken))
-    for block in (kept[:-1], kept + b"0", b"", loop.model_block(), compiled_exports.KINDS["creep"]().snapshot_block()):
+            other.restore(bytes(broken))
+    for block in (
+        kept[:-1],
+        kept + b"0",
+        b"",
+        loop._model_block(),
+        compiled_exports.KINDS["creep"]()._snapshot_block(),
+    ):
         with pytest.raises(ModelError):
-            other.restore_block(block)
-    assert other.snapshot_block() == loop.clone().snapshot_block()
-    other.restore_block(kept)
+            other.restore(block)
+    assert other._snapshot_block() == loop._clone()._snapshot_block()
+    other.restore(kept)
     np.testing.assert_array_equal(other.run(path[40:]), expected)
 
 
 def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
     loop = compiled_exports.plain()
-    block, numbers = loop.model_block(), loop.model_ids()
+    block, numbers = loop._model_block(), loop._model_ids()
     loop.reset(loop.actuator.turned(0.5 * sum(loop.reach), rising=False))
-    assert loop.model_block() != block
-    assert loop.model_ids() == numbers != compiled_exports.KINDS["creep"]().model_ids()
+    assert loop._model_block() != block
+    assert loop._model_ids() == numbers != compiled_exports.KINDS["creep"]()._model_ids()
 
 
-@pytest.mark.parametrize("kind", ["plain", "behind"])
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_sensor_that_is_followed_gives_pythons_bits(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["slewing", "behind", "moving"])
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning", "ignore::dehyst.control.SensorWarning")
+def test_feedback_gives_pythons_bits(tmp_path, kind):
     compiled_exports.need("gcc")
     samples, every, loop = 20_000, 500, compiled_exports.KINDS[kind]()
+    fed = dehyst.Feedback(loop)
+    late = loop.samples_ahead
     program = compiled_exports.DRIVER.replace('#include "piezo.h"', '#include "dehyst_model.h"\n#include "piezo.h"', 1)
     program = program.replace(
         "if (piezo_begin(&p) != DEHYST_OK) return 1;",
-        """dehyst_follow follow;
+        f"""dehyst_feedback fed;
     if (piezo_begin(&p) != DEHYST_OK) return 1;
-    if (dehyst_follow_begin(piezo_exported(), &p.loop, p.memory, 0.01, 0.2, 0.0, &follow) != DEHYST_OK) return 2;""",
+    if (dehyst_feedback_begin(piezo_exported(), &p.loop, p.memory, {fed.gain!r}, {fed.bound!r}, {late}, &fed))
+        return 2;""",
     )
-    reading = "0.93 * piezo_displacement(&p) / p.loop.gain + 1e-8 * (t % 7)"
+    step = "piezo_step(&p, (dehyst_real)(MIDDLE + HALF * (2 * share - 1) * wide))"
+    assert step in program
+    reading = "0.98 * piezo_displacement(&p) + 1e-8 * (t % 7)"
     program = program.replace(
-        "if (t % EVERY == 0) put(bits);",
-        f"""dehyst_loop_follow(piezo_exported(), &p.loop, p.memory, &follow, {reading});
-        if (t % EVERY == 0) put(bits);""",
+        step,
+        f"""dehyst_feedback_step(piezo_exported(), &p.loop, p.memory, &fed,
+            MIDDLE + HALF * (2 * share - 1) * wide, t % 3 ? {reading} : 0.0 / 0.0)""",
     )
     folder = compiled_exports.written(tmp_path / "export", loop)
     lines = compiled_exports.driven(folder, loop, samples, every=every, program=program)
-    inner, sent = loop._loop, np.empty(samples)
-    loop.follow_sensor(np.nan)
+    sent = np.empty(samples)
     for t, wish in enumerate(compiled_exports.wishes(loop, samples).tolist()):
-        sent[t] = loop.step(wish)
-        loop.follow_sensor(0.93 * inner.displacement() / loop.scaling[0] + 1e-8 * (t % 7))
+        sent[t] = fed.step(wish, 0.98 * loop.displacement + 1e-8 * (t % 7) if t % 3 else None)
     assert lines == compiled_exports.told(sent, loop.clamps, every=every)
-    assert loop.scaling[0] == pytest.approx(0.93, abs=0.01)
+    assert kind == "moving" or (fed.believed and fed.correction != 0)
