@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dehyst import FileFormatError, RecordError
-from dehyst.identification.preprocessing.preparation import block_means
+from dehyst.identification.preparation import block_means
 from dehyst.records import Record, Recording, cleaned, read, write_columns, write_record
 
 N = 120
@@ -40,7 +40,7 @@ def assert_all(record):
 
 def test_by_arrays():
     assert_all(RECORD)
-    assert_all(Record.from_arrays(T, V, Y * 1e6, others=OTHERS))
+    assert_all(Record.from_arrays(T, V, Y * 1e6, units="um", others=OTHERS))
     assert [one.role for one in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
     assert repr(RECORD).endswith("um, temperature, load, humidity>")
     assert "20 to 21.19 degC" in RECORD._repr_html_()
@@ -96,7 +96,7 @@ def test_operations_keep_them():
     part = RECORD[10:50]
     assert shown(part) == ALL
     assert np.array_equal(part.others[0].values, TEMPERATURE[10:50])
-    assert np.array_equal(RECORD.take(V > 50).others[2].values, HUMIDITY[V > 50])
+    assert np.array_equal(RECORD[V > 50].others[2].values, HUMIDITY[V > 50])
     several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
     assert_all(several)
     assert_all(several.axis("y"))

@@ -20,6 +20,7 @@ READ = {
     "by their names": ("time_s,voltage_V,displacement_um", "", (3, 4)),
     "in other units": ("t_ms,Drive [mV],Position(nm)", "", (3e-3, 4e-3)),
     "a unit of the text": ("time,voltage,displacement", "time=:s, voltage=:V, displacement=:nm", (3, 4e-3)),
+    "a gauge": ("time_s,drive [V],gauge_nm", "", (3, 4e-3)),
     "by name": ("time_s,piezo_V,gauge 1 (nm)", "voltage=piezo, displacement=gauge 1 (nm)", (3, 4e-3)),
     "by number": ("time_s,a,a", "voltage=2:V, displacement=3:um", (3, 4)),
     "a factor": ("time_s,monitor_mV,y_um", "voltage=monitor*100", (0.3, 4)),

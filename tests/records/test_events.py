@@ -10,6 +10,7 @@ from truths import BoucWenActuator
 
 import dehyst
 from dehyst import Record, RecordError
+from dehyst.records import columns_of, counting
 from dehyst.records.events import counted_events, record_of_periodic
 from dehyst.report.pages import time_charts
 from dehyst.virtual import PlayActuator
@@ -19,7 +20,7 @@ V = 50 - 50 * np.cos(2 * np.pi * T / 2)
 FULL = 1e-7 * V
 EVENTS = np.arange(0.055, 6, 0.1)
 PLACES = np.interp(EVENTS, T, 0.1 * V)
-KNOWN = Record.from_events(T, V, EVENTS, PLACES, name="lines")
+KNOWN = Record.from_events(T, V, EVENTS, PLACES, units="um", name="lines")
 
 
 def same(record, other):
@@ -80,11 +81,11 @@ def test_events_are_moved_to_the_nearest_samples():
 
 def test_only_events_count():
     aside = replace(KNOWN, set_aside=((0.0, 2.0),))
-    assert np.array_equal(KNOWN.counted, KNOWN.measured)
-    assert np.array_equal(aside.counted, KNOWN.measured & (T > 2.0))
+    assert np.array_equal(counting(KNOWN), KNOWN.measured)
+    assert np.array_equal(counting(aside), KNOWN.measured & (T > 2.0))
     same(KNOWN[100:400], replace(KNOWN[100:400], measured=KNOWN.measured[100:400]))
-    assert np.array_equal(KNOWN.take(T < 3).measured, KNOWN.measured[T < 3])
-    assert np.array_equal(np.isnan(KNOWN.columns()["displacement_um"]), ~KNOWN.measured)
+    assert np.array_equal(KNOWN[T < 3].measured, KNOWN.measured[T < 3])
+    assert np.array_equal(np.isnan(columns_of(KNOWN)["displacement_um"]), ~KNOWN.measured)
     same(KNOWN.axis(0), KNOWN)
 
 
@@ -115,12 +116,12 @@ def test_mostly_blank_cells_are_events(tmp_path, rows):
         lambda: Record(T, V, FULL, measured=T[1:] > 1),
         lambda: Record(T, V, FULL, measured=T),
         lambda: Record(T, V, FULL, hold="step"),
-        lambda: Record.from_events(T, V, EVENTS[:3], PLACES[:3]),
-        lambda: Record.from_events(T, V, EVENTS[1:], PLACES),
-        lambda: Record.from_events(T, V, EVENTS + 1, PLACES),
-        lambda: Record.from_events(T, V, EVENTS - 1, PLACES),
-        lambda: Record.from_events(T, V, EVENTS[::-1], PLACES),
-        lambda: Record.from_events(T, V, EVENTS, np.where(EVENTS > 3, np.nan, PLACES)),
+        lambda: Record.from_events(T, V, EVENTS[:3], PLACES[:3], units="um"),
+        lambda: Record.from_events(T, V, EVENTS[1:], PLACES, units="um"),
+        lambda: Record.from_events(T, V, EVENTS + 1, PLACES, units="um"),
+        lambda: Record.from_events(T, V, EVENTS - 1, PLACES, units="um"),
+        lambda: Record.from_events(T, V, EVENTS[::-1], PLACES, units="um"),
+        lambda: Record.from_events(T, V, EVENTS, np.where(EVENTS > 3, np.nan, PLACES), units="um"),
         lambda: Record.from_events(T, V, EVENTS, 1e2 * PLACES, units="mm"),
         lambda: Record.from_events(T, V, EVENTS, PLACES, units="inch"),
     ],

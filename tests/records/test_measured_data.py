@@ -24,8 +24,8 @@ def read(name):
 
 
 @cache
-def fitted(norm="l1"):
-    return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip", norm=norm)
+def fitted():
+    return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip")
 
 
 @cache
@@ -35,9 +35,8 @@ def split():
     return dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="maxwell_slip")
 
 
-@pytest.mark.parametrize("norm", ["l1", "l2"])
-def test_both_records_are_met_nearly_to_the_sensors_noise(norm):
-    fit = fitted(norm=norm)
+def test_both_records_are_met_nearly_to_the_sensors_noise():
+    fit = fitted()
     assert fit.outcome.good
     for error in fit.errors:
         assert error.rms_percent <= 0.25, error
@@ -47,10 +46,9 @@ def test_both_records_are_met_nearly_to_the_sensors_noise(norm):
 
 @pytest.mark.nightly
 def test_what_the_records_leave_open_is_said():
-    # The decaying loops of ramps.csv tell every direction; the sine of major.csv, whatever its noise and drift, half.
-    both, major = fitted(), dehyst.identify(read("major"))
+    # The decaying loops of ramps.csv tell every direction, the sine of major.csv does not.
+    both, major = dehyst.identify([read("major"), read("ramps")]), dehyst.identify(read("major"))
     assert (both.outcome, major.outcome) == (Outcome.IDENTIFIED, Outcome.UNDETERMINED)
-    assert "determine 10 of 19 directions" in " ".join(major.remarks)
 
 
 def test_the_start_up_transient_is_told():
@@ -73,10 +71,6 @@ def test_drift_is_told_and_is_what_the_data_are_known_to_have():
     assert fitted().errors[0].rms < fitted().errors[0].rms_with_drift
 
 
-def test_the_small_first_element_is_remarked_on():
-    assert any("the sensor's noise" in remark for remark in fitted().remarks)
-
-
 def test_what_was_held_out_is_predicted():
     fit = split()
     held_out = fit.errors[2]
@@ -94,7 +88,7 @@ def test_the_identified_actuator_compensates_within_the_recorded_voltages():
     assert (low, high) == pytest.approx((0.0, 3.6), abs=0.02)
     knots = actuator.spring.displacement
     path = knots[0] + (knots[-1] - knots[0]) * (0.3 + 0.1 * np.sin(np.linspace(0, 12, 400)))
-    command = dehyst.Compensator(actuator).trajectory(path, state=actuator.turned(float(path[0])))
+    command = dehyst.plan_path(actuator, path, start=actuator.turned(float(path[0])))
     assert not command.clamped.any()
     played = actuator.simulate(command.voltage, state=actuator.turned(float(path[0]))).displacement
     assert abs(played - path).max() < 1e-9 * (knots[-1] - knots[0])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
-from dehyst.records import Record
+from dehyst.records import Record, reversals
 from dehyst.records.signals import gaps, resolution, turning_points, white_noise
 
 DATA = places.DATA
@@ -148,7 +148,7 @@ def test_turns_are_the_corners_whatever_noise_gain_and_sign(legs, gain, inverted
     noisy = v + np.random.default_rng(seed).uniform(-0.1, 0.1, len(v))
     turns = turning_points(noisy, 0.5)
     assert np.abs(v[turns] - v[40:-1:40]).max() <= 0.2 + 1e-9
-    assert len(Record(np.arange(len(v)), noisy, v).reversals()) == len(legs) - 1
+    assert len(reversals(Record(np.arange(len(v)), noisy, v))) == len(legs) - 1
 
 
 UP, DOWN = np.linspace(0, 100, 50), np.linspace(100, 5, 50)
@@ -172,7 +172,7 @@ def test_cycles(voltage, cycles):
 
 def test_parts_keep_name_and_meta():
     record = Record([0, 1, 2, 3], [0, 1, 2, 3], [0, 1, 2, 3], "whole", {"source": "a"}, hold="sample")
-    for part in (record[1:3], record[-3:-1], record.take(np.array([1, 2])), record.take(record.time % 3 > 0)):
+    for part in (record[1:3], record[-3:-1], record[np.array([1, 2])], record[record.time % 3 > 0]):
         assert part.voltage.tolist() == [1, 2]
         assert (part.name, part.meta, part.hold) == ("whole", {"source": "a"}, "sample")
 
@@ -300,7 +300,7 @@ def test_measured_data(name, turns, cycles):
     record.check_usable()
     assert record.problems() == ()
     assert record.noise == pytest.approx(0.067e-6, rel=0.2)
-    assert len(record.reversals()) == turns
+    assert len(reversals(record)) == turns
     assert len(record.cycles()) == cycles
     swapped = Record(record.time, record.displacement, record.voltage * 1e-6)
     with pytest.raises(RecordError, match="swapped"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.records import write_columns
+from dehyst.records import columns_of, write_columns
 
 RECORD, _ = coupled_stage.excited(steps=2, cycles=3)
 
@@ -71,7 +71,7 @@ def test_the_channels_of_a_record_have_names_units_and_roles():
     assert [(c.name, c.role) for c in single.channels] == [("voltage", "drive"), ("displacement", "displacement")]
     assert single.axes == ()
     assert single.axis(0) is single
-    assert [*RECORD.columns()] == ["time_s", "vx_V", "x_um", "vy_V", "y_um"]
+    assert [*columns_of(RECORD)] == ["time_s", "vx_V", "x_um", "vy_V", "y_um"]
 
 
 def test_a_part_of_a_record_keeps_its_axes():
@@ -84,7 +84,6 @@ def test_a_part_of_a_record_keeps_its_axes():
 @pytest.mark.parametrize(
     "ask",
     [
-        dehyst.identify,
         lambda record: dehyst.check(dehyst.identify(RECORD.axis(0), structure="maxwell_slip").actuator, record),
         lambda record: record.stroke,
         lambda record: record.cycles(),

@@ -26,24 +26,26 @@ def test_arrays_in_a_unit(units, factor):
 
 
 def test_arrays_are_micrometres_unless_something_else_is_stated():
-    assert same(Record.from_arrays(TIME, VOLTS, MICROMETRES), RECORD)
+    assert same(Record.from_arrays(TIME, VOLTS, MICROMETRES, units="um"), RECORD)
     with pytest.raises(RecordError, match="units: got 'inch'"):
         Record.from_arrays(TIME, VOLTS, MICROMETRES, units="inch")
     with pytest.raises(RecordError, match="array of numbers"):
-        Record.from_arrays(TIME, VOLTS, ["a"] * 5)
+        Record.from_arrays(TIME, VOLTS, ["a"] * 5, units="um")
 
 
 def test_a_dataframe_and_back():
     pytest.importorskip("pandas")
     frame = RECORD.to_dataframe()
     assert frame.attrs == {"name": "stage"}
-    assert same(Record.from_arrays(frame["time_s"], frame["voltage_V"], frame["displacement_um"]), RECORD)
+    assert same(Record.from_arrays(frame["time_s"], frame["voltage_V"], frame["displacement_um"], units="um"), RECORD)
 
 
 def test_micrometres_that_are_taken_for_metres_are_refused():
     with pytest.raises(RecordError, match='units "um"'):
         Record.from_arrays(TIME, VOLTS, MICROMETRES, units="m")
     assert Record.from_arrays(TIME, VOLTS, [0.0, 1.0, 2.0, 1.0, 0.0], units="mm").stroke == 2e-3
+    with pytest.raises(RecordError, match='units "m"'):
+        Record.from_arrays(TIME, VOLTS, RECORD.displacement, units="um")
     time = np.arange(400) / 100
     volts = 50 - 50 * np.cos(2 * np.pi * time)
     with pytest.raises(RecordError, match='units "um"'):

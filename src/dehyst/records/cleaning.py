@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array, Mask
+from dehyst.records import signals
 from dehyst.records.signals import QUARTILE, new_samples, noise_span, resolution, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
     ]
     sentences = _shortened(words, "voltage glitches: left out.")
     if stray:
-        record = record.take(~bad)
+        record = record[~bad]
     if found := transients(record):
         time = record.time
         words = [
@@ -105,8 +106,8 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
         path = record.displacement if ringing else settled(record, found)
         record = replace(record, displacement=path, set_aside=(*record.set_aside, *aside))
     bad = spikes(record.voltage, record.displacement)
-    if record.counted is not None:
-        bad &= record.counted
+    if (known := signals.counting(record)) is not None:
+        bad &= known
     if bad.any():
         y, places = record.displacement, runs(bad)
         straight = np.where(bad, np.interp(record.time, record.time[~bad], y[~bad]), y)
@@ -122,7 +123,7 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
             f"the displacement is new only at about every {round(1 / float(new.mean()))}th sample ({rate:.3g} Hz): "
             "those that repeat it are left out."
         )
-        record = record.take(new)
+        record = record[new]
     return Cleaned(record, stray, tuple(sentences))
 
 
@@ -156,7 +157,7 @@ def transients(record: Record) -> list[tuple[int, int, int]]:
     Each is the last sample before the step, the first one after it, and one after the last sample that rings.
     Transients that were already replaced are not found again.
     """
-    steps, counted = voltage_steps(record.voltage), record.counted
+    steps, counted = voltage_steps(record.voltage), signals.counting(record)
     if counted is not None:
         steps = [(start, jump) for start, jump in steps if counted[start]]
     ends = [*(start for start, _ in steps), len(record)][1:]

@@ -84,7 +84,7 @@ def thinned(record: Record) -> Record:
     if known is None or len(record) < 2 * wanted:
         return record
     every = len(record) // max(wanted, 1)
-    coarse = record.take(np.arange(0, len(record), every))
+    coarse = record[np.arange(0, len(record), every)]
     own = known & (record.time <= coarse.time[-1])
     y = at_samples(coarse.time, coarse.voltage, record.time[own], record.displacement[own])
     return replace(coarse, displacement=y, measured=~np.isnan(y))

@@ -20,7 +20,7 @@ from dehyst.records.formats.columns import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.file_content import content_of
 from dehyst.records.formats.loaders import LOADERS, load
-from dehyst.records.record import Record, further_channels
+from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
@@ -195,9 +195,9 @@ def write_record(path: PathLike, record: Record) -> None:
     stated = {"guesses": guesses, "timing": timing, "others": others}
     text = json.dumps({key: value for key, value in stated.items() if value}) if any(stated.values()) else ""
     if Path(path).suffix.lower() == ".npz":
-        write_atomically(path, packed({**record.columns("m"), **({MEMBER: np.array(text)} if text else {})}))
+        write_atomically(path, packed({**columns_of(record, "m"), **({MEMBER: np.array(text)} if text else {})}))
     else:
-        write_atomically(path, "\n".join([*[LINE + text] * bool(text), *_lines(path, record.columns()), ""]))
+        write_atomically(path, "\n".join([*[LINE + text] * bool(text), *_lines(path, columns_of(record)), ""]))
 
 
 def write_columns(

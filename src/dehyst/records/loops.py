@@ -48,7 +48,7 @@ _ROUNDING, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-3, 0.1, 4096
 
 
 def turns_of(voltage: Array) -> NDArray[np.intp]:
-    """Return the turning points of a voltage, as `Record.reversals` does."""
+    """Return the turning points of a voltage, as `dehyst.records.reversals` does."""
     return turning_points(voltage, max(_EQUAL * float(np.ptp(voltage)), noise_span(voltage)))
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Larger numbers [V, m, s] are no measurement, and computations with them overflow; nor are shorter steps [s].
 LARGEST, SHORTEST = 1e30, 1e-30
 # A stroke [m] of no piezo actuator; amplified ones reach millimetres.
-_LONGEST_STROKE = 0.1
+_SHORTEST_STROKE, _LONGEST_STROKE = 1e-9, 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
 # Fewest events from which a loop is identified.
@@ -134,12 +134,14 @@ def _rate(time: Array, step: float = 0.0) -> str:
 
 
 def other_unit(record: Record) -> str:
-    """Return an error if the stroke is too large for a piezo actuator by orders of magnitude (wrong unit); or empty."""
-    if record.stroke <= _LONGEST_STROKE:
+    """Return an error if no piezo actuator has such a stroke, because the unit is wrong; or empty."""
+    if not record.stroke or _SHORTEST_STROKE <= record.stroke <= _LONGEST_STROKE:
         return ""
+    large = record.stroke > _LONGEST_STROKE
+    need, unit = (f"at most {_LONGEST_STROKE:g}", "um") if large else (f"at least {_SHORTEST_STROKE:g}", "m")
     return (
-        f"got a stroke of {record.stroke:.4g} m, need at most {_LONGEST_STROKE:g} m: is the displacement in "
-        'micrometres? Correct its unit, or give units "um" in Python; a rig reads metres'
+        f"got a stroke of {record.stroke:.4g} m, need {need} m: is the displacement in {unit}? Correct its unit, or "
+        f'give units "{unit}" in Python; a rig reads metres'
     )
 
 

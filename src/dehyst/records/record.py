@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 __all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 
 Span: TypeAlias = "slice[int, int, None]"
-AnySlice: TypeAlias = "slice[Any, Any, None]"
 
 _COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
 _HOLDS = ("line", "sample")
@@ -272,10 +271,14 @@ class Record:
         ]
         return html.block(f"Record '{self.name}'", html.facts(rows), html.folded("Problems", remarks))
 
-    def __getitem__(self, span: AnySlice) -> Record:
-        if not isinstance(span, slice) or span.step not in (None, 1):
-            raise self._error(f"got [{span!r}]; a record takes slices of step 1, try record[10:200]")
-        return self.take(span)
+    def __getitem__(self, rows: slice[Any, Any, None] | Mask | NDArray[np.intp]) -> Record:
+        # A slice of step 1, a bool for each sample, or increasing indices.
+        if not isinstance(rows, slice | np.ndarray) or (isinstance(rows, slice) and rows.step not in (None, 1)):
+            raise self._error(f"got [{rows!r}]; a record takes slices of step 1, try record[10:200], or arrays")
+        others = tuple(each._replace(values=each.values[rows]) for each in self.others)
+        time, voltage, displacement = (values[rows] for values in (self.time, self.voltage, self.displacement))
+        known = None if self.measured is None else self.measured[rows]
+        return replace(self, time=time, voltage=voltage, displacement=displacement, others=others, measured=known)
 
     @classmethod
     def from_arrays(
@@ -284,24 +287,21 @@ class Record:
         voltage: ArrayLike,
         displacement: ArrayLike,
         *,
-        units: str = "um",
+        units: str,
         name: str = "record",
         others: Mapping[str, ArrayLike] | None = None,
     ) -> Record:
-        """Make a record from arrays whose displacement is in `units`, by default micrometres.
+        """Make a record from arrays whose displacement is in `units`.
 
         `time` and `voltage` (n,) [s] and [V], `displacement` (n,) in `units`: "m", "mm", "um", "nm" or "pm".
         `name`, `others`: as in `Record`.
 
-        Raise `RecordError` if the unit is unknown, the arrays do not form a record, or the stroke is over
-        0.1 m, which indicates another unit.
+        Raise `RecordError` if the unit is unknown, the arrays do not form a record, or the stroke is over 0.1 m or
+        below 1 nm, which indicates another unit.
         """
         counts = per_metre(units, error=RecordError)
-        try:
-            lengths = np.asarray(plain(displacement, "displacement", error=RecordError), dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise RecordError(f"record '{name}': displacement is no array of numbers ({error})") from error
-        record = cls(time, voltage, lengths / counts, name, others=others or ())  # type: ignore[arg-type]
+        record = cls(time, voltage, displacement, name, others=others or ())  # type: ignore[arg-type]
+        record = replace(record, displacement=record.displacement / counts)
         if words := quality.other_unit(record):
             raise record._error(words)
         return record
@@ -314,8 +314,8 @@ class Record:
         event_time: ArrayLike,
         position: ArrayLike,
         *,
+        units: str,
         name: str = "record",
-        units: str = "um",
     ) -> Record:
         """Make a record whose displacement is known at events only: lines or fringes passed, edges of an encoder.
 
@@ -340,7 +340,7 @@ class Record:
         Raise `MissingExtraError` if pandas is not installed.
         """
         others = [one.column for one in self.others]
-        return tables.frame(self.columns(), name=self.name, **({"others": others} if others else {}))
+        return tables.frame(columns_of(self), name=self.name, **({"others": others} if others else {}))
 
     def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
         """Draw the record: displacement over voltage ("loop"), or both over time ("time").
@@ -348,7 +348,7 @@ class Record:
         `kind`: which picture. `ax`: where to draw; default: the axes of a new figure. Return the axes. Raise
         `MissingExtraError` if matplotlib is not installed.
         """
-        return plotted("record", self.one_axis(), kind, ax)
+        return plotted("record", of_one_axis(self), kind, ax)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -365,22 +365,6 @@ class Record:
         """The temperature (n,) [degC]; None if the record has none, or several."""
         found = [one.values for one in self.others if one.role == "temperature"]
         return found[0] if len(found) == 1 else None
-
-    def columns(self, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
-        """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
-
-        `lengths`: unit of displacements, which are NaN where they are not measured.
-        """
-        counts, found = per_metre(lengths, error=RecordError), {"time_s": self.time}
-        for one in self.channels:
-            if one.role == "displacement":
-                values = one.values * counts if counts != 1 else one.values
-                found[f"{one.name}_{lengths}"] = (
-                    values if self.measured is None else np.where(self.measured, values, nan)
-                )
-            else:
-                found[one.column] = one.values
-        return found
 
     def axis(self, axis: str | int, displacement: ArrayLike | None = None) -> Record:
         """Return one axis as a separate record.
@@ -403,15 +387,6 @@ class Record:
             axes=(),
         )
 
-    def one_axis(self) -> Record:
-        """Return the record; raise `RecordError` if it has several axes."""
-        if self.axes:
-            raise self._error(
-                f"has the axes {', '.join(self.axes)}, need a record of one; take record.axis({self.axes[0]!r}), or "
-                "the functions for a Stage"
-            )
-        return self
-
     @property
     def sample_time(self) -> float:
         """Median time from one sample to the next [s]."""
@@ -420,38 +395,19 @@ class Record:
     @property
     def voltage_range(self) -> tuple[float, float]:
         """Lowest and highest voltage [V]."""
-        return float(self.one_axis().voltage.min()), float(self.voltage.max())
+        return float(of_one_axis(self).voltage.min()), float(self.voltage.max())
 
     @property
     def stroke(self) -> float:
         """Displacement peak to peak [m]."""
-        return float(np.ptp(self.one_axis().displacement))
+        return float(np.ptp(of_one_axis(self).displacement))
 
     @property
     def noise(self) -> float:
         """Standard deviation of the sensor's white noise [m]; 0 if the displacement is known at events only."""
         if self.measured is not None:
             return 0.0
-        return signals.sensor_noise(self.time, self.one_axis().voltage, self.displacement)
-
-    @property
-    def counted(self) -> Mask | None:
-        """Whether each sample counts in a fit or an error (n,): measured and not set aside; None if all do."""
-        if not self.set_aside:
-            return self.measured
-        kept = np.ones(len(self), dtype=bool) if self.measured is None else self.measured.copy()
-        for first, last in self.set_aside:
-            kept[np.searchsorted(self.time, first) : np.searchsorted(self.time, last, side="right")] = False
-        return kept
-
-    def reversals(self) -> NDArray[np.intp]:
-        """Find the turning points of the voltage (k,): indices of its extremes, alternately minima and maxima.
-
-        An extreme counts if the voltage then goes back by more than 2 % of its range, and than the range of its noise.
-        It is the last sample of a plateau, and never an end of the record.
-        """
-        values = self.one_axis().voltage
-        return signals.turning_points(values, max(0.02 * float(np.ptp(values)), signals.noise_span(values)))
+        return signals.sensor_noise(self.time, of_one_axis(self).voltage, self.displacement)
 
     def cycles(self) -> list[Span]:
         """Return the full cycles between successive voltage minima, or maxima if these give more.
@@ -459,7 +415,7 @@ class Record:
         The record's start (or end) counts as an extreme if its leg covers 0.9 of the next leg, so that one excursion up
         and down is one cycle. A slice includes both its turning points: neighbours share one sample.
         """
-        turns = self.reversals()
+        turns = reversals(self)
         if not len(turns):
             return []
         # The outermost sample of the first and of the last leg.
@@ -472,17 +428,10 @@ class Record:
         first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
         return [slice(int(a), int(b) + 1) for a, b in pairwise(points[first::2])]
 
-    def take(self, rows: AnySlice | Mask | NDArray[np.intp]) -> Record:
-        """Return the samples in `rows`: a slice, a bool array (n,), or an array of increasing indices."""
-        others = tuple(one._replace(values=one.values[rows]) for one in self.others)
-        time, voltage, displacement = (values[rows] for values in (self.time, self.voltage, self.displacement))
-        known = None if self.measured is None else self.measured[rows]
-        return replace(self, time=time, voltage=voltage, displacement=displacement, others=others, measured=known)
-
     def problems(self) -> tuple[str, ...]:
         """Return sentences about suspicious properties that do not prevent the record's use; may be empty."""
         held = "The voltage is held until the next sample, and the displacement is read at the end of that time."
-        return (*quality.problems(self.one_axis()), *[held] * (self.hold == "sample"))
+        return (*quality.problems(of_one_axis(self)), *[held] * (self.hold == "sample"))
 
     def check_usable(self) -> None:
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
@@ -491,8 +440,41 @@ class Record:
         fringes, a stroke over 0.1 m, an inverted or clipped sensor, a butterfly loop, or swapped, reversed or sorted
         columns.
         """
-        for words in quality.reasons_against(self.one_axis()):
+        for words in quality.reasons_against(of_one_axis(self)):
             raise self._error(words)
+
+
+def of_one_axis(record: Record) -> Record:
+    """Return the record; raise `RecordError` if it has several axes."""
+    if record.axes:
+        words = f"has the axes {', '.join(record.axes)}, need a record of one; take record.axis({record.axes[0]!r})"
+        raise RecordError(f"record '{record.name}': {words}")
+    return record
+
+
+def columns_of(record: Record, lengths: Literal["um", "m"] = "um") -> dict[str, Array]:
+    """Return time and channels by their columns in a file: time_s, voltage_V, displacement_um, or vx_V, x_um.
+
+    `lengths`: unit of displacements, which are NaN where they are not measured.
+    """
+    counts, known, found = per_metre(lengths, error=RecordError), record.measured, {"time_s": record.time}
+    for each in record.channels:
+        if each.role == "displacement":
+            values = each.values * counts if counts != 1 else each.values
+            found[f"{each.name}_{lengths}"] = values if known is None else np.where(known, values, nan)
+        else:
+            found[each.column] = each.values
+    return found
+
+
+def reversals(record: Record) -> NDArray[np.intp]:
+    """Find the turning points of the voltage (k,): indices of its extremes, alternately minima and maxima.
+
+    An extreme counts if the voltage then goes back by more than 2 % of its range, and than the range of its noise. It
+    is the last sample of a plateau, and never an end of the record.
+    """
+    values = of_one_axis(record).voltage
+    return signals.turning_points(values, max(0.02 * float(np.ptp(values)), signals.noise_span(values)))
 
 
 def _is_frozen(raw: object) -> bool:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import comb, log, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array, Mask
+
+if TYPE_CHECKING:
+    from dehyst.records.record import Record
 
 # Largest value of white noise, in standard deviations.
 NOISE_PEAK = 4.0
@@ -132,7 +136,7 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
 
 
 def turning_points(values: Array, band: float) -> NDArray[np.intp]:
-    """Find the extremes from which the signal goes back by more than `band`, see `Record.reversals`."""
+    """Find the extremes from which the signal goes back by more than `band`, see `dehyst.records.reversals`."""
     # Only inner local extremes and samples of plateaus can be turning points, or complete a way back.
     steps = np.sign(np.diff(values))
     kept = np.concatenate(([0], np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + 1, [len(values) - 1]))
@@ -224,3 +228,13 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
         waiting = waiting[~shown]
         waiting = waiting[waiting < largest.size]
     return np.concatenate(speeds), np.concatenate(travel)
+
+
+def counting(record: Record) -> Mask | None:
+    """Return whether each sample counts in a fit or an error (n,): measured and not set aside; None if all do."""
+    if not record.set_aside:
+        return record.measured
+    kept = np.ones(len(record), dtype=bool) if record.measured is None else record.measured.copy()
+    for first, last in record.set_aside:
+        kept[np.searchsorted(record.time, first) : np.searchsorted(record.time, last, side="right")] = False
+    return kept

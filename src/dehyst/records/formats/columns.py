@@ -58,7 +58,7 @@ QUANTITIES = {
     "displacement": ColumnWords(
         example="displacement_um",
         words="displacement, position, y, pos",
-        more="disp, deflection, elongation, extension, weg, auslenkung, verschiebung",
+        more="disp, gauge, deflection, elongation, extension, weg, auslenkung, verschiebung",
         parts="disp, pos, weg, auslenk, sensor, gauge, strain, stroke, capac, ai, height, angle, encoder, dehnung",
         letters="yxzdw",
         units=("um", "nm", "mm", "m"),
