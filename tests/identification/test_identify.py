@@ -1,241 +1,180 @@
 """The identification against actuators that are known: what records tell, what they leave open, what is refused."""
 
-import itertools
 import json
-from dataclasses import replace
+import signal
+from functools import cache
 
+import coupled_stage
 import numpy as np
 import plain_records
 import pytest
+import structured_records as wide
 
 import dehyst
-from dehyst import Actuator, IdentifyError, MaxwellSlip, Outcome, Record, RecordError, Spring
-from dehyst.identification import Structure
-from dehyst.identification.diagnostics import messages
-from dehyst.identification.solvers import highs, least_absolute
-from dehyst.identification.solvers.least_absolute import PrimalDual
-from dehyst.identification.solvers.program import NORMS
+from dehyst import Actuator, IdentifyError, Outcome, Record, RecordError
+from dehyst.identification import Deadline, Structure
 
-PLANT = plain_records.plant(10)
+PLANT, STROKE = plain_records.plant(10), plain_records.STROKE
+TEN = Structure(elements=10, knots=11, smoothing=0.0)
 TOPS = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, name="tops")
 EXCITATIONS = {
     "tops": plain_records.DESCENDING_TOPS,
     "curves": plain_records.REVERSAL_CURVES,
     "three loops": plain_records.THREE_LOOPS,
 }
-MAJOR = plain_records.MAJOR
 
 
-def assert_recovered(fit, plant, tolerance=1e-9):
+def assert_recovered(fit, plant, tolerance=1e-5):
     assert fit.outcome is Outcome.IDENTIFIED
-    np.testing.assert_allclose(fit.actuator.slip.breakaway, plant.slip.breakaway, rtol=1e-9)
+    np.testing.assert_allclose(fit.actuator.slip.breakaway, plant.slip.breakaway, rtol=tolerance)
     assert plain_records.stiffness_error(fit.actuator, plant) < tolerance
     assert plain_records.spring_error(fit.actuator, plant) < tolerance
-    # Before a cart is known it is fitted; afterwards nothing is left open.
-    for error, trace in zip(fit.errors, fit.traces, strict=True):
-        assert error.largest_percent < max(0.3, 100 * tolerance)
-        if np.ptp(trace.measured) > 0.99 * error.stroke:
-            assert np.abs(trace.residual[trace.residual.size // 2 :]).max() < tolerance * error.stroke
+    assert all(error.settled_largest < tolerance * error.stroke for error in fit.errors)
 
 
-@pytest.mark.parametrize("norm", NORMS)
 @pytest.mark.parametrize("name", EXCITATIONS)
-def test_a_known_model_is_recovered(name, norm):
+def test_a_known_model_is_recovered(name):
     plant = plain_records.plant(10, seed=3)
-    fit = dehyst.identify(plain_records.loops(plant, EXCITATIONS[name]), elements=10, norm=norm)
+    fit = dehyst.identify(plain_records.loops(plant, EXCITATIONS[name]), structure=TEN)
     assert_recovered(fit, plant)
     assert fit.repairs == ()
-    assert abs(fit.gap) < 1e-9
-    np.testing.assert_allclose(fit.actuator.spring.voltage, plant.spring.voltage, atol=1e-7)
+    np.testing.assert_allclose(fit.actuator.spring.voltage, plant.spring.voltage, atol=1e-3)
+    # A path that it never saw.
+    path = plain_records.path(np.append(1.0, np.random.default_rng(1).uniform(0, 1, 30)))
+    v = plant.compensate(path).voltage
+    assert np.abs(fit.simulate(v).displacement - path).max() < 1e-5 * STROKE
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_carts_that_stand_anywhere_at_the_start_do_not_matter(seed):
     y = plain_records.path((0.4, *plain_records.THREE_LOOPS))
-    fit = dehyst.identify(
-        plain_records.record(PLANT, y, state=plain_records.any_state(PLANT, float(y[0]), seed)), elements=10
-    )
-    assert_recovered(fit, PLANT)
+    state = plain_records.any_state(PLANT, float(y[0]), seed)
+    assert_recovered(dehyst.identify(plain_records.record(PLANT, y, state=state), structure=TEN), PLANT)
 
 
-@pytest.mark.parametrize("shared", [False, True])
-def test_minor_loops_in_records_of_their_own_with_carts_anywhere(shared):
-    records = [plain_records.loops(PLANT, MAJOR, name="major")]
-    for seed, top in enumerate((0.3, 0.5, 0.7)):
-        y = plain_records.path((0.1, top, 0, top, 0, top, 0))
-        state = plain_records.any_state(PLANT, float(y[0]), seed)
-        records.append(plain_records.record(PLANT, y, state=state, name=f"minor {top}"))
-    fit = dehyst.identify(records, elements=10, shared_datum=shared)
-    assert_recovered(fit, PLANT)
-    assert [(e.record, e.role, e.datum) for e in fit.errors] == [(r.name, "training", 0.0) for r in records]
-    assert fit.actuator.name == "major"
+@cache
+def automatic():
+    """The default structure, from loops with 1 nm of noise; and the record."""
+    record = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, noise=1e-9, name="tops")
+    return dehyst.identify(record), record
 
 
-def test_the_fitted_actuator_predicts_a_path_it_never_saw():
-    fit = dehyst.identify(TOPS, elements=10)
+def test_a_dictionary_stands_for_an_actuator_that_it_does_not_hold():
+    fit, _ = automatic()
+    assert fit.outcome is Outcome.IDENTIFIED
+    assert fit.good and fit.model is fit.actuator
     path = plain_records.path(np.append(1.0, np.random.default_rng(1).uniform(0, 1, 30)))
-    v = PLANT.compensate(path).voltage
-    assert np.abs(fit.actuator.simulate(v).displacement - path).max() < 1e-9 * plain_records.STROKE
-
-
-def test_the_major_loop_alone_is_undetermined_and_says_so():
-    fit = dehyst.identify(plain_records.loops(PLANT, MAJOR), elements=10)
-    assert fit.outcome is Outcome.UNDETERMINED
-    assert fit.outcome.good
-    # The sums k_m + k_(N-m) are what it does tell (theory, section 6).
-    found, true = fit.actuator.slip.stiffness[:9], PLANT.slip.stiffness[:9]
-    np.testing.assert_allclose(found + found[::-1], true + true[::-1], rtol=1e-8)
-    assert plain_records.stiffness_error(fit.actuator, PLANT) > 0.1
-
-
-def test_explicit_breakaway_elongations_take_the_place_of_the_grid():
-    rho = PLANT.slip.breakaway
-    fit = dehyst.identify(TOPS, breakaway=rho, knots=11)
-    assert_recovered(fit, PLANT)
-    some = dehyst.identify(TOPS, breakaway=rho[[0, 3, 7]].tolist())
-    np.testing.assert_array_equal(some.actuator.slip.breakaway, rho[[0, 3, 7]])
-    assert 1e-3 < some.errors[0].largest_percent < 5
-
-
-def test_one_element():
-    # On the grid it lets go at half the range: it never slides over the whole of it, and is one with the spring.
-    grid = dehyst.identify(TOPS, elements=1)
-    assert (grid.outcome, grid.actuator.slip.stiffness.tolist()) == (Outcome.INACCURATE, [0.0])
-    y = plain_records.path(plain_records.THREE_LOOPS)
-    single = dehyst.Actuator(dehyst.MaxwellSlip([2e-6], [4e6]), PLANT.spring)
-    fit = dehyst.identify(plain_records.record(single, y), breakaway=[2e-6], knots=11)
-    assert_recovered(fit, single)
-
-
-def test_the_slope_floor_is_kept_and_reported():
-    fit = dehyst.identify(TOPS, elements=10, slope_floor=0.6, delay=0.0, drift=False)
-    floor = 0.6 * np.ptp(TOPS.voltage) / plain_records.STROKE
-    assert fit.outcome is Outcome.FLOOR_ACTIVE
-    assert fit.actuator.spring.slopes.min() == pytest.approx(floor, rel=1e-9)
-
-
-def test_noise_of_2_nm_does_little_harm():
-    noisy = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, samples=200, noise=2e-9)
-    for norm in ("l1", "l2"):
-        fit = dehyst.identify(noisy, elements=10, norm=norm)
-        assert fit.outcome is Outcome.IDENTIFIED
-        # rho_1 = 400 sigma; theory: 4 % at 33 to 100 sigma. The sensor alone errs by 4 sigma = 0.05 %.
-        assert plain_records.stiffness_error(fit.actuator, PLANT) < 0.02
-        assert fit.errors[0].rms_percent == pytest.approx(100 * 2e-9 / plain_records.STROKE, rel=0.5)
-        assert fit.repairs == ()
-
-
-@pytest.mark.nightly
-def test_noise_makes_the_first_element_too_soft_until_it_is_removed_but_not_the_sum():
-    slip = PLANT.slip
-    ratios = []
-    for sigmas in (100, 33, 28, 15):
-        noisy = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, samples=200, noise=slip.breakaway[0] / sigmas)
-        fit = dehyst.identify(noisy, elements=10)
-        found = fit.actuator.slip
-        ratios.append(found.stiffness[0] / slip.stiffness[0])
-        assert found.friction.sum() == pytest.approx(slip.friction.sum(), rel=0.05)
-        assert any("The first element slides at" in remark for remark in fit.remarks) == (sigmas == 28)
-    assert 1 > ratios[0] > 0.95 > ratios[1] > ratios[2] > 0.8
-    # Noise of 0.33 % of the stroke is taken out of the path.
-    assert ratios[3] == pytest.approx(1, abs=0.05)
-
-
-def test_stiffnesses_are_never_negative():
-    rng = np.random.default_rng(0)
-    for norm in NORMS:
-        noisy = plain_records.loops(PLANT, plain_records.THREE_LOOPS, noise=rng.uniform(1e-8, 1e-7))
-        fit = dehyst.identify(noisy, elements=25, norm=norm)
-        assert fit.actuator.slip.stiffness.min() == 0
-        assert np.all(fit.actuator.spring.slopes > 0)
-
-
-def test_held_out_records_get_errors_of_their_own():
-    y = plain_records.path((0.3, 0.8, 0.2, 0.65, 0.1, 0.9, 0.3, 0.8, 0.35, 0.75))
-    state = plain_records.any_state(PLANT, float(y[0]), 5)
-    held_out = plain_records.record(PLANT, y, state=state, name="check", datum=0.05 * plain_records.STROKE)
-    alone, fit = dehyst.identify(TOPS, elements=10), dehyst.identify(TOPS, elements=10, validate=held_out)
-    assert [(e.record, e.role) for e in fit.errors] == [("tops", "training"), ("check", "validation")]
-    assert [(t.record, t.role) for t in fit.traces] == [("tops", "training"), ("check", "validation")]
-    assert fit.actuator.slip.stiffness.tobytes() == alone.actuator.slip.stiffness.tobytes()
-    check, trace = fit.errors[1], fit.traces[1]
-    assert check.largest_percent < 1e-6
-    assert check.datum == pytest.approx(0.05 * plain_records.STROKE, abs=1e-8 * plain_records.STROKE)
-    assert (check.samples, check.samples + check.left_out) == (trace.residual.size, len(held_out))
-    assert check.largest == pytest.approx(np.abs(trace.residual).max())
+    unseen = plain_records.record(PLANT, path)
+    assert fit.score(unseen).rms_percent < fit.promise.rms / STROKE * 100 < 0.5
+    assert {trial.structure.smoothing for trial in fit.trials if trial.structure} >= {1e-2, 3e-2, 3e-3}
+    assert fit.actuator.identification.smoothing == fit.options["structure"]["smoothing"]
+    assert json.loads(json.dumps(fit.as_dict(), allow_nan=False))["outcome"] == "IDENTIFIED"
+    assert Actuator.from_dict(fit.actuator.as_dict()).as_dict() == fit.actuator.as_dict()
 
 
 @pytest.mark.nightly
 def test_the_same_call_gives_the_same_bits():
-    noisy = plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, noise=5e-9)
-    for norm in NORMS:
-        one, two = (dehyst.identify(noisy, elements=15, norm=norm) for _ in range(2))
-        assert json.dumps(one.actuator.as_dict()) == json.dumps(two.actuator.as_dict())
-        assert json.dumps(one.as_dict()) == json.dumps(two.as_dict())
+    fit, record = automatic()
+    assert json.dumps(fit.as_dict()) == json.dumps(dehyst.identify(record, time_limit=1e6).as_dict())
 
 
-def test_nonsense_that_is_a_loop_is_called_inaccurate():
+def test_the_major_loop_alone_is_undetermined():
+    fit = dehyst.identify(plain_records.loops(PLANT, plain_records.MAJOR * 2))
+    assert fit.outcome is Outcome.UNDETERMINED
+    assert fit.outcome.good
+    # Of what it does tell nothing is missed.
+    assert fit.errors[0].settled_largest < 5e-3 * STROKE
+
+
+def test_the_papers_class_is_twenty_elements_and_a_spring():
+    fit = dehyst.identify(TOPS, structure="maxwell_slip")
+    assert not fit.actuator._wide
+    assert fit.actuator.slip.stiffness.shape == (20,)
+    assert fit.actuator.slip.stiffness.min() >= 0
+    assert fit.errors[0].largest_percent < 1
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_records_with_and_without_zeros_of_their_own(shared):
+    three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", datum=0.1 * STROKE)
+    fit = dehyst.identify([TOPS, three], structure=TEN, shared_datum=shared)
+    assert [(error.record, error.role) for error in fit.errors] == [("tops", "training"), ("three", "training")]
+    assert fit.errors[0].datum == 0
+    assert fit.errors[1].datum == (0 if shared else pytest.approx(0.1 * STROKE, abs=2e-3 * STROKE))
+    assert fit.options["shared_datum"] is shared
+
+
+def test_validation_records_get_errors_of_their_own():
+    y = plain_records.path((0.3, 0.8, 0.2, 0.65, 0.1, 0.9, 0.3, 0.8, 0.35, 0.75))
+    state = plain_records.any_state(PLANT, float(y[0]), 5)
+    held_out = plain_records.record(PLANT, y, state=state, name="check", datum=0.05 * STROKE)
+    alone, fit = dehyst.identify(TOPS, structure=TEN), dehyst.identify(TOPS, structure=TEN, validate=held_out)
+    assert [(one.record, one.role) for one in fit.errors] == [("tops", "training"), ("check", "validation")]
+    assert [(one.record, one.role) for one in fit.traces] == [("tops", "training"), ("check", "validation")]
+    assert fit.actuator.slip.stiffness.tobytes() == alone.actuator.slip.stiffness.tobytes()
+    check, trace = fit.errors[1], fit.traces[1]
+    assert check.largest_percent < 1e-3
+    assert check.datum == pytest.approx(0.05 * STROKE, abs=1e-5 * STROKE)
+    assert (check.samples, check.samples + check.left_out) == (trace.residual.size, len(held_out))
+    assert fit.promise.tested and not alone.promise.tested
+
+
+def test_a_model_that_misses_validation_says_so():
+    other = plain_records.loops(plain_records.plant(10, seed=7, share=0.6), plain_records.THREE_LOOPS, name="other")
+    fit = dehyst.identify(TOPS, structure=TEN, validate=other)
+    assert fit.outcome is Outcome.VALIDATION_MISSED
+    assert not fit.good
+
+
+def test_nonsense_that_is_a_loop_is_inaccurate():
     t = np.arange(4000) / 200
     y = 8e-6 * (1 - np.cos(0.5 * np.pi * t - 0.3)) + 3e-6 * np.sin(2 * np.pi * t / 1.37)
-    fit = dehyst.identify(Record(t, 100 * (1 - np.cos(0.5 * np.pi * t)), y, "nonsense"))
+    fit = dehyst.identify(Record(t, 100 * (1 - np.cos(0.5 * np.pi * t)), y, "nonsense"), structure="maxwell_slip")
     assert fit.outcome is Outcome.INACCURATE
     assert not fit.outcome.good
     assert fit.errors[0].largest_percent > 5
 
 
-def break_solver(monkeypatch):
-    """Let the interior point fail, and HiGHS say that it was stopped before it found the optimum."""
-    solved = highs.minimum
-    nothing = lambda problem, pull: PrimalDual(0 * pull, 0 * problem.goal, 0 * problem.lower, "")  # noqa: E731
-    monkeypatch.setattr(least_absolute, "interior", nothing)
-
-    def stopped(*arguments, **options):
-        return replace(solved(*arguments, **options), optimal=False, status="HiGHS: time limit")
-
-    monkeypatch.setattr(highs, "minimum", stopped)
+def late(samples=4):
+    """A record whose displacement is some samples late, with 1 nm of noise."""
+    made = plain_records.loops(PLANT, plain_records.THREE_LOOPS, samples=100)
+    y = np.interp(made.time - samples * made.sample_time, made.time, made.displacement)
+    return Record(made.time, made.voltage, y + 1e-9 * np.random.default_rng(0).normal(size=y.size), "late")
 
 
-def test_a_fit_is_json_without_nan(monkeypatch):
-    fit = dehyst.identify(
-        TOPS, elements=10, validate=plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="loops")
-    )
-    assert json.loads(json.dumps(fit.as_dict(), allow_nan=False))["outcome"] == "IDENTIFIED"
-    break_solver(monkeypatch)
-    failed = dehyst.identify(TOPS, elements=10, throw=False)
-    assert json.loads(json.dumps(failed.as_dict(), allow_nan=False))["good"] is False
+@pytest.mark.parametrize("lag_of", [None, "actuator", "sensor"])
+def test_who_lags_is_stated_or_left_open(lag_of):
+    fit = dehyst.identify(late(), structure=TEN, lag_of=lag_of)
+    lag = fit.actuator.delay + fit.actuator.lag
+    assert lag == pytest.approx(0.02, abs=0.001) == fit.options["delay_s"]
+    assert fit.actuator.identification.lag_of == (lag_of or "")
+    assert (fit.promise.promise.if_actuator_lags is None) == (lag_of is not None)
+    assert Actuator.from_dict(fit.actuator.as_dict()).identification.lag_of == (lag_of or "")
 
 
-@pytest.mark.parametrize("options", [{"elements": 10}, {"structure": Structure(elements=10, grades=4)}])
-def test_a_solver_that_fails_raises_or_is_told(monkeypatch, options):
-    break_solver(monkeypatch)
-    with pytest.raises(IdentifyError):
-        dehyst.identify(TOPS, **options)
-    fit = dehyst.identify(TOPS, **options, throw=False)
-    assert (fit.actuator, fit.outcome, fit.errors) == (None, Outcome.FAILED, ())
-    assert "time limit" in fit.status
+def test_a_given_delay_is_kept():
+    assert dehyst.identify(late(), structure=TEN, delay=0.015).actuator.delay == 0.015
+
+
+def test_a_lead_of_half_a_sample_moves_the_voltages():
+    fit = dehyst.identify(late(-0.5), structure=TEN)
+    assert fit.actuator.delay == 0
+    assert fit.errors[0].largest_percent < 0.3
+    assert len(fit.remarks) > len(dehyst.identify(late(0), structure=TEN).remarks)
 
 
 IMPOSSIBLE = [
-    {"norm": "l3"},
-    {"elements": 5, "breakaway": [1e-6]},
-    {"breakaway": []},
-    {"breakaway": [0.0, 1e-6]},
-    {"breakaway": [2e-6, 1e-6]},
-    {"breakaway": [np.nan]},
-    {"elements": 0},
-    {"elements": 501},
-    {"elements": 10.5},
-    {"knots": 1},
-    {"knots": 501},
-    {"knots": 5.5},
-    {"slope_floor": 0.0},
-    {"slope_floor": 1.0},
-    {"slope_floor": np.nan},
     {"delay": np.inf},
+    {"delay": -1.0},
+    {"delay": 1e3},
+    {"sensor_lag": -1.0},
+    {"sensor_lag": 1e3},
+    {"lag_of": "both"},
     {"structure": "wide"},
     {"structure": None},
-    {"structure": Structure(), "elements": 10},
-    {"structure": Structure(), "breakaway": [1e-6]},
+    {"goal": 0},
+    {"goal": 101},
+    *({"time_limit": limit} for limit in (0, -1, float("nan"), float("inf"), "5", True)),
 ]
 
 
@@ -245,9 +184,7 @@ def test_impossible_options_are_refused(options):
         dehyst.identify(TOPS, **options)
 
 
-GROWING = plain_records.loops(
-    PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=PLANT.turned(0.5 * plain_records.STROKE)
-)
+GROWING = plain_records.loops(PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=PLANT.turned(0.5 * STROKE))
 COPY = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
 
 
@@ -255,7 +192,7 @@ COPY = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
     "call",
     [
         lambda: dehyst.identify([]),
-        lambda: dehyst.identify(plain_records.loops(PLANT, MAJOR[:4]), elements=400),
+        lambda: dehyst.identify("record.csv"),
         lambda: dehyst.identify(GROWING),
         lambda: dehyst.identify([TOPS, COPY]),
         lambda: dehyst.identify(TOPS, validate=COPY),
@@ -280,23 +217,71 @@ def test_unusable_records_are_refused_in_training_and_validation(name):
     broken = Record(np.arange(v.size) / 200, v, y, name)
     for options in ({"records": [TOPS, broken]}, {"records": TOPS, "validate": broken}):
         with pytest.raises(RecordError, match=f"'{name}'"):
-            dehyst.identify(**options, elements=10)
+            dehyst.identify(**options)
 
 
-@pytest.mark.parametrize(("turns", "grows"), [(np.linspace(0.06, 0.5, 8), True), (np.linspace(0.5, 0.06, 8), False)])
-def test_elements_that_slide_once_are_found_where_loops_grow(turns, grows):
-    """The longest of four elements is longer than half of the widest loop; begun relaxed."""
-    half = 8e-6
-    truth = Actuator(
-        MaxwellSlip(np.array([0.1, 0.3, 0.6, 1.3]) * half, [3e6, 2e6, 2e6, 3e6]),
-        Spring([-10e-6, 26e-6], [-50.0, 150.0]),
-    )
-    corners = 50 + 100 * np.array([0.0, *(side * turn for turn in turns for side in (1, -1))])
-    leg = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 31) / 30)
-    voltage = np.concatenate([corners[:1], *(a + (b - a) * leg for a, b in itertools.pairwise(corners))])
-    y = truth.simulate(voltage, state=truth.relaxed(), extrapolate=True).displacement
-    y += np.random.default_rng(1).normal(0, 1e-9, y.size)
-    record = Record(np.arange(y.size) * 0.02, voltage, y)
-    fit = dehyst.identify(record, structure="maxwell_slip", norm="l2", delay=0.0, drift=False)
-    assert (messages.LONGER_ELEMENTS in fit.remarks) == grows
-    assert (fit.actuator.slip.breakaway.max() > 0.55 * np.ptp(y)) == grows
+@cache
+def graded():
+    return wide.plant(wide.STRUCTURES["graded"]).record(noise=1e-9)
+
+
+@cache
+def steps():
+    """Number of the sentences of progress of an identification."""
+    said = []
+    dehyst.identify(graded(), progress=said.append)
+    return len(said)
+
+
+@pytest.mark.parametrize("place", [0.0, 0.2, 0.5, 0.8, 1.0])
+def test_the_model_at_a_deadline_is_usable(place):
+    """A request ends the searches at one of the steps, from the first to the last."""
+    said, deadline = [], Deadline()
+    at = round(place * (steps() - 1))
+
+    def progress(words):
+        said.append(words)
+        if len(said) == at + 1:
+            deadline.end()
+
+    fit = dehyst.identify(graded(), progress=progress, time_limit=deadline)
+    assert bool(deadline.cut) == (place < 1)
+    assert len(fit.remarks) >= 1
+    assert fit.outcome.good
+    assert max(error.largest_percent for error in fit.errors) < 5
+    voltage = np.linspace(*fit.actuator.limits, 50)
+    assert np.isfinite(fit.actuator.simulate(voltage, time=np.arange(50) / 10).displacement).all()
+
+
+@pytest.mark.parametrize("structure", ["auto", "maxwell_slip", TEN])
+def test_a_first_model_comes_once_and_says_that_it_is_provisional(structure):
+    models = []
+    fit = dehyst.identify(graded(), structure=structure, first_model=models.append)
+    (first,) = models
+    assert first.identification.provisional
+    assert not fit.actuator.identification.provisional
+    path = np.linspace(*graded().voltage_range, 50)
+    assert np.ptp(first.simulate(path).displacement) == pytest.approx(np.ptp(graded().displacement), rel=0.2)
+
+
+def test_ctrl_c_in_python_is_a_keyboard_interrupt():
+    def progress(words):
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        dehyst.identify(graded(), progress=progress)
+
+
+def test_records_of_several_axes_give_a_stage():
+    training, _ = coupled_stage.excited()
+    fit = dehyst.identify(training)
+    off = ~np.eye(2, dtype=bool)
+    away = np.abs(fit.coupling - coupled_stage.COUPLING)[off]
+    assert away.max() < 0.0005
+    assert np.all(away < 3 * fit.uncertainty[off])
+    assert fit.good
+    assert [type(one) for one in fit.fits] == [dehyst.Fit, dehyst.Fit]
+    assert fit.model is fit.stage
+    assert max(error.rms_percent for error in fit.errors) < 0.2
+    with pytest.raises((RecordError, IdentifyError)):
+        dehyst.identify([training, training.axis(0)])

@@ -1,5 +1,7 @@
-"""Options of an identification: what is taken is given back, all else is refused with what was got."""
+"""Options of an identification, and the deadline of its searches."""
 
+import signal
+import time
 from fractions import Fraction
 
 import numpy as np
@@ -8,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import IdentifyError, _validation
+from dehyst.identification import Deadline
+from dehyst.identification.settings import Settings
 
 NO_NUMBERS = st.sampled_from(["3", None, [1], True, 1j, float("nan"), np.True_])
 
@@ -52,7 +56,7 @@ def test_seconds_bounds_and_words():
     assert _validation.seconds(0, "delay") == 0.0
     assert _validation.count(10**9, "starts", most=None) == 10**9
     assert _validation.between(np.float64(4), "spacing", 0.5, 4) == 4.0
-    _validation.choice("l1", "norm", ("l1", "l2"))
+    _validation.choice("sensor", "lag_of", ("actuator", "sensor"))
     np.testing.assert_array_equal(_validation.vector((1, 2.5), "breakaway", error=IdentifyError), [1, 2.5])
 
 
@@ -64,10 +68,81 @@ def test_seconds_bounds_and_words():
         lambda: _validation.seconds(-1e-9, "delay"),
         lambda: _validation.seconds(float("inf"), "delay"),
         lambda: _validation.between(4.1, "spacing", 0.5, 4, "an exponent"),
-        lambda: _validation.choice("l3", "norm", ("l1", "l2")),
+        lambda: _validation.choice("both", "lag_of", ("actuator", "sensor")),
         lambda: _validation.fraction(1e-7, "floor", 1e-6),
     ],
 )
 def test_what_lies_beyond_is_refused(check):
     with pytest.raises(IdentifyError):
         check()
+
+
+def test_a_known_lag_of_the_sensor_makes_any_other_the_actuators():
+    assert (Settings().lags, Settings(sensor_lag=0.0).lags) == (None, "actuator")
+    assert Settings(sensor_lag=0.1, lag_of="sensor").lags == Settings(lag_of="sensor").lags == "sensor"
+    assert Settings(sensor_lag=0.1).as_dict() == {
+        "shared_datum": False,
+        "drift": True,
+        "sensor_lag": 0.1,
+        "lag_of": "actuator",
+    }
+
+
+def test_a_step_does_not_begin_after_the_limit():
+    endless, deadline = Deadline(), Deadline(1e-9)
+    assert (endless.left, endless.passed, endless.attempt(lambda: 1, 2, "a step")) == (np.inf, False, 1)
+    assert deadline.passed and deadline.left == 0
+    assert deadline.attempt(pytest.fail, 2, "the search") == 2
+    assert deadline.attempt(pytest.fail, None, "the tuning") is None
+    assert deadline.cut == ["the search", "the tuning"]
+    assert (len(endless.remarks("one")), len(deadline.remarks("one"))) == (0, 1)
+
+
+def test_a_step_that_looks_at_the_deadline_is_left():
+    deadline, said = Deadline(), []
+    report = deadline.watched(said.append)
+
+    def step():
+        report("begins")
+        deadline.end("Ctrl-C")
+        report("goes on")
+
+    deadline.check()
+    assert deadline.attempt(step, "so far", "the step") == "so far"
+    assert said == ["begins"]
+    # Outside of a step progress is only reported.
+    report("finishing")
+    assert said == ["begins", "finishing"]
+
+
+def test_a_step_inside_another_is_left_with_it():
+    deadline = Deadline()
+
+    def outer():
+        deadline.end()
+        return deadline.attempt(lambda: 1, 2, "inner")
+
+    assert deadline.attempt(outer, 3, "outer") == 3
+    assert deadline.cut == ["outer"]
+
+
+def test_an_error_in_a_step_is_an_error():
+    deadline = Deadline()
+    with pytest.raises(ZeroDivisionError):
+        deadline.attempt(lambda: 1 / 0, 0, "a step")
+    assert deadline.cut == []
+
+
+def test_a_signal_handler_leaves_a_step_that_looks_at_nothing():
+    deadline = Deadline()
+    before = signal.signal(signal.SIGINT, lambda *_: deadline.end("Ctrl-C", leave_step=True))
+    try:
+
+        def step():
+            signal.raise_signal(signal.SIGINT)
+            time.sleep(0)
+            pytest.fail("the step went on")
+
+        assert deadline.attempt(step, 7, "a step") == 7
+    finally:
+        signal.signal(signal.SIGINT, before)

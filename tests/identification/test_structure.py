@@ -1,7 +1,7 @@
 """How much model: what a structure is, where its parts lie, and what it refuses."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dehyst import IdentifyError
 from dehyst.identification import Structure
 
-SPAN, VOLTS, TIMES = (-1e-6, 15e-6), (-20.0, 120.0), (0.01, 50.0)
+SPAN, VOLTS = (-1e-6, 15e-6), (-20.0, 120.0)
 STRUCTURES = st.builds(
     Structure,
     elements=st.integers(1, 60),
@@ -19,18 +19,17 @@ STRUCTURES = st.builds(
     grades=st.integers(1, 12),
     knots=st.integers(2, 60),
     transformer=st.sampled_from([0, 2, 3, 20]),
-    creep=st.integers(0, 12),
     smooth=st.booleans(),
-    reach=st.sampled_from([1.0, 1.5, 2.0]),
+    smoothing=st.sampled_from([0.0, 1e-3, 1.0]),
 )
 
 
 @given(STRUCTURES)
 def test_the_grid_covers_the_loops_and_no_more(structure):
-    grid = structure.grid(SPAN, VOLTS, TIMES)
+    grid = structure.grid(SPAN, VOLTS)
     stroke = SPAN[1] - SPAN[0]
     assert grid.breakaway.size == structure.elements
-    assert grid.breakaway[-1] == pytest.approx(structure.reach * stroke / 2)
+    assert grid.breakaway[-1] == pytest.approx(stroke / 2)
     for knots, count in ((grid.grades, structure.grades), (grid.knots, structure.knots - 1)):
         assert knots.size == count + 1
         np.testing.assert_allclose(knots[[0, -1]], SPAN)
@@ -38,15 +37,15 @@ def test_the_grid_covers_the_loops_and_no_more(structure):
     assert grid.drive.size == (structure.transformer + 1 if structure.transformer else 0)
     if structure.transformer:
         np.testing.assert_allclose(grid.drive[[0, -1]], VOLTS)
-    for values in (grid.breakaway, grid.grades, grid.knots, grid.drive, grid.time_constants):
+    for values in (grid.breakaway, grid.grades, grid.knots, grid.drive):
         assert np.all(np.diff(values) > 0)
-    # Every element but the last can slide both ways within the stroke; longer ones may slide once.
-    assert grid.movable.tolist() == [True] * (structure.elements - 1) + [structure.reach > 1]
+    # Every element but the last can slide both ways within the stroke.
+    assert grid.movable.tolist() == [True] * (structure.elements - 1) + [False]
 
 
 @given(STRUCTURES)
-def test_parameters_are_counted_as_the_regression_has_columns(structure):
-    grid = structure.grid(SPAN, VOLTS, TIMES)
+def test_parameters_are_counted_as_the_program_has_columns(structure):
+    grid = structure.grid(SPAN, VOLTS)
     columns = np.count_nonzero(grid.movable) * grid.segments + grid.knots.size - 1 + grid.moved
     assert structure.parameters == columns + max(grid.drive.size - 2, 0)
 
@@ -54,52 +53,34 @@ def test_parameters_are_counted_as_the_regression_has_columns(structure):
 @given(STRUCTURES)
 def test_json_values_give_the_structure_back(structure):
     assert Structure(**json.loads(json.dumps(structure.as_dict()))) == structure
-    unwritten = {"reach"} if structure.reach == 1 else set()
-    assert {field.name for field in fields(structure)} - unwritten == set(structure.as_dict())
+    assert {field.name for field in fields(structure)} == set(structure.as_dict())
 
 
 @given(structure=STRUCTURES, scale=st.floats(1e-3, 1e3))
 def test_the_grid_goes_with_the_units(structure, scale):
-    grid = structure.grid(SPAN, VOLTS, TIMES)
-    scaled = structure.grid(
-        (scale * SPAN[0], scale * SPAN[1]), (scale * VOLTS[0], scale * VOLTS[1]), (scale * TIMES[0], scale * TIMES[1])
-    )
-    for name in ("breakaway", "grades", "knots", "drive", "time_constants", "lengths"):
+    grid = structure.grid(SPAN, VOLTS)
+    scaled = structure.grid((scale * SPAN[0], scale * SPAN[1]), (scale * VOLTS[0], scale * VOLTS[1]))
+    for name in ("breakaway", "grades", "knots", "drive", "lengths"):
         np.testing.assert_allclose(getattr(scaled, name), scale * getattr(grid, name), rtol=1e-9, atol=1e-20 * scale)
     np.testing.assert_array_equal(scaled.closings, grid.closings)
 
 
 def test_the_default_is_the_papers_class_on_its_uniform_grid():
-    grid = Structure().grid((0.0, 16e-6), (0.0, 200.0), TIMES)
+    grid = Structure().grid((0.0, 16e-6), (0.0, 200.0))
     np.testing.assert_allclose(grid.breakaway, 16e-6 / 40 * np.arange(1, 21))
-    assert Structure().is_maxwell_slip
     assert (grid.segments, grid.moved, grid.drive.size) == (1, 0, 0)
 
 
 def test_spacing_makes_the_grid_dense_where_loops_are_small():
-    grid = Structure(elements=10, spacing=2.0).grid((0.0, 2.0), VOLTS, TIMES)
+    grid = Structure(elements=10, spacing=2.0).grid((0.0, 2.0), VOLTS)
     np.testing.assert_allclose(grid.breakaway, (np.arange(1, 11) / 10) ** 2)
 
 
-def test_creep_lasts_from_three_samples_to_the_longest_record():
-    grid = Structure(creep=5).grid(SPAN, VOLTS, TIMES)
-    np.testing.assert_allclose(grid.time_constants[[0, -1]], [0.03, 50.0])
-    np.testing.assert_allclose(np.diff(np.log(grid.time_constants), 2), 0, atol=1e-12)
-    # A record of few samples: three of them are long already.
-    few = Structure(creep=3).grid(SPAN, VOLTS, (1.0, 20.0))
-    np.testing.assert_allclose(few.time_constants[[0, -1]], [2.0, 20.0])
-
-
 def test_smooth_elements_have_each_length_with_both_closings():
-    grid = Structure(smooth=True).grid((0.0, 1.0), VOLTS, TIMES)
+    grid = Structure(smooth=True).grid((0.0, 1.0), VOLTS)
     assert sorted(zip(grid.lengths.tolist(), grid.closings.tolist(), strict=True)) == [
         (length, closing) for length in (0.02, 0.05, 0.1, 0.2, 0.5) for closing in (0.5, 1.0)
     ]
-
-
-@pytest.mark.parametrize("change", [{"grades": 2}, {"transformer": 2}, {"creep": 1}, {"smooth": True}])
-def test_any_other_part_makes_it_no_longer_plain(change):
-    assert not replace(Structure(), **change).is_maxwell_slip
 
 
 @pytest.mark.parametrize(
@@ -113,8 +94,10 @@ def test_any_other_part_makes_it_no_longer_plain(change):
         {"knots": 1},
         {"transformer": -1},
         {"transformer": 1},
-        {"creep": 51},
-        {"creep": "9"},
+        {"transformer": 201},
+        {"knots": "9"},
+        {"smoothing": 1.5},
+        {"smoothing": -1e-3},
         {"spacing": 0.4},
         {"spacing": float("nan")},
         {"spacing": "dense"},

@@ -8,12 +8,13 @@ import pytest
 
 import dehyst
 from dehyst import Actuator
-from dehyst.identification.temperature import temperature_effect
+from dehyst.identification import Structure
+from dehyst.identification.temperature import temperatures_of
 
 STROKE = plain_records.STROKE
 GAIN = -2.5e-3
 TRUE = plain_records.plant(10, seed=4)
-SETTINGS = {"structure": "maxwell_slip", "elements": 10}
+SETTINGS = {"structure": Structure(elements=10, knots=11, smoothing=0.0)}
 
 
 def at(first, last, seed, *, name="record", gain=GAIN, offset=0.0, known=True):
@@ -47,21 +48,16 @@ def test_the_gain_is_found(warm):
     assert Actuator.from_dict(warm.actuator.as_dict()).thermal == thermal
 
 
-def test_expansion_is_found_where_the_temperature_changes_within_records():
-    effect, _ = temperature_effect([at(15, 45, 1, offset=4e-8), at(40, 18, 2, offset=4e-8)])
-    assert effect.offset == pytest.approx(4e-8, rel=0.2)
-    assert abs(effect.offset - 4e-8) < 3 * effect.offset_error
-
-
 @pytest.mark.parametrize("seed", [1, 11])
-def test_a_gain_beside_an_offset_is_used_only_if_held_out_temperatures_show_it(seed):
+@pytest.mark.parametrize("gain", [GAIN, 0.0])
+def test_expansion_is_found_where_the_temperature_changes_within_records(gain, seed):
     turns = (15, 45, seed), (40, 18, seed + 1)
-    alone, _ = temperature_effect([at(*one, gain=0.0, offset=4e-8) for one in turns])
-    both, _ = temperature_effect([at(*one, offset=4e-8) for one in turns])
-    assert (alone.gain, alone.gain_error) == (0, 0)
-    assert alone.offset == pytest.approx(4e-8, rel=0.05)
-    assert both.gain == pytest.approx(GAIN, rel=0.2)
-    assert both.gain_error > 0
+    thermal = dehyst.identify(
+        [at(*one, gain=gain, offset=4e-8) for one in turns], **SETTINGS, drift=False
+    ).actuator.thermal
+    # The offset is that of a displacement of 0 at the reference.
+    assert thermal.offset == pytest.approx(4e-8, rel=0.2)
+    assert thermal.gain * STROKE == pytest.approx(gain * STROKE, abs=0.2 * abs(GAIN) * STROKE)
 
 
 @pytest.mark.parametrize("degrees", [22, 38])
@@ -78,7 +74,7 @@ def test_without_the_channel_the_promise_covers_what_is_reached():
     fit = dehyst.identify([at(15, 16, 1, known=False), at(29, 31, 2, known=False), at(45, 44, 3, known=False)])
     assert fit.actuator.thermal is None
     for degrees in (22, 38):
-        assert missed(fit.actuator, at(degrees, degrees, 7)) < fit.expectation.largest / STROKE
+        assert missed(fit.actuator, at(degrees, degrees, 7)) < fit.promise.largest / STROKE
 
 
 def test_a_new_record_is_compared_at_the_reference(warm):
@@ -89,21 +85,29 @@ def test_a_new_record_is_compared_at_the_reference(warm):
 
 
 def test_what_records_do_not_show_is_left_out_and_said():
-    assert temperature_effect([at(20, 21, 1), at(20, 21, 2)]) == (None, "")
+    assert temperatures_of([at(20, 21, 1), at(20, 21, 2)]) == (None, "")
     for records in ([at(15, 16, 1), at(44, 45, 2), at(30, 30, 3, known=False)], [at(20, 20, 1), at(35, 35, 2)]):
-        effect, reason = temperature_effect(records)
-        assert effect is None
-        assert "degC" in reason
+        found, reason = temperatures_of(records)
+        assert found is None
         fit = dehyst.identify(records, **SETTINGS)
-        assert reason in fit.expectation.reasons
+        assert reason in fit.promise.reasons
         assert fit.actuator.thermal is None
+
+
+def test_an_effect_that_is_not_there_is_not_found():
     none = [at(first, first + 1, seed, gain=0.0) for seed, first in ((1, 15), (2, 30), (3, 44))]
-    assert temperature_effect(none)[0] is None
+    assert temperatures_of(none)[0] is not None
+    fit = dehyst.identify(none, **SETTINGS)
+    assert fit.actuator.thermal is None
+    assert any("degC" in reason for reason in fit.promise.reasons)
 
 
-def test_what_changes_little_within_records_is_no_expansion():
-    effect, _ = temperature_effect([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)])
-    assert (effect.offset, effect.offset_error) == (0, 0)
+def test_the_range_and_the_change_within_records():
+    found, _ = temperatures_of([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)])
+    assert (found.low, found.high) == (pytest.approx(15, abs=0.2), pytest.approx(45, abs=0.2))
+    # What changes little within records shows no expansion: the zero of each may have moved.
+    assert not found.within
+    assert temperatures_of([at(15, 45, 1)])[0].within
 
 
 def test_a_record_without_temperature_is_remarked(warm):
@@ -131,7 +135,7 @@ def test_temperatures_in_use_that_records_do_not_have_are_named(warm):
 
 def test_a_check_at_a_temperature_that_was_not_tested_says_so_and_promises_less(warm):
     tested, hot = (dehyst.check(warm.actuator, at(first, first + 1, 7)) for first in (38, 60))
-    assert hot.promise.by_temperature > 0.03 * STROKE
-    assert tested.promise.by_temperature == 0
+    assert hot.promise.parts["temperature"] > 0.03 * STROKE
+    assert "temperature" not in tested.promise.parts
     assert not any("not tested" in one for one in tested.remarks)
     assert any("not tested" in one for one in hot.remarks)

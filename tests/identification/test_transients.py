@@ -8,8 +8,8 @@ from truths import BoucWenActuator, PreisachActuator
 import dehyst
 from dehyst import Record
 from dehyst.fleet import loop_width
-from dehyst.identification.preprocessing.cleaning import cycle_time, rest_at_ends
-from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.cleaning import cycle_time, rest_at_ends
+from dehyst.identification.preparation import prepare
 from dehyst.virtual import PlayActuator
 from examples import at_night, spanning
 
@@ -19,7 +19,7 @@ from examples import at_night, spanning
 )
 def test_the_motion_is_promised_and_the_transient_named(name, kind):
     found = suite.run(name, kind, samples=30_000)
-    error, expected = found.fit.errors[0], found.fit.expectation
+    error, expected = found.fit.errors[0], found.fit.promise
     assert any("set aside" in sentence for sentence in found.fit.repairs)
     assert expected.largest_percent < 1.0
     assert found.rms < 2 * 100 * expected.rms / error.stroke

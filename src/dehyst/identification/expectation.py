@@ -12,11 +12,14 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
-from dehyst.identification.results import Check, RecordErrors, RemainingError, Verdict
+from dehyst.identification.remaining import RemainingError
+from dehyst.identification.results import Check, RecordErrors, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import APART, Outcome, Validity, distances, legs, temperature_range
+from dehyst.model import APART, Outcome, Promise, Validity, distances, legs, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
+# The subtracted noise is known to this part.
+_NOISE_KNOWN = 0.1
 # Held-out legs may go beyond the voltages of the others by this part of the range.
 _BEYOND = 0.02
 
@@ -38,39 +41,44 @@ class Expectation:
 
     Attributes
     ----------
-    rms, largest : float
-        Bounds [m] that nine of ten paths within the recorded voltages should keep, less the mean error: see `Promise`.
+    promise : Promise
+        Promised error of any path like the records.
     measured : float
-        Measured RMS error of the records from which the bounds follow [m].
+        Measured RMS error of the records from which the promise follows [m].
     noise : float
         Standard deviation of the sensor [m].
-    stroke : float
-        Reference of percentages [m].
     goal : float
         Allowed largest error [% of the stroke].
     basis : str
         "validation records" or parts of the training records, in words.
     reasons : tuple of str
         Phrases on why the model is not ready, besides its error.
-    if_actuator_lags : (float, float), optional
-        `rms` and `largest` [m] if the actuator lags instead of the sensor; given if the records leave this open.
     tested : bool
         Whether the errors come from validation records.
-    untested : tuple of str
-        Sentences on properties of such a path that the records do not test.
     """
 
-    rms: float
-    largest: float
+    promise: Promise
     measured: float
     noise: float
-    stroke: float
     goal: float
     basis: str
     reasons: tuple[str, ...] = ()
-    if_actuator_lags: tuple[float, float] | None = None
     tested: bool = False
-    untested: tuple[str, ...] = ()
+
+    @property
+    def rms(self) -> float:
+        """RMS error that is promised [m]."""
+        return self.promise.rms
+
+    @property
+    def largest(self) -> float:
+        """Largest error that is promised [m]."""
+        return self.promise.largest
+
+    @property
+    def stroke(self) -> float:
+        """Reference of percentages [m]."""
+        return self.promise.stroke
 
     def __repr__(self) -> str:
         return f"<Expectation: {self.words}; goal {self.goal:g} %>"
@@ -128,9 +136,9 @@ class Expectation:
     def origin(self) -> str:
         """Origin of the expected errors, and their values if the sensor lags instead of the actuator."""
         text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
-        if self.if_actuator_lags is None:
+        if self.promise.if_actuator_lags is None:
             return text
-        rms, largest = map(self._part, self.if_actuator_lags)
+        rms, largest = map(self._part, self.promise.if_actuator_lags)
         return f"{text} If the actuator lags, and not the sensor, expect {largest} at most and {rms} RMS."
 
     @property
@@ -145,8 +153,8 @@ class Expectation:
             f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
             f"{self._both(self.largest)} at most, {APART} (from {self.basis}; goal {self.goal:g} %). {self._missed}"
         )
-        if self.if_actuator_lags is not None:
-            rms, largest = map(self._part, self.if_actuator_lags)
+        if self.promise.if_actuator_lags is not None:
+            rms, largest = map(self._part, self.promise.if_actuator_lags)
             text += f" That holds if the sensor lags; if the actuator does, expect {rms} RMS and {largest} at most."
         words = "; ".join(self.why_not_ready)
         return f"{text} {words[0].upper()}{words[1:]}." if words else text
@@ -157,8 +165,7 @@ class Expectation:
         return {
             **json_values(self, "readiness sentence"),
             "rms_percent": 100 * self.rms / self.stroke,
-            **json_values(self, f"largest_percent {numbers} basis tested reasons untested"),
-            **json_values(self, "if_actuator_lags_m=if_actuator_lags"),
+            **json_values(self, f"largest_percent {numbers} basis tested reasons promise"),
         }
 
 
@@ -209,7 +216,7 @@ def validity_of(
     largest = max(errors[q].settled_largest for q in judged) - NOISE_PEAK * noise - vibration
     return Validity.by_records(
         voltages,
-        rms=float(np.hypot(missed, RULES.noise_known * noise)),
+        rms=float(np.hypot(missed, _NOISE_KNOWN * noise)),
         largest=max(largest, 0.0),
         disagreement=held_out.disagreement,
         stroke=errors[0].stroke,
@@ -268,20 +275,7 @@ def expectation(
     failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
-    found, stroke = validity.anywhere, errors[0].stroke
-    return Expectation(
-        found.rms,
-        found.largest,
-        measured,
-        noise,
-        stroke,
-        goal,
-        basis,
-        tuple(reasons),
-        found.if_actuator_lags,
-        by_others,
-        found.untested,
-    )
+    return Expectation(validity.anywhere, measured, noise, goal, basis, tuple(reasons), by_others)
 
 
 def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], goal: float) -> list[str]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
+
+from numpy.typing import ArrayLike
 
 from dehyst._text import escaped, to_know
 from dehyst._views import html, tables
@@ -13,9 +14,10 @@ from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
 from dehyst._views.pictures import plotted
 from dehyst.identification.expectation import Expectation, Readiness
-from dehyst.identification.results import Check, HeldOutHolds, RecordErrors, RemainingError, Trace
-from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, Outcome, State, parts_of
+from dehyst.identification.remaining import RemainingError
+from dehyst.identification.results import Check, RecordErrors, Trace
+from dehyst.model import Actuator, Motion, Outcome, parts_of
+from dehyst.records import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,8 +30,7 @@ class Fit:
 
     Attributes
     ----------
-    actuator : AbstractModel or None
-        None only when the outcome is `Outcome.FAILED`.
+    actuator : Actuator
     outcome : Outcome
     errors : tuple of RecordErrors
         One for each record, training first, then validation.
@@ -39,43 +40,34 @@ class Fit:
         Sentences on the limits of the result.
     traces : tuple of Trace
         Measured and simulated displacement of each record.
-    status : str
-        Status text of the solver.
-    gap : float
-        Duality gap, relative to the sum of the absolute weighted voltages.
     options : Mapping
         Options as requested and as used.
     checks : tuple of Check
-        Assumptions of the model, tested on the records.
-    trials : tuple of dehyst.identification.structure_selection.StructureTrial
-        Structures that were tried, if one was selected.
-    expectation : Expectation or None
-        Expected error of a path, and the verdict; None when the outcome is `Outcome.FAILED`.
+        Properties of the model and of its residuals.
+    trials : tuple
+        Candidates of the search, each with its `words`, its `held_out` error [m] and its `structure`.
+    promise : Expectation or None
+        Error to expect of a path, and the verdict; None if it was not judged.
     remaining : tuple of RemainingError
         Sources of each record's error.
-    holds : HeldOutHolds or None
-        Errors in held-out holds with each form of creep; None if the records do not show them.
     """
 
-    actuator: Any
+    actuator: Actuator
     outcome: Outcome
     errors: tuple[RecordErrors, ...] = ()
     repairs: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     traces: tuple[Trace, ...] = ()
-    status: str = ""
-    gap: float = float("nan")
     options: Mapping[str, Any] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
     trials: tuple[Any, ...] = ()
-    expectation: Expectation | None = None
+    promise: Expectation | None = None
     remaining: tuple[RemainingError, ...] = ()
-    holds: HeldOutHolds | None = None
 
     def __repr__(self) -> str:
         records = ", ".join(f"'{escaped(error.record)}'" for error in self.errors[:3])
         more = f" and {len(self.errors) - 3} more" if len(self.errors) > 3 else ""
-        verdict = "" if self.expectation is None else f"{self.expectation.words}; "
+        verdict = "" if self.promise is None else f"{self.promise.words}; "
         return f"<Fit of {records or 'no record'}{more}: {verdict}{self.outcome.name}>"
 
     def __str__(self) -> str:
@@ -90,6 +82,28 @@ class Fit:
         `full` returns what `--all` prints: also errors, structures, parts, repairs and all remarks.
         """
         return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
+
+    @property
+    def model(self) -> Actuator:
+        """The actuator, as `StageFit.model` is the stage."""
+        return self.actuator
+
+    def simulate(self, voltage: ArrayLike, **options: Any) -> Motion:
+        """Return the displacement that a voltage (n,) [V] causes, as `Actuator.simulate` with its options."""
+        return self.actuator.simulate(voltage, **options)
+
+    def score(self, record: Record) -> RecordErrors:
+        """Return the errors of the model on another record, with a constant, a zero and a drift of its own.
+
+        Raise `RecordError` or `IdentifyError` if the record cannot be used.
+        """
+        from dehyst.identification.comparison import compare, errors_of, prepare_for
+
+        stroke = self.errors[0].stroke if self.errors else self.actuator.stroke
+        prepared = prepare_for(self.actuator, record)
+        known = self.actuator.identification
+        drifts = prepared.can_drift and known is not None and known.drift
+        return errors_of(self.actuator, compare(self.actuator, prepared, stroke, drifting=drifts), "validation")[0]
 
     def to_dataframe(self) -> DataFrame:
         """Return the errors as a pandas DataFrame, one row for each record: in % of the stroke and in nm.
@@ -134,49 +148,35 @@ class Fit:
     @property
     def good(self) -> bool:
         """Whether the model may be used: neither its outcome nor its expected error forbids this."""
-        usable = self.expectation is None or self.expectation.readiness is not Readiness.NOT_USABLE
+        usable = self.promise is None or self.promise.readiness is not Readiness.NOT_USABLE
         return self.outcome.good and usable
-
-    @property
-    def starts(self) -> dict[str, tuple[State, ...]]:
-        """The states from which each record was simulated, by its name; one for each of its pieces."""
-        return {error.record: error.starts for error in self.errors}
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
-        keys = "outcome sentence=outcome.value good verdict=expectation remaining errors checks repairs remarks holds"
-        return {
-            **json_values(self, keys),
-            "solver": {"status": self.status, "duality_gap": self.gap if isfinite(self.gap) else None},
-            **json_values(self, "options trials"),
-        }
+        keys = "outcome sentence=outcome.value good verdict=promise remaining errors checks repairs remarks"
+        return json_values(self, f"{keys} options trials")
 
 
-# Structures, best first.
+_HEAD = ("record", "role", "samples", "left out", "largest, % of stroke", "RMS, % of stroke", "largest", "RMS")
+# Number of candidates in a summary.
 _SHOWN = 5
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
 
 
-def label(structure: Structure, trials: Sequence[Any]) -> str:
-    """Describe a structure in words, with its smoothing if only that differs from another trial."""
-    smoothings = {trial.structure.smoothing for trial in trials if trial.structure.words == structure.words}
-    return structure.words if len(smoothings) < 2 else f"{structure.words}; smoothing {structure.smoothing:g}"
-
-
 def _one_line(fit: Fit) -> str:
     """Return the verdict with its numbers, or how the fit ended."""
-    return fit.outcome.value if fit.expectation is None else fit.expectation.sentence
+    return fit.outcome.value if fit.promise is None else fit.promise.sentence
 
 
 def _brief(fit: Fit) -> Iterator[str]:
     """Yield the error to expect, what it comes from, at most three things to know, and how many more there are."""
-    verdict, things = fit.expectation, [*fit.remarks]
+    verdict, things = fit.promise, [*fit.remarks]
     if verdict is None:
         yield fit.outcome.value
     else:
         yield f"{verdict.headline}."
         yield verdict.origin
-        yield from _creep(fit)
+        yield from (f"{name}: {sentence}" for name, sentence in _parts_of(fit.actuator) if name.startswith("Creep"))
         ended = [] if fit.outcome.good else [fit.outcome.value]
         # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
         usable = verdict.readiness is not Readiness.NOT_USABLE
@@ -185,54 +185,40 @@ def _brief(fit: Fit) -> Iterator[str]:
 
 
 def _lines(fit: Fit) -> Iterator[str]:
-    """Yield the lines of a summary: verdict, errors, structures, parts, repairs, remaining error, remarks, solver."""
-    if fit.expectation is not None:
-        yield fit.expectation.sentence
+    """Yield the lines of a summary: verdict, errors, candidates, parts, repairs, remaining error, remarks."""
+    if fit.promise is not None:
+        yield fit.promise.sentence
     yield fit.outcome.value
-    yield from _error_table(fit.errors)
+    if fit.errors:
+        rows = [_HEAD, *_error_rows(fit.errors)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        yield from ("", *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows))
     if fit.trials:
-        yield from ("", "Structures tried, RMS error of cycles held out in turn:")
-        structure = fit.options.get("structure")
+        yield from ("", "Candidates, best first, and their RMS error on held-out parts of the records:")
+        chosen = fit.options.get("structure")
         for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
-            chosen = " (chosen)" if trial.structure.as_dict() == structure else ""
-            yield f"  {trial.held_out * 1e9:>7.1f} nm  {label(trial.structure, fit.trials)}{chosen}"
-        yield "  (A part is kept only if it lowers this error by at least 3 %.)"
-    yield from _creep(fit)
+            mark = " (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""
+            yield f"  {trial.held_out * 1e9:>7.1f} nm  {trial.words}{mark}"
     if parts := _parts_of(fit.actuator):
         yield from ("", "The model is made of:", *(f"  {name + ':':<18}{sentence}" for name, sentence in parts))
     for title, sentences in _lists(fit):
         if sentences:
             yield from ("", f"{title}:", *(f"  - {sentence}" for sentence in sentences))
-    yield from ("", f"Solver: {fit.status}, duality gap {fit.gap:.1g}")
 
 
-def _creep(fit: Fit) -> Iterator[str]:
-    """Yield a line on the form of creep that predicts held-out holds best, if the records have holds."""
-    if fit.holds is not None:
-        yield fit.holds.sentence(fit.actuator)
+def _error_rows(errors: Sequence[RecordErrors]) -> list[tuple[str, ...]]:
+    """Return the cells of the errors by record, in the order of the head."""
+    rows = []
+    for one in errors:
+        counts = escaped(one.record), one.role, str(one.samples), str(one.left_out)
+        sizes = one.largest, one.rms
+        rows.append((*counts, *(percent(size, one.stroke) for size in sizes), *map(length, sizes)))
+    return rows
 
 
-def _error_table(errors: Sequence[RecordErrors]) -> Iterator[str]:
-    if not errors:
-        return
-    names = [escaped(error.record) for error in errors]
-    width = max(6, *map(len, names))
-    yield ""
-    yield f"{'':<{width}}  {'':<10} {'':>8} {'':>8}  {'of the stroke':^18}  {'':^18}  {'with its drift':^18}"
-    yield f"{'record':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}" + 3 * f"  {'largest':>9}{'RMS':>9}"
-    for name, error in zip(names, errors, strict=True):
-        drift, rms = 100 * error.largest_with_drift / error.stroke, 100 * error.rms_with_drift / error.stroke
-        yield (
-            f"{name:<{width}}  {error.role:<10} {error.samples:>8} {error.left_out:>8}"
-            f"  {error.largest_percent:>7.3f} % {error.rms_percent:>7.3f} %"
-            f"  {error.largest * 1e9:>6.0f} nm {error.rms * 1e9:>6.0f} nm  {drift:>7.3f} %{rms:>7.3f} %"
-        )
-
-
-def _parts_of(actuator: Any) -> list[tuple[str, str]]:
-    """Return name and sentence of each part of an actuator; none where there is no actuator."""
-    parts = parts_of(actuator) if isinstance(actuator, Actuator) else ()
-    return [(part.name, part.sentence) for part in parts]
+def _parts_of(actuator: Actuator) -> list[tuple[str, str]]:
+    """Return name and sentence of each part of an actuator."""
+    return [(part.name, part.sentence) for part in parts_of(actuator)]
 
 
 def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:
@@ -242,23 +228,14 @@ def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:
 
 def _as_html(fit: Fit) -> str:
     """Return a fit for a notebook: verdict, errors, and what opens with a click."""
-    head = ("record", "role", "samples", "left out", "largest", "RMS", "largest, % of stroke", "RMS, % of stroke")
-    rows = [
-        (
-            *(one.record, one.role, one.samples, one.left_out, length(one.largest), length(one.rms)),
-            *(percent(one.largest, one.stroke), percent(one.rms, one.stroke)),
-        )
-        for one in fit.errors
-    ]
-    verdict = fit.expectation
+    verdict = fit.promise
     return html.block(
         "Fit" if verdict is None else f"Fit: {verdict.readiness.value}",
         html.line(_one_line(fit)),
         html.line(fit.outcome.value) if verdict is not None else "",
-        *map(html.line, _creep(fit)),
-        html.table(head, rows) if rows else "",
+        html.table(_HEAD, _error_rows(fit.errors)) if fit.errors else "",
         html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence in _parts_of(fit.actuator)]),
-        html.folded("Assumptions", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in fit.checks]),
+        html.folded("Checks", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in fit.checks]),
         *(html.folded(title, sentences) for title, sentences in _lists(fit)),
         colour="red" if not fit.good else "" if verdict is None else _COLOURS[verdict.readiness],
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from math import isnan, nan
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, packed, reading_errors, write_atomically
+from dehyst._io import PathLike, packed, write_atomically
 from dehyst._text import counted, escaped
 from dehyst._types import Array
 from dehyst._validation import keep
@@ -21,11 +21,14 @@ from dehyst._views import tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
-from dehyst.model import Actuator, State
-from dehyst.records import turning_points, white_noise
+from dehyst.model import State
+from dehyst.records import turning_points
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+# A rate of creep from a smaller part of a decade is an extrapolation.
+FEWEST_DECADES = 0.5
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def may_creep(rate: float, decades: float) -> bool:
     Piezoelectric actuators creep by a few percent a decade; a larger drift has another cause. A rate from a small part
     of a decade is an extrapolation.
     """
-    return abs(rate) <= RULES.most_creep and decades >= RULES.fewest_decades
+    return abs(rate) <= RULES.most_creep and decades >= FEWEST_DECADES
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,161 +174,8 @@ class Trace:
         return tables.frame(columns, record=self.record, role=self.role)
 
 
-# The model's part is located if it is the first share, and worth a better model if it is the second.
-_NAMED, _WORTH = 0.1, 0.25
-# By the first word of the largest part.
-_REMEDIES = {
-    "white": "A quieter sensor or averaged cycles would reduce it; a better model would not.",
-    "drift": "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
-    "the": "More elements, grades or loops that turn elsewhere may reduce it.",
-    "a": "Isolate the stage, or close the loop: no model of the voltage can follow it.",
-}
-# Lines around a vibration; the middle of one is known to this part of a step.
-_NEIGHBOURS, _APART = 20, 0.15
-
-
-@dataclass(frozen=True)
-class RemainingError:
-    """Sources of a record's error, as shares of the power of its residual.
-
-    Attributes
-    ----------
-    record, role : str
-    rms : float
-        RMS of the residual without its mean [m].
-    noise, slow, vibration, model : float
-        Shares of white noise, of drift and other slow causes, of vibration (a line not in the voltage), and of the
-        model.
-    frequency : float
-        Frequency of the vibration [Hz]; 0 without one.
-    means : tuple of float
-        Mean residual, its slow part aside [m]: where the voltage rises, in the lowest, middle and highest third of the
-        displacements, then where it falls. Empty without an error.
-    """
-
-    record: str
-    role: str
-    rms: float
-    noise: float
-    slow: float
-    vibration: float
-    model: float
-    frequency: float
-    means: tuple[float, ...] = ()
-
-    @property
-    def vibration_amplitude(self) -> float:
-        """Amplitude of the line [m]."""
-        return self.rms * float(np.sqrt(2 * self.vibration))
-
-    @property
-    def sensed(self) -> float:
-        """RMS of the sensor's part: white noise and vibration [m]."""
-        return self.rms * float(np.sqrt(self.noise + self.vibration))
-
-    def sentence(self, stroke: float) -> str:
-        """Return the record and its `causes`; lengths are parts of `stroke` [m]."""
-        return f"{self.record}: of the remaining error's power, {self.causes(stroke)}"
-
-    def causes(self, stroke: float) -> str:
-        """Return the shares as text, with lengths as parts of `stroke` [m], and a remedy for the largest share."""
-        parts = [(self.noise, "white noise"), (self.slow, "drift or another slow cause"), (self.model, "the model")]
-        if self.vibration:
-            size = f"{100 * self.vibration_amplitude / stroke:.2g} % of the stroke, which the voltage does not cause"
-            parts.append((self.vibration, f"a vibration of {self.frequency:.3g} Hz, {size}"))
-        parts.sort(reverse=True)
-        shares = ", ".join(f"{100 * share:.0f} % {cause}" for share, cause in parts)
-        remedy, place = _REMEDIES[parts[0][1].split()[0]], ""
-        if self.noise == parts[0][0] and self.model > _WORTH:
-            remedy = "A quieter sensor or averaged cycles would reduce it; a better model, its own part."
-        if self.model >= _NAMED and self.means:
-            worst = max(range(len(self.means)), key=lambda k: abs(self.means[k]))
-            way, third = ("rising", "falling")[worst // 3], ("lowest", "middle", "highest")[worst % 3]
-            mean = f"{100 * self.means[worst] / stroke:+.2g} % of the stroke"
-            place = f" The model's part is largest where {way} in the {third} third: {mean} on average."
-        return f"{shares}.{place} {remedy}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
-
-
-def remaining_error(trace: Trace) -> RemainingError:
-    """Split the mean square of a record's residual.
-
-    White noise differs from sample to sample. The slow part remains in means over a cycle: drift, temperature, creep
-    that the model lacks. A line that is not in the voltage is a vibration. The rest repeats with the voltage: it is the
-    model's own error.
-    """
-    residual = trace.residual - trace.residual.mean()
-    total = float(np.mean(residual**2))
-    size = float(np.sqrt(total))
-    if residual.size < 64 or not total:
-        return RemainingError(trace.record, trace.role, size, 0.0, 0.0, 0.0, 0.0, 0.0)
-    white = min(white_noise(trace.residual) ** 2, total)
-    slow = _slow(trace, residual)
-    fast = residual - slow
-    frequency, line = _vibration(trace, fast)
-    drifting = float(np.mean(slow**2))
-    model = max(total - white - drifting - line, 0.0)
-    # Estimates of parts may add up to more than the whole.
-    scale = total / max(white + drifting + line + model, total)
-    noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
-    # Means where the voltage rises, then where it falls, by thirds of the displacements.
-    y, change = trace.simulated, np.gradient(trace.voltage)
-    third = np.clip((3 * (y - y.min()) / max(float(np.ptp(y)), 1e-300)).astype(int), 0, 2)
-    places = [(change * way > 0) & (third == k) for way in (1, -1) for k in range(3)]
-    means = tuple(float(fast[place].mean()) if place.any() else 0.0 for place in places)
-    return RemainingError(trace.record, trace.role, size, noise, drift, vibration, rest, frequency, means)
-
-
-def _slow(trace: Trace, residual: Array) -> Array:
-    """Return means over a cycle of the voltage (n,)."""
-    turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
-    cycle = max(int(2 * residual.size / max(len(turns), 2)), 2)
-    if cycle >= residual.size:
-        return np.zeros(residual.size)
-    padded = np.pad(residual, (cycle // 2, cycle - 1 - cycle // 2), mode="reflect")
-    sums = np.cumsum(np.append(0.0, padded))
-    return np.asarray((sums[cycle:] - sums[:-cycle]) / cycle)
-
-
-def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
-    """Return frequency [Hz] and mean square [m2] of the strongest line that the voltage does not have; 0 if none."""
-    step, window = float(np.median(np.diff(trace.time))), np.hanning(residual.size)
-    power = np.abs(np.fft.rfft(residual * window)) ** 2
-    drive = np.abs(np.fft.rfft((trace.voltage - trace.voltage.mean()) * window)) ** 2
-    k = int(np.argmax(power[2:])) + 2
-    near = slice(max(k - 2, 1), k + 3)
-    around = np.concatenate([power[max(k - _NEIGHBOURS, 1) : near.start], power[near.stop : k + _NEIGHBOURS]])
-    share = float(power[near].sum()) / max(float(power[1:].sum()), 1e-300)
-    driven = float(drive[near].max()) > RULES.driven_line * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
-    if driven or share < RULES.line_power or not around.size or power[k] < RULES.line_height * float(np.median(around)):
-        return 0.0, 0.0
-    # The sine next to that line that holds most of the residual.
-    time = np.arange(residual.size) * step
-    frequencies = k / (step * residual.size) + np.linspace(-1, 1, 21) / time[-1]
-    sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]
-    best = int(np.argmax(sizes))
-    return float(frequencies[best]), 0.5 * float(sizes[best]) ** 2
-
-
-def _harmonic(drive: Array, k: int) -> bool:
-    """Whether line k is a multiple of the one that holds most of the voltage: hysteresis makes those."""
-    first = int(np.argmax(drive[1:])) + 1
-    lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
-    own = drive[lines]
-    if first < RULES.fewest_periods or float(own.sum()) < RULES.periodic * float(drive[1:].sum()):
-        return False
-    middle = float(lines @ own / own.sum())
-    multiple = max(round(k / middle), 1)
-    within = _APART * multiple + 1
-    # Beyond a quarter of the distance between multiples, any line would count as one.
-    return abs(k - multiple * middle) <= within <= middle / 4
-
-
 class Verdict(Enum):
-    """Whether an assumption of a model holds; the value is the word to show."""
+    """Whether a property holds; the value is the word to show."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -334,16 +184,16 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """An assumption of a model, tested on the records.
+    """A property that a model or its residuals must have.
 
     Attributes
     ----------
     name : str
-        The assumption: "Assumption I", "Anti-symmetry", ...
+        "Rising branches", "Width", ...
     verdict : Verdict
     value, floor : float or None
-        The measured value, and the largest value due to noise alone (for Assumption I the least allowed value); None if
-        there is no such number.
+        The measured value, and the largest value due to noise alone (of a slope, the least that the fit allowed); None
+        if there is no such number.
     unit : str
         Unit of both.
     sentence : str
@@ -367,41 +217,6 @@ _HEADS = "dehyst-output"
 _COLUMNS = {"time_s": "time", "voltage_V": "voltage", "measured_m": "measured", "simulated_m": "simulated"}
 
 
-@dataclass(frozen=True)
-class HeldOutHolds:
-    """RMS errors [m] of the drift in held-out holds of the voltage, by form of creep; see `held_out.held_out_holds`.
-
-    `without`: of a model without creep. `force`: with creep as a force parallel to the elements. `displacement`: with
-    creep in displacement, behind them.
-    """
-
-    without: float
-    force: float
-    displacement: float
-
-    @property
-    def in_displacement(self) -> bool:
-        """Whether creep in displacement predicts held-out holds, and creep as a force not much better."""
-        predicts = self.displacement < RULES.hold_gain * self.without
-        return predicts and RULES.force_gain * self.displacement < self.force
-
-    def as_dict(self) -> dict[str, float]:
-        """Return JSON values [m]."""
-        return {f"{name}_m": error for name, error in asdict(self).items()}
-
-    def sentence(self, actuator: Actuator) -> str:
-        """Return a sentence on the form of creep of an `actuator`, and on the remaining drift with each form."""
-        force, behind = (100 * error / self.without for error in (self.force, self.displacement))
-        forms = {"as a force": (actuator.creep, force), "in displacement": (actuator.displacement_creep, behind)}
-        others = [f"{left:.0f} % {form}" for form, (part, left) in forms.items() if part is None]
-        for form, (part, left) in forms.items():
-            if part is not None:
-                first, last = part.time_constants[[0, -1]].tolist()
-                spread = f"{len(part)} time constants from {first:.3g} to {last:.4g} s"
-                return f"Creep: {form}, {spread}; of the drift in held-out holds {left:.0f} % is left ({others[0]})."
-        return f"Creep: none; of the drift in held-out holds {others[0]} and {others[1]} would be left."
-
-
 def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
     """Write `traces` to a `path` that ends in .npz.
 
@@ -417,17 +232,3 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
     for k, one in enumerate(traces, 1):
         arrays |= {f"{column}_{k}": getattr(one, name) for column, name in _COLUMNS.items()}
     write_atomically(path, packed(arrays))
-
-
-def read_traces(path: PathLike) -> Iterator[Trace]:
-    """Yield the traces that `write_traces` wrote to a `path`, one at a time.
-
-    Raise `FileFormatError` if the file cannot be read, or holds no traces.
-    """
-    with reading_errors(Path(path), ".npz"), np.load(path, allow_pickle=False) as archive:
-        if _HEADS not in archive:
-            raise FileFormatError(f"{path}: holds no traces; write them with dehyst identify --traces")
-        heads: list[dict[str, Any]] = json.loads(archive[_HEADS].tobytes())
-        for k, head in enumerate(heads, 1):
-            columns = {name: archive[f"{column}_{k}"] for column, name in _COLUMNS.items()}
-            yield Trace(head["record"], head["role"], **columns, began=float(head["first_s"]))

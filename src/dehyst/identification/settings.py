@@ -6,14 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import Any, Literal, TypeVar
 
 from dehyst import _validation
 from dehyst._errors import IdentifyError
-from dehyst._types import Array, Progress
-from dehyst.identification.solvers.program import NORMS, Norm
+from dehyst._types import Progress
+from dehyst.identification.structure import Structure
 
 _T = TypeVar("_T")
 _U = TypeVar("_U")
@@ -152,66 +150,42 @@ class Deadline:
         return [f"{self._cause} ended {cut}: the model is the best so far, {best}."]
 
 
-# Default number of elements: twice the paper's, because every sample is in the fit.
-_ELEMENTS = 20
-
-
 @dataclass(frozen=True, eq=False)
 class Settings:
     """Options of `dehyst.identify`; see there.
 
-    Raise `IdentifyError` if an option is impossible, or two exclude each other.
+    Raise `IdentifyError` if an option is impossible.
     """
 
-    elements: int | None = None
-    breakaway: Array | None = None
-    norm: Norm = "l1"
-    knots: int | None = None
-    slope_floor: float = 0.2
     delay: float | None = None
     sensor_lag: float | None = None
+    lag_of: Literal["actuator", "sensor"] | None = None
     shared_datum: bool = False
     drift: bool = True
+    structure: Structure | Literal["auto", "maxwell_slip"] = "auto"
+    slope_floor: float = 0.2
 
     def __post_init__(self) -> None:
-        _validation.choice(self.norm, "norm", NORMS)
-        if self.elements is not None:
-            _validation.count(self.elements, "elements")
-        if self.knots is not None:
-            _validation.count(self.knots, "knots", least=2)
-        _validation.fraction(self.slope_floor, "slope_floor")
         if self.delay is not None:
             _validation.seconds(self.delay, "delay")
         if self.sensor_lag is not None:
             _validation.seconds(self.sensor_lag, "sensor_lag")
-        if self.breakaway is None:
-            return
-        rho = _validation.vector(self.breakaway, "breakaway", error=IdentifyError)
-        if self.elements is not None:
-            raise IdentifyError("got both elements and breakaway, need only one of them")
-        if not 1 <= rho.size <= 500 or rho[0] <= 0 or np.any(np.diff(rho) <= 0):
-            raise IdentifyError("breakaway: need 1 to 500 positive, strictly increasing elongations in metres")
-        object.__setattr__(self, "breakaway", rho)
+        if self.lag_of is not None:
+            _validation.choice(self.lag_of, "lag_of", ("actuator", "sensor"))
+        if self.structure not in ("auto", "maxwell_slip") and not isinstance(self.structure, Structure):
+            need = "'auto', 'maxwell_slip' or a dehyst.Structure"
+            raise IdentifyError(argument="structure", got=repr(self.structure), need=need)
 
     @property
-    def of_maxwell_slip(self) -> list[str]:
-        """Names of given options that only Maxwell-slip elements have."""
-        return [name for name in ("elements", "knots", "breakaway") if getattr(self, name) is not None]
-
-    @property
-    def count(self) -> int:
-        """Number of elements N."""
-        if self.breakaway is not None:
-            return self.breakaway.size
-        return self.elements or _ELEMENTS
+    def lags(self) -> str | None:
+        """Whose the lag of the records is: as stated, or the actuator's beside the known lag of a sensor."""
+        return self.lag_of if self.lag_of is not None or self.sensor_lag is None else "actuator"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the options that affect the result as JSON values."""
         return {
-            "norm": self.norm,
-            "elements": self.count,
-            "slope_floor": self.slope_floor,
             "shared_datum": self.shared_datum,
             "drift": self.drift,
             **({} if self.sensor_lag is None else {"sensor_lag": self.sensor_lag}),
+            **({} if self.lags is None else {"lag_of": self.lags}),
         }

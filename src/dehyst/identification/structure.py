@@ -17,10 +17,8 @@ from dehyst.model import Actuator, GradedSlip, segment_of
 # lengths: longer ones would still depend on how a record began.
 _LENGTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5])
 _CLOSINGS = np.array([0.5, 1.0])
-# Time constant of the fastest creep branch in samples: faster ones are almost elastic.
-_FASTEST = 3.0
 # Least and most.
-_COUNTS = {"elements": (1, 500), "grades": (1, 50), "knots": (2, 500), "transformer": (0, 200), "creep": (0, 50)}
+_COUNTS = {"elements": (1, 500), "grades": (1, 50), "knots": (2, 500), "transformer": (0, 200)}
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,10 @@ class Structure:
         Knots of the spring.
     transformer : int
         Segments of tau(v); 0: no transformer.
-    creep : int
-        Creep branches, time constants log-spaced from a few samples to the longest record; 0: no creep.
     smooth : bool
         Whether there are elements that yield gradually, of five lengths.
     smoothing : float
         Weight of the differences of neighbouring stiffnesses and slopes; 0: none. See `regularization`.
-    reach : float
-        Longest threshold in half strokes. Elements beyond 1 never slide both ways, but may slide once while the range
-        of loops that grow gets wider; up to there they act as part of the spring.
 
     Raises
     ------
@@ -61,10 +54,8 @@ class Structure:
     grades: int = 1
     knots: int = 21
     transformer: int = 0
-    creep: int = 0
     smooth: bool = False
     smoothing: float = 3e-3
-    reach: float = 1.0
 
     def __post_init__(self) -> None:
         for name, (least, most) in _COUNTS.items():
@@ -72,21 +63,14 @@ class Structure:
         _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
         _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
         _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
-        _validation.between(self.reach, "reach", 1, 2, "a number of half strokes")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
-
-    @property
-    def is_maxwell_slip(self) -> bool:
-        """Whether it has elements of constant stiffness and a spring only, as in Yeh's paper."""
-        return self.grades == 1 and not (self.transformer or self.creep or self.smooth)
 
     @property
     def parameters(self) -> int:
         """Number of coefficients of the convex program, without the constants of records."""
         smooth = _LENGTHS.size * _CLOSINGS.size if self.smooth else 0
-        sliding = self.elements - (self.reach == 1)
-        return sliding * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + self.creep + smooth
+        return (self.elements - 1) * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + smooth
 
     @property
     def words(self) -> str:
@@ -96,41 +80,28 @@ class Structure:
             parts.append(f"graded in {self.grades} segments")
         if self.transformer:
             parts.append(f"a transformer of {self.transformer} segments")
-        if self.creep:
-            parts.append(f"{self.creep} creep branches")
         if self.smooth:
             parts.append("smooth elements")
-        if self.reach > 1:
-            parts.append(f"thresholds up to {self.reach:g} half strokes")
         return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
-        fields = asdict(self)
-        if self.reach == 1:
-            del fields["reach"]
-        return fields
+        return asdict(self)
 
-    def grid(self, span: tuple[float, float], voltages: tuple[float, float], times: tuple[float, float]) -> Grid:
-        """Return thresholds and knots for loops over displacements [m], `voltages` [V] and `times` [s], (low, high).
-
-        `span` holds displacements.
-        """
+    def grid(self, span: tuple[float, float], voltages: tuple[float, float]) -> Grid:
+        """Return thresholds and knots for loops over displacements `span` [m] and `voltages` [V], (low, high)."""
         low, high = span
         stroke = high - low
-        longest = 0.5 * stroke * self.reach
-        breakaway = longest * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
+        breakaway = 0.5 * stroke * (np.arange(1, self.elements + 1) / self.elements) ** self.spacing
         lengths = np.repeat(_LENGTHS * stroke, _CLOSINGS.size) if self.smooth else np.zeros(0)
         return Grid(
             breakaway,
             np.linspace(low, high, self.grades + 1),
             np.linspace(low, high, self.knots),
             np.linspace(*voltages, self.transformer + 1) if self.transformer else np.zeros(0),
-            np.geomspace(min(_FASTEST * times[0], 0.1 * times[1]), times[1], self.creep),
-            lengths,
-            np.tile(_CLOSINGS, lengths.size // _CLOSINGS.size),
-            self.grades > 1,
-            np.ones(self.elements, dtype=bool) if self.reach > 1 else None,
+            lengths=lengths,
+            closings=np.tile(_CLOSINGS, lengths.size // _CLOSINGS.size),
+            graded=self.grades > 1,
         )
 
 
@@ -221,11 +192,6 @@ class Grid:
         return np.asarray(rows[np.sort(first)], dtype=np.float64)
 
     @property
-    def reaches_beyond(self) -> bool:
-        """Whether elements get a stiffness that cannot slide both ways within the knots."""
-        return bool(np.any(2 * self.breakaway[self.movable] > np.ptp(self.knots) * (1 + 1e-9)))
-
-    @property
     def segments(self) -> int:
         """Number M of segments."""
         return self.grades.size - 1
@@ -235,20 +201,14 @@ class Grid:
         """Number of internal states besides the carts: J + L."""
         return self.time_constants.size + self.lengths.size
 
-    def places(self, strained: int = 0) -> dict[str, slice]:
-        """Return the places of each kind of unknown that is not negative, in the order of the program.
-
-        `strained`: number of records whose creep branches may not be at rest as they begin; each branch then has two
-        unknowns, a positive and a negative strain.
-        """
-        branches = self.time_constants.size
+    def places(self) -> dict[str, slice]:
+        """Return the places of each kind of unknown that is not negative, in the order of the program."""
         sizes = {
             "elements": int(np.count_nonzero(self.movable)) * self.segments,
             "spring": self.knots.size - 1,
-            "creep": branches,
+            "creep": self.time_constants.size,
             "smooth": self.lengths.size,
             "transformer": max(self.drive.size - 2, 0),
-            "starts": 2 * strained * branches,
         }
         ends = np.cumsum(list(sizes.values())).tolist()
         return {kind: slice(end - size, end) for (kind, size), end in zip(sizes.items(), ends, strict=True)}

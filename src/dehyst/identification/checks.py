@@ -1,0 +1,175 @@
+"""Checks of a model: its slopes, its elements, and the patterns that its residuals must not show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst.identification.results import Check, Trace, Verdict, may_creep
+from dehyst.model import Actuator, Slopes
+from dehyst.records import rms, turning_points
+
+_OF_STROKE, _A_DECADE = "% of the stroke", "% a decade"
+# Places along the stroke; least number of branches at a place, or of a record, whose scatter is estimated.
+_PLACES, _FEWEST = 12, 3
+# Noise alone exceeds the floor of a check this often; smaller patterns are below the resolution of a record [%].
+_RISK, _SMALLEST = 0.05, 0.1
+_OTHER_WIDTH = "the model's loops have another width there, which more loops that turn there may mend"
+_OTHER_MIDDLE = "the spring or the transformer bends more there than its knots allow"
+
+
+def model_checks(actuator: Actuator, traces: Sequence[Trace], stroke: float, floor: float = 0.0) -> tuple[Check, ...]:
+    """Test the slopes and the elements of a model, and the residuals of its training records.
+
+    Residuals of a model that follows its records do not differ between rising and falling branches, along the stroke,
+    or in time.
+
+    `traces`: as in `Fit`. `stroke`: range of the widest training loop [m]. `floor`: least slope of a branch that the
+    fit allowed [V/m]; 0: none.
+
+    Returns
+    -------
+    tuple of Check
+        Rising branches, Sliding elements, Width, Middle line, No drift.
+    """
+    training = [trace for trace in traces if trace.role == "training"]
+    slopes, elements = _rising(actuator, floor), _sliding(actuator, training)
+    return slopes, elements, *_patterns(training, stroke), _no_drift(training, stroke)
+
+
+def _rising(actuator: Actuator, floor: float) -> Check:
+    """Return the least slope of an outermost branch; it is not known where the fit imposed it."""
+    slopes = Slopes.of(actuator.slip, actuator.spring)
+    least = np.minimum(slopes.rising, slopes.falling)
+    k = int(np.argmin(least))
+    imposed = bool(least[k] <= 1.01 * floor)
+    value, allowed = 1e-6 * float(least[k]), 1e-6 * floor if floor else None
+    sentence = f"The least slope of an outermost branch is {value:.3g} V/um, at {slopes.displacement[k] * 1e6:.4g} um."
+    if imposed:
+        sentence += " It is the least slope that the fit allows; the records may show a smaller one."
+    verdict = Verdict.UNKNOWN if imposed else Verdict.HOLDS
+    return Check("Rising branches", verdict, value, allowed, "V/um", sentence)
+
+
+def _sliding(actuator: Actuator, training: Sequence[Trace]) -> Check:
+    """Return the share of the elements that slide in both directions in the widest motion."""
+    name, unit, needed = "Sliding elements", "% of elements", 2 * actuator.slip.breakaway[actuator.slip.friction > 0]
+    if not needed.size:
+        return Check(name, Verdict.HOLDS, None, None, unit, "No element has stiffness.")
+    widest = max(float(np.ptp(trace.simulated)) for trace in training)
+    slides = int(np.count_nonzero(needed <= widest * (1 + 1e-3)))
+    sentence = (
+        f"{slides} of the {needed.size} elements with stiffness slide in both directions in the widest motion, "
+        f"{widest * 1e6:.4g} um."
+    )
+    if slides < needed.size:
+        sentence += f" All slide in one of {needed.max() * 1e6:.4g} um: record a wider loop."
+    verdict = Verdict.HOLDS if slides == needed.size else Verdict.FAILS
+    return Check(name, verdict, 100 * slides / needed.size, None, unit, sentence)
+
+
+def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
+    """Test that mean residuals of rising and falling branches lie neither apart nor off together at any place."""
+    from scipy.special import stdtrit
+
+    settled = [trace.settled for trace in training]
+    low, high = min(one.simulated.min() for one in settled), max(one.simulated.max() for one in settled)
+    edges = np.linspace(low, high, _PLACES + 1)
+    # Mean residuals at the places (K,) [% of the stroke], a row a branch.
+    falling, rising = list[Array](), list[Array]()
+    for trace in settled:
+        place = np.clip(np.searchsorted(edges, trace.simulated, side="right") - 1, 0, _PLACES - 1)
+        for branch in _branches(trace):
+            count = np.bincount(place[branch], minlength=_PLACES)
+            total = np.bincount(place[branch], 100 * trace.residual[branch] / stroke, _PLACES)
+            ends = trace.voltage[branch][[0, -1]]
+            (rising if ends[1] > ends[0] else falling).append(np.where(count, total / np.maximum(count, 1), np.nan))
+    usual = 100 * rms(np.concatenate([one.residual for one in settled])) / stroke
+    (up, up_error, rises), (down, down_error, falls) = (_averaged(rows, usual) for rows in (rising, falling))
+    passed = (rises > 0) & (falls > 0)
+    if not passed.any():
+        unpassed = "No place is passed in both directions."
+        return [_unknown("Width", _OF_STROKE, unpassed), _unknown("Middle line", _OF_STROKE, unpassed)]
+    # The scatter of few branches is uncertain: Student's quantile, for the worst of all places.
+    free = np.maximum(np.minimum(rises, falls), _FEWEST) - 1
+    floors = 0.5 * stdtrit(free, 1 - _RISK / (2 * _PLACES)) * np.hypot(up_error, down_error)
+
+    found = []
+    for name, distance, words, why in (
+        ("Width", up - down, "Half of the distance between rising and falling residuals", _OTHER_WIDTH),
+        ("Middle line", up + down, "The middle of rising and falling residuals", _OTHER_MIDDLE),
+    ):
+        values = 0.5 * np.abs(distance)
+        k = int(np.argmax(np.where(passed, values / np.maximum(floors, _SMALLEST), -1.0)))
+        at = 0.5e6 * float(edges[k] + edges[k + 1])
+        sentence = f"{words} is up to {values[k]:.2g} % of the stroke, most at {at:.4g} um"
+        found.append(_tested(name, float(values[k]), float(floors[k]), sentence, why))
+    return found
+
+
+def _no_drift(training: Sequence[Trace], stroke: float) -> Check:
+    """Test the slope of the branches' mean residuals over the logarithm of the time since the record's start."""
+    from scipy.special import stdtrit
+
+    drifts = []
+    for whole in training:
+        trace = whole.settled
+        branches = _branches(trace)
+        free = len(branches) - 2
+        if free < _FEWEST - 1:
+            continue
+        time = np.array([float(trace.time[branch].mean()) for branch in branches]) - whole.time[0]
+        means = np.array([100 * float(trace.residual[branch].mean()) / stroke for branch in branches])
+        decades = np.log10(np.maximum(time, time[time > 0].min()))
+        x, y, passed = decades - decades.mean(), means - means.mean(), float(np.ptp(decades))
+        slope = float(x @ y / (x @ x))
+        scatter = sqrt(float(np.sum((y - slope * x) ** 2)) / free / float(x @ x))
+        value, floor = abs(slope), float(stdtrit(free, 1 - _RISK / (2 * len(training)))) * scatter
+        unit = _A_DECADE
+        if not may_creep(value, passed):
+            value, floor, unit = value * passed, floor * passed, _OF_STROKE
+        drifts.append((value / max(floor, _SMALLEST), value, floor, unit, trace.record))
+    if not drifts:
+        return _unknown("No drift", _A_DECADE, "No record has enough branches to determine a drift.")
+    _, value, floor, unit, record = max(drifts)
+    time_span = "of the stroke a decade of time" if unit == _A_DECADE else "of the stroke in all"
+    why = "the actuator creeps more slowly than the model, or its surroundings change"
+    return _tested("No drift", value, floor, f"{record}: the residual drifts by {value:.2g} % {time_span}", why, unit)
+
+
+def _branches(trace: Trace) -> list[slice]:
+    """Return the branches of a record, between turning points of its voltage."""
+    turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
+    ends = np.unique([0, *turns, trace.voltage.size]).tolist()
+    return [slice(start, stop) for start, stop in pairwise(ends) if stop - start > 1]
+
+
+def _averaged(rows: Sequence[Array], usual: float) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Return mean, standard error and number of the rows' values at each place (K,); NaN is none.
+
+    `usual`: standard deviation of a value where too few make one.
+    """
+    values = np.ma.masked_invalid(np.reshape(rows, (-1, _PLACES)))
+    count = values.count(axis=0)
+    deviation = np.where(count < _FEWEST, usual, values.std(axis=0, ddof=1).filled(usual))
+    return values.mean(axis=0).filled(0.0), deviation / np.sqrt(np.maximum(count, 1)), count
+
+
+def _tested(name: str, value: float, floor: float, sentence: str, why: str, unit: str = _OF_STROKE) -> Check:
+    """Return a check that holds up to its floor, or up to what has no effect; `why` is the cause if it fails."""
+    if value <= _SMALLEST:
+        verdict, rest = Verdict.HOLDS, ", which has no effect"
+    elif value <= floor:
+        verdict, rest = Verdict.HOLDS, ", which scatter explains"
+    else:
+        verdict, rest = Verdict.FAILS, f": {why}"
+    return Check(name, verdict, value, floor, unit, f"{sentence}{rest}.")
+
+
+def _unknown(name: str, unit: str, sentence: str) -> Check:
+    return Check(name, Verdict.UNKNOWN, None, None, unit, sentence)

@@ -1,0 +1,198 @@
+"""Cleaning of records before a fit: rest, start-up transients, gaps and drift."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst.records import Record, cleaned, counting, gaps, noise_span, reversals
+
+_BINS = 64
+# Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
+_TURN = 0.02
+# Least rate of the voltage beside a gap, as a part of its mean rate in the gap: a reversal in it would be faster.
+_ALIKE = 0.5
+# Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so few median steps.
+_BRIEF, _STEP = 0.02, 1.5
+# A voltage rests within this part of its range; so many of its samples are kept. A shorter rest, in cycles, stays.
+_STILL, _KEPT, _LEAST_REST = 2e-3, 20, 0.5
+# Displacements at rest that move by less than this part of the stroke show no creep.
+_FLAT = 1e-3
+
+
+def clean(record: Record, *, ringing: bool = False) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
+    """Return a record without what `dehyst.records.cleaning` leaves out, its holes, and a sentence for each.
+
+    `ringing`: whether the displacement stays in the transients that are set aside. The holes: time [s] of the sample
+    before each -> whether a reversal may lie in it, by the displacements left out.
+    """
+    found = cleaned(record, ringing=ringing)
+    holes = dict(_hole(record, start - 1, stop) for start, stop in found.glitches if start and stop < len(record))
+    return found.record, holes, tuple(f"{record.name}: {sentence}" for sentence in found.sentences)
+
+
+def rest_at_ends(record: Record) -> tuple[int, int]:
+    """Return the first and one after the last sample of a record without the rest before and after its motion.
+
+    Rest at the end is kept if the displacement moves in it: it shows creep. Either is kept if it is shorter than a part
+    of a cycle.
+    """
+    v, y, size = record.voltage, record.displacement, len(record)
+    still = max(_STILL * float(np.ptp(v)), noise_span(v))
+    begin, end = (_leading(values, still) for values in (v, v[::-1]))
+    if begin + end >= size - _KEPT:
+        return 0, size
+    start, stop = max(begin - _KEPT, 0), size - max(end - _KEPT, 0)
+    least = _LEAST_REST * cycle_time(record[start:stop])
+    if record.time[start] - record.time[0] < least:
+        start = 0
+    counted = counting(record)
+    rest = y[stop:] if counted is None else y[stop:][counted[stop:]]
+    if record.time[-1] - record.time[stop - 1] < least or _creeps(rest, record):
+        stop = size
+    if counted is not None:
+        # A step out of rest or into it belongs to the rest.
+        aside = np.flatnonzero(~counted)
+        start = _beyond(aside, start) if start else start
+        stop = size - _beyond(size - 1 - aside[::-1], size - stop) if stop < size else stop
+    return start, stop
+
+
+def _beyond(aside: NDArray[np.intp], start: int) -> int:
+    """Return the sample after the run of samples that begins soon after `start`, or `start` if none does."""
+    first = int(np.searchsorted(aside, start))
+    if first == aside.size or aside[first] > start + 2 * _KEPT:
+        return start
+    run = aside[first:] - np.arange(aside.size - first)
+    return int(aside[first:][run == run[0]][-1]) + 1
+
+
+def without_way_out(record: Record) -> tuple[Record, tuple[str, ...]]:
+    """Set aside the samples up to the first turn of the voltage of a record that begins as a ring fades, and say so.
+
+    A ring can leave hysteresis in a state that no voltage leads to; the loops after the first turn forget it.
+    """
+    turn = int(np.append(reversals(record), 0)[0])
+    begin, end = float(record.time[0]), float(record.time[turn])
+    sentence = (
+        f"{record.name}: from {begin:.4g} to {end:.4g} s, to the first turn of the voltage, the state depends on the "
+        f"ring before; these {turn} samples are set aside."
+    )
+    return replace(record, set_aside=(*record.set_aside, (begin, end))), (sentence,) if turn else ()
+
+
+def _leading(values: Array, still: float) -> int:
+    """Return the samples before the first one that is not as the first ones are."""
+    moved = np.abs(values - np.median(values[:_KEPT])) > still
+    return int(np.argmax(moved)) if moved.any() else values.size
+
+
+def _creeps(y: Array, record: Record) -> bool:
+    """Whether displacements (n,) at a constant voltage move, beyond their noise."""
+    quarter = len(y) // 4
+    if not quarter:
+        return False
+    moved = abs(float(y[-quarter:].mean() - y[:quarter].mean()))
+    return bool(moved > max(_FLAT * record.stroke, 6 * record.noise * (2 / quarter) ** 0.5))
+
+
+def _hole(record: Record, before: int, after: int) -> tuple[float, bool]:
+    """Return the time of the sample before a hole, and whether the displacement may reverse in it."""
+    ends = sorted(record.displacement[[before, after]].tolist())
+    inside = record.displacement[before + 1 : after]
+    beyond = max(ends[0] - float(inside.min()), float(inside.max()) - ends[1])
+    long = record.time[after] - record.time[before] > 1.5 * (after - before) * record.sample_time
+    hidden = bool(long) or beyond > max(_TURN * record.stroke, 6 * record.noise)
+    return float(record.time[before]), hidden
+
+
+def transient(record: Record) -> int:
+    """Count the samples at the start of a record that lie outside the loops that follow.
+
+    The first cycle (at most) is compared with the band of displacements that later cycles cover at the same voltage,
+    widened by 1.5 % of the stroke or 4 standard deviations of the noise; later cycles must be as wide. The transient
+    begins with the record and ends where a twentieth of a cycle lies inside. It includes a first rise from an unknown
+    state.
+    """
+    cycles = record.cycles()
+    if len(cycles) < 3:
+        return 0
+    begin = cycles[0].stop
+    v, y = record.voltage, record.displacement
+    tolerance = 0.02 * float(np.ptp(v))
+    if v[begin:].max() < v.max() - tolerance or v[begin:].min() > v.min() + tolerance:
+        return 0
+    edges = np.linspace(v[begin:].min(), v[begin:].max(), _BINS + 1)
+    bins = np.clip(np.searchsorted(edges, v) - 1, 0, _BINS - 1)
+    low, high = np.full(_BINS, np.inf), np.full(_BINS, -np.inf)
+    np.minimum.at(low, bins[begin:], y[begin:])
+    np.maximum.at(high, bins[begin:], y[begin:])
+    margin = max(0.015 * float(np.ptp(y[begin:])), 4 * record.noise)
+    early = slice(0, begin)
+    outside = (y[early] < low[bins[early]] - margin) | (y[early] > high[bins[early]] + margin)
+    ends = np.concatenate([[-1], np.flatnonzero(outside), [begin + begin]])
+    calm = np.flatnonzero(np.diff(ends) > max(5, begin // 20))
+    return int(ends[calm[0]]) + 1 if calm.size else 0
+
+
+def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
+    """Cut a record where a gap may hide a reversal; other gaps stay, because Maxwell-slip does not depend on time.
+
+    `holes`: those of `clean`: displacements in them are known.
+
+    Returns
+    -------
+    list of Record, list of str
+        The pieces, and a sentence for each gap; none for a brief one in which the voltage hardly moved, as between
+        two repetitions of a wave.
+    """
+    cuts, sentences = [0], []
+    cycle, known_holes = cycle_time(record), holes or {}
+    step = _STEP * float(np.median(np.abs(np.diff(record.voltage))))
+    for i, length in gaps(record.time):
+        jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
+        hidden = known_holes.get(float(record.time[i]))
+        if hidden is False:
+            continue
+        far = jump > 0.05 * float(np.ptp(record.voltage)) and not _goes_on(record, i, length)
+        hidden = hidden or length > 0.2 * cycle or far
+        where = f"{record.name}: a gap of {length:.4g} s after {record.time[i]:.4g} s"
+        if hidden:
+            cuts.append(i + 1)
+            sentences.append(f"{where} may hide a reversal; the record was cut there.")
+        elif jump > step or length > _BRIEF * cycle:
+            sentences.append(f"{where} was bridged.")
+    if len(sentences) > 5:
+        sentences = [*sentences[:4], f"{record.name}: {len(sentences) - 4} more gaps, {len(cuts) - 1} cuts in all."]
+    cuts.append(len(record))
+    return [record[a:b] for a, b in pairwise(cuts) if b - a >= 20], sentences
+
+
+def _goes_on(record: Record, i: int, length: float) -> bool:
+    """Whether the voltage moves through the gap of this length [s] after sample i as it does before and after it."""
+    if not 0 < i < len(record) - 2:
+        return False
+    rate = (record.voltage[i + 1] - record.voltage[i]) / length
+    before, after = (
+        (record.voltage[k + 1] - record.voltage[k]) / (record.time[k + 1] - record.time[k]) for k in (i - 1, i + 1)
+    )
+    return bool(_ALIKE * abs(rate) < min(before * np.sign(rate), after * np.sign(rate)))
+
+
+def cycle_time(record: Record) -> float:
+    """Return the median duration of a cycle of the excitation [s]; the record's duration if it has none."""
+    cycles = record.cycles()
+    ends = [float(record.time[min(c.stop, len(record) - 1)] - record.time[c.start]) for c in cycles]
+    return float(np.median(ends)) if ends else float(record.time[-1] - record.time[0])
+
+
+def drift_curve(record: Record, start: float) -> Array:
+    """Return the creep curve since the record's start: log10 of time, mean zero (n,)."""
+    scale = 0.1 * cycle_time(record)
+    curve = np.log10(1 + (record.time - start) / scale)
+    return np.asarray(curve - curve.mean())

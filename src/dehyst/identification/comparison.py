@@ -1,0 +1,547 @@
+"""Comparison of measurement and simulation: a model simulated from a state that the record determines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from dehyst._errors import IdentifyError
+from dehyst._native import slip_elongations
+from dehyst._threads import one_thread
+from dehyst._types import Array, Mask
+from dehyst.identification.denoising import derivatives, disturbs, left_of
+from dehyst.identification.motion import Motion, Parts, moved
+from dehyst.identification.preparation import Prepared, as_list, prepare
+from dehyst.identification.program import SMALLEST_GAIN, Program, Solution
+from dehyst.identification.regressors import Epoch, Piece, RowSource
+from dehyst.identification.results import RecordErrors, Trace
+from dehyst.identification.rules import RULES
+from dehyst.identification.solver import ActiveSet
+from dehyst.identification.start_state import StartState, fit_start, fit_strained
+from dehyst.identification.structure import Grid
+from dehyst.model import Actuator, Identification, State
+from dehyst.records import Record, counting, largest, rms, turning_points
+
+# Rows at most: of a longer record some of its samples, evenly.
+MOST_ROWS = 200_000
+# Samples that the carts at a start are fitted to, and how many of them after all elements are in a known state.
+_START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
+# Least slope of a branch, of the mean one: a weight must not grow without bound.
+_LEAST = 0.05
+# Least turn of a voltage of events, as a part of its range.
+_TURN = 5e-3
+# Part of the samples that count as outliers.
+_OUTLIERS = 1e-3
+# Rows of the search for a zero, its places within this part of the stroke, and turns of Gauss and Newton.
+_FEW, _PLACES, _WITHIN, _TURNS = 1000, 25, 0.6, 2
+# Creep from before a record is a part of the stroke: its prior, and the least error of a model, as parts of the stroke.
+_STRAINED, _DOUBT = 0.3, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class RecordComparison:
+    """A record compared with a model: its samples that count, and the constants that it needs.
+
+    Attributes
+    ----------
+    given : Prepared
+        As measured.
+    stroke : float
+        Reference of the percentages [m].
+    source : RowSource
+        The pieces, voltages delayed; the displacements are those that hysteresis makes, before resonance, creep and
+        drift, on the record's axis.
+    before : Prepared
+        The record before creep and drift.
+    whole : list of Piece
+        Its pieces with all their samples, voltages delayed: those that are played.
+    program : Program
+        Its rows, on the model's axis.
+    found : Solution
+        The model's coefficients, and the constants of this record.
+    motion : Motion
+        Its datum, drift and creep from before it.
+    base : float
+        Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
+    """
+
+    given: Prepared
+    stroke: float
+    source: RowSource
+    before: Prepared
+    whole: list[Piece]
+    program: Program
+    found: Solution
+    motion: Motion
+    base: float
+
+    @property
+    def record(self) -> Prepared:
+        """The record before creep and drift, reduced."""
+        return self.before.reduced
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """Of `source`."""
+        return self.source.pieces
+
+    @property
+    def epochs(self) -> list[list[Epoch]]:
+        """Of each piece."""
+        return self.source.epochs
+
+    @property
+    def datum(self) -> float:
+        """Shift [m] to the model's axis, before creep."""
+        return float(self.motion.datum[0])
+
+    @property
+    def drift(self) -> float:
+        """Drift [m a unit of the record's drift curve]."""
+        return float(self.motion.drift[0])
+
+    @property
+    def offsets(self) -> list[float]:
+        """Offset [V] of each epoch; an epoch without rows after thinning has the offset of the nearest one."""
+        known = sorted(self.found.offsets)
+        nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in range(self.source.count)]
+        return [self.found.offsets[k] - self.base for k in nearest]
+
+    def last_offsets(self) -> list[float]:
+        """Offset [V] of the last epoch of each piece; a piece without epochs has the offset of the piece before."""
+        offsets = self.offsets
+        return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
+
+    def play(
+        self, actuator: Actuator, number: int, span: slice, begin: tuple[State, float]
+    ) -> Iterator[tuple[Array, ...]]:
+        """Yield time, voltage, measured and simulated displacement before creep, of each run of samples that count.
+
+        Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
+        [V]. In excluded stretches, the measured displacement drives the model.
+        """
+        (_, piece, _), (state, offset), block = self.whole[number], begin, self.given.block
+        last = len(piece) if span.stop == len(self.record.pieces[number]) else span.stop * block
+        first = span.start * block + block // 2
+        # The piece's voltages are those that act, behind the amplifier.
+        model = replace(actuator._before_creep, lag=0.0)
+        state = state.shifted(self.datum)
+        for start, stop, counted in _runs(piece, first, last):
+            # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
+            again = int(actuator.needs_time and start > first)
+            run, own = slice(start - again, stop), slice(start, stop)
+            time = piece.time[run] if model.needs_time else None
+            measured = piece.displacement[run] + self.datum
+            if counted:
+                voltage = without_offset(actuator, piece.voltage[run], offset)
+                motion = model.simulate(voltage, time=time, state=state, extrapolate=True)
+                simulated = motion.displacement[again:]
+            else:
+                motion = model.compensate(measured, time=time, state=state, extrapolate=True)
+                simulated = measured[again:]
+            state = motion.state
+            yield piece.time[own], without_offset(actuator, piece.voltage[own], offset), measured[again:], simulated
+
+    def start_of(self, actuator: Actuator, number: int, first: int = 0) -> tuple[State, float]:
+        """Return the state at a piece's sample `first` on the record's axis, and the offset of its voltages [V].
+
+        The carts are those that explain its voltages best before the displacement alone determines them.
+        """
+        own, (_, piece, _) = self.epochs[number], self.pieces[number]
+        last = own[-1] if own else Epoch(0, 0, len(piece), 0.0)
+        standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
+        stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
+        path = piece.displacement[first:stop]
+        # Samples that lead elements as all of them do: the first one, the turning points, and some evenly.
+        places = np.arange(path.size)
+        if path.size > _START_SAMPLES:
+            some = np.linspace(0, path.size - 1, _START_SAMPLES).astype(np.intp)
+            places = np.union1d(some, turning_points(path, 1e-3 * float(np.ptp(path))))
+        places, y = first + places, path[places] + self.datum
+        states = self.source.states[number][places]
+        tau, voltage, (creep, smooth, fades) = actuator.transformer, piece.voltage[places], self._split(states)
+        held, most = voltage if tau is None else tau(voltage), np.zeros(fades.shape[1])
+        if actuator.creep is not None:
+            held = held - creep @ actuator.creep.stiffness
+            most = float(np.ptp(self.source.grid.knots)) * actuator.creep.stiffness
+        held = held - actuator.spring(y)
+        known = None if standing or not own else self.last_offsets()[number]
+        counted = None if (whole := counting(piece)) is None else whole[places]
+
+        def fit(force: Array, fading: Array, largest: Array) -> StartState:
+            return fit_start(actuator.slip, y, force, fading, largest, known, counted)
+
+        start, begun = (
+            fit(held if actuator.smooth is None else held - smooth @ actuator.smooth.stiffness, fades, most),
+            None,
+        )
+        if actuator.smooth is not None:
+            # At rest, unless the voltages before the elements forget say otherwise.
+            strained, elongations = fit_strained(actuator.smooth, y, held, fades, most, fit)
+            if strained.cost < RULES.carts_alone_gain * start.cost:
+                start, begun = strained, elongations
+        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0), start.held)
+        state = replace(state, carts=start.carts - self.datum)
+        return (state if begun is None else replace(state, smooth=begun)), start.constant
+
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch, begun: Array | None = None) -> State:
+        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it.
+
+        Creep branches held `begun` (J,) [V] as the record began, by default nothing.
+        """
+        rho = actuator.slip.breakaway
+        y = self.pieces[number].path.displacement[: epoch.start + 1]
+        carts = np.full(rho.size, y[0])
+        _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y))
+        carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
+        creep, smooth, left = self._split(self.source.states[number][epoch.start])
+        if actuator.creep is not None and begun is not None and begun.size:
+            c = actuator.creep.stiffness
+            creep = creep + np.divide(begun * left, c, out=np.zeros_like(left), where=c > 0)
+        motion: list[float] = []
+        if actuator.dynamics is not None:
+            measured = self.record.pieces[number]
+            motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
+        return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
+
+    def on_model_axis(self, actuator: Actuator, state: State, time: float) -> State:
+        """Return a state of the record's axis at a `time` [s] on the model's, creep in displacement included."""
+        creep, state = actuator.displacement_creep, state.shifted(self.datum)
+        if creep is None:
+            return state
+        clock, m = self.before.with_lead
+        strains = creep.strains(clock, m, self.begun(actuator))
+        return replace(state, displacement_creep=np.array([np.interp(time, clock, one) for one in strains.T]))
+
+    def begun(self, actuator: Actuator) -> Array:
+        """Return the strains of creep in displacement (K,) [m] at the record's first sample."""
+        creep = actuator.displacement_creep
+        return np.zeros(0) if creep is None else self.motion.begun[0] / creep.gains
+
+    def crept(self, actuator: Actuator, runs: Iterator[tuple[Array, ...]], start: State) -> Iterator[tuple[Array, ...]]:
+        """Yield the `runs` of `play` with creep in displacement, from a `start` that includes it."""
+        creep = actuator.displacement_creep
+        if creep is None:
+            yield from runs
+            return
+        strains, ends = [start.displacement_creep] * 2, [np.zeros(0)] * 3
+        for time, voltage, *paths in runs:
+            columns = [np.append(end, column) for end, column in zip(ends, (time, *paths), strict=True)]
+            crept = []
+            for k, path in enumerate(columns[1:]):
+                y, strains[k] = creep.added(columns[0], path, strains[k])
+                crept.append(y[-time.size :])
+            ends = [column[-1:] for column in columns]
+            yield (time, voltage, *crept)
+
+    def _split(self, states: Array) -> list[Array]:
+        """Return internal states as creep strains, smooth elongations and decays."""
+        grid = self.source.grid
+        return np.split(states, np.cumsum([grid.time_constants.size, grid.lengths.size]), axis=-1)
+
+
+def compare(
+    actuator: Actuator, record: Prepared, stroke: float, *, datum: float | None = None, drifting: bool = False
+) -> RecordComparison:
+    """Compare a record with a model: fit constants, datum, drift and creep before it, with the model fixed.
+
+    `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
+    whether a drift is fitted too. Raise `IdentifyError` if no sample counts.
+    """
+    creep, dynamics = actuator.displacement_creep, actuator.dynamics
+    motion = replace(
+        Motion.none(1),
+        delay=actuator.delay,
+        lag=actuator.lag,
+        mass=0.0 if dynamics is None else 1 / dynamics.omega**2,
+        damping=0.0 if dynamics is None else 2 * dynamics.damping / dynamics.omega,
+    )
+    if creep is not None:
+        motion = replace(
+            motion, time_constants=creep.time_constants, gains=creep.gains, begun=np.zeros((1, len(creep)))
+        )
+    names = (*(["drift"] if drifting else []), *(["begun"] if creep is not None else []))
+    compared = _compared(actuator, record, stroke, motion, names)
+    if datum is None:
+        datum = _datum(compared, actuator)
+    motion = replace(motion, datum=np.array([datum]))
+    for _ in range(_TURNS if names else 0):
+        motion = moved(motion, names, compared.found.numbers)
+        compared = _compared(actuator, record, stroke, motion, names)
+    return _compared(actuator, record, stroke, motion, ())
+
+
+def _compared(
+    actuator: Actuator, record: Prepared, stroke: float, motion: Motion, names: Sequence[str]
+) -> RecordComparison:
+    """Compare a record with a model at given numbers; the numbers of parts of these `names` are fitted beside."""
+    before, noise = motion.before(record, 0), record.reduced.noise
+    few = before.reduced
+    whole = before.delayed(0, motion.delay, motion.lag)
+    if actuator._wide or disturbs(noise, stroke):
+        # Maxwell-slip elements take a displacement of little noise as it is.
+        paths = few.driving(motion.delay, motion.lag, motion.dynamics, stroke)
+    else:
+        paths = list(few.acting(motion.delay, motion.lag))
+    grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
+    pieces = [Piece(0, path, np.broadcast_to(0.0, len(path))) for path in paths]
+    source = RowSource.of(pieces, grid, [left_of(noise, stroke)] * len(pieces), leads=[few.lead])
+    if not len(source):
+        lasts = float(np.ptp(record.record.time))
+        raise IdentifyError(
+            f"{record.record.name}: no sample counts; it lasts {lasts:.3g} s, and the model lags by "
+            f"{actuator.delay + actuator.lag:.3g} s. Record longer, or check the unit of the time"
+        )
+    rows, spring = source.thinned(MOST_ROWS), actuator.spring
+    rows = replace(rows, displacement=rows.displacement + motion.datum[0])
+    least = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
+    program = Program(rows, grid, least, 0.0)
+    parts = tuple(Parts(motion, [record.reduced], rows).of(names))
+    program = replace(program, near=coefficients(actuator), parts=parts)
+    found = _with_nuisances(program, coefficients(actuator), motion.gains)
+    return RecordComparison(record, stroke, source, before, whole, program, found, motion, float(spring.voltage[0]))
+
+
+def coefficients(actuator: Actuator) -> Solution:
+    """Return an actuator's numbers as the solution of a program, without constants."""
+    tau, stiffness = actuator.transformer, actuator.slip.stiffness
+    internal = [np.zeros(0) if part is None else part.stiffness for part in (actuator.creep, actuator.smooth)]
+    return Solution(
+        stiffness if stiffness.ndim == 2 else stiffness[:, None],
+        actuator.spring.slopes,
+        np.concatenate(internal),
+        np.zeros(0) if tau is None else np.diff(tau.drive) / np.diff(tau.voltage),
+        {},
+        {},
+        np.zeros(0),
+        ActiveSet(np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)),
+        (np.zeros((0, 0)), np.zeros(0)),
+    )
+
+
+def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.0) -> Solution:
+    """Return the coefficients of a model with the constants, and numbers of parts, that fit the rows best.
+
+    `gains`: of the creep whose strains before the record are among the parts.
+    """
+    columns, free = program.columns
+    left = program.target - (program.static / program.scale[:, None]) @ program.unknowns_of(model)
+    rows, prior = columns[:, :free], np.zeros(free)
+    place = program.numbers.size
+    for part in program.parts:
+        if part.name == "begun":
+            # Errors of a model are alike in many rows; those of one that has changed are large.
+            others = rows[:, :place]
+            missed = rms(left - others @ np.linalg.lstsq(others, left, rcond=None)[0]) / float(
+                np.ptp(program.grid.knots)
+            )
+            doubt = max(_DOUBT, missed) / _STRAINED
+            prior[place : place + part.value.size] = doubt / gains * np.sqrt(len(rows)) / 10
+        place += part.value.size
+    held = np.diag(prior)[prior > 0]
+    numbers = np.linalg.lstsq(np.vstack([rows, held]), np.append(left, np.zeros(len(held))), rcond=None)[0]
+    constants, place = numbers[: program.numbers.size], program.numbers.size
+    found = {}
+    for part in program.parts:
+        found[part.name] = numbers[place : place + part.value.size]
+        place += part.value.size
+    offsets = dict(zip(program.numbers.tolist(), constants.tolist(), strict=True))
+    residual = rows @ numbers - left
+    return replace(model, offsets=offsets, numbers=found, unknowns=residual)
+
+
+def _datum(compared: RecordComparison, actuator: Actuator) -> float:
+    """Return the shift [m] of a record to the axis of a model; 0 unless it is significant."""
+    from scipy.optimize import minimize_scalar
+
+    program, stroke, model = compared.program, compared.stroke, coefficients(actuator)
+    few = program.rows.thinned(_FEW)
+
+    def cost(shift: float) -> float:
+        rows = replace(few, displacement=few.displacement + shift)
+        one = Program(rows, program.grid, program.floor, 0.0)
+        one = replace(one, near=model)
+        return rms(_with_nuisances(one, model).unknowns)
+
+    places = np.linspace(-_WITHIN * stroke, _WITHIN * stroke, _PLACES)
+    k = int(np.argmin([cost(float(place)) for place in places]))
+    ends = float(places[max(k - 1, 0)]), float(places[min(k + 1, _PLACES - 1)])
+    best = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-9 * stroke, "maxiter": 60})
+    none = cost(0.0)
+    worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * stroke
+    return float(best.x) if worth else 0.0
+
+
+def prepare_for(actuator: Actuator, record: Record) -> Prepared:
+    """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor."""
+    known = actuator.identification or Identification()
+    return prepare(actuator.at_reference(record), ringing=known.ringing).without_lag(known.sensor_lag)
+
+
+def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[RecordComparison, ...], float]:
+    """Compare an actuator with the records that it was identified from, by the options of its identification.
+
+    Returns
+    -------
+    tuple of RecordComparison, float
+        One for each record, and the range of the widest loop [m].
+    """
+    prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
+    known = actuator.identification or Identification()
+    stroke = max(high - low for low, high in (item.span() for item in prepared))
+    datum = 0.0 if known.shared_datum else None
+    # Where branches creep, a drift of the record would be counted twice.
+    drift = known.drift and actuator.creep is None
+    with one_thread():
+        compared = tuple(
+            compare(actuator, item, stroke, datum=datum, drifting=drift and item.can_drift) for item in prepared
+        )
+    return compared, stroke
+
+
+def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
+    """Return the state at a record's last sample, on the model's axis, and the offset of the record's voltages [V].
+
+    The record's displacements determine the state and the shift of its sensor's zero; the offset is fitted by least
+    squares over the samples that count. If no sample counts, because the record is too short or has no full cycle, the
+    offset is taken from its last sample, and the remaining uncertainty of the carts is ignored.
+
+    `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop; default
+    that between the actuator's limits.
+    """
+    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
+    try:
+        compared = compare(actuator, prepare_for(actuator, lead), stroke)
+        own = compared.epochs[-1]
+    except ValueError:
+        own = []
+    if own:
+        number = len(compared.pieces) - 1
+        last = replace(own[-1], start=len(compared.pieces[number].path) - 1)
+        state = compared.state_before(actuator, number, last)
+        end = float(compared.pieces[number].path.time[-1])
+        state, creep = compared.on_model_axis(actuator, state, end), actuator.displacement_creep
+        if creep is not None:
+            # At rest after its motion, which does not count, the record creeps on.
+            rested = np.exp(-(float(lead.time[-1]) - end) / creep.time_constants)
+            state = replace(state, displacement_creep=rested * state.displacement_creep)
+        return state, compared.last_offsets()[-1]
+    behind, y = actuator.displacement_creep, lead.displacement
+    crept: Array | tuple[()] = ()
+    if behind is not None:
+        y = behind.removed(lead.time, y)
+        crept = behind.strains(lead.time, y)[-1]
+    _, carts = slip_elongations(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
+    forces: Array | tuple[()] = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
+    smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
+    state = State(float(y[-1]), carts, forces, smooth=smooth, displacement_creep=crept)
+    held, given = actuator.voltage(state), float(lead.voltage[-1])
+    tau = actuator.transformer
+    return state, given - held if tau is None else float(tau(given) - tau(held))
+
+
+def initial_state(actuator: Actuator, record: Record, stroke: float | None = None) -> tuple[State, float]:
+    """Return the state at a record's beginning, on the model's axis, and the offset of the record's voltages [V].
+
+    It is the start from which the simulation is nearest to the record, as in `RecordErrors.starts`: its carts, creep
+    strains and smooth elongations explain the first voltages best (`fit_start`).
+
+    `actuator`: the model. `record`: the record that began in the state. `stroke` [m]: range of the widest training
+    loop; default that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
+    """
+    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
+    compared = compare(actuator, prepare_for(actuator, record), stroke)
+    piece = compared.pieces[0].path
+    first = _first_sample(piece, actuator.delay)
+    state, offset = compared.start_of(actuator, 0, first)
+    return compared.on_model_axis(actuator, state, float(piece.time[first])), offset
+
+
+def _first_sample(piece: Record, delay: float) -> int:
+    """Return the first sample that counts, and whose voltage is recorded: none is before the delay [s] is over."""
+    first = min(int(np.ceil(delay / piece.sample_time)), len(piece) - 1) if delay > 0 else 0
+    return first if (counted := counting(piece)) is None else max(first, int(np.argmax(counted)))
+
+
+def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:
+    """Simulate each piece of a record whole, from the best-fitting state at its first sample, and compare.
+
+    `role`: "training" or "validation".
+    """
+    record, drawn, starts = compared.given, [], []
+    for number, (_, piece, _) in enumerate(compared.pieces):
+        first = _first_sample(piece, actuator.delay)
+        start = compared.start_of(actuator, number, first)
+        starts.append(compared.on_model_axis(actuator, start[0], float(piece.time[first])))
+        runs = compared.play(actuator, number, slice(first, len(piece)), start)
+        drawn += [counted_of(played, piece) for played in compared.crept(actuator, runs, starts[-1])]
+    time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
+    trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
+    # Errors are those at events; a turn of the voltage is filled.
+    known, whole = record.record.measured, trace
+    if known is not None:
+        turns = turning_points(record.record.voltage, _TURN * float(np.ptp(record.record.voltage)))
+        events = np.setdiff1d(np.flatnonzero(known), turns)
+        trace = _at(trace, np.isin(time, record.record.time[events]))
+    settled, error, time = np.abs(trace.settled.residual), trace.residual, trace.time
+    curve = record.drift_curve(record.record)
+    drift = np.interp(time, record.record.time, curve)
+    drifting = error + compared.drift * (drift - drift.mean())
+    return RecordErrors(
+        record=record.name,
+        role=role,
+        samples=time.size,
+        left_out=record.samples - time.size,
+        largest=largest(error),
+        rms=rms(error),
+        largest_with_drift=largest(drifting),
+        rms_with_drift=rms(drifting),
+        stroke=compared.stroke,
+        offset=float(np.median(list(compared.found.offsets.values()))) - compared.base,
+        datum=actuator.at_rest * compared.datum,
+        drift=compared.drift,
+        decades=float(np.ptp(curve)),
+        steady=record.steady,
+        starts=tuple(starts),
+        settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
+        settled_rms=rms(settled),
+    ), whole
+
+
+def _at(trace: Trace, some: Mask) -> Trace:
+    """Return some samples of a trace."""
+    columns = {name: getattr(trace, name)[some] for name in ("time", "voltage", "measured", "simulated")}
+    return replace(trace, **columns)
+
+
+def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:
+    """Return the samples of `RecordComparison.play` that are not set aside."""
+    if not piece.set_aside:
+        return played
+    time = played[0]
+    kept = np.ones(time.size, dtype=bool)
+    for first, last in piece.set_aside:
+        kept &= (time < first) | (time > last)
+    return tuple(column[kept] for column in played)
+
+
+def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool]]:
+    """Yield the first and one after the last sample of runs of one kind, and whether their samples count."""
+    edges = [first, last]
+    # Between events the model goes on by the voltage.
+    counted = counting(replace(piece, measured=None))
+    if counted is not None:
+        edges[1:1] = [k for k in (np.flatnonzero(np.diff(counted)) + 1).tolist() if first < k < last]
+    for start, stop in pairwise(edges):
+        yield start, stop, counted is None or bool(counted[start])
+
+
+def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
+    """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
+    tau = actuator.transformer
+    if tau is None:
+        return voltage - offset - drift
+    return tau.inverse(tau(voltage) - offset - drift)

@@ -1,0 +1,463 @@
+"""Coupled axes (theory section 16): the coupling matrix by one linear least squares, then each axis by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import IdentifyError, RecordError
+from dehyst._text import escaped
+from dehyst._threads import one_thread
+from dehyst._types import Array, Mask, Progress
+from dehyst._version import __version__
+from dehyst._views.fields import json_values
+from dehyst.identification.expectation import Readiness
+from dehyst.identification.fit import Fit
+from dehyst.identification.regressors import play_curves
+from dehyst.identification.results import Trace
+from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
+from dehyst.records import Record, largest, rms
+
+# Samples of a regression; of more, some evenly.
+_MOST_ROWS = 24_000
+# Of the energy of a column: a ridge against columns that the record hardly moves.
+_RIDGE = 1e-8
+# Spans of the records that are left out in turn for the standard errors.
+_SPANS = 24
+# Passes in which spans of time get the weight of their residuals, and the least power of a span, of the mean.
+_REWEIGHTED, _LEAST_POWER = 4, 1e-3
+# Cycles of a span of time whose level is free, and most spans of a record.
+_CYCLES, _MOST_LEVELS = 3, 24
+# Time constant of a logarithmic drift since the start of a record, in its durations.
+_LOGARITHM = 1e-3
+# Of the range of a voltage: it stands while it moves by less.
+_STANDING = 2e-3
+# Least share of a voltage's motion that the others do not explain, and of a displacement's that the voltages explain.
+SEPARATE, _EXPLAINED = 0.01, 0.05
+# Two displacements are the same if they differ by less, of the stroke: by the rounding of a file.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class AxisError:
+    """Error of the model of a stage on one axis of a record.
+
+    Attributes
+    ----------
+    record, role, axis : str
+        `role` is training or validation.
+    rms, largest : float
+        RMS and largest error [m].
+    stroke : float
+        Range of the axis in the training records [m], the reference of percentages.
+    samples, left_out : int
+        Number of samples that are compared, and of others: those before the axis moves, and before the second turning
+        point of each voltage that moves.
+    """
+
+    record: str
+    role: str
+    axis: str
+    rms: float
+    largest: float
+    stroke: float
+    samples: int
+    left_out: int
+
+    @property
+    def rms_percent(self) -> float:
+        """RMS error in % of the stroke."""
+        return 100 * self.rms / self.stroke
+
+    @property
+    def largest_percent(self) -> float:
+        """Largest error in % of the stroke."""
+        return 100 * self.largest / self.stroke
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        lengths = {"rms_nm": 1e9 * self.rms, "largest_nm": 1e9 * self.largest, "stroke_um": 1e6 * self.stroke}
+        return json_values(self, "record role axis rms_percent largest_percent samples left_out") | lengths
+
+
+@dataclass(frozen=True, eq=False)
+class StageFit:
+    """The result of an identification of a stage.
+
+    Attributes
+    ----------
+    stage : Stage
+    fits : tuple of Fit
+        The identification of each axis on its decoupled displacement ``coupling^-1 y``.
+    coupling, uncertainty : (axes, axes) array
+        The coupling matrix, and the standard error of each entry (0 on the diagonal).
+    errors : tuple of AxisError
+        Errors of the simulation of each record, training first, one for each axis.
+    residuals : tuple of (n, axes) array
+        Measured minus simulated displacement [m] of each record, training first; NaN where it is not compared.
+    axes : tuple of str
+        Names of the axes.
+    """
+
+    stage: Stage
+    fits: tuple[Fit, ...]
+    coupling: Array
+    uncertainty: Array
+    errors: tuple[AxisError, ...]
+    residuals: tuple[Array, ...]
+    axes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"<StageFit of axes {', '.join(self.axes)}: {escaped(self.verdict)}>"
+
+    @property
+    def model(self) -> Stage:
+        """The stage, as `Fit.model` is the actuator."""
+        return self.stage
+
+    @property
+    def traces(self) -> tuple[Trace, ...]:
+        """Measured and simulated displacement of each axis of each record."""
+        return tuple(trace for fit in self.fits for trace in fit.traces)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the coupling matrix."""
+        return float(np.linalg.cond(self.coupling))
+
+    @property
+    def good(self) -> bool:
+        """Whether the model may be used: every axis is usable, and moves most by its own voltage."""
+        return not self.exchanged and all(fit.good for fit in self.fits)
+
+    @property
+    def exchanged(self) -> tuple[str, ...]:
+        """Axes whose displacement moves more by another axis' voltage than by their own."""
+        others = np.abs(self.coupling - np.eye(len(self.axes))).max(axis=1, initial=0.0)
+        return tuple(axis for axis, most in zip(self.axes, others.tolist(), strict=True) if most > 1)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on what to expect of the stage."""
+        if self.exchanged:
+            return (
+                f"Not usable: the voltage of another axis moves {', '.join(self.exchanged)} more than its own does; "
+                "are the columns of displacements exchanged?"
+            )
+        held = [error for error in self.errors if error.role == "validation"]
+        judged, source = (held, "held-out") if held else (self.errors, "training")
+        worst = max(judged, key=lambda error: error.largest_percent)
+        levels = {fit.promise.readiness for fit in self.fits if fit.promise is not None}
+        head = "Ready for use" if levels == {Readiness.READY} else "Usable, with care"
+        if not self.good or Readiness.NOT_USABLE in levels:
+            head = "Not usable"
+        return (
+            f"{head}: the {source} records are missed by {worst.largest_percent:.2g} % of the stroke at most "
+            f"(axis {worst.axis}), {max(error.rms_percent for error in judged):.2g} % RMS"
+        )
+
+    def summary(self, full: bool = False) -> str:
+        """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--all`."""
+        return "\n".join(escaped(line) for line in (self._lines if full else self._brief)())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values without traces and residuals."""
+        keys = "verdict good axes coupling uncertainty condition errors"
+        return json_values(self, keys) | {"fits": by_axis(self.axes, self.fits)}
+
+    def _brief(self) -> Iterator[str]:
+        """Yield the verdict, and what to expect of each axis."""
+        yield f"{self.verdict}."
+        for axis, fit in zip(self.axes, self.fits, strict=True):
+            yield f"Axis {axis}: {fit.summary().splitlines()[0]}"
+
+    def _lines(self) -> Iterator[str]:
+        """Yield verdict, coupling, errors, and the verdict of each axis."""
+        yield from (self.verdict, "")
+        yield "Coupling: displacement of each axis (row) for each metre that an actuator (column) moves"
+        yield from matrix_lines(self.axes, self.coupling, self.uncertainty)
+        yield f"Condition {self.condition:.4g}."
+        if self.errors:
+            names = [f"{error.record} ({error.axis})" for error in self.errors]
+            width = max(map(len, names))
+            yield ""
+            yield f"{'record (axis)':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}  {'largest':>9}  {'RMS':>9}"
+            for name, error in zip(names, self.errors, strict=True):
+                counts = f"{error.role:<10} {error.samples:>8} {error.left_out:>8}"
+                yield f"{name:<{width}}  {counts}  {error.largest_percent:>7.3f} %  {error.rms_percent:>7.3f} %"
+        for axis, fit in zip(self.axes, self.fits, strict=True):
+            yield from ("", f"Axis {axis}: {fit}", *(f"  - {remark}" for remark in fit.remarks))
+
+
+# Records to train on, records held out, and a progress report -> the fit of one axis.
+IdentifyAxis = Callable[[list[Record], list[Record], Progress], Fit]
+
+
+def identify_axes(
+    training: Sequence[Record], held_out: Sequence[Record], identify: IdentifyAxis, report: Progress
+) -> StageFit:
+    """Identify a stage: its coupling matrix, and each axis by itself.
+
+    Plays of the voltages give the motion of each actuator, and least squares of all displacements on these motions the
+    coupling matrix. Then each axis is identified from its voltage and ``coupling^-1 y``.
+
+    Raise `RecordError` or `IdentifyError` as `dehyst.identify`, with the name of the axis; or if a voltage or
+    displacement of an axis never moves, two displacements are the same, two axes always move together, or records have
+    different axes.
+    """
+    names, every = training[0].axes, [*training, *held_out]
+    for other in every:
+        if other.axes != names:
+            raise RecordError(
+                f"record '{other.name}': has the axes {', '.join(other.axes)}, but '{training[0].name}' has "
+                f"{', '.join(names)}; give records of the same axes in the same order"
+            )
+    refuse_still(training)
+    _refuse_equal(training)
+    report("coupling of the axes")
+    with one_thread():
+        plays = Plays.of(training)
+        _refuse_inseparable(names, plays.separate())
+        _refuse_unmoved(names, plays)
+        coupling, uncertainty = plays.coupling()
+    fits = _axis_fits(training, held_out, coupling, identify, report)
+    strokes = np.max([np.ptp(record.displacement, axis=0) for record in training], axis=0)
+    errors, residuals = list[AxisError](), list[Array]()
+    for k, record in enumerate(every):
+        residual, standing = _compared(record, [fit.traces[k] for fit in fits], coupling)
+        role = "training" if k < len(training) else "validation"
+        errors += _errors(record, role, np.where(standing, np.nan, residual), strokes)
+        residuals.append(residual)
+    provenance = {
+        "dehyst": __version__,
+        "records": [{"name": one.name, **one.meta} for one in training],
+        "coupling_uncertainty": uncertainty.tolist(),
+    }
+    stage = Stage(
+        tuple(fit.actuator for fit in fits),
+        coupling,
+        names,
+        provenance=provenance,
+        recorded_columns=tuple(training[0].meta.get("axes", ())),
+    )
+    return StageFit(stage, fits, coupling, uncertainty, tuple(errors), tuple(residuals), names)
+
+
+def _axis_fits(
+    training: Sequence[Record], held_out: Sequence[Record], coupling: Array, identify: IdentifyAxis, report: Progress
+) -> tuple[Fit, ...]:
+    """Identify each axis on its decoupled displacement."""
+    table, fits = inverse(coupling), []
+    for j, axis in enumerate(training[0].axes):
+        alone, validate = (
+            [record.axis(j, apply(table, record.displacement)[:, j]) for record in some]
+            for some in (training, held_out)
+        )
+        try:
+            fits.append(identify(alone, validate, lambda words, axis=axis: report(f"axis {axis}: {words}")))  # type: ignore[misc]
+        except (RecordError, IdentifyError) as error:
+            raise type(error)(f"axis {axis}: {error}") from error
+    return tuple(fits)
+
+
+def _compared(record: Record, traces: Sequence[Trace], coupling: Array) -> tuple[Array, Mask]:
+    """Return measured minus modelled displacements (n, axes) [m], and where a voltage has not moved yet.
+
+    They are NaN before the second turning point of a voltage. While a voltage has not moved yet, its actuator is taken
+    to stand where it is on average.
+    """
+    moved = apply(inverse(coupling), record.displacement)
+    left, standing = np.full(moved.shape, np.nan), np.zeros(moved.shape, dtype=bool)
+    for j, trace in enumerate(traces):
+        settled, v = trace.settled, record.voltage[:, j]
+        where = np.minimum(np.searchsorted(record.time, settled.time - 1e-9), len(record) - 1)
+        left[where, j] = settled.residual
+        away = np.flatnonzero(np.abs(v - v[0]) > _STANDING * np.ptp(v))
+        still = np.arange(len(record)) < (away[0] if away.size else len(record))
+        standing[:, j] = still & np.isnan(left[:, j])
+        if standing[:, j].any():
+            left[standing[:, j], j] = moved[standing[:, j], j] - moved[standing[:, j], j].mean()
+    return apply(coupling, left), standing
+
+
+def _errors(record: Record, role: str, residual: Array, strokes: Array) -> Iterator[AxisError]:
+    """Yield the error of each axis where its residual is a number."""
+    for axis, column, stroke in zip(record.axes, residual.T, strokes.tolist(), strict=True):
+        left = column[np.isfinite(column)]
+        if left.size:
+            numbers = rms(left), largest(left), stroke, left.size, len(record) - left.size
+            yield AxisError(record.name, role, axis, *numbers)
+
+
+@dataclass(frozen=True, eq=False)
+class Plays:
+    """Plays of all voltages beside the displacements of a stage, the samples of its records one after another.
+
+    Attributes
+    ----------
+    blocks : tuple of (m, K) array
+        For each voltage, curves of its plays.
+    slow : (m, P) array
+        Slow motions of each record that no voltage explains.
+    displacement : (m, axes) array
+        [m].
+    spans : (m,) array
+        Number of the span of time.
+    """
+
+    blocks: tuple[Array, ...]
+    slow: Array
+    displacement: Array
+    spans: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, records: Sequence[Record]) -> Plays:
+        """Make the plays of each voltage, in its range in all records."""
+        from scipy.linalg import block_diag
+
+        low = np.min([record.voltage.min(axis=0) for record in records], axis=0)
+        width = np.max([record.voltage.max(axis=0) for record in records], axis=0) - low
+        every = max(1, sum(map(len, records)) // _MOST_ROWS)
+        blocks = [[play_curves(u)[::every] for u in ((one.voltage - low) / width).T] for one in records]
+        displacement = [one.displacement[::every] for one in records]
+        return cls(
+            tuple(map(np.concatenate, zip(*blocks, strict=True))),
+            block_diag(*[_slow(one)[::every] for one in records]),
+            np.concatenate(displacement),
+            np.concatenate([np.arange(len(own)) * _SPANS // len(own) for own in displacement]),
+        )
+
+    def coupling(self) -> tuple[Array, Array]:
+        """Return the coupling matrix (axes, axes), and the standard error of each entry.
+
+        Each displacement is fitted to the plays of all voltages: those of its own voltage are the motion of its
+        actuator. Then all displacements are fitted to these motions.
+        """
+        rows, first, motions = _scaled([*self.blocks, self.slow]), 0, []
+        for block, measured in zip(self.blocks, self.displacement.T, strict=True):
+            grams, rights = self._weighted(rows, measured)
+            own = slice(first, first := first + block.shape[1])
+            motions.append(rows[:, own] @ _solution(grams.sum(axis=0), rights.sum(axis=0))[own])
+        rows, count = _scaled([np.column_stack(motions), self.slow]), len(motions)
+        sizes = np.linalg.norm(motions, axis=1)
+        matrix, uncertainty = np.empty((count, count)), np.empty((count, count))
+        for i, measured in enumerate(self.displacement.T):
+            grams, rights = self._weighted(rows, measured)
+            gram, right = grams.sum(axis=0), rights.sum(axis=0)
+            sums = [(gram, right), *((gram - one, right - other) for one, other in zip(grams, rights, strict=True))]
+            found = np.array([_solution(*one)[:count] / sizes for one in sums])
+            found /= found[:, [i]]
+            matrix[i], uncertainty[i] = found[0], np.sqrt((len(grams) - 1) * found[1:].var(axis=0))
+        return matrix, uncertainty
+
+    def _weighted(self, rows: Array, measured: Array) -> tuple[Array, Array]:
+        """Return the products (S, p, p) and (S, p) of each span of time, with its weight.
+
+        What is not followed differs between spans and is largest while an axis moves: a span has the weight of its mean
+        square residual.
+        """
+        spans = [self.spans == span for span in np.unique(self.spans)]
+        grams = np.array([rows[span].T @ rows[span] for span in spans])
+        rights = np.array([rows[span].T @ measured[span] for span in spans])
+        weights = np.ones(len(spans))
+        for _ in range(_REWEIGHTED):
+            left = measured - rows @ _solution(np.tensordot(weights, grams, 1), weights @ rights)
+            power = np.array([np.mean(left[span] ** 2) for span in spans])
+            weights = 1 / np.maximum(power, _LEAST_POWER * power.mean())
+            weights /= weights.mean()
+        return weights[:, None, None] * grams, weights[:, None] * rights
+
+    def separate(self) -> Array:
+        """Return the share (axes,) of the motion of each voltage that no plays of the other voltages explain."""
+        shares = []
+        for j, block in enumerate(self.blocks):
+            others = [other for k, other in enumerate(self.blocks) if k != j]
+            shares.append(self.unexplained(block.sum(axis=1, keepdims=True), others)[0])
+        return np.array(shares)
+
+    def unexplained(self, motion: Array, blocks: Sequence[Array]) -> Array:
+        """Return the share of each motion (m, k), slow ones aside, that the columns of `blocks` do not explain."""
+        energies = [(_left(rows, motion) ** 2).sum(axis=0) for rows in ([self.slow], [self.slow, *blocks])]
+        return np.asarray(energies[1] / np.maximum(energies[0], 1e-300))
+
+
+def _scaled(columns: Sequence[Array]) -> Array:
+    """Return columns next to one another, each with the length 1; an empty one stays."""
+    rows = np.hstack(columns)
+    sizes = np.linalg.norm(rows, axis=0)
+    return np.asarray(rows / np.where(sizes > 0, sizes, 1.0))
+
+
+def _solution(gram: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(gram + _RIDGE * np.eye(len(gram)), right))
+
+
+def _left(columns: Sequence[Array], motion: Array) -> Array:
+    """Return what is left of motions (m, k) by least squares."""
+    rows = _scaled(columns)
+    return np.asarray(motion - rows @ _solution(rows.T @ rows, rows.T @ motion))
+
+
+def _slow(record: Record) -> Array:
+    """Return slow motions (n, P) that no voltage explains: drifts since the start, a level of each span of cycles."""
+    since = (record.time - record.time[0]) / (record.time[-1] - record.time[0])
+    logarithmic = np.log1p(since / _LOGARITHM) / np.log1p(1 / _LOGARITHM)
+    cycles = sum(len(record.axis(j).cycles()) for j in range(len(record.axes)))
+    count = int(np.clip(cycles / _CYCLES, 1, _MOST_LEVELS))
+    levels = (np.arange(len(record)) * count // len(record))[:, None] == np.arange(count)
+    return np.column_stack([since - 0.5, logarithmic - 0.5, levels])
+
+
+def refuse_still(records: Sequence[Record]) -> None:
+    """Raise `RecordError` if the voltage or the displacement of an axis moves in none of the records."""
+    for j, name in enumerate(records[0].axes):
+        if all(np.ptp(one.voltage[:, j]) == 0 for one in records):
+            held = records[0].voltage[0, j]
+            raise RecordError(
+                f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves: record all axes moving, one "
+                "after the other or together: dehyst excite stage"
+            )
+        if all(np.ptp(one.displacement[:, j]) == 0 for one in records):
+            raise RecordError(
+                f"axis {name}: its displacement does not move; check its sensor, and the column that is read: --columns"
+            )
+
+
+def _refuse_equal(records: Sequence[Record]) -> None:
+    """Raise `RecordError` if the displacements of two axes differ by a constant."""
+    names = records[0].axes
+    for i, j in combinations(range(len(names)), 2):
+        pairs = [one.displacement[:, [i, j]] for one in records]
+        if all(np.ptp(pair[:, 0] - pair[:, 1]) <= _ROUNDING * np.ptp(pair, axis=0).max() for pair in pairs):
+            raise RecordError(
+                f"axes {names[i]} and {names[j]}: their displacements are the same but for a constant; check which "
+                "column is read as which axis: --columns"
+            )
+
+
+def _refuse_inseparable(names: Sequence[str], shares: Array) -> None:
+    """Raise `IdentifyError` if the voltage of an axis never moves by itself."""
+    for name, share in zip(names, shares, strict=True):
+        if share < SEPARATE:
+            others = ", ".join(other for other in names if other != name)
+            raise IdentifyError(
+                f"axis {name}: its voltage moves together with those of {others} at all times ({100 * share:.2g} % of "
+                "its motion is its own), so that their displacements cannot be distinguished; record the axes one "
+                "after the other, or together with different periods: dehyst excite stage"
+            )
+
+
+def _refuse_unmoved(names: Sequence[str], plays: Plays) -> None:
+    """Raise `RecordError` if the voltages together explain next to nothing of the motion of a displacement."""
+    explained = 1 - plays.unexplained(plays.displacement, plays.blocks)
+    for name, share in zip(names, explained, strict=True):
+        if share < _EXPLAINED:
+            raise RecordError(
+                f"axis {name}: its displacement follows none of the voltages: they explain {100 * share:.2g} % of its "
+                "motion; check its sensor, and the column that is read: --columns"
+            )

@@ -1,1 +1,0 @@
-"""Coupling of several axes: the matrix, the axes beside it, and what no matrix describes."""

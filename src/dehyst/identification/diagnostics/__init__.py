@@ -1,1 +1,0 @@
-"""Diagnostics of an identification: assumptions, residuals, identifiability, and their messages."""

@@ -1,0 +1,262 @@
+"""The training records with what moves them: their paths, programs, and simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._native import slip_elongations
+from dehyst._types import Array
+from dehyst.identification.cleaning import cycle_time
+from dehyst.identification.comparison import without_offset
+from dehyst.identification.denoising import derivatives, left_of
+from dehyst.identification.motion import Motion, Parts, moved
+from dehyst.identification.preparation import Prepared, counted_samples
+from dehyst.identification.program import Program, Solution
+from dehyst.identification.regressors import Epoch, NumberedEpoch, Piece, RowSource
+from dehyst.identification.rules import RULES
+from dehyst.identification.structure import Structure
+from dehyst.model import Actuator, State
+from dehyst.records import Record, rms
+
+# Parts of the time of a record, of which two at a time are held out.
+_PARTS = 6
+FOLDS = _PARTS // 2
+# If the last ranges hold less than this part of the samples, those before count too.
+_SOON = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Training records, and the motion between them and the path of the hysteresis.
+
+    Attributes
+    ----------
+    training : sequence of Prepared
+    motion : Motion
+    voltages : (float, float)
+        Lowest and highest voltage of all records [V].
+    slope_floor : float
+        Least slope, of the mean slope of the widest loop.
+    widest : int
+        Record whose last constant is the spring's.
+    stroke : float
+        Range of the widest loop as measured [m].
+    denoised : bool
+        Whether the sensor's noise is taken out of the path that drives the elements.
+    """
+
+    training: Sequence[Prepared]
+    motion: Motion
+    voltages: tuple[float, float]
+    slope_floor: float
+    widest: int
+    stroke: float
+    denoised: bool = True
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Shortest sample time and longest record [s]."""
+        records = [item.record for item in self.training]
+        return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
+
+    @cached_property
+    def rests(self) -> bool:
+        """Whether the voltage of a record rests for as long as the shortest cycle."""
+        records = [item.record for item in self.training]
+        shortest = min(map(cycle_time, records))
+        return max(map(_longest_rest, records)) >= shortest
+
+    @cached_property
+    def before(self) -> list[Prepared]:
+        """The records without drift, temperature and creep."""
+        return [self.motion.before(item, q) for q, item in enumerate(self.training)]
+
+    @cached_property
+    def paths(self) -> list[tuple[int, int, Record]]:
+        """Record number, piece number and path that drives the elements, on the model's axis, of all pieces."""
+        at, found = self.motion, []
+        for q, item in enumerate(self.before):
+            shift = float(at.datum[q]) / at.at_rest
+            driving = (
+                item.driving(at.delay, at.lag, at.dynamics, self.stroke)
+                if self.denoised
+                else list(item.acting(at.delay, at.lag))
+            )
+            for k, path in enumerate(driving):
+                found.append((q, k, replace(path, displacement=path.displacement + shift) if shift else path))
+        return found
+
+    @cached_property
+    def _bare(self) -> RowSource:
+        """Epochs of all paths, without elements."""
+        grid = Structure(elements=2, knots=2).grid((0.0, 1.0), self.voltages)
+        noise = [left_of(self.training[q].noise, self.stroke) for q, _, _ in self.paths]
+        pieces = [Piece(q, path, np.broadcast_to(0.0, len(path))) for q, _, path in self.paths]
+        return RowSource.of(pieces, grid, noise, leads=[item.lead for item in self.before])
+
+    @cached_property
+    def span(self) -> tuple[float, float]:
+        """Lowest and highest displacement of the widest record's path [m]."""
+        own = [
+            (piece.path.displacement, epochs)
+            for piece, epochs in zip(self._bare.pieces, self._bare.epochs, strict=True)
+            if piece.record == self.widest
+        ]
+        counted = counted_samples(own)
+        return min(float(y.min()) for y in counted), max(float(y.max()) for y in counted)
+
+    def source(self, structure: Structure) -> RowSource:
+        """Return all rows of all records on the grid of a structure."""
+        return replace(self._bare, grid=structure.grid(self.span, self.voltages))
+
+    def program(
+        self,
+        source: RowSource,
+        structure: Structure,
+        most: int,
+        names: Sequence[str] = (),
+        near: Solution | None = None,
+    ) -> Program:
+        """Return the program of about `most` rows, with the parts of these names; `near`: a solution nearby."""
+        rows = source.thinned(most)
+        floor = self.slope_floor * float(np.ptp(self.voltages)) / (self.span[1] - self.span[0])
+        parts = [] if near is None else Parts(self.motion, self.training, rows).of(names)
+        return Program(rows, source.grid, floor, structure.smoothing, tuple(parts), near)
+
+    def actuator(self, program: Program, found: Solution) -> Actuator:
+        """Return the actuator of a solution, without limits and name."""
+        rows, at = program.rows, self.motion
+        reference = int(rows.epoch[rows.record == self.widest].max())
+        gains = found.numbers.get("creep", at.gains)
+        creep = replace(at, gains=gains).creep
+        return found.to_actuator(
+            program.grid,
+            found.offsets[reference],
+            dynamics=at.dynamics,
+            delay=max(at.delay, 0.0),
+            lag=at.lag,
+            displacement_creep=creep,
+            thermal=at.thermal,
+        )
+
+    def with_numbers(self, names: Sequence[str], found: Solution) -> Frame:
+        """Return the records with the numbers that a solution found for parts."""
+        return replace(self, motion=moved(self.motion, names, found.numbers))
+
+    def folds(self, program: Program) -> NDArray[np.intp]:
+        """Return the fold of each row (n,): sixths of the time of its record, two in each."""
+        fold = np.zeros(len(program.rows), dtype=np.intp)
+        for q in range(len(self.training)):
+            own = program.rows.record == q
+            first, last = self.training[q].record.time[[0, -1]]
+            fold[own] = part_of((program.rows.time[own] - first) / (last - first)) % FOLDS
+        return fold
+
+    def held_out_error(self, source: RowSource, program: Program, whole: Solution) -> float:
+        """Return the error [m] of held-out parts of the time, simulated from the voltages alone.
+
+        It is the median RMS error of the parts, because a part with the only loops of their size is not representative.
+        """
+        errors, rows = list[float](), program.rows
+        for k in range(FOLDS):
+            found = program.solved(whole, without=k)
+            left = self.residual(source, program, found, whole, k)
+            known = rows.displacement[program.fold != k]
+            counted = np.isfinite(left) & (rows.displacement >= known.min()) & (rows.displacement <= known.max())
+            away = program.fold == k
+            for epoch in np.unique(rows.epoch[counted]).tolist():
+                own = np.flatnonzero(counted & (rows.epoch == epoch))
+                kept = own[~away[own]]
+                left[own] -= left[kept if kept.size else own].mean()
+            missed = [left[counted & away & (rows.record == q)] for q in range(len(self.training))]
+            errors += [rms(one) for one in missed if one.size]
+        return self.motion.at_rest * float(np.median(errors)) if errors else 0.0
+
+    def residual(
+        self, source: RowSource, program: Program, found: Solution, whole: Solution, without: int | None = None
+    ) -> Array:
+        """Return measured less simulated displacement [m] of each row (n,); NaN where it does not count.
+
+        `found`: the solution `without` a fold; `whole`: that of all rows.
+        """
+        rows, out = program.rows, np.zeros(len(program.rows), dtype=bool)
+        if without is not None:
+            out = program.fold == without
+        # An epoch that is out as a whole has no constant but that of all rows.
+        lost = set(rows.epoch[out].tolist()) - set(rows.epoch[~out].tolist())
+        offsets = {e: whole.offsets[e] if e in lost else offset for e, offset in found.offsets.items()}
+        actuator = self.actuator(program, replace(found, offsets=offsets))
+        base, left = float(actuator.spring.voltage[0]), np.full(len(rows), np.nan)
+        for one in self.judged(source):
+            own = np.flatnonzero(rows.epoch == one.number)
+            if own.size:
+                state = self.state(source, one.piece, one.epoch, actuator)
+                time, missed = self.missed(one.piece, one.epoch, actuator, state, offsets[one.number] - base)
+                left[own] = np.interp(rows.time[own], time, missed)
+        for part in program.parts:
+            # The numbers of a fold move the path, too; a resonance is in the simulation.
+            if part.name != "inertia":
+                moved = part.columns @ (found.numbers[part.name] - part.value)
+                left += moved / program.scale if part.volts else moved
+        return left
+
+    def judged(self, source: RowSource) -> list[NumberedEpoch]:
+        """Return the last epoch of each piece, or all epochs where the last ones are short."""
+        epochs = list(source.numbered())
+        last = [one for one in epochs if one.epoch is source.epochs[one.piece][-1]]
+        samples = sum(one.epoch.stop - one.epoch.start for one in last)
+        return last if samples >= _SOON * sum(len(path) for _, _, path in self.paths) else epochs
+
+    def state(self, source: RowSource, place: int, epoch: Epoch, actuator: Actuator) -> State:
+        """Return the state of an actuator at the first sample of an epoch of a piece, before creep."""
+        (q, k, path), rho, grid = self.paths[place], actuator.slip.breakaway, source.grid
+        y = path.displacement
+        _, carts = slip_elongations(rho, np.full(rho.size, y[0]), np.ascontiguousarray(y[: epoch.start + 1]))
+        carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
+        smooth = source.states[place][epoch.start][: grid.moved]
+        if grid.lengths.size:
+            part = actuator.smooth
+            held = [] if part is None else list(zip(part.length, part.closing, strict=True))
+            smooth = smooth[[pair in held for pair in zip(grid.lengths, grid.closings, strict=True)]]
+        start, motion = float(y[epoch.start]), list[float]()
+        if actuator.dynamics is not None:
+            piece = self.before[q].pieces[k]
+            motion = [float(self._measured(q, k)[epoch.start]), float(derivatives(piece)[0][epoch.start])]
+        return State(start, np.clip(carts, start - rho, start + rho), (), motion, smooth)
+
+    def _measured(self, number: int, piece: int) -> Array:
+        """Displacements of a piece before creep on the model's axis (n,) [m]."""
+        shift = float(self.motion.datum[number]) / self.motion.at_rest
+        return np.asarray(self.before[number].pieces[piece].displacement + shift)
+
+    def missed(
+        self, place: int, epoch: Epoch, actuator: Actuator, state: State, offset: float, late: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return times [s], and measured less simulated displacement before creep [m], of one epoch of a piece.
+
+        `late`: voltages of the piece that act (n,) [V], by default those of its path.
+        """
+        (q, k, path), own = self.paths[place], slice(epoch.start, epoch.stop)
+        model = replace(actuator._before_creep, lag=0.0, thermal=None)
+        voltage = without_offset(model, (path.voltage if late is None else late)[own], offset)
+        time = path.time[own]
+        played = model.simulate(voltage, time=time if model.needs_time else None, state=state, extrapolate=True)
+        measured = path.displacement if actuator.dynamics is None else self._measured(q, k)
+        return time, measured[own] - played.displacement
+
+
+def part_of(place: Array) -> NDArray[np.intp]:
+    """Return the part of the time in which places (n,), 0 to 1 in a record, are."""
+    return np.asarray(np.clip((_PARTS * place).astype(np.intp), 0, _PARTS - 1))
+
+
+def _longest_rest(record: Record) -> float:
+    """Return the longest time in which the voltage of a record stays within a step that counts as coarse [s]."""
+    levels = np.round(record.voltage / (RULES.coarse_voltage * np.ptp(record.voltage)))
+    begins = np.flatnonzero(np.diff(levels, prepend=np.inf))
+    return float(np.max(record.time[np.append(begins[1:], levels.size) - 1] - record.time[begins]))

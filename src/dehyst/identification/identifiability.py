@@ -1,0 +1,110 @@
+"""Identifiability of the stiffnesses from turning points, independent of noise."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.regressors import RowSource
+from dehyst.identification.rules import RULES
+from dehyst.identification.structure import Grid
+from dehyst.model import parts_in_segments
+from dehyst.records import Record, turning_points
+
+# Most rows of the regression; number of elements with which turning points are probed.
+_MOST_ROWS, _PROBES = 20_000, 10
+# Smaller singular values [V/V] are rounding, also if all are.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """How many combinations of the stiffnesses records determine, with any spring and constants.
+
+    `values` (m,): singular values of the columns of the elements that slide in some record, all else projected out,
+    largest first [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring.
+    `probing`: whether they belong to ten Maxwell-slip elements instead of those of a model with more parts.
+    """
+
+    values: Array
+    probing: bool = False
+
+    @property
+    def subject(self) -> str:
+        """Subject of the directions, as text."""
+        return "ten plain elements" if self.probing else "the stiffnesses"
+
+    @property
+    def of(self) -> int:
+        """Total number of directions."""
+        return self.values.size
+
+    @property
+    def determined(self) -> int:
+        """Number of directions that the records determine."""
+        least = max(RULES.determined / max(self.of, 1) ** 2 * self.values.max(initial=0.0), _ROUNDING)
+        return int(np.count_nonzero(self.values > least))
+
+
+def identifiability(records: list[Record], grid: Grid, *, relaxed: Collection[int] = ()) -> Identifiability:
+    """Compute the directions of the stiffnesses of Maxwell-slip elements that the records determine.
+
+    The rank is that of straight lines between the turning points: noise would raise that of measured rows.
+
+    `records`: pieces without gaps, on a common displacement axis. `relaxed`: numbers of the records that start with no
+    element strained.
+    """
+    rho = grid.breakaway
+    spacing = float(np.diff(rho, prepend=0.0).min())
+    turns = [_turns(record, spacing, grid.knots[[0, -1]]) for record in records]
+    samples = int(np.clip(_MOST_ROWS // max(1, sum(map(len, turns))), 20, 4 * rho.size + 20))
+    outlines = []
+    for q, places in enumerate(turns):
+        if len(places) > 2 or (q in relaxed and len(places) > 1):
+            branches = [np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(places)]
+            # The voltage equals the displacement.
+            path = np.concatenate([places[:1], *branches])
+            outlines.append((q, Record(np.arange(float(path.size)), path, path, "outline"), np.zeros(path.size)))
+    source = RowSource.of(outlines, grid, [0.0] * len(outlines), relaxed=relaxed)
+    rows, values = source.thinned(max(1, len(source))), np.zeros(np.count_nonzero(grid.movable))
+    if len(rows) and values.size:
+        constants = rows.epoch[:, None] == np.unique(rows.epoch)
+        others = np.hstack([constants, parts_in_segments(grid.knots, rows.displacement)])
+        others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
+        columns = np.hstack([others, rows.elongation[:, grid.movable] / rho[grid.movable]])
+        triangle = np.asarray(np.linalg.qr(columns, mode="r"))[others.shape[1] :, others.shape[1] :]
+        found = np.linalg.svd(triangle, compute_uv=False) / np.sqrt(len(rows))
+        values[: found.size] = found
+    return Identifiability(values)
+
+
+def probed(records: list[Record], span: tuple[float, float]) -> Identifiability:
+    """Return the directions of ten Maxwell-slip elements over a stroke [m] that the turning points determine."""
+    stroke = span[1] - span[0]
+    rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
+    grid = Grid.maxwell_slip(rho, np.linspace(*span, _PROBES + 1), 2 * rho < stroke * (1 - 1e-9))
+    return replace(identifiability(records, grid), probing=True)
+
+
+def _turns(record: Record, spacing: float, ends: Array) -> list[float]:
+    """Return turning points [m], those within `spacing` of each other or of `ends` merged, and three equal cycles."""
+    y = record.displacement
+    points = y[[0, *turning_points(y, max(spacing, 8 * record.noise)).tolist(), len(y) - 1]]
+    left, places = np.argsort(points), points.copy()
+    while left.size:
+        alike = left[: np.searchsorted(points[left], points[left[0]] + spacing, side="right")]
+        mean = points[alike].mean()
+        near = np.abs(ends - mean)
+        places[alike] = ends[near.argmin()] if near.min() < spacing else mean
+        left = left[alike.size :]
+    kept: list[float] = []
+    for turn in places.tolist():
+        if not kept or turn != kept[-1]:
+            kept.append(turn)
+        if len(kept) >= 6 and kept[-6:-4] == kept[-4:-2] == kept[-2:]:
+            del kept[-2:]
+    return kept

@@ -1,0 +1,233 @@
+"""What lies between a record and the path of its hysteresis: delay, resonance, creep, drift, zero and temperature.
+
+A record gives voltage and displacement. Once a few numbers are known, so is the path that drives the elements: the
+voltage some time ago, and the displacement before creep and resonance, without drift, at the reference temperature.
+A small change of each number moves that path by a known column. So all of them are unknowns of the same program as the
+stiffnesses (Gauss and Newton): solve, move, solve again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.identification.denoising import derivatives
+from dehyst.identification.preparation import Prepared
+from dehyst.identification.regressors import Rows
+from dehyst.model import DisplacementCreep, Dynamics, Thermal
+
+# Time constants of creep in a decade; the slowest in lengths of the longest record.
+_A_DECADE, _LONGEST = 2, 1.0
+
+
+def _nothing() -> Array:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Numbers of what lies between records and the path of the hysteresis.
+
+    Attributes
+    ----------
+    delay, lag : float
+        Time by which the displacement follows the voltage, and time constant of the amplifier [s].
+    damping, mass : float
+        2 zeta / omega [s] and 1 / omega^2 [s2]; without a resonance mass is 0.
+    time_constants, gains : (K,) array
+        Creep in displacement [s], and its gains.
+    begun : (records, K) array
+        Creep of each record from before its first sample: gain times strain [m].
+    drift, datum : (records,) array
+        Drift [m a unit of the record's drift curve], and shift to the axis of the model [m].
+    thermal : Thermal or None
+        Gain and offset by temperature.
+    lowest : float
+        Displacement about which the gain acts, that at the lowest voltage [m].
+    expands : bool
+        Whether the records show an offset by temperature.
+    """
+
+    delay: float = 0.0
+    lag: float = 0.0
+    damping: float = 0.0
+    mass: float = 0.0
+    time_constants: Array = field(default_factory=_nothing)
+    gains: Array = field(default_factory=_nothing)
+    begun: Array = field(default_factory=_nothing)
+    drift: Array = field(default_factory=_nothing)
+    datum: Array = field(default_factory=_nothing)
+    thermal: Thermal | None = None
+    lowest: float = 0.0
+    expands: bool = False
+
+    @classmethod
+    def none(cls, records: int) -> Motion:
+        """Return the numbers of records that nothing moves."""
+        return cls(begun=np.zeros((records, 0)), drift=np.zeros(records), datum=np.zeros(records))
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """The resonance; None without one."""
+        if not self.mass > 0:
+            return None
+        omega = 1 / np.sqrt(self.mass)
+        return Dynamics(float(omega / (2 * np.pi)), float(0.5 * self.damping * omega))
+
+    @property
+    def creep(self) -> DisplacementCreep | None:
+        """The branches with a gain; None without one."""
+        kept = self.gains > 0
+        return DisplacementCreep(self.time_constants[kept], self.gains[kept]) if kept.any() else None
+
+    @property
+    def at_rest(self) -> float:
+        """Displacement after creep has come to rest, relative to that before creep."""
+        return 1.0 + float(self.gains.sum())
+
+    def before(self, item: Prepared, number: int) -> Prepared:
+        """Return a record, of this number, without drift, temperature and creep."""
+        if self.drift[number]:
+            item = item.without_drift(float(self.drift[number]))
+        if self.thermal is not None:
+            item = item.at_reference(self.thermal)
+        if (creep := self.creep) is not None:
+            kept = self.gains > 0
+            item = item.without_creep(creep, self.begun[number][kept] / self.gains[kept])
+        return item
+
+
+def creep_times(fastest: float, longest: float) -> Array:
+    """Return time constants [s] of creep branches, evenly spaced in their logarithm."""
+    last = _LONGEST * longest
+    return np.geomspace(fastest, last, max(2, round(_A_DECADE * np.log10(max(last / fastest, 1.01))) + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Columns of a part in the program.
+
+    `name`: of the part. `columns` (n, k): by how much the path moves for a unit of each number [m], or the voltage [V]
+    if `volts`. `value` (k,): the numbers that the path has already. `bounded`: whether they are not negative. `ridge`
+    (p, k): rows that hold them near 0 or alike, relative to the mean square of the columns.
+    """
+
+    name: str
+    columns: Array
+    value: Array
+    bounded: bool = False
+    ridge: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    volts: bool = False
+
+
+class Parts:
+    """Makes the columns of parts at the rows of a program."""
+
+    def __init__(self, motion: Motion, training: Sequence[Prepared], rows: Rows) -> None:
+        self.motion, self.training, self.rows = motion, training, rows
+        self.before = [motion.before(item, q) for q, item in enumerate(training)]
+
+    def of(self, names: Sequence[str]) -> list[Part]:
+        """Return parts by their names."""
+        return [getattr(self, f"_{name}")() for name in names]
+
+    def _at_rows(self, columns: Sequence[tuple[Array, Array]]) -> Array:
+        """Return columns (n, k) of each record, given with their times, at the rows."""
+        rows, found = self.rows, None
+        for q, (time, values) in enumerate(columns):
+            own = rows.record == q
+            if found is None:
+                found = np.zeros((len(rows), values.shape[1]))
+            found[own] = np.column_stack([np.interp(rows.time[own], time, one) for one in values.T])
+        assert found is not None
+        return found
+
+    def _for_each_record(self, columns: Array) -> Array:
+        """Return columns (n, k) as one block a record (n, R k)."""
+        count = len(self.training)
+        own = self.rows.record[:, None] == np.arange(count)
+        return np.asarray((own[:, :, None] * columns[:, None, :]).reshape(len(columns), -1))
+
+    def _delay(self) -> Part:
+        found = []
+        for item in self.training:
+            paths = list(item.acting(self.motion.delay, self.motion.lag))
+            time = np.concatenate([path.time for path in paths])
+            found.append((time, np.concatenate([np.gradient(path.voltage, path.time) for path in paths])[:, None]))
+        return Part("delay", self._at_rows(found), np.array([self.motion.delay]), volts=True)
+
+    def _inertia(self) -> Part:
+        found = []
+        for item in self.before:
+            moves = [np.column_stack(derivatives(piece)) for piece in item.pieces]
+            found.append((np.concatenate([piece.time for piece in item.pieces]), np.concatenate(moves)))
+        return Part("inertia", self._at_rows(found), np.array([self.motion.damping, self.motion.mass]), bounded=True)
+
+    def _creep(self) -> Part:
+        motion, found = self.motion, []
+        part = DisplacementCreep(motion.time_constants, np.zeros(motion.time_constants.size))
+        for item in self.before:
+            time, m = item.with_lead
+            found.append((time, m[:, None] - part.strains(time, m)))
+        # Slower branches than the last have no gain.
+        alike = np.diff(np.eye(motion.time_constants.size + 1), axis=0)[:, :-1]
+        return Part("creep", -self._at_rows(found), motion.gains, bounded=True, ridge=alike)
+
+    def _begun(self) -> Part:
+        motion, since = self.motion, self._since_start()
+        fades = np.exp(-since[:, None] / motion.time_constants)
+        size = len(self.training) * motion.time_constants.size
+        return Part("begun", self._for_each_record(fades), motion.begun.ravel(), ridge=np.eye(size))
+
+    def _since_start(self) -> Array:
+        first = np.array([item.with_lead[0][0] for item in self.training])
+        return np.asarray(np.maximum(self.rows.time - first[self.rows.record], 0.0))
+
+    def _drift(self) -> Part:
+        curves = [(item.record.time, item.drift_curve(item.record)[:, None]) for item in self.training]
+        return Part("drift", -self._for_each_record(self._at_rows(curves)), self.motion.drift)
+
+    def _datum(self) -> Part:
+        moved = np.flatnonzero(self.motion.datum)
+        columns = (self.rows.record[:, None] == moved) / self.motion.at_rest
+        return Part("datum", columns, self.motion.datum[moved])
+
+    def _thermal(self) -> Part:
+        motion, thermal, kelvins = self.motion, self.motion.thermal, []
+        assert thermal is not None
+        for item in self.training:
+            temperature = item.record.temperature
+            assert temperature is not None
+            kelvins.append((item.record.time, temperature[:, None] - thermal.reference))
+        by_kelvin = self._at_rows(kelvins)
+        columns = np.hstack([(self.rows.displacement[:, None] - motion.lowest) * by_kelvin, by_kelvin])
+        value = np.array([thermal.gain, thermal.offset + thermal.gain * motion.lowest])
+        kept = slice(2 if motion.expands else 1)
+        return Part("thermal", -columns[:, kept], value[kept])
+
+
+def moved(motion: Motion, names: Sequence[str], numbers: dict[str, Array]) -> Motion:
+    """Return the motion with the numbers that a program found for some parts."""
+    for name in names:
+        value = numbers[name]
+        if name == "delay":
+            motion = replace(motion, delay=float(value[0]))
+        elif name == "inertia":
+            motion = replace(motion, damping=float(value[0]), mass=float(value[1]))
+        elif name == "creep":
+            motion = replace(motion, gains=value)
+        elif name == "begun":
+            motion = replace(motion, begun=value.reshape(motion.begun.shape))
+        elif name == "datum":
+            datum = motion.datum.copy()
+            datum[np.flatnonzero(datum)] = value
+            motion = replace(motion, datum=datum)
+        elif name == "thermal" and motion.thermal is not None:
+            gain, offset = float(value[0]), float(value[1]) if motion.expands else 0.0
+            motion = replace(motion, thermal=Thermal(gain, offset - gain * motion.lowest, motion.thermal.reference))
+        elif name == "drift":
+            motion = replace(motion, drift=value)
+    return motion

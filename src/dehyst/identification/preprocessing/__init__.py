@@ -1,1 +1,0 @@
-"""Preprocessing: from a record to cleaned pieces, regressors and internal states."""

@@ -1,0 +1,422 @@
+"""The program: stiffnesses, slopes, and the numbers of what moves, in one non-negative least-squares problem.
+
+    tau(v) = sum_im kappa_im [R_m(y) - R_m(b_i)] + sum_j slope_j R_j(y) + sum_l k_l q_l + s sum_p c_p m_p + a_e + rest
+
+with y the path that drives the elements (`Motion`), R_m(z) the part of z in segment m, the end segments being
+unbounded, b_i the position of cart i, q_l the elongation of smooth element l and a_e the constant of epoch e. m_p is by
+how much the path moves for a unit of number c_p (`Part`), s the slope dv/dy of a fit before. All unknowns are >= 0 but
+the constants and the numbers that may be negative; slope_j and the slopes of tau are >= a floor (Assumption I). tau
+keeps the ends of the voltages where they are, which fixes scale and offset. Rows are weighted by 1/s: residuals are
+lengths.
+
+With graded elements the right-hand side must rise by the floor at least on every outermost branch; those of these
+inequalities that would be violated go into the program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import IdentifyError
+from dehyst._types import Array, Mask
+from dehyst.identification.motion import Part
+from dehyst.identification.regressors import Rows
+from dehyst.identification.solver import ActiveSet, NormalEquations
+from dehyst.identification.structure import Grid
+from dehyst.model import (
+    Actuator,
+    GradedSlip,
+    MaxwellSlip,
+    SmoothSlip,
+    Spring,
+    Transformer,
+    parts_in_segments,
+    segment_of,
+)
+from dehyst.records import rms
+
+TRANSFORMER_FLOOR = 0.2
+# A repair of a record must lower the RMS residual by this part of the stroke at least.
+SMALLEST_GAIN = 1e-5
+# A smooth element that holds less of the voltage than this over the whole range is left out.
+_NOTHING = 1e-9
+# Rounds of inequalities, inequalities that one adds at most, and how far [of the floor] one may be violated.
+_ROUNDS, _ADDED, _VIOLATED = 12, 40, 1e-6
+# Ridges of parts that move, and of what differs from a model nearby, relative to their columns.
+_RIDGE, _SMALL = 0.02, 1e-2
+# Passes towards least absolute residuals; those below this part of the median one weigh alike.
+_REWEIGHTED, _LEAST_MISSED = 3, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The coefficients of a program.
+
+    `stiffness` (N, M): kappa_im [V/m]; M = 1 for Maxwell-slip elements. `slopes` (K - 1,): of the spring [V/m].
+    `smooth` (L,): stiffnesses of smooth elements [V/m]. `transformer` (T,): slopes of tau; empty without one.
+    `offsets`: constants by epoch [V of tau]. `numbers`: of each part, by its name. `unknowns`: all, in the program's
+    order. `active_set`, `inequalities`: the start of a program nearby.
+    """
+
+    stiffness: Array
+    slopes: Array
+    smooth: Array
+    transformer: Array
+    offsets: dict[int, float]
+    numbers: dict[str, Array]
+    unknowns: Array
+    active_set: ActiveSet
+    inequalities: tuple[Array, Array]
+
+    def to_actuator(self, grid: Grid, first: float, **others: Any) -> Actuator:
+        """Return the actuator with these coefficients on a grid.
+
+        Smooth elements that hold nothing are left out. `first`: the spring's voltage at its first knot [V]. `**others`:
+        further arguments of `Actuator`.
+        """
+        mean_slope = float(self.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
+        kept = self.smooth > _NOTHING * mean_slope
+        tau = grid.drive[:1] + np.concatenate([[0.0], np.cumsum(self.transformer * np.diff(grid.drive))])
+        return Actuator(
+            slip=GradedSlip(grid.breakaway, grid.grades, self.stiffness)
+            if grid.graded
+            else MaxwellSlip(grid.breakaway, self.stiffness[:, 0]),
+            spring=Spring.of_slopes(grid.knots, self.slopes, first),
+            transformer=Transformer(grid.drive, tau) if grid.drive.size else None,
+            smooth=SmoothSlip(grid.lengths[kept], grid.closings[kept], self.smooth[kept]) if kept.any() else None,
+            **others,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Rows of records, a grid of elements, and parts that move.
+
+    Attributes
+    ----------
+    rows : Rows
+    grid : Grid
+    floor : float
+        Least slope of the spring, and of every outermost branch [V/m].
+    smoothing : float
+        How much alike neighbours are held.
+    parts : tuple of Part
+    near : Solution, optional
+        A solution nearby: rows are weighted by the inverse of its slope dv/dy, by default by that of the mean slope. It
+        says too how elements respond where the path moves.
+    folds : int
+        Parts of the rows that can be held out, by `fold` (n,).
+    toward : (q,) array, optional
+        Unknowns of static columns: differences from them are alike, and small; by default the unknowns are alike.
+    """
+
+    rows: Rows
+    grid: Grid
+    floor: float
+    smoothing: float
+    parts: tuple[Part, ...] = ()
+    near: Solution | None = None
+    folds: int = 1
+    fold: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    toward: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @cached_property
+    def mean_slope(self) -> float:
+        """Mean slope of voltage over displacement [V/m]."""
+        return float(np.ptp(self.rows.voltage) / np.ptp(self.grid.knots))
+
+    @cached_property
+    def numbers(self) -> NDArray[np.intp]:
+        """Epochs that get a constant (E,)."""
+        return np.unique(self.rows.epoch)
+
+    @cached_property
+    def carts(self) -> Array:
+        """Positions of the movable carts (n, m) [m]."""
+        return np.asarray(self.rows.displacement[:, None] - self.rows.elongation[:, self.grid.movable])
+
+    @cached_property
+    def _tau_parts(self) -> Array:
+        """The part of each voltage in each segment of tau (n, T)."""
+        knots = self.grid.drive
+        return parts_in_segments(knots, self.rows.voltage) if knots.size else np.zeros((len(self.rows), 0))
+
+    @cached_property
+    def scale(self) -> Array:
+        """Slope of each row (n,) [V/m]."""
+        return np.full(len(self.rows), self.mean_slope) if self.near is None else self.slope(self.near)
+
+    @property
+    def _split(self) -> tuple[list[Part], list[Part]]:
+        """Parts whose numbers are free, and those whose numbers are not negative."""
+        return [p for p in self.parts if not p.bounded], [p for p in self.parts if p.bounded]
+
+    @cached_property
+    def static(self) -> Array:
+        """Columns (n, q) of elements, spring, smooth elements and tau, in the order of `Grid.places`."""
+        grid, rows = self.grid, self.rows
+        elements = rows.elongation[:, grid.movable]
+        if grid.segments > 1:
+            n, count = elements.shape
+            held = parts_in_segments(grid.grades, self.carts.ravel()).reshape(n, count, grid.segments)
+            free = parts_in_segments(grid.grades, rows.displacement)[:, None, :]
+            elements = (free - held).reshape(n, count * grid.segments)
+        # Changes of tau leave its ends where they are: the last segment gives back what another one gets.
+        tau, lengths = self._tau_parts, np.diff(grid.drive)
+        if lengths.size:
+            tau = tau[:, :-1] - tau[:, -1:] * (lengths[:-1] / lengths[-1])
+        spring = parts_in_segments(grid.knots, rows.displacement)
+        return np.hstack([elements, spring, rows.moved[:, : grid.moved], -tau])
+
+    @cached_property
+    def columns(self) -> tuple[Array, int]:
+        """All columns (n, E + F + q), the free ones first, weighted [m]; and how many are free."""
+        free, bounded = self._split
+        constants = (self.rows.epoch[:, None] == self.numbers).astype(np.float64)
+        moving, held = ([self.responses[p.name] for p in parts] for parts in (free, bounded))
+        whole = np.hstack([constants, *moving, self.static, *held]) / self.scale[:, None]
+        return whole, self.numbers.size + sum(p.value.size for p in free)
+
+    @cached_property
+    def responses(self) -> dict[str, Array]:
+        """Voltages (n, k) [V] by which parts move the equation of each row, by their names.
+
+        A cart stands where the path has taken it last: where an element does not slide, its force changes by what the
+        path has moved since then.
+        """
+        moved = {part.name: part.columns for part in self.parts if not part.volts}
+        found = {part.name: part.columns for part in self.parts if part.volts}
+        if not moved or self.near is None:
+            return found | moved
+        near, grid = self.near, self.grid
+        columns = np.hstack(list(moved.values()))
+        spring, own, carts = self._segments
+        kappa = near.stiffness[grid.movable]
+        volts = (near.slopes[spring] + kappa.sum(axis=0)[own])[:, None] * columns
+        stuck, number = self.rows.stuck[:, grid.movable], np.arange(len(self.rows))
+        first = np.searchsorted(self.rows.epoch, self.rows.epoch)
+        since = np.maximum.accumulate(np.where(stuck, first[:, None], number[:, None]), axis=0)
+        for i, row in enumerate(kappa):
+            volts -= row[carts[:, i]][:, None] * columns[since[:, i]]
+        if near.smooth.size:
+            shares = self._shares(slice(None)) @ near.smooth[grid.time_constants.size :]
+            volts += shares[:, None] * (columns - columns[since[:, 0]] if len(kappa) else columns)
+        ends = np.cumsum([one.shape[1] for one in moved.values()])[:-1]
+        return found | dict(zip(moved, np.split(volts, ends, axis=1), strict=True))
+
+    @cached_property
+    def target(self) -> Array:
+        """Right-hand side (n,), weighted [m]."""
+        v, knots, y = self.rows.voltage, self.grid.drive, self.rows.displacement
+        spring = self.floor * (y - self.grid.knots[0])
+        left = v - spring
+        if knots.size:
+            last = (1 - TRANSFORMER_FLOOR) * np.ptp(knots) / (knots[-1] - knots[-2]) * self._tau_parts[:, -1]
+            left = knots[0] + TRANSFORMER_FLOOR * (v - knots[0]) + last - spring
+        moved = sum(self.responses[part.name] @ part.value for part in self.parts)
+        return np.asarray((left + moved) / self.scale)
+
+    def regularization(self) -> Array:
+        """Return the Gram matrix (q, q) of the rows that hold neighbours alike, beside one row of data."""
+        (columns, free), (moving, held) = self.columns, self._split
+        whole = np.zeros((columns.shape[1],) * 2)
+        rows = self.smoothing / self.mean_slope * _neighbours(self.grid)
+        static = slice(free, free + rows.shape[1])
+        whole[static, static] = rows.T @ rows
+        if self.toward is not None:  # Differences say nothing of a common change, and nothing of smooth elements.
+            whole[static, static] += np.diag((_SMALL * self.smoothing) ** 2 * np.mean(columns[:, static] ** 2, axis=0))
+        first = self.numbers.size
+        for part in (*moving, *held):
+            if part is (held[0] if held else None):
+                first = free + self.static.shape[1]
+            own = slice(first, first + part.value.size)
+            if part.ridge.size:
+                ridge = _RIDGE * rms(part.columns) / (self.mean_slope if part.volts else 1.0) * part.ridge
+                whole[own, own] = ridge.T @ ridge
+            first += part.value.size
+        return whole
+
+    @cached_property
+    def sums(self) -> list[NormalEquations]:
+        """Weighted sums of the rows of each fold."""
+        return self._sums_of(None)
+
+    def _sums_of(self, weights: Array | None) -> list[NormalEquations]:
+        (columns, free), target = self.columns, self.target
+        if weights is not None:
+            columns, target = columns * weights[:, None], target * weights
+        if not self.fold.size:
+            return [NormalEquations.of_rows(columns, target, free)]
+        return [
+            NormalEquations.of_rows(columns[self.fold == k], target[self.fold == k], free) for k in range(self.folds)
+        ]
+
+    def solved(self, like: Solution | None = None, *, without: int | None = None) -> Solution:
+        """Return the least-squares solution, of all rows or `without` a fold; `like`: one of a program nearby."""
+        total, count = sum(self.sums[1:], self.sums[0]), len(self.rows)
+        if without is not None:
+            total, count = total - self.sums[without], int(np.count_nonzero(self.fold != without))
+        return self._solve(total, count, like)
+
+    def reweighted(self, like: Solution) -> Solution:
+        """Return nearly the solution of least absolute residuals, by less weight for larger ones."""
+        found = like
+        for _ in range(_REWEIGHTED):
+            missed = np.abs(self.residual(found))
+            middle = float(np.median(missed))
+            weights = np.sqrt(middle / np.maximum(missed, _LEAST_MISSED * middle))
+            sums = self._sums_of(weights)
+            found = self._solve(sum(sums[1:], sums[0]), len(self.rows), found)
+        return found
+
+    def unknowns_of(self, model: Solution) -> Array:
+        """Return the unknowns (q,) of elements, spring, smooth elements and tau that a model has."""
+        stiffness, tau = model.stiffness[self.grid.movable].ravel(), model.transformer[:-1] - TRANSFORMER_FLOOR
+        return np.concatenate([stiffness, model.slopes - self.floor, model.smooth, tau])
+
+    def residual(self, found: Solution) -> Array:
+        """Return what a solution leaves of each row (n,) [m]."""
+        return np.asarray(self.columns[0] @ found.unknowns - self.target)
+
+    def _solve(self, sums: NormalEquations, count: int, like: Solution | None) -> Solution:
+        """Solve sums of `count` rows, inequalities added round by round where they would be violated."""
+        image = sums.image
+        if self.toward is not None:
+            image = image + count * self._regular[:, sums.free : sums.free + self.toward.size] @ self.toward
+        program = replace(sums, gram=sums.gram + count * self._regular, image=image)
+        size, free = program.image.size, program.free
+        start, limits = ActiveSet(np.ones(size, dtype=bool), np.zeros(0, dtype=bool)), self._limits(size, free)
+        if like is not None and like.unknowns.size == size:
+            start, limits = like.active_set, like.inequalities
+        x = np.zeros(size)
+        for _ in range(_ROUNDS):
+            try:
+                x, start = program.minimum(limits, start)
+            except IdentifyError:
+                # Zero meets every inequality: what fails is rounding, of a record that no model of this kind follows.
+                break
+            more = np.zeros((0, size))
+            if self.grid.segments > 1:
+                rising = self.grid.outermost
+                value = rising @ x[free : free + rising.shape[1]]
+                worst = np.argsort(value, kind="stable")[:_ADDED]
+                worst = worst[value[worst] < -_VIOLATED * self.floor]
+                more = np.zeros((worst.size, size))
+                more[:, free : free + rising.shape[1]] = rising[worst]
+            if not len(more):
+                break
+            limits = np.vstack([limits[0], more]), np.append(limits[1], np.zeros(len(more)))
+        return self._named(self._rising(x, free), start, limits)
+
+    def _rising(self, x: Array, free: int) -> Array:
+        """Return the unknowns with all elements as much softer as every outermost branch needs to rise."""
+        if self.grid.segments == 1:
+            return x
+        rising, count = self.grid.outermost, self.grid.places()["elements"].stop
+        elements = rising[:, :count] @ x[free : free + count]
+        spring = rising[:, count:] @ x[free + count : free + rising.shape[1]]
+        falls = elements + spring < -_VIOLATED * self.floor
+        if falls.any():
+            x = x.copy()
+            x[free : free + count] *= float(np.min(spring[falls] / -elements[falls]))
+        return x
+
+    @cached_property
+    def _regular(self) -> Array:
+        return self.regularization()
+
+    def _limits(self, size: int, free: int) -> tuple[Array, Array]:
+        """Return the inequality of the last segment of tau."""
+        lengths, place = np.diff(self.grid.drive), self.grid.places()["transformer"]
+        matrix = np.zeros((int(lengths.size > 0), size))
+        if not lengths.size:
+            return matrix, np.zeros(0)
+        matrix[0, free + place.start : free + place.stop] = -lengths[:-1]
+        return matrix, np.array([-(1 - TRANSFORMER_FLOOR) * float(lengths.sum())])
+
+    def _named(self, x: Array, active_set: Any, limits: tuple[Array, Array]) -> Solution:
+        """Return the solution of the unknowns (E + F + q,)."""
+        grid, (free, bounded) = self.grid, self._split
+        first = self.numbers.size
+        numbers = {}
+        for part in free:
+            numbers[part.name] = x[first : first + part.value.size]
+            first += part.value.size
+        places = {kind: slice(first + p.start, first + p.stop) for kind, p in grid.places().items()}
+        last = places["transformer"].stop
+        for part in bounded:
+            numbers[part.name] = x[last : last + part.value.size]
+            last += part.value.size
+        stiffness = np.zeros((grid.movable.size, grid.segments))
+        stiffness[grid.movable] = x[places["elements"]].reshape(-1, grid.segments)
+        tau, lengths = x[places["transformer"]], np.diff(grid.drive)
+        if lengths.size:
+            left = max((1 - TRANSFORMER_FLOOR) * lengths.sum() - tau @ lengths[:-1], 0.0) / lengths[-1]
+            tau = TRANSFORMER_FLOOR + np.append(tau, left)
+        offsets = dict(zip(self.numbers.tolist(), x[: self.numbers.size].tolist(), strict=True))
+        slopes, smooth = x[places["spring"]] + self.floor, x[places["creep"].start : places["smooth"].stop]
+        return Solution(stiffness, slopes, smooth, tau, offsets, numbers, x, active_set, limits)
+
+    @cached_property
+    def _segments(self) -> tuple[NDArray[np.intp], ...]:
+        """Segments of the spring (n,), and of the grades, that displacements (n,) and movable carts (n, m) are in."""
+        y, grades = self.rows.displacement, self.grid.grades
+        return segment_of(self.grid.knots, y), segment_of(grades, y), segment_of(grades, self.carts)
+
+    def slope(self, found: Solution, some: Mask | slice = slice(None)) -> Array:
+        """Return d tau(v)/dy of a solution at some rows [V/m], at the floor at least."""
+        grid = self.grid
+        spring, own, carts = (one[some] for one in self._segments)
+        kappa = found.stiffness[grid.movable]
+        sliding = ~self.rows.stuck[some][:, grid.movable]
+        at = np.take_along_axis(kappa.T, carts, axis=0)
+        slope = kappa.sum(axis=0)[own] - np.where(sliding, at, 0.0).sum(axis=1) + found.slopes[spring]
+        smooth = self._shares(some) @ found.smooth[grid.time_constants.size :]
+        return np.asarray(np.maximum(slope + smooth, self.floor))
+
+    def _shares(self, some: Mask | slice) -> Array:
+        """Return the part of each smooth element that has not yielded at some rows, dq/dy (n, L)."""
+        grid = self.grid
+        q = self.rows.moved[some, grid.time_constants.size : grid.moved]
+        # The first slip element yields soonest: it shows where the row is bound for.
+        forward = np.sign(q * self.rows.elongation[some, :1])
+        return np.asarray(1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings))
+
+
+def _neighbours(grid: Grid) -> Array:
+    """Differences between neighbours (p, q) [m]: of elements, spring and transformer, in the order of the unknowns.
+
+    ``rho_i sqrt(M) (kappa_i,m+1 - kappa_im)`` along the stroke, ``rho_i drho_i+1 (kappa_i+1,m / drho_i+1 - kappa_im /
+    drho_i)`` from one threshold to the next, and second differences of the slopes of the spring and of tau over a
+    segment; those of tau are volts, which a slope of the whole range makes metres.
+    """
+    rho, segments, places = grid.breakaway[grid.movable], grid.segments, grid.places()
+    along = np.kron(np.diag(rho), np.diff(np.eye(segments), axis=0) * np.sqrt(segments))
+    steps = np.diff(np.diag(1 / np.diff(rho, prepend=0.0)), axis=0) * (rho[:-1] * np.diff(rho))[:, None]
+    parts = [("elements", along), ("elements", np.kron(steps, np.eye(segments)))]
+    for kind, knots in (("spring", grid.knots), ("transformer", grid.drive)):
+        count = places[kind].stop - places[kind].start
+        if count:
+            length = float(np.ptp(knots)) / (knots.size - 1)
+            parts.append((kind, np.diff(np.eye(count), n=2, axis=0) * length))
+    rows = []
+    for kind, differences in parts:
+        row = np.zeros((len(differences), places["transformer"].stop))
+        row[:, places[kind]] = differences
+        rows.append(row)
+    return np.vstack(rows)
+
+
+def with_folds(program: Program, fold: Sequence[int] | NDArray[np.intp]) -> Program:
+    """Return the program with the fold of each row (n,)."""
+    numbers = np.asarray(fold, dtype=np.intp)
+    return replace(program, fold=numbers, folds=int(numbers.max(initial=0)) + 1)

@@ -1,1 +1,0 @@
-"""Regression: from rows to coefficients, and from coefficients to an actuator."""

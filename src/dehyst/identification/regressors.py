@@ -1,0 +1,266 @@
+"""Regressors: the samples of a record that count, and the elongations of elements at them (theory: running range).
+
+While a record's range does not grow, an element whose 2 rho fits into the range so far is in a known state, and every
+other cart stands still: it adds kappa y and a constant. Such an interval is an epoch; each has one constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._native import slip_elongations, smooth_elongations, strains
+from dehyst._types import Array, Mask
+from dehyst.identification.structure import Grid
+from dehyst.model import Creep, clock
+from dehyst.records import Record, counting, white_noise
+
+_SHORTEST_EPOCH = 16
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Samples start..stop-1 of a piece, over which the range of the excitation did not grow.
+
+    `turn`: the sample before `start` at which the range grew last. `reach`: range of displacement [m] so far, less the
+    noise: elements with 2 rho <= reach are in a known state. `middle`: displacement [m] to which the constant of the
+    carts that stand still refers. `width`: range of displacement [m], noise included.
+    """
+
+    turn: int
+    start: int
+    stop: int
+    reach: float
+    middle: float = 0.0
+    width: float = np.inf
+
+
+def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
+    """Find the epochs by the voltage, whose extremes are exact where the displacement drifts.
+
+    A growth below 0.2 % of the voltage's range, or below its noise, is ignored.
+
+    `record`: without gaps, its delay removed. `noise`: standard deviation of the sensor [m]: the reach is reduced by
+    the part of a range that is noise.
+    """
+    v, y = record.voltage, record.displacement
+    tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
+    growing = np.flatnonzero(_grows(v, tolerance) | _grows(-v, tolerance))
+    intervals: list[Epoch] = []
+    for before, stop in pairwise(np.append(growing, len(v)).tolist()):
+        start = before + 1
+        if stop - start >= _SHORTEST_EPOCH:
+            seen, since = y[:start], intervals[-1].stop if intervals else 0
+            low, high = float(seen.min()), float(seen.max())
+            turn = since + max(int(np.argmax(v[since:start])), int(np.argmin(v[since:start])))
+            intervals.append(Epoch(turn, start, stop, high - low - 4 * noise, 0.5 * (low + high), high - low))
+    return intervals
+
+
+def _grows(v: Array, tolerance: float) -> Mask:
+    """Return the samples of runs near the running maximum that raise it by more than the tolerance."""
+    highest = np.maximum.accumulate(v)
+    near = np.zeros(len(v) + 2, dtype=bool)
+    near[1:-1] = v >= highest - tolerance
+    starts, stops_ = np.flatnonzero(~near[:-1] & near[1:]), np.flatnonzero(near[:-1] & ~near[1:])
+    grown = np.zeros(len(v), dtype=bool)
+    for start, stop in zip(starts, stops_, strict=True):
+        if start == 0 or highest[stop - 1] > highest[start - 1] + tolerance:
+            grown[start:stop] = True
+    return grown
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Samples that count, of all records, stacked.
+
+    `elongation` (n, N): s_i [m], or for a cart that stands still y minus the middle of its epoch. `stuck` (n, N) bool:
+    whether cart i stands still at this sample. `displacement`, `voltage`, `drift` (n,): y [m], v [V] and the record's
+    creep curve (log of time since its start, mean zero). `record`, `epoch` (n,): their numbers. `time` (n,): [s].
+    `moved` (n, E): internal states besides carts, see `internal_states`.
+    """
+
+    elongation: Array
+    stuck: Mask
+    displacement: Array
+    voltage: Array
+    drift: Array
+    record: NDArray[np.intp]
+    epoch: NDArray[np.intp]
+    time: Array
+    moved: Array
+
+    def __len__(self) -> int:
+        return len(self.voltage)
+
+    def thinned(self, most: int) -> Rows:
+        """Return about `most` of the rows, evenly."""
+        return self.chosen(slice(None, None, max(1, len(self) // most)))
+
+    def chosen(self, which: Mask | slice) -> Rows:
+        """Return some of the rows."""
+        return Rows(**{name: column[which] for name, column in vars(self).items()})
+
+
+class Piece(NamedTuple):
+    """A piece of a record.
+
+    `record`: the record's number. `path`: acting voltages, and the displacements that drive the elements. `drift` (n,):
+    the record's creep curve.
+    """
+
+    record: int
+    path: Record
+    drift: Array
+
+
+class NumberedEpoch(NamedTuple):
+    """An epoch with its number among all epochs, and the numbers of its record and its piece."""
+
+    number: int
+    record: int
+    piece: int
+    epoch: Epoch
+
+
+@dataclass(frozen=True, eq=False)
+class RowSource:
+    """Pieces of records, and their epochs: of these samples the rows are made.
+
+    `epochs`: of each piece. `leads`: samples left out before each record, by its number; empty: none.
+    """
+
+    pieces: list[Piece]
+    grid: Grid
+    epochs: list[list[Epoch]]
+    leads: Sequence[Record | None] = ()
+
+    @classmethod
+    def of(
+        cls,
+        pieces: Sequence[tuple[int, Record, Array]],
+        grid: Grid,
+        noise: list[float],
+        *,
+        relaxed: Collection[int] = (),
+        leads: Sequence[Record | None] = (),
+    ) -> RowSource:
+        """Find the epochs of pieces; `noise` [m] of each piece, the others see `internal_states`."""
+        spans: list[list[Epoch]] = []
+        rested = set(relaxed)
+        for (number, path, _), sigma in zip(pieces, noise, strict=True):
+            known = Epoch(0, 0, len(path), np.inf, float(path.displacement[0]))
+            spans.append([known] if number in rested else epochs(path, sigma))
+            rested.discard(number)
+        return cls([Piece(*piece) for piece in pieces], grid, spans, leads)
+
+    def __len__(self) -> int:
+        return sum(epoch.stop - epoch.start for spans in self.epochs for epoch in spans)
+
+    @property
+    def count(self) -> int:
+        """Number of epochs; they are numbered from 0 through all pieces."""
+        return sum(map(len, self.epochs))
+
+    def numbered(self) -> tuple[NumberedEpoch, ...]:
+        """Return all epochs with their numbers."""
+        places = [(piece.record, k, one) for k, piece in enumerate(self.pieces) for one in self.epochs[k]]
+        return tuple(NumberedEpoch(number, *place) for number, place in enumerate(places))
+
+    def thinned(self, most: int) -> Rows:
+        """Return about `most` of the rows, evenly."""
+        step, before, place = max(1, len(self) // most), 0, 0
+        empty, numbers = np.zeros(0), np.zeros(0, dtype=np.intp)
+        none = np.zeros((0, self.grid.breakaway.size))
+        internal = np.zeros((0, self.grid.moved + self.grid.time_constants.size))
+        parts = [Rows(none, none > 0, empty, empty, empty, numbers, numbers, empty, internal)]
+        rho = self.grid.breakaway
+        for piece, spans, states in zip(self.pieces, self.epochs, self.states, strict=True):
+            path, counted = piece.path, counting(piece.path)
+            elongations, _ = slip_elongations(
+                rho, np.full(rho.size, path.displacement[0]), np.ascontiguousarray(path.displacement)
+            )
+            for k, epoch in enumerate(spans, before):
+                # Events are few: none is passed over.
+                at = np.arange(epoch.start + -place % step, epoch.stop, 1 if path.measured is not None else step)
+                place += epoch.stop - epoch.start
+                at = at if counted is None else at[counted[at]]
+                y, elongation, known = path.displacement[at], elongations[at], 2 * rho <= epoch.reach
+                rows = Rows(
+                    elongation=np.where(known, elongation, y[:, None] - epoch.middle),
+                    stuck=~known | (np.abs(elongation) < rho * (1 - 1e-9)),
+                    displacement=y,
+                    voltage=path.voltage[at],
+                    drift=piece.drift[at],
+                    record=np.full(at.size, piece.record),
+                    epoch=np.full(at.size, k),
+                    time=path.time[at],
+                    moved=states[at],
+                )
+                parts.append(rows)
+            before += len(spans)
+        return Rows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])})
+
+    @cached_property
+    def states(self) -> list[Array]:
+        """Internal states besides carts at every sample of each piece, see `internal_states`."""
+        leads = self.leads or [None] * (1 + max((piece.record for piece in self.pieces), default=0))
+        return [internal_states(self.grid, piece.path, leads[piece.record]) for piece in self.pieces]
+
+
+def internal_states(grid: Grid, path: Record, lead: Record | None) -> Array:
+    """Return the internal states of a path besides carts (n, 2 J + L).
+
+    Columns: creep strains (n, J) [m], smooth elongations (n, L) [m], decay of strains since the start (n, J). They are
+    at rest at the path's first sample or, if the path continues a `lead` (samples left out before), at the lead's first
+    sample.
+    """
+    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
+    begin, last = path.time[0], None
+    if lead is not None and lead.time[-1] < begin <= lead.time[-1] + 1.5 * lead.sample_time:
+        _, last = _advanced(grid, creep, None, lead.time, lead.displacement)
+        begin = lead.time[0]
+    internal, _ = _advanced(grid, creep, last, path.time, path.displacement)
+    return np.hstack([internal, np.exp(-(path.time[:, None] - begin) / grid.time_constants)])
+
+
+# The last processed sample: its time [s], displacement [m], strains and elongations (J + L,) [m].
+_Last = tuple[float, float, Array]
+
+
+def _advanced(grid: Grid, creep: Creep, last: _Last | None, time: Array, y: Array) -> tuple[Array, _Last]:
+    """Return strains and elongations (n, J + L) of samples that continue `last` or begin at rest, and the last."""
+    branches, elements = grid.time_constants.size, grid.lengths.size
+    internal, repeated = np.zeros(branches + elements), 0
+    if last is not None:
+        time, y, internal, repeated = np.append(last[0], time), np.append(last[1], y), last[2], 1
+    y = np.ascontiguousarray(y)
+    columns = [np.zeros((y.size, 0))]
+    if branches:
+        bounds, durations = clock(time, y.size)
+        columns.append(strains(y, bounds, *creep.tables(durations), internal[:branches]))
+    if elements:
+        columns.append(smooth_elongations(grid.lengths, grid.closings, y, internal[branches:]))
+    rows = np.hstack(columns)
+    return rows[repeated:], (float(time[-1]), float(y[-1]), rows[-1])
+
+
+# Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
+_RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
+
+
+def play_curves(u: Array) -> Array:
+    """Return curves (n, C) of plays of a voltage `u` (n,), as a part of its range: together they follow any hysteresis.
+
+    Each play, and the voltage itself, is divided into hats: what it has of each segment of the range.
+    """
+    elongation, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), np.ascontiguousarray(u))
+    plays = np.column_stack([u, u[:, None] - elongation])
+    edges = np.linspace(0.0, 1.0, _SEGMENTS + 1)
+    return np.hstack([np.clip(plays, a, b) - a for a, b in pairwise(edges)])

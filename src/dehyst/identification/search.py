@@ -1,0 +1,386 @@
+"""The search: which parts move in time, and which static parts, decided by one yardstick.
+
+The yardstick is the error of held-out time, simulated from the voltages alone (`Frame.held_out_error`). A score is that
+error divided by what the parts must save: the least score wins. Moving parts are compared on a small dictionary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array, Progress
+from dehyst._views.fields import json_values
+from dehyst.identification.cleaning import cycle_time
+from dehyst.identification.expectation import new_legs
+from dehyst.identification.frame import FOLDS, Frame, part_of
+from dehyst.identification.motion import creep_times
+from dehyst.identification.program import SMALLEST_GAIN, Program, Solution, with_folds
+from dehyst.identification.regressors import RowSource
+from dehyst.identification.resonance import tuned
+from dehyst.identification.rules import RULES
+from dehyst.identification.structure import Structure
+from dehyst.model import Actuator, legs
+from dehyst.records import bandwidth, rms
+
+_PLAIN = Structure(elements=20, knots=21, smoothing=1e-3)
+_LIGHT = Structure(elements=24, spacing=2.0, grades=6, smooth=True, knots=31, smoothing=1e-2)
+_WHOLE = Structure(elements=40, spacing=2.0, grades=8, knots=41, smooth=True, smoothing=1e-2)
+# The dictionary with the smoothings to choose from, the default first; and with a transformer.
+WIDE = (
+    _WHOLE,
+    *(replace(_WHOLE, smoothing=s) for s in (3e-2, 3e-3)),
+    replace(_WHOLE, grades=16),
+    *(replace(_WHOLE, transformer=20, grades=m) for m in (1, 2, 8)),
+)
+# Where turning points leave elements open, held-out time cannot choose: the first, and others that show what is open.
+OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
+# Rows of a first look, of the search, and of the final program.
+FEW, _ROWS, _MOST = 2000, 4000, 12_000
+# Places of the search for a zero, and how far they go, as a part of the stroke.
+_PLACES, _WITHIN = 25, 0.6
+# Turns of Gauss and Newton in the search.
+_TURNS = 3
+# Time constant of the fastest branch of creep, and how exactly a lead of half a sample is known, in samples.
+_FASTEST, _HALF_SAMPLE = 2.0, 0.1
+# A structure whose held-out error is larger by this part counts less by a factor of e.
+_WORSE = 0.5
+# A larger disagreement, as a part of the stroke, indicates a failed fit.
+_FAILED = 0.2
+# Random turning points of the path on which models are compared, and its samples from one to the next.
+_PATH_TURNS, _LEG = 40, 24
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate of the search and its held-out error [m]; `structure`: None where only moving parts differ."""
+
+    words: str
+    held_out: float
+    structure: Structure | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return json_values(self, "words held_out_m=held_out structure")
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Records with the numbers of what moves, and the solution of a structure.
+
+    `names`: of the parts that move.
+    """
+
+    frame: Frame
+    structure: Structure
+    names: tuple[str, ...]
+    source: RowSource
+    program: Program
+    found: Solution
+
+    @cached_property
+    def held_out(self) -> float:
+        """Error of held-out time [m]."""
+        return self.frame.held_out_error(self.source, self.program, self.found)
+
+    @cached_property
+    def actuator(self) -> Actuator:
+        """Without limits and name."""
+        return self.frame.actuator(self.program, self.found)
+
+    @property
+    def rms(self) -> float:
+        """RMS residual of the rows [m]."""
+        return rms(self.program.residual(self.found))
+
+    def spread(self, name: str) -> Array:
+        """Return the standard errors of the numbers of a part, by solutions without a fold."""
+        numbers = [self.program.solved(self.found, without=k).numbers[name] for k in range(FOLDS)]
+        return np.asarray(np.sqrt((FOLDS - 1) * np.var(numbers, axis=0)))
+
+    @property
+    def score(self) -> float:
+        """The held-out error divided by what the parts must save."""
+        gains = _GAINS if self.frame.rests else _GAINS | {"creep": RULES.hidden_creep_gain}
+        return self.held_out / prod(gains.get(name, 1.0) for name in self.names)
+
+
+# To what each part must lower the error of held-out time.
+_GAINS = {
+    "delay": RULES.moving_gain,
+    "creep": RULES.creep_gain,
+    "inertia": RULES.inertia_gain,
+    "drift": RULES.moving_gain,
+    "thermal": RULES.temperature_helps,
+}
+
+
+def fitted(
+    frame: Frame,
+    structure: Structure,
+    rows: int,
+    names: tuple[str, ...] = (),
+    turns: int = 0,
+) -> Fitted:
+    """Solve the program of a structure; parts of these names move for some `turns` of Gauss and Newton before."""
+    source = frame.source(structure)
+    program = frame.program(source, structure, rows)
+    found = program.solved()
+    for _ in range(turns):
+        program = frame.program(source, structure, rows, names, found)
+        found = program.solved()
+        frame = frame.with_numbers(names, found)
+        source = frame.source(structure)
+    program = frame.program(source, structure, rows, names, found)
+    program = with_folds(program, frame.folds(program))
+    return Fitted(frame, structure, names, source, program, program.solved())
+
+
+@dataclass(eq=False)
+class _Search:
+    """The search for what moves in time: parts that always move, and what was tried."""
+
+    report: Progress
+    always: tuple[str, ...] = ()
+    trials: list[Trial] = field(default_factory=list)
+
+    def tried(self, frame: Frame, names: tuple[str, ...], more: str = "") -> Fitted:
+        """Solve the small dictionary with parts of these names moving."""
+        moved = [name for name in names if name != "begun"]
+        words = f"moves: {' and '.join(moved) or 'nothing'}{more}"
+        self.report(f"trying what {words}")
+        whole = (*names, *(name for name in self.always if name not in names))
+        made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0)
+        self.trials.append(Trial(words, made.held_out))
+        return made
+
+    def better(self, best: Fitted, frame: Frame, names: tuple[str, ...], more: str = "") -> Fitted:
+        """Return the better of the best so far and the same records with parts of these names."""
+        other = self.tried(frame, names, more)
+        possible = "delay" not in names or _lags(other.frame)
+        return other if possible and other.score < best.score else best
+
+    def own(self, made: Fitted) -> tuple[str, ...]:
+        """Return the names of the parts that a solution has beside those that always move."""
+        return tuple(name for name in made.names if name not in self.always)
+
+
+def moving(
+    frame: Frame, report: Progress, *, lag: bool, drift: bool, more: bool
+) -> tuple[Frame, tuple[str, ...], list[Trial]]:
+    """Return the records with the numbers of the parts that move, the names of these parts, and what was tried.
+
+    `lag`, `drift`: whether these may move. `more`: whether creep and a resonance may.
+    """
+    search = _Search(report, ("datum",) if frame.motion.datum.any() else ())
+    best = search.tried(_cold(frame), ())
+    if frame.motion.thermal is not None:
+        best = search.better(best, frame, ("thermal",))
+        if "thermal" in best.names:
+            search.always = (*search.always, "thermal")
+        else:
+            frame = _cold(frame)
+    # A lag, and drifts by the logarithm of time or in proportion to it, alone and together.
+    drifts = [(frame, ""), (_steady(frame), ", in proportion to time")] if drift else []
+    for names in ((), ("delay",)) if lag else ((),):
+        if names:
+            best = search.better(best, frame, names)
+        for one, words in drifts:
+            best = search.better(best, one, (*names, "drift"), words)
+    if more:
+        creeping = _creeping(frame)
+        # Behind a turn a fast relaxation looks like a lag: with creep a lag must show itself again.
+        lags = "delay" in best.names
+        best = search.better(best, creeping, ("creep", "begun"))
+        if lags:
+            best = search.better(best, creeping, ("delay", "creep", "begun"))
+    if "delay" in best.names:
+        best = _as_low_pass(search, best)
+    if more and _may_swing(frame):
+        swinging = _tuned(search.tried(best.frame, (*search.own(best), "inertia")))
+        search.trials[-1] = replace(search.trials[-1], held_out=swinging.held_out)
+        if swinging.score < best.score and _excited(swinging.frame):
+            best = swinging
+    return best.frame, best.names, search.trials
+
+
+def _as_low_pass(search: _Search, best: Fitted) -> Fitted:
+    """Return the better of a solution with a delay and one with a low-pass of first order as slow."""
+    at, names = best.frame.motion, tuple(name for name in search.own(best) if name != "delay")
+    slow = replace(best.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
+    low_pass = search.tried(slow, names, ", behind a low-pass")
+    return low_pass if low_pass.held_out < RULES.lag_gain * best.held_out else best
+
+
+def _creeping(frame: Frame) -> Frame:
+    """Return the records with branches of creep whose gains are not known yet."""
+    tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
+    begun = np.zeros((len(frame.training), tau.size))
+    return replace(frame, motion=replace(frame.motion, time_constants=tau, gains=np.zeros(tau.size), begun=begun))
+
+
+def _steady(frame: Frame) -> Frame:
+    """Return the records with drifts in proportion to time."""
+    return replace(frame, training=[replace(item, steady=True) for item in frame.training])
+
+
+def _cold(frame: Frame) -> Frame:
+    """Return the records without an effect of temperature."""
+    return replace(frame, motion=replace(frame.motion, thermal=None))
+
+
+def _tuned(made: Fitted) -> Fitted:
+    """Return a solution with its resonance tuned by simulation, in turn with the program."""
+    for _ in range(_TURNS):
+        if not _excited(made.frame):
+            break
+        frame = tuned(made.frame, made.source, made.program, made.found)
+        names = tuple(name for name in made.names if name not in ("delay", "inertia"))
+        made = replace(fitted(frame, made.structure, FEW, names, int(bool(names))), names=made.names)
+    return made
+
+
+def _lags(frame: Frame) -> bool:
+    """Whether the delay is one that is searched for: a sample or more of lead, or a long lag, has another cause."""
+    step, cycle = frame.times[0], min(cycle_time(item.record) for item in frame.training)
+    delay = frame.motion.delay
+    lags = RULES.shortest_lag * step <= delay <= RULES.longest_lag * cycle
+    # Read at the end of a step of a converter that holds, a displacement leads by half a sample.
+    return lags or abs(delay / step + 0.5) < _HALF_SAMPLE
+
+
+def _may_swing(frame: Frame) -> bool:
+    """Whether cycles are fast enough, and samples many enough, to show a resonance."""
+    step, cycle = frame.times[0], min(cycle_time(item.record) for item in frame.training)
+    # Events are too few to show how a resonance swings.
+    return cycle <= RULES.slowest_cycle * step and all(item.record.measured is None for item in frame.training)
+
+
+def _excited(frame: Frame) -> bool:
+    """Whether the records have a resonance below their Nyquist frequency that a voltage has energy at."""
+    dynamics = frame.motion.dynamics
+    if dynamics is None:
+        return False
+    if dynamics.damping > RULES.damped:
+        return False
+    resonance = dynamics.frequency
+    pieces = [piece for item in frame.training for piece in item.pieces]
+    highest = max(bandwidth(piece.voltage, piece.sample_time, RULES.excited) for piece in pieces)
+    return 0.5 * resonance < highest and resonance < 0.5 / frame.times[0]
+
+
+def static(
+    frame: Frame, structures: Sequence[Structure], names: tuple[str, ...], report: Progress
+) -> tuple[Fitted, list[Trial], list[Fitted]]:
+    """Return the solution of the structure with the least held-out error, what was tried, and all solutions."""
+    trials, swings = list[Trial](), "inertia" in names
+    free = tuple(name for name in names if not (swings and name in ("inertia", "delay")))
+
+    def solved(structure: Structure) -> Fitted:
+        report(f"solving the program for {structure.words}")
+        # What was tuned by simulation stays.
+        made = replace(fitted(frame, structure, _ROWS, free, int(bool(free))), names=names)
+        trials.append(Trial(f"{structure.words}; smoothing {structure.smoothing:g}", made.held_out, structure))
+        return made
+
+    first, *others = structures
+    best = solved(first)
+    if structures is WIDE:
+        # Elements that yield gradually leave inner loops open: they must show themselves.
+        closed = solved(replace(first, smooth=False))
+        if best.held_out >= RULES.static_gain * closed.held_out:
+            best, others = closed, [replace(one, smooth=False) for one in others]
+    made = [best, *map(solved, others)]
+    if structures is not OPEN:
+        best = min(made, key=lambda one: one.held_out / (RULES.static_gain if one.structure.transformer else 1.0))
+    report("solving the program of all samples")
+    if swings:
+        frame = tuned(best.frame, best.source, best.program, best.found)
+        best = replace(best, frame=frame)
+    final = fitted(best.frame, best.structure, _MOST, free)
+    final = replace(final, names=names, found=final.program.reweighted(final.found))
+    final.__dict__["held_out"] = best.held_out
+    return final, trials, made
+
+
+def warmed(frame: Frame) -> Frame:
+    """Return the records with a first estimate of the effect of temperature."""
+    return fitted(frame, _LIGHT, FEW, ("thermal",), _TURNS).frame
+
+
+def with_datums(frame: Frame) -> Frame:
+    """Return the records on one axis: the zero of each is searched for, then all are refined together."""
+    datum = np.array([0.0 if q == frame.widest else _datum(frame, q) for q in range(len(frame.training))])
+    frame = replace(frame, motion=replace(frame.motion, datum=datum))
+    return fitted(frame, _PLAIN, FEW, ("datum",), _TURNS).frame if datum.any() else frame
+
+
+def _datum(frame: Frame, number: int) -> float:
+    """Return the zero of a record, if another one than 0 explains it much better beside the widest record."""
+    from scipy.optimize import minimize_scalar
+
+    # Zeros of other records must not hide what this one gains.
+    pair, motion = [frame.widest, number], frame.motion
+    both = replace(motion, begun=motion.begun[pair], drift=motion.drift[pair])
+    alone = replace(frame, training=[frame.training[q] for q in pair], widest=0)
+
+    def cost(shift: float) -> float:
+        moved = replace(alone, motion=replace(both, datum=np.array([0.0, shift])))
+        return fitted(moved, _PLAIN, FEW // 2).rms
+
+    places = np.linspace(-_WITHIN * frame.stroke, _WITHIN * frame.stroke, _PLACES)
+    k = int(np.argmin([cost(float(place)) for place in places]))
+    ends = float(places[max(k - 1, 0)]), float(places[min(k + 1, _PLACES - 1)])
+    exact: Any = {"xatol": 1e-4 * frame.stroke, "maxiter": 20}
+    best, none = minimize_scalar(cost, bounds=ends, method="bounded", options=exact), cost(0.0)
+    worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * frame.stroke
+    return float(best.x) if worth else 0.0
+
+
+def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, frame: Frame) -> float:
+    """Return the RMS distance [m] on a random path from other structures; without one the error of held-out time.
+
+    The worse a structure explains the records, the less it counts. The path has random turning points after two full
+    loops.
+    """
+    low, high = frame.voltages
+    turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _PATH_TURNS)])
+    voltage = np.concatenate([np.linspace(a, b, _LEG, endpoint=False) for a, b in pairwise(turns)])
+    time = np.arange(voltage.size) * frame.times[0]
+
+    def played(one: Actuator) -> Array:
+        path = one.simulate(voltage, time=time if one.needs_time else None, extrapolate=True).displacement
+        return path[4 * _LEG :]
+
+    mine, squares, weights = played(actuator), [], []
+    for one in others:
+        apart = float(np.std(played(one.actuator) - mine))
+        if one.structure != chosen.structure and apart < _FAILED * frame.stroke:
+            squares.append(apart**2)
+            weights.append(float(np.exp(-max(one.held_out / max(chosen.held_out, 1e-300) - 1, 0.0) / _WORSE)))
+    return float(np.average(squares, weights=weights) ** 0.5) if sum(weights) else chosen.held_out
+
+
+def new_in_time(frame: Frame) -> tuple[float, float]:
+    """Return the distances of rises, and of falls, in held-out parts of the time from all others.
+
+    Each is an RMS over the parts, relative to the range.
+    """
+    low, high = frame.voltages
+    part, pairs = [], []
+    for item in frame.training:
+        voltage = item.record.voltage
+        at = legs(voltage, high - low)
+        # A branch is in the part that its middle is in.
+        part.append(part_of(np.asarray(at.mean(axis=1) / len(voltage))) % FOLDS)
+        pairs.append(voltage[at])
+    of, every = np.concatenate(part), np.concatenate(pairs)
+    squares = [np.square(new_legs(every[of == k], every[of != k])) for k in range(FOLDS)]
+    rising, falling = np.sqrt(np.mean(squares, axis=0)).tolist()
+    return rising, falling

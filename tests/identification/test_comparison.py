@@ -1,0 +1,187 @@
+"""Wider actuators beside records: a model that made a record meets it, whatever had gone before; given structures."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+import tracking_trials
+
+import dehyst
+from dehyst import Creep, Dynamics, Outcome, Record
+from dehyst.identification.comparison import compare, errors_of, initial_state, state_after, without_offset
+from dehyst.identification.preparation import prepare
+
+EXACT = 1e-9
+
+
+def compared(actuator, record, datum=0.0):
+    """Errors and trace of a record that is simulated whole."""
+    prepared = record if hasattr(record, "pieces") else prepare(record)
+    return errors_of(actuator, compare(actuator, prepared, plain_records.STROKE, datum=datum), "validation")
+
+
+def missed(actuator, record, **changes):
+    """Largest error [% of the stroke]."""
+    return compared(actuator, record, **changes)[0].largest_percent
+
+
+@pytest.mark.parametrize("name", wide.STRUCTURES)
+def test_an_actuator_meets_its_own_record(name):
+    plant = wide.plant(wide.STRUCTURES[name])
+    error, trace = compared(plant.actuator, plant.record())
+    # The carts and creep with which the record begins are fitted, smooth elements forget; afterwards all is known.
+    assert error.largest_percent < 0.2
+    assert 100 * np.abs(trace.residual[trace.residual.size // 2 :]).max() / error.stroke < EXACT
+    assert abs(error.offset) < 1e-9 * plain_records.VOLTS
+    assert error.samples + error.left_out == plant.path.size
+    assert error.samples > 0.8 * plant.path.size
+    # Far from the record if it is another's.
+    other = wide.plant(wide.STRUCTURES[name], seed=1)
+    assert missed(other.actuator, plant.record()) > 0.5
+    np.testing.assert_array_equal(trace.time, plant.time[-error.samples :])
+
+
+@pytest.mark.parametrize("closing", [1.0, 0.7])
+@pytest.mark.parametrize("part", [-1.0, -0.6, 0.8])
+def test_smooth_elements_that_are_strained_at_the_start_are_found(closing, part):
+    plant = wide.plant(wide.STRUCTURES["smooth"])
+    smooth = replace(plant.actuator.smooth, closing=np.full(len(plant.actuator.smooth), closing))
+    actuator, begun = replace(plant.actuator, smooth=smooth), replace(plant.state, smooth=part * smooth.length)
+    voltage = plant.record().voltage
+    moved, unstrained = (
+        actuator.simulate(voltage, state=replace(begun, smooth=elongation), extrapolate=True).displacement
+        for elongation in (begun.smooth, 0 * smooth.length)
+    )
+    matters = 100 * np.ptp(moved - unstrained) / plain_records.STROKE
+    assert missed(actuator, Record(plant.time, voltage, moved, "strained")) < 0.1 * matters
+
+
+@pytest.mark.parametrize("name", ["smooth", "all"])
+def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
+    plant = wide.plant(wide.STRUCTURES[name])
+    record = plant.record()
+    prepared = prepare(record[20:])
+    assert prepared.lead is None
+    led = replace(prepared, lead=record[:20])
+    (_, with_lead), (_, alone) = (compared(plant.actuator, one) for one in (led, prepared))
+    half = with_lead.residual.size // 2
+    assert 100 * np.abs(with_lead.residual[half:]).max() / plain_records.STROKE < EXACT
+    # Alone, the smooth elements are taken to begin at none.
+    assert 100 * np.abs(alone.residual).max() / plain_records.STROKE > 1e-4
+
+
+def swung(resonance=300.0, delay=0):
+    """A record of an actuator with inertia, driven at 50 Hz, so many samples late."""
+    actuator = replace(plain_records.plant(20, seed=2), dynamics=Dynamics(resonance, 0.05))
+    v = tracking_trials.tops(12, 100)
+    time = 1e-4 * np.arange(v.size)
+    late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
+    start = actuator.relaxed()
+    y = actuator.simulate(late, time=time, state=replace(start, motion=[start.deformation, 0.0])).displacement
+    return actuator, Record(time, v, y, "swung")
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_an_actuator_with_inertia_meets_its_own_record(delay):
+    """Its motion at the first sample is read from the record: good to what derivatives at an end cost, for a while."""
+    actuator, record = swung(delay=delay)
+    actuator = replace(actuator, delay=1e-4 * delay)
+    got = missed(actuator, record)
+    assert got < 0.05
+    _, trace = compared(actuator, record)
+    assert 100 * np.abs(trace.residual[trace.residual.size // 2 :]).max() / plain_records.STROKE < 0.02
+    assert missed(replace(actuator, dynamics=None), record) > 100 * got
+
+
+@pytest.mark.parametrize("delay", [0, 40])
+def test_an_oversampled_record_is_compared_by_means_of_its_samples(delay):
+    """As without the means, but for the corner of each reversal; and the noise is less."""
+    actuator = replace(plain_records.plant(20, seed=2), delay=1e-4 * delay)
+    v = plain_records.VOLTS * (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(40_000) / 10_000))
+    late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
+    y = actuator.simulate(late).displacement
+    noise = 1e-3 * plain_records.STROKE
+    noisy = Record(1e-4 * np.arange(v.size), v, y + noise * np.random.default_rng(1).normal(size=y.size))
+    whole, means = prepare(noisy), prepare(noisy).with_block(25)
+    assert means.block == 25 and len(means.reduced.record) == v.size // 25
+    assert means.reduced.noise == pytest.approx(noise / 5, rel=0.2)
+    assert whole.reduced is whole
+    (one, _), (other, _) = (compared(actuator, each) for each in (whole, means))
+    assert other.offset == pytest.approx(one.offset, abs=1e-3 * plain_records.VOLTS)
+    assert other.rms_percent < one.rms_percent * 1.01
+
+
+@pytest.mark.parametrize("name", ["plain", "graded", "transformer", "smooth", "graded, transformer"])
+def test_a_given_structure_that_an_actuator_has_is_identified(name):
+    structure = wide.STRUCTURES[name]
+    plant = wide.plant(structure)
+    fit = dehyst.identify(plant.record(), structure=structure, delay=0.0, drift=False)
+    assert fit.outcome is Outcome.IDENTIFIED
+    assert fit.errors[0].largest_percent < 1e-5
+    assert fit.actuator.provenance["structure"] == structure.as_dict()
+    # A plain actuator of a plain structure has no use for the time, but takes it.
+    asked, got = (
+        one.compensate(plant.path, time=plant.time, state=plant.state).voltage for one in (plant.actuator, fit.actuator)
+    )
+    assert np.abs(got - asked).max() < 1e-5 * plain_records.VOLTS
+
+
+@pytest.mark.parametrize("name", ["plain", "graded", "creep", "smooth", "all"])
+def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
+    """Half a record of a known actuator, its voltages shifted: the other half is simulated as it was measured."""
+    plant = wide.plant(wide.STRUCTURES[name])
+    record = plant.record()
+    half = len(record) // 2
+    shift = 0.7 if plant.actuator.transformer is None else 0.0
+    shifted = Record(record.time, record.voltage + shift, record.displacement, record.name)
+    state, offset = state_after(plant.actuator, shifted[: half + 1], plain_records.STROKE)
+    assert offset == pytest.approx(shift, abs=1e-6 * plain_records.VOLTS)
+    rest = shifted[half:]
+    voltage = without_offset(plant.actuator, rest.voltage, offset)
+    time = rest.time if plant.actuator.needs_time else None
+    again = plant.actuator.simulate(voltage, time=time, state=state).displacement
+    assert np.abs(again - rest.displacement).max() < 1e-4 * plain_records.STROKE
+
+
+@pytest.mark.parametrize("name", ["plain", "graded", "smooth"])
+def test_a_record_follows_from_the_state_in_which_it_began(name):
+    """The second half of a record, whose first half brought the actuator into a state that no name describes."""
+    plant = wide.plant(wide.STRUCTURES[name])
+    record = plant.record()
+    rest = record[len(record) // 3 :]
+    state, offset = initial_state(plant.actuator, rest, plain_records.STROKE)
+    voltage = without_offset(plant.actuator, rest.voltage, offset)
+    time = rest.time if plant.actuator.needs_time else None
+    again = plant.actuator.simulate(voltage, time=time, state=state).displacement
+    assert np.abs(again - rest.displacement).max() < 1e-2 * plain_records.STROKE
+
+
+def test_a_lead_without_a_cycle_tells_what_it_can():
+    """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
+    plant = wide.plant(wide.STRUCTURES["plain"])
+    short = plant.record()[:30]
+    state, offset = state_after(plant.actuator, short, plain_records.STROKE)
+    assert state.deformation == short.displacement[-1]
+    assert plant.actuator.voltage(state) + offset == pytest.approx(short.voltage[-1], abs=1e-9)
+
+
+def wide_record(actuator, volts):
+    """A noisy record of sines that grow and shrink, begun away from rest."""
+    time = np.arange(2400) / 200.0
+    size = np.interp(time, [0, 3, 6, 9, 12], [0.6, 1.0, 1.0, 0.5, 0.9])
+    voltage = 0.5 * volts * (1 - size * np.cos(2 * np.pi * time))
+    y = actuator.simulate(voltage, time=time).displacement + 1e-9 * np.random.default_rng(0).normal(size=time.size)
+    return prepare(dehyst.Record(time, voltage + 0.3, y, "wide"))
+
+
+def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
+    plain = plain_records.plant(12)
+    actuator = dehyst.Actuator(plain.slip, plain.spring, creep=Creep([0.03, 2.0], [4e5, 6e5]))
+    record = wide_record(actuator, 0.9 * plain_records.VOLTS)
+    compared = compare(actuator, record, plain_records.STROKE, datum=0.0, drifting=True)
+    assert compared.source.count > 1
+    last = compared.source.count - 1
+    few = replace(compared, found=replace(compared.found, offsets={last: compared.found.offsets[last]}))
+    assert few.offsets == [compared.offsets[last]] * compared.source.count

@@ -1,0 +1,110 @@
+"""Creep in displacement: found from speeds and holds, compared and compensated."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import dehyst
+from dehyst import DisplacementCreep, Record
+from dehyst.identification import compare, errors_of, initial_state, prepare, state_after
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, descending_tops, recommended, staircase
+
+HIGHEST, RATE = 100.0, 10.0
+
+
+def actuator(creep):
+    return PlayActuator(stroke=12e-6, highest=HIGHEST, noise=2e-9, creep=creep)
+
+
+def records(truth, hold=30.0):
+    """The recommended excitation, then a staircase with holds, in one run."""
+    drive = Sampling(frequency=0.1, sample_rate=RATE, limits=(0.0, HIGHEST))
+    parts = (
+        recommended(HIGHEST, drive=drive),
+        staircase(HIGHEST, hold=hold, back=True, drive=drive),
+    )
+    time = np.arange(sum(len(part.time) for part in parts)) / RATE
+    y = truth.play(np.concatenate([part.voltage for part in parts]), time=time)
+    cut = len(parts[0].time)
+    pairs = ((time[:cut], parts[0].voltage, y[:cut]), (time[cut:], parts[1].voltage, y[cut:]))
+    return [Record(*pair, name) for pair, name in zip(pairs, ("tops", "stairs"), strict=True)]
+
+
+@cache
+def creeping():
+    truth = actuator(0.02)
+    found = records(truth)
+    return truth, found, dehyst.identify(found)
+
+
+def test_creep_in_displacement_is_found():
+    _, _, fit = creeping()
+    part = fit.actuator.displacement_creep
+    assert fit.actuator.creep is None and part is not None
+    decades = np.log10(part.time_constants[-1] / part.time_constants[0])
+    # The truth creeps by 2 % a decade.
+    assert 0.012 < part.gains.sum() / decades < 0.028
+    assert all(error.rms_percent < 0.1 for error in fit.errors)
+
+
+def test_a_hold_of_five_minutes_keeps_little_of_the_creep():
+    truth, (_, stairs), fit = creeping()
+    model = fit.actuator
+    state, _ = state_after(model, stairs)
+    wanted = np.concatenate([[0.0], 7e-6 * np.linspace(0, 1, 40), np.full(round(300 * RATE), 7e-6)])
+    wanted += float(stairs.displacement[-20:].mean()) * (wanted < 7e-6)
+    clock = float(stairs.time[-1]) + np.arange(wanted.size) / RATE
+    voltage = model.compensate(wanted, time=clock, state=state, extrapolate=True).voltage
+    reached = truth.play(voltage[1:], time=clock[1:])[39:]
+    # A step of 7 um creeps by 2 % a decade, 3.3 decades here.
+    assert abs(reached[-200:].mean() - reached[:5].mean()) < 0.15 * 3.3 * 0.02 * 7e-6
+
+
+def test_a_model_file_keeps_it_and_records_are_compared_by_it(tmp_path):
+    _, (tops, stairs), fit = creeping()
+    fit.actuator.save(tmp_path / "model.json")
+    read = dehyst.Actuator.load(tmp_path / "model.json")
+    assert np.array_equal(read.displacement_creep.gains, fit.actuator.displacement_creep.gains)
+    error, trace = errors_of(read, compare(read, prepare(stairs), fit.errors[1].stroke), "validation")
+    assert error.rms_percent < 0.1
+    # The trace is of the displacements that were measured.
+    assert np.ptp(trace.measured) == pytest.approx(np.ptp(stairs.displacement), rel=1e-9)
+    state, _ = initial_state(read, tops)
+    assert state.displacement_creep.size == len(read.displacement_creep)
+    assert dehyst.check(read, stairs).good
+
+
+def test_a_state_after_a_record_continues_it():
+    _, (_, stairs), fit = creeping()
+    model, middle = fit.actuator, 3000
+    state, offset = state_after(model, stairs[:middle])
+    rest = stairs[middle - 1 : middle + 1000]
+    y = model.simulate(rest.voltage - offset, time=rest.time, state=state, extrapolate=True).displacement
+    assert np.std(y - rest.displacement) < 0.002 * 12e-6
+
+
+@pytest.mark.nightly
+def test_without_holds_or_without_creep_nothing_is_chosen():
+    tops, stairs = records(actuator(0.0))
+    assert dehyst.identify([tops]).actuator.displacement_creep is None
+    fit = dehyst.identify([tops, stairs])
+    assert fit.actuator.displacement_creep is None and fit.actuator.creep is None
+
+
+@pytest.mark.parametrize("block", [4, 5, 8])
+def test_means_of_samples_creep_from_where_the_record_began(block):
+    """The rise before the samples that count belongs to the record of means too, whatever the block leaves over."""
+    part = DisplacementCreep([0.5, 20.0], [0.02, 0.03])
+    drive = Sampling(frequency=0.1, sample_rate=40.0, limits=(0.0, HIGHEST))
+    voltage = descending_tops(HIGHEST, steps=3, drive=drive).voltage
+    time = np.arange(voltage.size) / 40.0
+    item = prepare(Record(time, voltage, actuator(0.02).play(voltage, time=time), "tops"))
+    assert item.lead is not None
+    reduced = replace(item, block=block).reduced
+    assert reduced.record.sample_time == pytest.approx(block / 40.0)
+    moved, whole = (one.without_creep(part).record for one in (reduced, item))
+    expected = np.interp(moved.time, whole.time, whole.displacement)
+    assert np.abs(moved.displacement - expected).max() < 1e-3 * np.ptp(expected)

@@ -1,0 +1,142 @@
+"""The verdict: its rules, and that a better model never gets a worse one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dehyst import Record
+from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Verdict
+from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, new_legs, validity_of
+from dehyst.identification.remaining import RemainingError
+from dehyst.model import Promise
+
+STROKE = 1e-5
+ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0)
+
+
+def record(*turns):
+    voltage = np.interp(np.arange(100 * (len(turns) - 1) + 1) / 100, np.arange(len(turns)), turns)
+    time = 1e-3 * np.arange(voltage.size)
+    return Record(time, voltage, 1e-7 * voltage)
+
+
+TOPS = record(0, 100, 0, 100, 0, 80, 0, 60, 0, 40, 0)
+
+
+def seen(*errors, held_out=None, noise=0.0, vibration=0.0, records=None, lag=0.0):
+    causes = []
+    for one in errors:
+        shares = min(noise**2 / one.rms**2, 1.0), min(0.5 * vibration**2 / one.rms**2, 1.0)
+        causes.append(RemainingError(one.record, one.role, one.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
+    records = records or [TOPS] * len(errors)
+    return validity_of(records, errors, causes, held_out or HeldOutErrors(), noise, lag)
+
+
+def expected(*errors, checks=(), goal=1.0, outcome=Outcome.IDENTIFIED, caveats=(), noise=0.0, **known):
+    validity = seen(*errors, noise=noise, **known)
+    return expectation(outcome, errors, checks, validity, noise, goal, caveats)
+
+
+def test_small_errors_are_ready_and_large_ones_of_no_use():
+    assert expected(ERRORS).readiness is Readiness.READY
+    assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8)).readiness is Readiness.USABLE
+    assert expected(replace(ERRORS, rms=2e-7, settled_rms=2e-7)).readiness is Readiness.NOT_USABLE
+    assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8), goal=4.8).readiness is Readiness.READY
+
+
+def test_a_promise_is_no_less_than_what_the_records_show():
+    assert expected(replace(ERRORS, settled_largest=3e-7)).largest == 3e-7
+    assert expected(replace(ERRORS, settled_largest=3e-7), noise=1e-8).largest == pytest.approx(2.6e-7)
+
+
+def test_validation_records_are_what_counts():
+    other = replace(ERRORS, role="validation", rms=5e-8, settled_rms=5e-8)
+    found = seen(ERRORS, other, held_out=HeldOutErrors(1.0))
+    assert found.rms == 5e-8
+    verdict = expected(ERRORS, other, held_out=HeldOutErrors(1.0))
+    assert (verdict.basis, verdict.tested) == ("validation records", True)
+    assert len(verdict.reasons) == 1
+
+
+def test_a_model_that_misses_its_own_records_is_of_no_use_whatever_it_makes_of_others():
+    own, other = replace(ERRORS, settled_largest=6e-7), replace(ERRORS, role="validation")
+    validity = seen(own)
+    found = expectation(Outcome.INACCURATE, (own, other), (), validity, 0.0, 1.0)
+    assert (found.readiness, found.tested) == (Readiness.NOT_USABLE, False)
+
+
+def test_held_out_parts_count_where_they_are_worse():
+    assert seen(ERRORS, held_out=HeldOutErrors(9e-8)).rms == pytest.approx(9e-8)
+    assert seen(ERRORS, held_out=HeldOutErrors(1e-9)).rms == ERRORS.rms
+
+
+def test_structures_that_disagree_widen_a_promise_where_the_records_did_not_turn():
+    agreed, disagreed = (seen(ERRORS, held_out=HeldOutErrors(1e-8, apart)).anywhere for apart in (0.0, 3e-8))
+    assert disagreed.largest > 1.2 * agreed.largest
+    turns = [0, 100, *np.random.default_rng(0).uniform(0, 100, 60)]
+    random = HeldOutErrors(1e-8, 3e-8, new=(0.1, 0.1))
+    assert seen(ERRORS, held_out=random, records=[record(*turns)]).anywhere.largest < disagreed.largest
+
+
+def test_what_the_sensor_adds_is_not_of_the_path():
+    loud = replace(ERRORS, rms=5e-8, settled_rms=5e-8)
+    assert seen(loud, noise=4e-8).rms == pytest.approx((3e-8**2 + 4e-9**2) ** 0.5, rel=1e-6)
+    assert seen(loud, vibration=4e-8 * 2**0.5).rms == pytest.approx(3e-8)
+    held = HeldOutErrors(5e-8, noise=3e-8)
+    assert seen(loud, noise=5e-8, held_out=held).rms == pytest.approx((16e-16 + 25e-18) ** 0.5)
+
+
+def test_a_lag_of_unknown_cause_is_in_the_promise():
+    known, open_ = expected(ERRORS), expected(ERRORS, lag=1e-3)
+    # The fastest leg takes a tenth of a second for all of the stroke.
+    assert open_.largest == pytest.approx(known.largest + 1.15 * 0.01 * STROKE)
+    assert open_.promise.if_actuator_lags == (known.rms, known.largest)
+    assert known.promise.if_actuator_lags is None
+
+
+def test_held_out_legs_are_new_by_their_turning_points():
+    def legs(*turns):
+        return np.column_stack([turns[:-1], turns[1:]]).astype(float)
+
+    assert new_legs(legs(0, 100, 0), legs(0, 100, 0)) == (0.0, 0.0)
+    # The rise from 0 V passes 50 V; the fall from there begins 50 V below the only one.
+    assert new_legs(legs(0, 50, 0), legs(0, 100, 0)) == pytest.approx((0.0, 0.5))
+    # From wherever voltages are counted.
+    assert new_legs(legs(0, 50, 0) + 70, legs(0, 100, 0) + 70) == pytest.approx((0.0, 0.5))
+    # Up to their ends all count: the fall from 100 V is a known one, the rise from 50 V begins 50 V above the only one.
+    assert new_legs(legs(50, 100, 0), legs(0, 100, 0)) == pytest.approx((0.5, 0.0))
+    # Beyond the others nothing is known.
+    assert new_legs(legs(0, 150, 0), legs(0, 100, 0)) == (0.0, 0.0)
+
+
+FAILED = Check("Width", Verdict.FAILS, 1.0, 0.1, "%", "too wide")
+
+
+@pytest.mark.parametrize(
+    ("errors", "known"),
+    [
+        (replace(ERRORS, left_out=200), {}),
+        (replace(ERRORS, drift=2e-7), {}),
+        (ERRORS, {"checks": [FAILED]}),
+        (ERRORS, {"caveats": ["the sensor or the actuator lags"]}),
+    ],
+)
+def test_what_speaks_against_a_model_keeps_it_from_being_ready(errors, known):
+    found = expected(errors, **known)
+    assert found.readiness is Readiness.USABLE
+    assert len(found.reasons) == 1
+
+
+@given(st.floats(1e-9, 1e-6), st.floats(0, 1), st.floats(0, 1e-7))
+def test_a_smaller_error_is_never_judged_worse(largest, share, noise):
+    order = [Readiness.READY, Readiness.USABLE, Readiness.NOT_USABLE]
+    worse, better = (
+        Expectation(
+            Promise("", size / 3, size, {}, np.full(1, size), STROKE, 0.0), size / 3, noise, 1.0, "training records"
+        )
+        for size in (largest, share * largest)
+    )
+    assert order.index(better.readiness) <= order.index(worse.readiness)

@@ -1,0 +1,258 @@
+"""The program: known actuators come back, bounds and inequalities hold, and folds are differences of sums."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise, product
+
+import moving_records as moved
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dehyst import Thermal
+from dehyst.identification import Structure, search
+from dehyst.identification.program import _neighbours, with_folds
+from dehyst.identification.regressors import epochs
+
+STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
+NAMES = tuple(name for name, structure in wide.STRUCTURES.items() if not getattr(structure, "creep", 0))
+
+
+@cache
+def known(name, seed=0):
+    plant = wide.plant(wide.STRUCTURES[name], seed)
+    return plant, wide.program(plant.grid, [plant.record()])
+
+
+@cache
+def noisy(name):
+    plant, _ = known(name)
+    return wide.program(plant.grid, [plant.record(noise=1e-3 * STROKE)])
+
+
+@given(name=st.sampled_from(NAMES), seed=st.integers(0, 1000))
+@settings(max_examples=15)
+def test_true_coefficients_leave_no_residual(name, seed):
+    plant, program = known(name, seed)
+    assert len(program) > 0.8 * plant.path.size
+    assert np.abs(program.residual(plant.solution(program))).max() < 1e-12 * STROKE
+
+
+@given(name=st.sampled_from(NAMES), seed=st.integers(0, 1000))
+@settings(max_examples=10)
+def test_the_slope_of_a_row_is_the_slope_of_compensate(name, seed):
+    """Tau's change over a small step ahead, from the state that the record has reached."""
+    plant, program = known(name, seed)
+    slope = program.slope(plant.solution(program))
+    samples = np.concatenate([np.arange(one.start, one.stop) for one in epochs(plant.record())])
+    # Major loops go through knots, and their ends; just after a turn smooth elements are taken to go on.
+    inside = (samples > 125) & (samples < plant.path.size - 1) & ~program.rows.stuck[:, 0]
+    actuator, step = plant.actuator, 1e-6 * STROKE
+    for row in np.random.default_rng(seed).choice(np.flatnonzero(inside), 8).tolist():
+        k = samples[row]
+        state = actuator.compensate(plant.path[: k + 1], state=plant.state).state
+        ahead = step * np.sign(plant.path[k] - plant.path[k - 1])
+        v = actuator.compensate([plant.path[k], plant.path[k] + ahead], state=state).voltage
+        tau = v if actuator.transformer is None else actuator.transformer(v)
+        assert np.diff(tau)[0] / ahead == pytest.approx(slope[row], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_known_actuator_is_recovered(name):
+    plant, program = known(name)
+    found, true = program.solved(), plant.solution(program)
+    assert np.abs(program.residual(found)).max() < 1e-9 * STROKE
+    if plant.grid.segments == 1:
+        for got, expected in ((found.stiffness, true.stiffness), (found.slopes, true.slopes)):
+            np.testing.assert_allclose(got, expected, rtol=0, atol=1e-8 * expected.max())
+        np.testing.assert_allclose(found.smooth, true.smooth, rtol=0, atol=1e-7 * true.smooth.max(initial=0.0))
+        np.testing.assert_allclose(found.transformer, true.transformer, rtol=1e-8)
+    # No record shows the stiffness on a segment that an element's cart never enters: there paths decide.
+    actuator = found.to_actuator(plant.grid, found.offsets[0])
+    voltage = actuator.compensate(plant.path, state=plant.state).voltage
+    assert np.abs(voltage - plant.record().voltage).max() < 1e-7 * VOLTS
+
+
+MOVING = {
+    "delay": (lambda: [moved.delayed(3)], {}, 3, lambda at: at.delay, 3 * moved.STEP),
+    "lead": (lambda: [moved.delayed(-0.5)], {}, 3, lambda at: at.delay, -0.5 * moved.STEP),
+    "drift": (lambda: [moved.drifting(0.02)], {}, 12, lambda at: at.drift[0], 0.02 * STROKE),
+    "inertia": (lambda: [moved.swinging()], {}, 3, lambda at: at.dynamics.frequency, moved.DYNAMICS.frequency),
+    "damping": (lambda: [moved.swinging()], {}, 3, lambda at: at.dynamics.damping, moved.DYNAMICS.damping),
+    "creep": (
+        lambda: [moved.creeping()],
+        {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "begun": np.zeros((1, 3))},
+        30,
+        lambda at: at.gains.sum(),
+        moved.CREEP.gains.sum(),
+    ),
+    "datum": (lambda: moved.shifted(0.1 * STROKE), {"datum": [0, 0.09 * STROKE]}, 30, lambda at: at.datum[1], 1.6e-6),
+    "thermal gain": (
+        lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
+        {"thermal": Thermal(0.0, 0.0, 30.0), "expands": True},
+        12,
+        lambda at: at.thermal.gain,
+        moved.THERMAL.gain,
+    ),
+    "thermal offset": (
+        lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
+        {"thermal": Thermal(0.0, 0.0, 30.0), "expands": True},
+        12,
+        lambda at: at.thermal.offset,
+        moved.THERMAL.offset,
+    ),
+}
+PARTS = {"lead": "delay", "damping": "inertia", "thermal gain": "thermal", "thermal offset": "thermal"}
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_numbers_of_what_moves_are_recovered(name):
+    records, start, turns, number, true = MOVING[name]
+    start = {key: np.asarray(value) if key == "datum" else value for key, value in start.items()}
+    made = search.fitted(wide.frame(records(), **start), moved.STRUCTURE, 4000, (PARTS.get(name, name),), turns)
+    assert number(made.frame.motion) == pytest.approx(true, rel=0.03)
+    assert made.rms < 2e-4 * STROKE
+
+
+def test_gains_of_creep_are_not_negative():
+    one = moved.still(hold=20)
+    backwards = moved.seen(one, moved.CREEP.removed(one.time, one.displacement))
+    motion = {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "begun": np.zeros((1, 3))}
+    made = search.fitted(wide.frame([backwards], **motion), moved.STRUCTURE, 4000, ("creep",), 2)
+    assert made.frame.motion.gains.min() == 0
+
+
+@pytest.mark.parametrize("name", ["plain", "dense", "smooth"])
+@pytest.mark.parametrize("smoothing", [0.0, 1e-2])
+def test_the_conditions_of_karush_kuhn_and_tucker_hold(name, smoothing):
+    """Of the sum of squares, written out: no gradient along what is free, none downwards along what is at its bound."""
+    program = replace(noisy(name), smoothing=smoothing, floor=0.7 * wide.SLOPE)
+    (columns, free), x = program.columns, program.solved().unknowns
+    gradient = columns.T @ (columns @ x - program.target) + len(program) * program.regularization() @ x
+    size = np.linalg.norm(columns, axis=0) * np.linalg.norm(program.target)
+    bound = (x == 0) & (np.arange(x.size) >= free)
+    assert bound.any() and x[free:].min() >= 0
+    assert np.all(gradient[bound] > -1e-8 * size[bound])
+    assert np.all(np.abs(gradient[~bound]) < 1e-8 * size[~bound])
+
+
+@pytest.mark.parametrize("name", ["plain", "dense", "transformer"])
+def test_a_fold_is_left_out_by_the_difference_of_sums(name):
+    program = noisy(name)
+    fold = np.arange(len(program)) // 100 % 3
+    folded, whole = with_folds(program, fold), program.solved()
+    np.testing.assert_allclose(folded.solved().unknowns, whole.unknowns, atol=1e-7 * np.abs(whole.unknowns).max())
+    for k in range(3):
+        rest = replace(program, rows=program.rows.chosen(fold != k))
+        got, expected = folded.solved(whole, without=k).unknowns, rest.solved().unknowns
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_start_from_a_solution_nearby_changes_nothing():
+    program = noisy("graded")
+    cold = program.solved()
+    warm = program.solved(noisy("graded").solved())
+    np.testing.assert_allclose(warm.unknowns, cold.unknowns, rtol=0, atol=1e-7 * np.abs(cold.unknowns).max())
+
+
+def test_less_weight_for_large_residuals_is_robust():
+    plant, program = known("plain")
+    voltage = program.rows.voltage.copy()
+    voltage[::50] += 0.2 * VOLTS * np.random.default_rng(0).uniform(0, 1, voltage[::50].size)
+    outliers = replace(program, rows=replace(program.rows, voltage=voltage))
+    squares = outliers.solved()
+    robust = outliers.reweighted(squares)
+    errors = [np.abs(one.stiffness - plant.actuator.slip.stiffness[:, None]).max() for one in (squares, robust)]
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_an_element_that_holds_nothing_is_left_out():
+    plant, program = known("smooth")
+    found = program.solved()
+    kept = found.smooth * (np.arange(found.smooth.size) % 2)
+    assert len(replace(found, smooth=kept).to_actuator(plant.grid, 0.0).smooth) == np.count_nonzero(kept)
+    assert replace(found, smooth=0 * kept).to_actuator(plant.grid, 0.0).smooth is None
+
+
+def test_tau_keeps_the_ends_of_the_voltages():
+    """Rows that no tau of this kind explains: its ends stay, and no slope falls below a fifth."""
+    plant, program = known("transformer")
+    v, (low, high) = program.rows.voltage, plant.grid.drive[[0, -1]]
+    share = np.clip((v - low) / (high - low), 0, 1)
+    for power in (10.0, 0.1):
+        twisted = low + (high - low) * share**power
+        found = replace(program, rows=replace(program.rows, voltage=twisted)).solved()
+        tau = found.to_actuator(plant.grid, 0.0).transformer
+        np.testing.assert_allclose(tau.drive[[0, -1]], [low, high], rtol=1e-9, atol=1e-9 * high)
+        assert found.transformer.min() >= 0.2 * (1 - 1e-9)
+    assert found.transformer.min() == pytest.approx(0.2, rel=1e-6)
+
+
+def test_slopes_of_the_spring_keep_the_floor():
+    _, program = known("plain")
+    high = replace(program, floor=0.7 * wide.SLOPE)
+    free, held = program.solved(), high.solved()
+    assert free.slopes.min() < 0.69 * wide.SLOPE
+    assert held.slopes.min() == pytest.approx(0.7 * wide.SLOPE, rel=1e-9)
+    assert high.residual(held).std() > 100 * program.residual(free).std()
+
+
+def test_no_branch_falls(monkeypatch):
+    """Voltages of a graded actuator of which a branch would fall: no record has them, but noise can come close."""
+    plant, program = known("graded")
+    true = plant.solution(program)
+    wrong = program.static @ np.concatenate(
+        [(true.stiffness * [1.0, 3.0, 0.1])[plant.grid.movable].ravel(), np.full(true.slopes.size, 0.15 * wide.SLOPE)]
+    )
+    program = replace(program, rows=replace(program.rows, voltage=wrong))
+    found = program.solved()
+    monkeypatch.setattr("dehyst.identification.program._ADDED", 0)
+    softer = program.solved()
+    assert program.residual(found).std() < program.residual(softer).std()
+    y = np.linspace(0, STROKE, 2001)
+    for held, (path, rising) in product(
+        (one.to_actuator(plant.grid, 0.0) for one in (found, softer)), ((y, True), (y[::-1], False))
+    ):
+        v = held.compensate(path, state=held.turned(float(path[0]), rising=rising)).voltage
+        assert (np.diff(v) / np.diff(path)).min() > program.floor * (1 - 1e-3)
+
+
+@pytest.mark.parametrize("structure", [Structure(elements=1), Structure(elements=1, grades=3, smooth=True)])
+def test_without_a_movable_element_the_rest_is_found(structure):
+    plant = wide.plant(replace(structure, knots=7))
+    program = wide.program(plant.grid, [plant.record()])
+    found = program.solved()
+    assert found.stiffness.shape == (1, structure.grades)
+    assert np.abs(program.residual(found)).max() < 1e-9 * STROKE
+
+
+def grid(**changes):
+    return Structure(**{"elements": 6, "knots": 5, "grades": 3, "transformer": 6, **changes}).grid(
+        (0.0, STROKE), (0.0, VOLTS)
+    )
+
+
+def test_differences_of_neighbours_by_hand():
+    own, rng = grid(), np.random.default_rng(5)
+    rho = own.breakaway[own.movable]
+    kappa, slopes, drive = rng.random((rho.size, 3)), rng.random(4), rng.random(5)
+    found = _neighbours(own) @ np.concatenate([kappa.ravel(), slopes, drive])
+    width = np.diff(rho, prepend=0.0)
+    density = kappa / width[:, None]
+    expected = [r * np.sqrt(3) * (b - a) for r, row in zip(rho, kappa, strict=True) for a, b in pairwise(row)]
+    expected += [
+        rho[i] * width[i + 1] * (density[i + 1, m] - density[i, m]) for i in range(rho.size - 1) for m in range(3)
+    ]
+    expected += (STROKE / 4 * np.diff(slopes, 2)).tolist() + (VOLTS / 6 * np.diff(drive, 2)).tolist()
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("spacing", [1.0, 2.0])
+def test_even_densities_and_straight_slopes_are_smooth(spacing):
+    own = grid(spacing=spacing)
+    even = np.repeat(3 * np.diff(own.breakaway[own.movable], prepend=0.0), own.segments)
+    straight = np.concatenate([even, 2 + 0.5 * np.arange(4), 1 - 0.1 * np.arange(5)])
+    np.testing.assert_allclose(_neighbours(own) @ straight, 0, atol=1e-12)

@@ -1,0 +1,175 @@
+"""Which samples count: the rule of the running range, on actuators whose carts stand anywhere at the start."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+
+from dehyst import Record
+from dehyst.identification.regressors import RowSource, epochs, internal_states
+from dehyst.identification.structure import Grid
+
+RANDOM_RECORDS = 300
+
+
+def random_record(seed):
+    """A random actuator on a random path, its carts wherever they can be."""
+    rng = np.random.default_rng(seed)
+    actuator = plain_records.plant(int(rng.integers(1, 25)), seed=seed)
+    y = plain_records.path(rng.uniform(0, 1, int(rng.integers(5, 30))), int(rng.integers(20, 60)))
+    return actuator, plain_records.record(actuator, y, state=plain_records.any_state(actuator, float(y[0]), seed))
+
+
+def collect(pieces, breakaway, noise):
+    """All rows of pieces for elements of these thresholds, and their epochs."""
+    empty = np.zeros(0)
+    source = RowSource.of(pieces, Grid(breakaway, empty, empty, empty), noise)
+    return source.thinned(max(1, len(source))), source.epochs
+
+
+def rows_of(actuator, record, noise=0.0):
+    rows, (found,) = collect([(0, record, np.zeros(len(record)))], actuator.slip.breakaway, [noise])
+    return rows, found
+
+
+def rest(actuator, rows):
+    """Voltage less what the model says of each row, which an epoch's constant has to make up for."""
+    return rows.voltage - rows.elongation @ actuator.slip.stiffness - actuator.spring(rows.displacement)
+
+
+def growth(record, epoch):
+    """By how much [m] an epoch leaves the range seen before it; the tolerance on the voltage allows a little."""
+    before, during = record.displacement[: epoch.start], record.displacement[epoch.start : epoch.stop]
+    return max(before.min() - during.min(), 0.0) + max(during.max() - before.max(), 0.0)
+
+
+def test_one_constant_an_epoch_is_exact_for_any_carts():
+    strict = 0
+    for seed in range(RANDOM_RECORDS):
+        actuator, record = random_record(seed)
+        rows, found = rows_of(actuator, record)
+        for number, epoch in enumerate(found):
+            constants = rest(actuator, rows)[rows.epoch == number]
+            # Growth below 0.2 % of the voltage range counts as noise; it drags a standing cart by no more than itself.
+            grown = growth(record, epoch)
+            strict += grown == 0
+            dragged = grown * float(actuator.slip.stiffness.sum())
+            assert np.ptp(constants) <= 1e-9 * np.ptp(record.voltage) + dragged, f"seed {seed}, epoch {number}"
+            assert grown <= 0.01 * np.ptp(record.displacement), f"seed {seed}, epoch {number}"
+    assert strict > 3 * RANDOM_RECORDS
+
+
+def test_samples_at_which_the_range_grows_are_dropped():
+    actuator = plain_records.plant(10)
+    turns = (0.5, 0.4, 0.6, 0.4, 0.6, 0.3, 0.7, 0.3, 0.7, 0.0, 1.0, 0.0, 1.0)
+    record = plain_records.loops(
+        actuator, turns, state=plain_records.any_state(actuator, 0.5 * plain_records.STROKE, 1)
+    )
+    rows, found = rows_of(actuator, record)
+    assert len(found) >= 4
+    taken = np.zeros(len(record), dtype=bool)
+    for epoch in found:
+        assert growth(record, epoch) == 0
+        taken[epoch.start : epoch.stop] = True
+    v = record.voltage
+    new_high = np.append(True, v[1:] > np.maximum.accumulate(v)[:-1] + 2e-3 * np.ptp(v))
+    new_low = np.append(True, v[1:] < np.minimum.accumulate(v)[:-1] - 2e-3 * np.ptp(v))
+    assert not np.any(taken & (new_high | new_low))
+    assert len(rows) == taken.sum()
+    np.testing.assert_array_equal(rows.voltage, v[taken])
+
+
+def test_a_record_that_only_ever_grows_has_no_row():
+    actuator = plain_records.plant(5)
+    record = plain_records.loops(actuator, (0.0, 1.0), state=actuator.relaxed())
+    rows, found = rows_of(actuator, record)
+    assert (len(rows), found) == (0, [])
+    assert rows.elongation.shape == (0, 5)
+
+
+def test_elongations_of_known_elements_are_the_true_ones():
+    actuator = plain_records.plant(8)
+    y = plain_records.path((0.2, *plain_records.THREE_LOOPS))
+    state = plain_records.any_state(actuator, float(y[0]), 4)
+    rows, (epoch, *_) = rows_of(actuator, plain_records.record(actuator, y, state=state))
+    s, truth = state.deformation - state.carts, []
+    for step in np.diff(y, prepend=y[0]):
+        s = np.clip(s + step, -actuator.slip.breakaway, actuator.slip.breakaway)
+        truth.append(s)
+    number = rows.epoch.max()
+    last = np.array(truth)[-int(np.count_nonzero(rows.epoch == number)) :]
+    np.testing.assert_allclose(rows.elongation[rows.epoch == number], last, atol=1e-12 * plain_records.STROKE)
+    assert epoch.turn < epoch.start
+
+
+def test_carts_that_stand_still_add_displacement_less_the_middle():
+    actuator = plain_records.plant(10)
+    record = plain_records.loops(
+        actuator, (0.3, 0.6, 0.3, 0.6, 0.3), state=plain_records.any_state(actuator, 0.3 * plain_records.STROKE, 2)
+    )
+    rows, found = rows_of(actuator, record)
+    for number, epoch in enumerate(found):
+        mine = rows.epoch == number
+        unknown = 2 * actuator.slip.breakaway > epoch.reach
+        assert unknown.any()
+        expected = np.repeat(rows.displacement[mine, None] - epoch.middle, unknown.sum(), axis=1)
+        np.testing.assert_allclose(rows.elongation[mine][:, unknown], expected, atol=1e-20)
+        assert rows.stuck[mine][:, unknown].all()
+
+
+@pytest.mark.parametrize("level", [1e-5, 1e-4, 1e-3])
+def test_noise_on_the_voltage_makes_no_epochs(level):
+    actuator = plain_records.plant(10)
+    clean = plain_records.loops(actuator, plain_records.MAJOR * 8)
+    noise = level * np.ptp(clean.voltage) * np.random.default_rng(0).normal(size=len(clean))
+    noisy = Record(clean.time, clean.voltage + noise, clean.displacement, "noisy voltage")
+    assert [len(epochs(clean)), len(epochs(noisy))] == [1, 1]
+    assert epochs(noisy)[0].stop == len(noisy)
+    assert epochs(noisy)[0].start <= epochs(clean)[0].start + 100
+
+
+def test_drift_of_the_displacement_makes_no_epochs():
+    actuator = plain_records.plant(10)
+    clean = plain_records.loops(actuator, plain_records.MAJOR * 8)
+    creeping = clean.displacement + 0.05 * plain_records.STROKE * np.log10(1 + clean.time)
+    assert len(epochs(Record(clean.time, clean.voltage, creeping, "creeping"))) == 1
+
+
+def test_noise_of_the_sensor_cuts_the_reach():
+    record = plain_records.loops(plain_records.plant(10), plain_records.MAJOR)
+    (clean,), (cut,) = epochs(record), epochs(record, 1e-8)
+    assert clean.reach == pytest.approx(plain_records.STROKE, rel=1e-12)
+    assert cut.reach == pytest.approx(plain_records.STROKE - 4e-8, rel=1e-12)
+    assert clean.middle == pytest.approx(0.5 * plain_records.STROKE, rel=1e-12)
+
+
+def test_pieces_of_several_records_are_stacked_and_told_apart():
+    actuator = plain_records.plant(4)
+    one, two = (
+        plain_records.loops(actuator, plain_records.MAJOR),
+        plain_records.loops(actuator, (0.2, *plain_records.MAJOR)),
+    )
+    pieces = [(0, one, np.zeros(len(one))), (1, two, np.arange(float(len(two))))]
+    rows, found = collect(pieces, actuator.slip.breakaway, [0.0, 0.0])
+    assert [len(own) >= 1 for own in found] == [True, True]
+    first = len(found[0])
+    assert set(rows.epoch[rows.record == 0]) == set(range(first))
+    assert set(rows.epoch[rows.record == 1]) == set(range(first, first + len(found[1])))
+    taken = np.concatenate([np.arange(e.start, e.stop) for e in found[1]])
+    np.testing.assert_array_equal(rows.drift[rows.record == 1], taken)
+
+
+@pytest.mark.parametrize("name", ["plain", "creep", "smooth", "all"])
+@pytest.mark.parametrize("cut", [0, 200])
+def test_internal_states_are_those_of_the_models_parts_along_lead_and_path(name, cut):
+    plant = wide.plant(wide.STRUCTURES[name], path=wide.wandering(6, hold=8))
+    record = plant.record()
+    # Uneven steps of time, too.
+    time = record.time + np.where(np.arange(len(record)) % 50 > 40, 1e-3, 0.0)
+    record = replace(record, time=time)
+    lead, piece = (record[:cut], record[cut:]) if cut else (None, record)
+    whole, found = wide.moved_along(plant.grid, piece, lead), internal_states(plant.grid, piece, lead)
+    assert found.shape == whole.shape
+    np.testing.assert_allclose(found, whole, rtol=1e-9, atol=1e-15)

@@ -1,0 +1,184 @@
+"""The search: parts that move are found where they are and only there, and what structures leave open shows."""
+
+from dataclasses import replace
+from functools import cache
+
+import moving_records as moved
+import numpy as np
+import plain_records
+import pytest
+import structured_records as wide
+import tracking_trials
+
+from dehyst import Dynamics, Record
+from dehyst.identification import Structure, search
+from dehyst.identification.denoising import derivatives, remove_dynamics
+from dehyst.identification.motion import creep_times
+
+STROKE, STEP = plain_records.STROKE, moved.STEP
+NOISE = 1e-4 * STROKE
+PLANT = plain_records.plant(20, seed=2)
+FAST, PERIOD = 1e-4, 0.02
+
+
+def found(records, **which):
+    """The motion that a search finds, and the names of its parts."""
+    allowed = {"lag": True, "drift": True, "more": True, **which}
+    frame, names, trials = search.moving(wide.frame(records), lambda _: None, **allowed)
+    assert all(one.held_out > 0 for one in trials)
+    return frame.motion, set(names) - {"begun"}
+
+
+def tops(seed=0, noise=NOISE):
+    return plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, noise=noise, seed=seed)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("turns", [plain_records.DESCENDING_TOPS, plain_records.REVERSAL_CURVES])
+def test_nothing_moves_in_a_static_truth_with_noise(turns, seed):
+    motion, names = found([plain_records.loops(PLANT, turns, noise=NOISE, seed=seed)])
+    assert names == set()
+    assert (motion.delay, motion.lag, motion.mass, motion.creep, motion.drift.any()) == (0, 0, 0, None, False)
+
+
+@pytest.mark.parametrize("samples", [0.5, 3])
+def test_a_delay_is_found(samples):
+    motion, names = found([moved.delayed(samples, NOISE)])
+    assert "delay" in names
+    assert motion.delay == pytest.approx(samples * STEP, abs=0.05 * STEP)
+
+
+@pytest.mark.parametrize(("samples", "accepted"), [(0.5, True), (0.25, False), (1.0, False), (1.5, False)])
+def test_a_lead_of_half_a_sample_is_a_converter_that_holds(samples, accepted):
+    motion, names = found([moved.delayed(-samples, NOISE)], more=False)
+    assert ("delay" in names) is accepted
+    assert motion.delay == (pytest.approx(-0.5 * STEP, abs=0.05 * STEP) if accepted else 0)
+
+
+@pytest.mark.parametrize("rate", [0.02, -0.05])
+def test_a_drift_is_found(rate):
+    motion, names = found([moved.drifting(rate, NOISE)])
+    assert names == {"drift"}
+    assert motion.drift[0] == pytest.approx(rate * STROKE, rel=0.1)
+
+
+@pytest.mark.parametrize("which", ["lag", "drift", "more"])
+def test_what_must_not_move_does_not(which):
+    record = {"lag": moved.delayed(3), "drift": moved.drifting(0.02), "more": driven(DYNAMICS)}[which]
+    _, names = found([record], **{which: False})
+    assert not names & {"lag": {"delay"}, "drift": {"drift"}, "more": {"creep", "inertia"}}[which]
+
+
+DYNAMICS = Dynamics(300.0, 0.05)
+
+
+@cache
+def driven(dynamics=None, *, delay=0, noise=NOISE):
+    """Descending tops at 50 Hz behind a resonance, the displacement so many samples late."""
+    v = tracking_trials.tops(12, round(PERIOD / FAST / 2))
+    time = np.arange(v.size) * FAST
+    late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
+    actuator = replace(PLANT, dynamics=dynamics)
+    state = actuator.relaxed()
+    if dynamics is not None:
+        state = replace(state, motion=[state.deformation, 0.0])
+    y = actuator.simulate(late, time=time, state=state).displacement
+    return Record(time, v, y + noise * np.random.default_rng(1).normal(size=y.size), "driven")
+
+
+@pytest.mark.parametrize(("resonance", "damping", "delay"), [(300.0, 0.03, 2), (300.0, 0.1, 0), (200.0, 0.05, 1)])
+def test_a_resonance_is_found(resonance, damping, delay):
+    """Excited far below the resonance: a lag by delay is hard to tell from one by damping."""
+    dynamics = Dynamics(resonance, damping)
+    motion, names = found([driven(dynamics, delay=delay)])
+    assert "inertia" in names
+    assert motion.dynamics.frequency == pytest.approx(resonance, rel=0.05)
+    lags = motion.delay + motion.damping
+    assert lags == pytest.approx(delay * FAST + 2 * damping / dynamics.omega, abs=0.5 * FAST)
+
+
+@pytest.mark.parametrize("dynamics", [Dynamics(8000.0, 0.05), Dynamics(300.0, 0.9)])
+def test_above_the_nyquist_frequency_or_overdamped_there_is_no_resonance(dynamics):
+    motion, names = found([driven(dynamics)])
+    assert "inertia" not in names
+    assert motion.dynamics is None
+
+
+def test_slow_cycles_show_no_resonance():
+    """A thousand samples a cycle: what has a mass then is the sensor's noise."""
+    v = tracking_trials.tops(3, 600)
+    y = PLANT.simulate(v, state=PLANT.relaxed()).displacement
+    _, names = found([Record(np.arange(v.size) * FAST, v, y)])
+    assert "inertia" not in names
+
+
+def test_the_path_before_a_resonance_comes_back():
+    """A second way: the same actuator without its mass moves so. Corners of its motion are rounded a little."""
+    made, expected = driven(DYNAMICS, noise=0.0), driven(noise=0.0).displacement
+    seen, left = (
+        np.abs(y - expected)[10:-10].max() / np.ptp(expected)
+        for y in (made.displacement, remove_dynamics(made, DYNAMICS).displacement)
+    )
+    assert seen > 0.04
+    assert left < 1e-3
+    assert remove_dynamics(made, None) is made
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_of_a_quartic_are_exact(seed):
+    curve = np.polynomial.Polynomial(1e-5 * np.random.default_rng(seed).normal(size=5))
+    time = np.linspace(-1, 1, 60)
+    for order, values in enumerate(derivatives(Record(time, time, curve(time))), start=1):
+        np.testing.assert_allclose(values, curve.deriv(order)(time), rtol=0, atol=1e-9 * 1e-5 * 60**order)
+
+
+@pytest.mark.parametrize(("shift", "tolerance"), [(0.1, 0.005), (-0.07, 0.005), (0.0, 0.0)])
+def test_the_zero_of_a_sensor_is_found(shift, tolerance):
+    three = plain_records.loops(
+        PLANT, plain_records.THREE_LOOPS, noise=NOISE, name="three", datum=shift * STROKE, seed=3
+    )
+    frame = search.with_datums(wide.frame([tops(), three]))
+    datum = frame.motion.datum
+    assert datum[frame.widest] == 0
+    assert datum[1] - datum[0] == pytest.approx(shift * STROKE, abs=tolerance * STROKE)
+
+
+@pytest.mark.parametrize(("fastest", "longest"), [(0.01, 50.0), (1.0, 2.0)])
+def test_creep_lasts_from_the_fastest_branch_to_the_longest_record(fastest, longest):
+    tau = creep_times(fastest, longest)
+    np.testing.assert_allclose(tau[[0, -1]], [fastest, longest])
+    np.testing.assert_allclose(np.diff(np.log(tau), 2), 0, atol=1e-12)
+    assert tau.size == max(2, round(2 * np.log10(longest / fastest)) + 1)
+
+
+def test_structures_that_explain_as_well_but_differ_disagree():
+    frame = wide.frame([tops(noise=0.1 * NOISE)])
+    chosen, same, other = (
+        search.fitted(frame, one, 4000)
+        for one in (Structure(grades=8), Structure(grades=8, smoothing=1e-2), Structure(elements=5))
+    )
+    for one in (same, other):
+        one.__dict__["held_out"] = chosen.held_out
+    none, near, far, both = (
+        search.disagreement(chosen.actuator, others, chosen, frame)
+        for others in ([chosen], [chosen, same], [other], [same, other])
+    )
+    assert (none, near < 0.3 * far, near < both < far) == (chosen.held_out, True, True)
+    # What explains the records worse counts less.
+    other.__dict__["held_out"] = 2 * chosen.held_out
+    assert near < search.disagreement(chosen.actuator, [same, other], chosen, frame) < both
+
+
+def test_the_smoothing_with_the_least_held_out_error_is_chosen():
+    structures = [Structure(smoothing=one) for one in (1e-3, 1.0, 1e-2)]
+    made, trials, every = search.static(wide.frame([tops()]), structures, (), lambda _: None)
+    assert [one.structure for one in trials] == structures == [one.structure for one in every]
+    best = min(trials, key=lambda one: one.held_out)
+    assert (made.structure, made.held_out) == (best.structure, best.held_out)
+
+
+def test_repeated_loops_are_not_new():
+    again = plain_records.loops(PLANT, (1, 0) * 12)
+    random = plain_records.loops(PLANT, (0, 1, 0, *np.random.default_rng(0).uniform(0, 1, 20)))
+    assert search.new_in_time(wide.frame([again])) == pytest.approx((0, 0), abs=1e-9)
+    assert min(search.new_in_time(wide.frame([random]))) > 0.02
