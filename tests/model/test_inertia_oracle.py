@@ -32,7 +32,7 @@ def test_motion_and_charge_are_the_circuits_at_second_order_in_the_step(damping,
         return force * np.sin(2 * np.pi * 450 * t)
 
     # m y'' + b y' + (km + ke) y: omega^2 = (km + ke) / m, 2 zeta omega = b / m; beta = ke / T.
-    actuator = actuator_of(STACK, dynamics=Dynamics(OMEGA, damping, KE / T), load_stiffness=KM + KE)
+    actuator = actuator_of(STACK, dynamics=Dynamics(OMEGA / (2 * np.pi), damping, KE / T), load_stiffness=KM + KE)
     coarse = END * np.arange(COARSE + 1) / COARSE
     q, y = moving(STACK, MASS, 2 * damping * OMEGA * MASS, coarse, voltage, rate, load=load)
     # Most elements slide both ways.

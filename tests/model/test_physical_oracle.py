@@ -79,7 +79,7 @@ def test_a_load_on_a_held_charge_meets_km_and_ke():
 
 def test_a_slow_load_under_a_voltage_moves_the_charge_too():
     """With ke / T as series spring, and a mass so small that it follows at once."""
-    actuator = actuator_of(STACK, dynamics=Dynamics(1e7, 1.0, KE / T), load_stiffness=KM + KE)
+    actuator = actuator_of(STACK, dynamics=Dynamics(1.6e6, 1.0, KE / T), load_stiffness=KM + KE)
     time, voltage = legs([0, 200, 0, 140, 30, 90, 0], 400)
 
     def load(t):

@@ -1,8 +1,9 @@
 """Model files: an actuator comes back bit for bit, and nothing else than an actuator is taken for one."""
 
 import copy
+import pickle
 import struct
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import reduce
 
 import numpy as np
@@ -110,7 +111,7 @@ def made():
         delay=1 / 3000,
         name="stage X",
         provenance={"records": [{"file": "major.csv", "rms_percent": 0.1 + 0.2}], "note": "µm", "seed": None},
-        identification=Identification("l1", outcome=Outcome.WIDER, largest_error=1e-8 / 3, goal=0.5),
+        identification=Identification("sensor", outcome=Outcome.IDENTIFIED, largest_error=1e-8 / 3, goal=0.5),
     )
 
 
@@ -133,6 +134,13 @@ def wide():
         provenance=plain.provenance,
         identification=plain.identification,
     )
+
+
+@given(actuators())
+def test_models_of_equal_numbers_are_equal(actuator):
+    assert pickle.loads(pickle.dumps(actuator)) == actuator == copy.deepcopy(actuator)
+    assert hash(copy.deepcopy(actuator)) == hash(actuator)
+    assert actuator != replace(actuator, delay=0.5 * actuator.delay + 0.25) and actuator != "actuator"
 
 
 def test_wider_parts_come_back_exactly(tmp_path):

@@ -23,7 +23,6 @@ from dehyst import (
     Transformer,
 )
 from dehyst._native import CoreState, StepCoefficients
-from dehyst.control import StateBounds
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -271,7 +270,6 @@ def test_after_a_long_motion_they_are_as_long_as_they_get():
         lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[1e-6]), smooth=SMOOTH),
         lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[0.0])),
         lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
-        lambda: StateBounds.at_rest(ACTUATOR),
         lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.zeros(1), NONE)),
         lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.ones(2), NONE)),
     ],

@@ -3,8 +3,8 @@
 from dehyst.model import serialization
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import ANYWAY, Range, slow_motion, voltage_error
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
+from dehyst.model.checks import Range, slow_motion, voltage_error
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
     MaxwellSlip,
@@ -18,7 +18,20 @@ from dehyst.model.elements import (
 from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome
 from dehyst.model.physical import Physical
-from dehyst.model.promise import APART, Promise, Validity, distances, legs, promise, promised, speeds_of
+from dehyst.model.promise import (
+    APART,
+    CELLS,
+    Promise,
+    Untested,
+    Validity,
+    are_tested,
+    distances,
+    legs,
+    promised,
+    speeds_of,
+    tested_loops,
+    untested,
+)
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
 from dehyst.model.states import (
     NEAR,
@@ -61,7 +74,8 @@ __all__ = [
     "State",
     "Thermal",
     "Transformer",
+    "Untested",
     "Validity",
-    "promise",
+    "promised",
     "simulated",
 ]

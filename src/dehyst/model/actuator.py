@@ -18,12 +18,11 @@ from dehyst._views.pictures import plotted
 from dehyst.model import checks, serialization
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import Range
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
+from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, feedback_margins
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
 from dehyst.model.physical import Physical
-from dehyst.model.promise import Validity
 from dehyst.model.serialization import JsonFile
 from dehyst.records import Record
 
@@ -161,7 +160,7 @@ class Actuator(JsonFile, AbstractModel):
         return plotted("actuator", self, kind, ax)
 
     @property
-    def wide(self) -> bool:
+    def _wide(self) -> bool:
         """Whether the actuator has other parts than slip elements of constant stiffness and a spring."""
         creeping = (self.creep, self.displacement_creep)
         further = (self.transformer, *creeping, self.smooth, self.dynamics, self.load_stiffness, self.thermal)
@@ -204,7 +203,7 @@ class Actuator(JsonFile, AbstractModel):
         return 1.0 if self.displacement_creep is None else self.displacement_creep.at_rest
 
     @cached_property
-    def before_creep(self) -> Actuator:
+    def _before_creep(self) -> Actuator:
         """The actuator without creep in displacement: its displacement is the one before that creep."""
         if self.displacement_creep is None:
             return self
@@ -224,7 +223,7 @@ class Actuator(JsonFile, AbstractModel):
         return self.voltage(low), self.voltage(high)
 
     @cached_property
-    def plausible(self) -> Range:
+    def _plausible(self) -> Range:
         """Range of displacements [m] over `reach` and the spring's knots; the knots alone if the reach is not known."""
         knots = Range(*self.knots)
         try:
@@ -338,7 +337,7 @@ class Actuator(JsonFile, AbstractModel):
             the state does not fit this actuator, or a voltage is too large to be computed.
         """
         (y, low, high), start = spanned(displacement, "displacement"), self._start(state)
-        if not extrapolate and self.plausible.is_far(low, high):
+        if not extrapolate and self._plausible.is_far(low, high):
             self._refuse_displacements(y, load)
         path = PathData(time, load, velocity, acceleration, temperature)
         v, reached = self.model.compensate(y, path, start, stack)
@@ -387,6 +386,42 @@ class Actuator(JsonFile, AbstractModel):
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
         return self.model.displacement(self._start(state))
 
+    def margins(self, period: float, margin_db: float = 6.0, *, preview: bool = False) -> tuple[float, float]:
+        """Return the gain of a feedback around the compensator, and the bandwidth that it has.
+
+        The gain is the largest that keeps the margin if the resonance lies up to 5 % lower or higher than identified,
+        and a reading comes up to half a period sooner or one later.
+        An actuator without an identified resonance gets 0.01, which a resonance of quality Q at f bears if Q / f is
+        below 300 `period`.
+
+        Parameters
+        ----------
+        period : float
+            Time between two steps [s].
+        margin_db : float, optional
+            Gain margin [dB].
+        preview : bool, optional
+            Whether the compensator looks ahead, as `Compensator(preview=True)`.
+
+        Returns
+        -------
+        gain : float
+            Share of the error that each reading takes away, 0 to 1.
+        bandwidth : float
+            Frequency [Hz] below which disturbances are reduced by 3 dB or more.
+
+        Raises
+        ------
+        ModelError
+            If the period or the margin is not positive.
+        """
+        if number(period, "period") <= 0:
+            raise ModelError(argument="period", got=period, need="a positive number of seconds")
+        if number(margin_db, "margin_db") <= 0:
+            raise ModelError(argument="margin_db", got=margin_db, need="a positive number of dB", hint="try 6")
+        factor = 10 ** (margin_db / 20)
+        return feedback_margins(self.dynamics, period, factor, preview=preview)
+
     def physical(
         self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
     ) -> Physical:
@@ -425,24 +460,12 @@ class Actuator(JsonFile, AbstractModel):
         """Return a copy whose identification holds `entries`, fields of `Identification`."""
         return replace(self, identification=replace(self.identification or Identification(), **entries))
 
-    def with_validity(self, validity: Validity, largest_error: float) -> Actuator:
-        """Return a copy that promises what a new `validity` says; `largest_error` [m] is that on the last record."""
-        anywhere = validity.anywhere
-        return self.with_identification(
-            largest_error=largest_error,
-            validity=validity,
-            validated=False,
-            expected_largest=anywhere.largest,
-            expected_rms=anywhere.rms,
-        )
-
-    def implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
+    def _implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
         """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.
 
-        A sample is implausible if it lies outside of the range over `plausible` and `others` by more than its
-        width.
+        A sample is implausible if it lies outside of all plausible ones and `others` by more than their width.
         """
-        ends, displacements = self.plausible.far_ends(displacement), self.plausible.joined(*others)
+        ends, displacements = self._plausible.far_ends(displacement), self._plausible.joined(*others)
         if ends is None:
             return ""
         pushed = displacements
@@ -457,7 +480,7 @@ class Actuator(JsonFile, AbstractModel):
             raise ModelError(f"{checks.voltage_error((low, high), self._voltages)}; {checks.ANYWAY}")
 
     def _refuse_displacements(self, displacement: Array, load: ArrayLike | None = None) -> None:
-        if reason := self.implausibility(displacement, load):
+        if reason := self._implausibility(displacement, load):
             raise ModelError(f"{reason}; {checks.ANYWAY}")
 
     def _start(self, state: State | None) -> State:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from dehyst.model.elements import Spring
 
 # Terms of Taylor's series at a norm of 1: 1/20! is below the last digit.
 _TERMS = 21
+# A resonance may be this part lower or higher than identified; where none is known, the gain of a feedback.
+_ASTRAY, _UNKNOWN_GAIN, _LARGEST_GAIN = 0.05, 0.01, 0.5
 # Most radians in a step: after the squarings that these need, the exponential keeps four digits.
 _LONGEST = 2.0**40
 
@@ -116,14 +119,15 @@ class DisplacementCreep:
         """Return decays and rises (R, K) of steps of `durations` (R,) [s], as `Creep.tables`."""
         return low_pass_tables(self.time_constants, durations)
 
-    def removed(self, time: ArrayLike, displacement: ArrayLike) -> Array:
-        """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s]; all has crept at the first sample.
+    def removed(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
+        """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s].
 
-        Raise `ModelError` if time and displacement do not fit.
+        `start` (K,): strains at the first sample [m]; default 0, all has crept. Raise `ModelError` if time and
+        displacement do not fit.
         """
-        y = vector(displacement, "displacement")
-        pace = self._pace(time, y.size)
-        return output_creep(y, pace, self.gains, y[0] / self.at_rest, np.zeros(len(self)), inverse=True)[0]
+        y, begun = vector(displacement, "displacement"), np.zeros(len(self)) if start is None else start
+        before = (y[0] + float(self.gains @ begun)) / self.at_rest
+        return output_creep(y, self._pace(time, y.size), self.gains, before, begun, inverse=True)[0]
 
     def added(self, time: ArrayLike, displacement: ArrayLike, start: Array) -> tuple[Array, Array]:
         """Return y (n,) [m] of a `displacement` (n,) [m] before creep, and the strains (K,) [m] at its end.
@@ -270,8 +274,8 @@ class Dynamics:
     Parameters
     ----------
     frequency : float
-        omega [rad/s], the resonance at constant charge: sqrt((km + ke)/m). Under a voltage the resonance is lower,
-        omega sqrt(K/(K + beta)), K the slope of voltage over w.
+        omega/(2 pi) [Hz], the resonance at constant charge: omega = sqrt((km + ke)/m). Under a voltage the resonance is
+        lower, omega sqrt(K/(K + beta)), K the slope of voltage over w.
     damping : float
         zeta, 0 or more.
     series : float, optional
@@ -289,17 +293,18 @@ class Dynamics:
 
     def __post_init__(self) -> None:
         if number(self.frequency, "frequency") <= 0:
-            raise ModelError(
-                argument="frequency",
-                got=self.frequency,
-                need="a positive number of rad/s",
-                hint="without inertia leave Dynamics out",
-            )
+            need, hint = "a positive number of hertz", "without inertia leave Dynamics out"
+            raise ModelError(argument="frequency", got=self.frequency, need=need, hint=hint)
         for name in ("damping", "series"):
             if number(getattr(self, name), name) < 0:
                 raise ModelError(argument=name, got=getattr(self, name), need="0 or more")
             demand_magnitudes(getattr(self, name), name)
-        demand_divisors(self.frequency, "frequency [rad/s]")
+        demand_divisors(self.frequency, "frequency [Hz]")
+
+    @property
+    def omega(self) -> float:
+        """The resonance at constant charge [rad/s]."""
+        return 2 * math.pi * self.frequency
 
     def share(self, spring: Spring) -> float:
         """Return theta = beta/(K + beta), K the mean slope of the `spring`: the share of w that follows y at once."""
@@ -311,7 +316,7 @@ class Dynamics:
 
         `velocity` [m/s] is y'. `acceleration` [m/s^2] is y''.
         """
-        return (2 * self.damping * velocity + acceleration / self.frequency) / self.frequency
+        return (2 * self.damping * velocity + acceleration / self.omega) / self.omega
 
     def transitions(self, durations: Array, share: float) -> Array:
         """Return transitions (R, 8) of (y, y'/omega) over `durations` (R,) [s]: phi by rows, two gains of q.
@@ -321,14 +326,13 @@ class Dynamics:
         q and its slope. `share` is theta. Raise `ModelError` if a step has so many periods of the resonance that the
         exponential loses all digits.
         """
-        radians = max(1.0, 2 * self.damping) * self.frequency * float(durations.max(initial=0.0))
+        radians = max(1.0, 2 * self.damping) * self.omega * float(durations.max(initial=0.0))
         if radians > _LONGEST:
             raise ModelError(
-                f"time: a step of {durations.max():.3g} s is too long for a resonance at "
-                f"{self.frequency / (2 * np.pi):.3g} Hz with a damping of {self.damping:.3g}; give shorter steps, "
-                "or leave Dynamics out"
+                f"time: a step of {durations.max():.3g} s is too long for a resonance at {self.frequency:.3g} "
+                f"Hz with a damping of {self.damping:.3g}; give shorter steps, or leave Dynamics out"
             )
-        distinct, row = np.unique(durations * self.frequency, return_inverse=True)
+        distinct, row = np.unique(durations * self.omega, return_inverse=True)
         generator = np.zeros((distinct.size, 4, 4))
         generator[:, 0, 1] = distinct
         generator[:, 1, 0], generator[:, 1, 1] = -(1 - share) * distinct, -2 * self.damping * distinct
@@ -340,6 +344,48 @@ class Dynamics:
         still = distinct == 0
         table[still] = [1, 0, 0, 1, 0, 0, 0, 0]
         return np.ascontiguousarray(table[row])
+
+
+def mechanical_response(dynamics: Dynamics | None, delay: float, frequency: Array) -> Array:
+    """Return displacement over w (n,) at a `frequency` (n,) [Hz], with a `delay` [s]."""
+    late = np.exp(-2j * np.pi * frequency * delay)
+    if dynamics is None:
+        return np.asarray(late)
+    ratio = frequency / dynamics.frequency
+    return np.asarray(late / (1 - ratio**2 + 2j * dynamics.damping * ratio))
+
+
+def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *, preview: bool) -> tuple[float, float]:
+    """Return gain and bandwidth [Hz] as `Actuator.margins`; `margin` is a factor."""
+    w = np.pi * np.geomspace(1e-5, 1, 20_000)
+    z = np.exp(1j * w)
+    gain = _UNKNOWN_GAIN
+    if dynamics is not None:
+        omega, damping = dynamics.omega * period, min(dynamics.damping, 0.999)
+        root = np.sqrt(1 - damping**2)
+
+        def held(radians: float) -> Array:
+            """Displacement at the end of a step over the voltage held in it, for a resonance of `radians` a step."""
+            pole, weight = np.exp(radians * (1j * root - damping)), 1 - 1j * damping / root
+            swings = weight / (1 - pole / z) + np.conj(weight) / (1 - np.conj(pole) / z)
+            return np.asarray(z - 0.5 * (z - 1) * swings)
+
+        # The model takes the voltage as straight lines between samples; a preview inverts it by five points.
+        pole = omega * (1j * root - damping)
+        line = (z - 1) / pole**2 * (((z - 1) / (z - np.exp(pole))) - 1) - 1 / pole
+        mirrored = (z - 1) / np.conj(pole) ** 2 * (((z - 1) / (z - np.exp(np.conj(pole)))) - 1) - 1 / np.conj(pole)
+        first, second = 1j * (8 * np.sin(w) - np.sin(2 * w)) / 6, (32 * np.cos(w) - 2 * np.cos(2 * w) - 30) / 12
+        ahead = 1 + (2 * damping * first + second / omega) / omega if preview else np.ones(w.size)
+        meant = np.ones(w.size) if preview else omega**2 * (line - mirrored) / (pole - np.conj(pole))
+        near = [held(omega * shift) * ahead for shift in (1 - _ASTRAY, 1.0, 1 + _ASTRAY)]
+        # A reading comes up to half a step sooner or a step later than identified.
+        wrong = np.max([np.abs(one * np.exp(-1j * w * late) - meant) for one in near for late in (-0.5, 0, 1)], axis=0)
+        # Where |gain / (z - 1 + gain)| times wrong is 1 / margin.
+        over, step = (margin * wrong) ** 2 - 1, np.abs(z - 1) ** 2
+        gains = 2 * step / (step + np.sqrt(step**2 + 4 * np.maximum(over, 0) * step))
+        gain = min(float(gains.min()), _LARGEST_GAIN)
+    left = np.abs(1 - gain / (z - 1 + gain))
+    return gain, float(w[np.argmax(left > np.sqrt(0.5))] / (2 * np.pi * period))
 
 
 def exponential(matrices: Array) -> Array:

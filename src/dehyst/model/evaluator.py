@@ -120,7 +120,7 @@ class Evaluator:
             w = w + self.dynamics.lead(velocity, acceleration)
             more = self.dynamics.series * (w - m)
             if m.size:
-                state = state._replace(motion=np.array([m[-1], velocity[-1] / self.dynamics.frequency]))
+                state = state._replace(motion=np.array([m[-1], velocity[-1] / self.dynamics.omega]))
         if w is not displacement:
             demand_result(w, "displacement of the electrical side")
         voltage, reached = self.core.compensate(w, steps, state, more=more, stack=stack)
@@ -175,7 +175,7 @@ class Evaluator:
         """Return the state as numbers of the C core."""
         motion = state.motion
         if self.dynamics is not None:
-            motion = motion / np.array([1.0, self.dynamics.frequency])
+            motion = motion / np.array([1.0, self.dynamics.omega])
         more = state.smooth.size or state.displacement_creep.size
         strains = np.concatenate([state.creep, state.smooth, state.displacement_creep]) if more else state.creep
         return CoreState(state.deformation, state.carts, strains, motion)
@@ -188,7 +188,7 @@ class Evaluator:
         behind = core.strains[end:] if crept is None else crept
         if self.dynamics is None:
             return State.unchecked(core.w, core.carts, creep, core.motion, smooth, behind)
-        return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.frequency]), smooth, behind)
+        return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.omega]), smooth, behind)
 
     def complete_state(self, start: State) -> State:
         """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
@@ -303,8 +303,8 @@ class Evaluator:
         if np.any(slope <= 0):
             worst = durations[int(np.argmin(slope))]
             raise ModelError(
-                f"time: a step of {worst:.3g} s is too long for a resonance at {dynamics.frequency / (2 * np.pi):.3g} "
-                f"Hz and a spring this uneven; give {np.pi / 5 / dynamics.frequency:.2g} s or less"
+                f"time: a step of {worst:.3g} s is too long for a resonance at {dynamics.frequency:.3g} Hz and a "
+                f"spring this uneven; give {0.1 / dynamics.frequency:.2g} s or less"
             )
 
     def _push(self, load: ArrayLike | None, samples: int) -> Array:

@@ -17,30 +17,21 @@ from dehyst.model.promise import Validity
 class Outcome(Enum):
     """How an identification ended; the value is the sentence to show."""
 
-    IDENTIFIED = "Identified: the program was solved to optimality, and the records determine every stiffness."
-    WIDER = (
-        "Identified: the program was solved to optimality, with more parts than plain Maxwell-slip has. Run dehyst "
-        "insight to assess the model."
-    )
+    IDENTIFIED = "Identified. Run dehyst insight to assess the model."
     UNDETERMINED = (
         "Identified, but the records leave combinations of the stiffnesses open: predictions of motions other than the "
         "recorded ones may be wrong. Add minor loops with other turning points."
-    )
-    FLOOR_ACTIVE = (
-        "Identified, but the spring's slope lies on its floor in places: the records do not determine it there, or "
-        "the structure does not fit."
     )
     INACCURATE = "Identified, but the model misses the records by more than 5 % of the stroke: do not use it."
     VALIDATION_MISSED = (
         "Identified, but the model misses a held-out record by more than 5 % of the stroke: do not use it for motions "
         "like that one."
     )
-    FAILED = "Not identified: the solver found no optimum."
 
     @property
     def good(self) -> bool:
         """Whether the model may be used."""
-        return self not in (Outcome.INACCURATE, Outcome.VALIDATION_MISSED, Outcome.FAILED)
+        return self not in (Outcome.INACCURATE, Outcome.VALIDATION_MISSED)
 
 
 def _flag(value: object, where: str) -> bool:
@@ -92,8 +83,8 @@ class Identification:
 
     Attributes
     ----------
-    norm : str
-        As in `dehyst.identify`; empty if not known.
+    lag_of : str
+        Whose the lag of the records is, as in `dehyst.identify`; empty if not known.
     slope_floor : float
         Least allowed slope of the spring, as a part of the mean slope of the widest loop.
     shared_datum : bool
@@ -114,12 +105,10 @@ class Identification:
         Largest error of the training records, simulated whole [m].
     goal : float or None
         Allowed largest error of a path [% of the stroke].
-    expected_rms, expected_largest : float or None
-        Promised RMS and largest error of a path like the records [m].
     validated : bool
-        Whether the expected errors come from validation records.
+        Whether the errors in `validity` come from validation records.
     validity : Validity or None
-        What the records tested; it determines the expected error of a path.
+        What the records tested; it determines the promised error of a path.
 
     Raises
     ------
@@ -127,7 +116,7 @@ class Identification:
         If a value has another type, or a number is negative or not finite.
     """
 
-    norm: str = _entry("", _text)
+    lag_of: str = _entry("", _text)
     slope_floor: float = _entry(0.2, _size)
     shared_datum: bool = _entry(False, _flag)
     drift: bool = _entry(True, _flag)
@@ -138,8 +127,6 @@ class Identification:
     provisional: bool = _entry(False, _flag)
     largest_error: float | None = _entry(None, _size_or_none, "largest_error_m")
     goal: float | None = _entry(None, _size_or_none, "goal_percent")
-    expected_rms: float | None = _entry(None, _size_or_none, "expected_rms_m")
-    expected_largest: float | None = _entry(None, _size_or_none, "expected_largest_m")
     validated: bool = _entry(False, _flag, "tested")
     validity: Validity | None = _entry(None, _validity)  # noqa: RUF009
 

@@ -1,10 +1,11 @@
 """The promise: a bound of the error on a path, from what the records of an identification tested.
 
-A promise is a bound that nine of ten paths should keep (theory section 18), for the error less its mean: no record
-determines where the zero of the sensor will be later. It grows with three errors: the error on held-out parts of the
-records, the disagreement of models that explain the records about as well, and the distance of the path's turning
-points from those of the records. Its factors were tuned on virtual actuators whose mechanisms are not instances of the
-model, and are tested on other mechanisms: `benchmarks/promise.py`.
+A promise is a bound that nine of ten paths should keep (theory sections 18 and 29), for the error less its mean: no
+record determines where the zero of the sensor will be later. It is proportional to one length that the records show:
+the cube root of the error on held-out parts times the square of the distance of other models that explain the records.
+It grows with the distance of the path's branches from those of the records, and depends on the kind of the path. Its
+numbers were found on virtual actuators whose mechanisms are not instances of the model, and are tested on others:
+`benchmarks/promise.py`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
 from dehyst.model.dynamics import Thermal
 from dehyst.model.temperatures import TemperatureCost
-from dehyst.records import Record, turning_points
+from dehyst.records import Record, rms, turning_points
+from dehyst.waveforms import FASTER, STEEPEST
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
@@ -32,59 +34,90 @@ if TYPE_CHECKING:
 APART = "apart from a constant offset"
 # A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
 _BAND = 0.02
+# Cells of the plane of turning points on each side, and how many around a passed one are tested: 5 % of the range.
+CELLS, _AROUND = 40, 2
+# The start of a path in words; a known start of another name has its name.
+_BEGINS = {
+    "": "",
+    "homed": " from a homed start",
+    "unknown": " from an unknown start",
+    "top": " from the top, after a rise,",
+    "bottom": " from the bottom, after a fall,",
+    "fitted": " from its fitted start",
+}
 # Legs that are kept of the records.
 _MOST = 600
-# Held-out legs that are on average so far from all others, as a part of the range, test any path.
-_TELLING = 0.06
-# Beyond the held-out legs by this part of the range, a path is as new as it can be.
-_NEW = 0.15
+# Records whose promise any path like them is so new for, as a part of the range, do not turn at random.
+_NEW = 0.02
 # Speeds and holds count as tested up to this ratio, and voltages within this part of the range.
 _ALIKE, _BEYOND = 1.5, 0.02
 # A lag is known to this factor, and a curved loop moves faster in places than its voltage does.
 _LAG_KNOWN = 1.15
 # Records of which fewer legs than this part close the loop that they began, and what errors then are of those promised.
 _CLOSING, _OPEN = 0.2, 1.5
-# The floor of a promise is at least this part of the one where held-out errors are large.
-_LEAST = 0.05
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
 _AT_REST = 0.1
 # Turning points of a path of which nothing is known but its range.
 _TURNS = 60
 
 
-@dataclass(frozen=True)
-class Factors:
-    """Factors of a promise, which is the root of a sum of squares of measured errors.
-
-    `held_out`, `disagreement`: factors of the numbers of `Validity`. `floor`, `full`: parts of the stroke; the floor
-    falls with the square of the held-out error where that is below `full`, to a twentieth at least. A floor without
-    `full` does not fall: a small held-out error is no evidence where no record turned.
-    """
-
-    held_out: float
-    disagreement: float
-    floor: float
-    full: float = 0.0
-
-    def bound(self, validity: Validity, new: Array) -> Array:
-        """Return the bound (k,) [m] of legs whose newness `new` (k,) is 0 to 1."""
-        floor = self.floor * validity.stroke
-        if self.full:
-            floor *= np.clip((validity.rms / (self.full * validity.stroke)) ** 2, _LEAST, 1.0)
-        squares = (self.held_out * validity.rms) ** 2 + floor**2
-        return np.asarray(np.sqrt(squares + (self.disagreement * validity.disagreement * new) ** 2))
-
-
-# Of the largest and of the RMS error: where held-out legs test any path, and where they do not.
-LARGEST = Factors(4.8, 0.0, 0.0032, 5e-4), Factors(7.5, 7.8, 0.002)
-RMS = Factors(1.92, 0.0, 0.0005, 5e-4), Factors(3.0, 2.5, 0.0005)
+# The bound of the largest error, and that of the RMS error: what the records show, times these.
+LARGEST, RMS = 5.5, 2.2
+# The largest constant offset of a path, of its largest error, if the sensor is zeroed at its first sample.
+_OFFSET = 0.4
+# Neither error that they show counts as smaller than this part of the stroke; and models that miss held-out parts do
+# not agree to less than this part of the held-out error.
+_LEAST, _AGREES = 1e-4, 0.3
+# The bound grows by this power of e with the newness of a path, a part of the range, up to a largest one.
+_GROWS, _NEWEST = 2.6, 0.3
+# Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
+# hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
+_PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
+# A path rests where its voltage moves at less than this part of its largest speed.
+_RESTS = 0.02
 
 
 def legs(voltage: Array, span: float) -> NDArray[np.intp]:
-    """Return the first and last samples (k, 2) of each rise and fall of a voltage (n,) [V]; `span`: the range [V]."""
+    """Return the first and last samples (k, 2) of each rise and fall of a voltage (n,) [V]; `span`: the range [V].
+
+    A first one that begins between the ends of the voltage does not count, as the voltage before is not known.
+    """
     at = np.array([0, *turning_points(voltage, _BAND * span), len(voltage) - 1], dtype=np.intp)
     pairs = np.column_stack([at[:-1], at[1:]])
-    return pairs[np.abs(np.diff(voltage[pairs], axis=1)[:, 0]) > 0.5 * _BAND * span]
+    pairs = pairs[np.abs(np.diff(voltage[pairs], axis=1)[:, 0]) > 0.5 * _BAND * span]
+    within = min(float(np.ptp(voltage)), 2 * _BAND * span) / 4
+    inside = voltage.min() + within < voltage[0] < voltage.max() - within
+    return pairs[1:] if len(pairs) and pairs[0, 0] == 0 and inside else pairs
+
+
+def tested_loops(legs_: Array, edges: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the cells (n, n) of a plane that test a rise, and those that test a fall, from legs (k, 2) [V].
+
+    `edges` (n + 1,) [V]: of the cells. A row belongs to an upper voltage, a column to a lower one. A leg tests the
+    cells within two of where it begins, from there to two beyond where it ends.
+    """
+    n, found = len(edges) - 1, []
+    for sign in (1.0, -1.0):
+        wide = np.zeros((n + 2 * _AROUND,) * 2, dtype=bool)
+        some = legs_[sign * (legs_[:, 1] - legs_[:, 0]) > 0]
+        for begin, end in np.unique(_cells(some, edges), axis=0).tolist():
+            beside = slice(begin, begin + 2 * _AROUND + 1)
+            passed = slice(min(begin, end), max(begin, end) + 2 * _AROUND + 1)
+            wide[(passed, beside) if sign > 0 else (beside, passed)] = True
+        # Below the diagonal there is nothing.
+        found.append(wide[_AROUND:-_AROUND, _AROUND:-_AROUND] & np.tri(n, dtype=bool))
+    return found[0], found[1]
+
+
+def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_], edges: Array) -> NDArray[np.bool_]:
+    """Return for each leg (k, 2) [V] whether its cell is tested; the others are as in `tested_loops`."""
+    lower, upper = _cells(np.sort(path, axis=1), edges).T
+    return np.asarray(np.where(path[:, 1] > path[:, 0], rising[upper, lower], falling[upper, lower]))
+
+
+def _cells(legs_: Array, edges: Array) -> NDArray[np.intp]:
+    """Return the cells of the ends of legs (k, 2)."""
+    return np.clip(np.searchsorted(edges, legs_, side="right") - 1, 0, len(edges) - 2)
 
 
 def distances(path: Array, others: Array) -> Array:
@@ -202,6 +235,7 @@ class Validity:
             self,
             rms=max(self.rms, rms),
             largest=max(self.largest, largest),
+            disagreement=max(self.disagreement, rms),
             limits=(min(self.limits[0], by_it.limits[0]), max(self.limits[1], by_it.limits[1])),
             legs=np.concatenate([self.legs, by_it.legs]),
             speeds=(min(low for low, _ in pairs), max(high for _, high in pairs)),
@@ -216,15 +250,21 @@ class Validity:
         return self.limits[1] - self.limits[0]
 
     @property
-    def telling(self) -> bool:
-        """Whether held-out legs differ enough from the others to test any path, as with random turning points."""
-        return min(self.new) >= _TELLING
+    def shown(self) -> float:
+        """The error [m] that the records show, from the held-out error and twice as much from the disagreement."""
+        both = self.rms, max(self.disagreement, _AGREES * self.rms)
+        held_out, apart = (float(np.hypot(one, _LEAST * self.stroke)) for one in both)
+        return float((held_out * apart**2) ** (1 / 3))
+
+    @property
+    def turns_anywhere(self) -> bool:
+        """Whether held-out legs differ from the others as those of any path do, as with random turning points."""
+        return newness(self, _anywhere(self))[2] <= _NEW
 
     @cached_property
     def anywhere(self) -> Promise:
-        """The promise for a path that turns anywhere within the recorded voltages, at recorded speeds."""
-        turns = np.random.default_rng(1).uniform(*self.limits, _TURNS)
-        return promise(self, np.concatenate([[self.limits[0], self.limits[1]], turns]))
+        """The promise for any path like the records."""
+        return promise(self)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -254,62 +294,108 @@ class Validity:
             raise ModelError(f"validity: {error}") from error
 
 
+@dataclass(frozen=True)
+class Untested:
+    """A property of a path that the records do not test.
+
+    `what`: "voltages", "turns", "speed", "hold", "loops" or "temperature". `sentence`: in words. `command`: the
+    `dehyst excite` command that tests it; empty where the excitation of the records does, or nothing but the path.
+    """
+
+    what: str
+    sentence: str
+    command: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return json_values(self, "what sentence command")
+
+
 @dataclass(frozen=True, eq=False)
 class Promise:
     """Error of a path, as a bound that nine of ten paths should keep.
 
     Attributes
     ----------
+    path : str
+        The path, in words: any path like the records, or this path from its start.
     rms, largest : float
         RMS and largest error of the path without its mean error [m].
+    parts : mapping of str to float
+        What `largest` is the sum of [m]: "model"; and, where they add something, "lag", "temperature", "start" and
+        "clamped".
     half : (n,) array
-        The bound along the path [m]: wider on legs that are unlike those of the records.
-    untested : tuple of str
-        Sentences on the parts of this path that the records do not test; the promise does not hold for these.
+        The bound along the path [m]: wider on branches that are unlike those of the records.
+    stroke : float
+        Reference of percentages [m].
+    offset : float
+        Largest mean error [m] if the sensor is zeroed at the first sample; `rms` and `largest` leave it out.
+    delay : float
+        Time [s] by which the path may be late, as the records leave open whether the sensor lags; else 0.
+    untested : tuple of Untested
+        What the records do not test; for such a part the promise does not hold.
     if_actuator_lags : (float, float) or None
         RMS and largest error [m] if the lag in the records is the actuator's; None unless that is open.
-    by_temperature : float
-        What the temperature adds to `largest` [m]: outside of the tested ones, or because it is not known.
     """
 
+    path: str
     rms: float
     largest: float
+    parts: Mapping[str, float]
     half: Array
-    untested: tuple[str, ...] = ()
+    stroke: float
+    offset: float
+    delay: float = 0.0
+    untested: tuple[Untested, ...] = ()
     if_actuator_lags: tuple[float, float] | None = None
-    by_temperature: float = 0.0
 
-    def sentence(self, stroke: float) -> str:
-        """Return the promise in words, errors in percent of a `stroke` [m]."""
-        rms_, largest = (100 * error / stroke for error in (self.rms, self.largest))
-        expected = f"Expect an error of {largest:.2g} % at most and {rms_:.2g} % RMS, {APART}."
-        return " ".join([expected, *self.untested])
+    def __repr__(self) -> str:
+        largest, rms_ = (100 * error / self.stroke for error in (self.largest, self.rms))
+        return f"<Promise of {self.path}: {largest:.2g} % at most, {rms_:.2g} % RMS of {self.stroke * 1e6:.4g} um>"
+
+    @property
+    def sentence(self) -> str:
+        """The promise in words, errors in percent of the stroke."""
+        rms_, largest = (100 * error / self.stroke for error in (self.rms, self.largest))
+        return (
+            f"Expect {self.path} to be missed by {largest:.2g} % of the stroke at most and {rms_:.2g} % RMS, {APART}."
+        )
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The promise, and what is not tested, a sentence each."""
+        return self.sentence, *(one.sentence for one in self.untested)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the bound along the path."""
-        return json_values(
-            self,
-            "rms_m=rms largest_m=largest untested if_actuator_lags_m=if_actuator_lags by_temperature_m=by_temperature",
-        )
+        keys = "path rms_m=rms largest_m=largest offset_m=offset stroke_m=stroke delay_s=delay sentence untested"
+        percents = {"largest_percent": 100 * self.largest / self.stroke, "rms_percent": 100 * self.rms / self.stroke}
+        parts = {f"{name}_m": error for name, error in self.parts.items()}
+        lagging = json_values(self, "if_actuator_lags_m=if_actuator_lags")
+        return {**json_values(self, keys), **percents, "parts": parts, **lagging}
 
 
 def promise(
     validity: Validity,
-    voltage: ArrayLike,
+    voltage: ArrayLike | None = None,
     time: ArrayLike | None = None,
     *,
     thermal: Thermal | None = None,
     temperature: ArrayLike | None = None,
     waits: float = 0.0,
+    begins: str = "",
+    opened: ArrayLike = (),
+    missed: ArrayLike = (),
 ) -> Promise:
-    """Return the promised error of a path when its voltage is played.
+    """Return the promised error of a path when its voltage is played: the one source of such a number.
 
     Parameters
     ----------
     validity : Validity
         Validity of the model that computed the voltage.
-    voltage : (n,) array_like
-        Voltage that follows the path [V].
+    voltage : (n,) array_like, optional
+        Voltage that follows the path [V]; default: any path like the records, which turns anywhere within their
+        voltages, at their speeds.
     time : (n,) array_like, optional
         Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
     thermal : Thermal, optional
@@ -318,48 +404,92 @@ def promise(
         Temperature of the path [degC]; default: not known.
     waits : float
         Time [s] for which the voltage is held before the path, or before the homing that leads to it.
+    begins : str
+        Start of the path: "homed", "unknown", the name of a known start, or nothing.
+    opened : (n,) array_like
+        Range of displacements [m] that an unknown start leaves open.
+    missed : (n,) array_like
+        Error of the model itself [m], where the voltage was clamped.
     """
-    v = np.asarray(voltage, dtype=np.float64)
+    v = np.asarray(_anywhere(validity) if voltage is None else voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
     at, beyond, whole = newness(validity, v)
     opens = validity.closing < _CLOSING <= float(np.mean([0.0, *_closed(v[at], validity.span)]))
-    wider = _OPEN if opens else 1.0
-    rms, largest = (wider * float(_bound(factors, validity, np.array([whole]))[0]) for factors in (RMS, LARGEST))
-    largest, lagging = max(largest, validity.largest), None
-    each = wider * _bound(LARGEST, validity, beyond) if len(at) else np.array([largest])
+    shown = validity.shown * (_OPEN if opens else 1.0) * _kind(validity, v, clock, at)
+    rms_, largest = (factor * shown * float(_grown(np.array([whole]))[0]) for factor in (RMS, LARGEST))
+    largest = max(largest, validity.largest)
+    each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
-    if validity.lag:
-        lagging = rms, largest
-        moved, fastest = _moved_in_lag(validity, v, clock)
-        rms, largest, half = float(np.hypot(rms, moved)), largest + fastest, half + fastest
-    untested = [*_untested(validity, v, clock, at, beyond, waits)]
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
-    if cost.largest:
-        # Half of a range bounds the standard deviation in it.
-        rms, largest, half = rms + 0.5 * cost.largest, largest + cost.largest, half + cost.along
-    untested += [cost.sentence] if cost.sentence else []
-    if opens:
-        untested.append("Its loops close, but those of the records do not: motion after a closed loop was not tested.")
-    return Promise(rms, largest, half, tuple(untested), lagging, cost.largest)
+    moved = _moved_in_lag(validity, v, clock) if validity.lag else np.zeros(1)
+    # Half of a range bounds the standard deviation in it.
+    added = {
+        "temperature": (0.5 * cost.largest, cost.largest, cost.along),
+        "start": _size(np.asarray(opened, dtype=np.float64)),
+        "clamped": _size(np.abs(np.asarray(missed, dtype=np.float64))),
+    }
+    parts = {"model": largest}
+    for name, (spread, most, along) in added.items():
+        if most:
+            rms_ = rms_ + spread if name == "temperature" else float(np.hypot(rms_, spread))
+            parts[name], largest, half = most, largest + most, half + along
+    lagging = (rms_, largest) if validity.lag else None
+    if validity.lag:
+        parts["lag"], half = float(moved.max()), half + float(moved.max())
+        rms_, largest = float(np.hypot(rms_, rms(moved))), largest + parts["lag"]
+    untested = [] if voltage is None else [*_untested(validity, v, clock, at, waits, opens=opens)]
+    if voltage is None:
+        untested += _not_recorded(validity)
+    if cost.sentence:
+        untested.append(Untested("temperature", cost.sentence))
+    words = f"this path{_BEGINS.get(begins, f' from the start {begins}')}"
+    words = "any path like the records" if voltage is None else words
+    offset = _OFFSET * parts["model"]
+    return Promise(words, rms_, largest, parts, half, validity.stroke, offset, validity.lag, tuple(untested), lagging)
 
 
 def promised(
     actuator: Actuator,
-    voltage: ArrayLike,
+    voltage: ArrayLike | None = None,
     time: ArrayLike | None = None,
+    *,
     temperature: ArrayLike | None = None,
     waits: float = 0.0,
-) -> tuple[Promise | None, tuple[str, ...]]:
-    """Return the promised error of a path of an `actuator`, None without `Validity`, and what its records do not test.
+    begins: str = "",
+    opened: ArrayLike = (),
+    missed: ArrayLike = (),
+) -> Promise | None:
+    """Return the promised error of a path of an `actuator`; None if it does not hold what its records tested.
 
-    `voltage`, `time`, `temperature`, `waits`: as in `promise`.
+    The parameters are those of `promise`.
     """
     known = actuator.identification
     if known is None or known.validity is None:
-        sentence = TemperatureCost(actuator.thermal, None, float(np.ptp(actuator.reach)), temperature).sentence
-        return None, (sentence,) if sentence else ()
-    found = promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature, waits=waits)
-    return found, found.untested
+        return None
+    options: dict[str, Any] = {"waits": waits, "begins": begins, "opened": opened, "missed": missed}
+    return promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature, **options)
+
+
+def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:
+    """Return sentences on what the records of an `actuator` do not test of a path with a promise.
+
+    Without a promise they are those on its `temperature`.
+    """
+    if found is not None:
+        return tuple(one.sentence for one in found.untested)
+    sentence = TemperatureCost(actuator.thermal, None, float(np.ptp(actuator.reach)), temperature).sentence
+    return (sentence,) if sentence else ()
+
+
+def _anywhere(validity: Validity) -> Array:
+    """Return voltages that turn anywhere within those of the records."""
+    turns = np.random.default_rng(1).uniform(*validity.limits, _TURNS)
+    return np.concatenate([[validity.limits[0], validity.limits[1]], turns])
+
+
+def _size(error: Array) -> tuple[float, float, Array]:
+    """Return RMS, largest, and the error along a path; nothing of no samples."""
+    return (rms(error), float(error.max()), error) if error.size else (0.0, 0.0, np.zeros(1))
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
@@ -401,42 +531,83 @@ def _closed(legs_: Array, span: float) -> NDArray[np.bool_]:
     return np.asarray(heights[1:] >= heights[:-1] - _BAND * span)
 
 
-def _bound(factors: tuple[Factors, Factors], validity: Validity, beyond: Array) -> Array:
-    """Return the bound (k,) [m] of legs with a newness `beyond` (k,), a part of the range."""
-    new = np.clip(beyond / _NEW, 0.0, 1.0)
-    inside, outside = (one.bound(validity, new) for one in factors)
-    return outside if not validity.telling else np.sqrt((1 - new) * inside**2 + new * outside**2)
+def _grown(new: Array) -> Array:
+    """Return how many times the bound is larger of legs with a newness (k,), a part of the range."""
+    return np.asarray(np.exp(_GROWS * np.clip(new, 0.0, _NEWEST)))
 
 
-def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> tuple[float, float]:
-    """Return the RMS and the largest displacement [m] of a path within the lag."""
+def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> float:
+    """Return the factor of the kind of a path: how many places its branches (k, 2) are at, and how long it holds."""
+    if not len(at):
+        return 1.0
+    range_, height = float(np.ptp(voltage)), float(np.abs(np.diff(voltage[at], axis=1)).mean())
+    factor = (range_ / height) ** _PLACES * min(range_ / validity.span, 1.0) ** _RANGE
+    if time is None or time.size < 2:
+        return float(factor)
+    seconds, speed = np.diff(time), np.abs(np.diff(voltage) / np.diff(time))
+    resting = float(seconds[speed < _RESTS * speed.max()].sum() / seconds.sum())
+    longer = longest_hold(time, voltage, validity.span) / validity.hold if validity.hold else 1.0
+    return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
+
+
+def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> Array:
+    """Return the displacement (n,) [m] of a path within the lag."""
     speed = np.array([validity.speeds[1]])
     if time is not None and time.size > 1:
         speed = np.abs(np.diff(voltage) / np.diff(time))
-    moved = _LAG_KNOWN * speed * validity.lag * validity.stroke / validity.span
-    return float(np.sqrt(np.mean(moved**2))), float(moved.max())
+    return np.asarray(_LAG_KNOWN * speed * validity.lag * validity.stroke / validity.span)
+
+
+def _excite(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
+    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
+    top, base = (float(f"{one:.3g}") for one in (highest, lowest if abs(lowest) > 1e-3 * highest else 0.0))
+    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o excitation.csv"
 
 
 def _untested(
-    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], beyond: Array, waits: float
-) -> Iterator[str]:
-    """Yield a sentence for each part of a path that the records do not test."""
-    over = max(validity.limits[0] - float(voltage.min()), float(voltage.max()) - validity.limits[1])
+    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float, *, opens: bool
+) -> Iterator[Untested]:
+    """Yield what the records do not test of a path."""
+    low, high = validity.limits
+    over = max(low - float(voltage.min()), float(voltage.max()) - high)
     if over > _BEYOND * validity.span:
-        yield f"The path goes {over:.3g} V beyond the voltages of the records."
-    outside = int(np.count_nonzero(beyond > _NEW))
+        words = f"The path goes {over:.3g} V beyond the voltages of the records."
+        ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
+        yield Untested("voltages", words, _excite(*ends))
+    path = voltage[at]
+    edges = np.linspace(low, high, CELLS + 1)
+    outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.legs, edges), edges)))
     if outside:
-        yield f"{outside} of {len(beyond)} rises and falls begin where no record turned."
+        words = f"{outside} of {len(path)} branches begin where no record turned."
+        yield Untested("turns", words, "" if validity.turns_anywhere else _excite(high, low))
+    if opens:
+        words = "Its loops close, but those of the records do not: motion after a closed loop was not tested."
+        yield Untested("loops", words, _excite(high, low))
     if time is None or time.size < 2:
         return
     speed = speeds_of(time, voltage, at)
     slowest, fastest = validity.speeds
-    if speed.size and fastest and float(speed.max()) > _ALIKE * fastest:
-        yield f"Its fastest leg takes {speed.max():.3g} V/s on average, the fastest of the records {fastest:.3g} V/s."
-    if speed.size and float(speed.min()) * _ALIKE < slowest:
-        yield f"Its slowest leg takes {speed.min():.3g} V/s on average, the slowest of the records {slowest:.3g} V/s."
-    hold = longest_hold(time, voltage, validity.span)
+    new = {"fastest": (speed.max(initial=0.0), fastest), "slowest": (speed.min(initial=np.inf), slowest)}
+    for which, (found, known) in new.items():
+        if fastest and (found > _ALIKE * known if which == "fastest" else found * _ALIKE < known):
+            words = f"Its {which} branch takes {found:.3g} V/s on average, the {which} of the records {known:.3g} V/s."
+            # The fastest turns of the recommended excitation are to be as fast as the path, and not faster.
+            faster = FASTER if which == "fastest" else 1.0
+            option = f"--frequency {0.5 * found / faster / validity.span:.2g} --slew-rate {STEEPEST * found:.3g} "
+            yield Untested("speed", words, _excite(high, low, option))
+    hold = max(waits, longest_hold(time, voltage, validity.span))
     if hold > _ALIKE * validity.hold:
-        yield f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-    if waits > _ALIKE * validity.hold:
-        yield f"It waits for the other axes for {waits:.3g} s; the records hold for {validity.hold:.3g} s at most."
+        words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
+        yield Untested("hold", words, _excite(high, low, f"--hold {hold:.2g} ", "staircase"))
+
+
+def _not_recorded(validity: Validity) -> Iterator[Untested]:
+    """Yield what paths often have and the records do not."""
+    low, high = validity.limits
+    if not validity.turns_anywhere:
+        words = "The records do not turn at random: branches that begin elsewhere are tested little."
+        yield Untested("turns", words, _excite(high, low))
+    leg = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
+    if leg and validity.hold < leg:
+        words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
+        yield Untested("hold", words, _excite(high, low, f"--hold {max(10.0, 2 * leg):.2g} ", "staircase"))

@@ -31,7 +31,7 @@ _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "smooth": (SmoothSlip, ("length_m", "closing", "stiffness_V_per_m")),
     "displacement_creep": (DisplacementCreep, ("time_constants_s", "gains")),
     "thermal": (Thermal, ("gain_per_K", "offset_m_per_K", "reference_degC")),
-    "dynamics": (Dynamics, ("frequency_rad_per_s", "damping", "series_V_per_m")),
+    "dynamics": (Dynamics, ("frequency_Hz", "damping", "series_V_per_m")),
 }
 # Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
 DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
@@ -62,6 +62,12 @@ class JsonFile(ABC):
     @abstractmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if a value or a key is impossible."""
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (type(other) is type(self) and self.as_dict() == other.as_dict())
+
+    def __hash__(self) -> int:
+        return hash((type(self).__name__, getattr(self, "name", "")))
 
     def save(self, path: PathLike) -> None:
         """Write the file (JSON) at `path`, completely or not at all; raise `FileFormatError` if that fails."""

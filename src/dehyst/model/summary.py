@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import pi
 from typing import NamedTuple
 
 import numpy as np
@@ -124,7 +123,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
 
 def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
     """Return the resonance at constant charge, and under a voltage at the mean slope of the spring [Hz]."""
-    free = dynamics.frequency / (2 * pi)
+    free = dynamics.frequency
     return free, free * float(np.sqrt(1 - dynamics.share(spring)))
 
 
