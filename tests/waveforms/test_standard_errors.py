@@ -11,11 +11,9 @@ from dehyst.waveforms import (
     Excitation,
     Sampling,
     descending_tops,
-    excitation,
     homing,
-    minor_loop,
     raised_cosine,
-    reversal_curves,
+    recommended,
     staircase,
 )
 
@@ -40,8 +38,6 @@ from dehyst.waveforms import (
         {"limits": (0, 1, 2)},
         {"limits": (0, math.nan)},
         {"limits": "ab"},
-        {"shape": "sine"},
-        {"pace": ["rate"]},
     ],
 )
 def test_drives(options):
@@ -65,13 +61,8 @@ PEAKS = ([], [0.0], -5.0, [10.0, 0.0], [10.0, math.nan], math.inf, "200", [[1.0,
         lambda: descending_tops(0.0),
         lambda: descending_tops(math.nan),
         lambda: descending_tops(1e-323, steps=10),
-        lambda: reversal_curves(1.0, lowest=1.0),
-        lambda: reversal_curves(1.0, count=True),
-        lambda: minor_loop(3, 2, highest=9),
-        lambda: minor_loop(3, 10, highest=9),
-        lambda: minor_loop(-3, 2, highest=9),
+        lambda: recommended(0.0),
         lambda: staircase(1.0, hold=0),
-        lambda: staircase(1.0, ramp=-1),
         lambda: staircase(1.0, steps=0),
         homing,
         lambda: homing(5.0, turns=[1.0]),
@@ -81,8 +72,6 @@ PEAKS = ([], [0.0], -5.0, [10.0, 0.0], [10.0, math.nan], math.inf, "200", [[1.0,
         lambda: homing(turns=["a"]),
         lambda: Excitation("mine", [1.0], 1.0),
         lambda: Excitation("mine", [1.0, 2.0], 0.0),
-        lambda: raised_cosine(10.0).then(homing(turns=[9.0], drive=Sampling(present=5.0))),
-        lambda: raised_cosine(10.0).then(raised_cosine(10.0, drive=Sampling(sample_rate=8.0))),
     ],
 )
 def test_kinds(make):
@@ -97,7 +86,6 @@ def test_kinds(make):
         lambda: raised_cosine(1.0, drive=Sampling(frequency=1e-12, sample_rate=1e12)),
         lambda: raised_cosine(200.0, drive=Sampling(slew_rate=1e-6)),
         lambda: staircase(1.0, hold=1e12),
-        lambda: staircase(1.0, ramp=1e12),
     ],
 )
 def test_too_long_before_memory_is_taken(make):
@@ -110,13 +98,6 @@ def test_too_long_before_memory_is_taken(make):
         tracemalloc.stop()
 
 
-def test_both_together_too_long(monkeypatch):
-    first = raised_cosine(10.0)
-    monkeypatch.setattr(excitation, "_MOST_SAMPLES", 800)
-    with pytest.raises(RecordError):
-        first.then(first)
-
-
 def test_voltages_cannot_be_changed_afterwards():
     made = raised_cosine(10.0)
     with pytest.raises(ValueError, match="read-only"):
@@ -124,10 +105,8 @@ def test_voltages_cannot_be_changed_afterwards():
     assert repr(made) == "<Excitation 'raised-cosine': 401 samples, 100 s, 0 to 10 V>"
 
 
-def test_an_own_voltage_can_be_joined_too():
+def test_an_own_voltage_is_a_copy():
     given_away = np.array([0.0, 1.0, 0.5])
     own = Excitation("own", given_away, 4)
     given_away[1] = 9.0
-    joined = raised_cosine(10.0).then(own)
-    assert joined.turns.tolist() == [0, 10, 0, 1, 0.5]
-    assert joined.name == "raised-cosine+own"
+    assert own.turns.tolist() == [0, 1, 0.5]

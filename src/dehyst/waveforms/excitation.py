@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import choice, interval, keep, number, vector
+from dehyst._validation import interval, keep, number, vector
 
 _MOST_SAMPLES = 50_000_000
 # No actuator or amplifier goes beyond, and within them nothing overflows.
@@ -125,33 +125,10 @@ class Excitation:
         turning = moving[1:][rises[1:] != rises[:-1]]
         return self.voltage[[0, *turning, -1]]
 
-    def then(self, other: Excitation) -> Excitation:
-        """Return this excitation and the `other` one after it, without a pause.
-
-        Raise `RecordError` if the other excitation has another sample rate, begins at another voltage, or makes the
-        result too long.
-        """
-        if other.sample_rate != self.sample_rate:
-            got = f"{self.sample_rate:.9g} and then {other.sample_rate:.9g} Hz"
-            hint = "make both with the same sampling"
-            raise RecordError(argument="sample rates", got=got, need="one", hint=hint)
-        end, begin = float(self.voltage[-1]), float(other.voltage[0])
-        if begin != end:
-            raise RecordError(
-                f"'{self.name}' ends at {end:.9g} V, but '{other.name}' begins at {begin:.9g} V; let that one begin at "
-                f"the present voltage {end:.9g}"
-            )
-        refuse_long(len(self) + len(other) - 1, self.sample_rate)
-        voltage = np.concatenate([self.voltage, other.voltage[1:]])
-        return Excitation(f"{self.name}+{other.name}", voltage, self.sample_rate, (*self.warnings, *other.warnings))
-
-
-Shape: TypeAlias = Literal["cosine", "triangle"]
-Pace: TypeAlias = Literal["frequency", "rate"]
 
 _CYCLE_SAMPLES, _LEG_SAMPLES = 400, 4
 # Largest slope of a leg over its mean slope.
-_STEEPEST = {"cosine": math.pi / 2, "triangle": 1.0}
+STEEPEST = math.pi / 2
 # The share of the largest voltage that rounding may add to a step: the cosine's argument, up to 2 pi, rounded twice.
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)
 # A slew rate may be exceeded by this share, so that a leg that meets it exactly is not changed.
@@ -169,17 +146,14 @@ class Leg(NamedTuple):
     seconds: float
     requested: bool = True
 
-    def sampled(self, count: int, shape: Shape) -> Array:
-        """Return `count` voltages [V] after the start, in a `shape`: monotone, within the ends, exact at the end."""
+    def sampled(self, count: int) -> Array:
+        """Return `count` voltages [V] after the start, half a cosine: monotone, within the ends, exact at the end."""
         if self.start == self.end:
             return np.full(count, self.end)
         rising = self.end > self.start
         low, high = sorted((self.start, self.end))
         k = np.arange(1, count + 1)
-        if shape == "cosine":
-            share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
-        else:
-            share = (k if rising else count - k) / count
+        share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
         values = np.clip(low + (high - low) * share, low, high)
         values[-1] = self.end
         # Near a turning point rounding can swap neighbours.
@@ -188,12 +162,13 @@ class Leg(NamedTuple):
 
 @dataclass(frozen=True)
 class Sampling:
-    """Speed, shape and sampling of a voltage, for every kind of excitation.
+    """Speed and sampling of a voltage, for every kind of excitation.
 
     Parameters
     ----------
     frequency : float
-        Cycles per second [Hz]; a leg between two turning points takes half a cycle, to the nearest sample.
+        Cycles per second [Hz]; a leg between two turning points takes half a cycle, regardless of its height, to the
+        nearest sample, and is half a cosine (paper, Sec. 3).
     sample_rate : float, optional
         [Hz]; by default 400 samples a cycle.
     base : float
@@ -205,17 +180,12 @@ class Sampling:
         protocol.
     slew_rate : float, optional
         Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning.
-    shape : {"cosine", "triangle"}
-        Half a cosine for each leg (paper, Sec. 3), or a straight line.
-    pace : {"frequency", "rate"}
-        "frequency": half a cycle for each leg, regardless of its height (as in the paper). "rate": half a cycle for the
-        highest leg, and for others in proportion to their heights.
 
     Raises
     ------
     RecordError
         If a number is not finite, frequency, sample rate or slew rate are not positive, there are fewer than 8 samples
-        a cycle, the limits are no interval or do not include base and present voltage, or a word is unknown.
+        a cycle, or the limits are no interval or do not include base and present voltage.
     """
 
     frequency: float = 0.01
@@ -224,15 +194,11 @@ class Sampling:
     present: float | None = None
     limits: tuple[float, float] | None = None
     slew_rate: float | None = None
-    shape: Shape = "cosine"
-    pace: Pace = "frequency"
 
     def __post_init__(self) -> None:
         for name in ("frequency", "sample_rate", "slew_rate"):
             if name == "frequency" or getattr(self, name) is not None:
                 keep(self, **{name: positive(getattr(self, name), name)})
-        choice(self.shape, "shape", get_args(Shape), error=RecordError)
-        choice(self.pace, "pace", get_args(Pace), error=RecordError)
         if self.rate < 2 * _LEG_SAMPLES * self.frequency:
             got, hint = f"{self.rate:g} Hz for {self.frequency:g} Hz", f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
             raise RecordError(argument="sample_rate", got=got, need="8 samples a cycle at least", hint=hint)
@@ -274,16 +240,15 @@ class Sampling:
         return [Leg(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
 
     def legs(self, path: Sequence[float]) -> list[Leg]:
-        """Return the legs between the voltages of a `path` (m,) [V], m >= 2, at the chosen pace.
+        """Return the legs between the voltages of a `path` (m,) [V], m >= 2.
 
         Raise `RecordError` if two successive voltages are equal.
         """
-        heights = [abs(b - a) for a, b in pairwise(path)]
-        if 0.0 in heights:
-            got = f"{path[heights.index(0.0)]:.9g} V twice in a row"
-            raise RecordError(argument="turns", got=got, need="different voltages", hint="leave one out")
-        shares = [1.0 if self.pace == "frequency" else height / max(heights) for height in heights]
-        return [Leg(a, b, self.half * share) for (a, b), share in zip(pairwise(path), shares, strict=True)]
+        for a, b in pairwise(path):
+            if a == b:
+                got = f"{a:.9g} V twice in a row"
+                raise RecordError(argument="turns", got=got, need="different voltages", hint="leave one out")
+        return [Leg(a, b, self.half) for a, b in pairwise(path)]
 
     def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
         """Return the excitation `name` of successive `legs`; all checks come before memory is allocated.
@@ -295,11 +260,11 @@ class Sampling:
         self._refuse_outside(ends, name)
         step = self._largest_step(max(map(abs, ends)))
         requested = [self._requested(leg) for leg in legs]
-        steepest = [_STEEPEST[self.shape] * abs(leg.end - leg.start) for leg in legs]
+        steepest = [STEEPEST * abs(leg.end - leg.start) for leg in legs]
         counts = [max(n, math.ceil(height / step)) for n, height in zip(requested, steepest, strict=True)]
         total = sum(counts)
         refuse_long(1 + total, self.rate)
-        parts = (leg.sampled(count, self.shape) for leg, count in zip(legs, counts, strict=True))
+        parts = (leg.sampled(count) for leg, count in zip(legs, counts, strict=True))
         voltage = np.concatenate([ends[:1], *parts])
         planned = zip(legs, requested, counts, strict=True)
         longer = [(n, m) for leg, n, m in planned if leg.requested and m > 1.000001 * n]

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, partial
-from math import ceil, floor, inf, log10, pi, radians, sqrt
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args, get_type_hints
+from math import ceil, floor, inf, log10, sqrt
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 
@@ -17,16 +17,12 @@ from dehyst._types import Array
 from dehyst._validation import choice, count, keep, number, vector
 from dehyst.waveforms.excitation import positive, refuse_long
 
-Rounding: TypeAlias = Literal["parabola", "cosine"]
-
 # Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
 CYCLE_SAMPLES, LEG_SAMPLES = 400, 4
 # A limit may be exceeded by this share, so that a motion that meets it exactly passes.
 SLACK = 1e-9
-# Largest displacement [m], angle [rad] and whole number.
-_MOST_METRES, _MOST_RADIANS, _MOST_WHOLE = 1.0, 1000.0, 10**7
-# Of a rounded end: its displacement over speed times time, and its largest acceleration over speed per time.
-_ROUNDED: dict[str, tuple[float, float]] = {"parabola": (0.5, 1.0), "cosine": (0.5 + 2 / pi**2, 2.0)}
+# Largest displacement [m] and whole number.
+_MOST_METRES, _MOST_WHOLE = 1.0, 10**7
 
 
 def length(value: object, what: str) -> float:
@@ -60,16 +56,10 @@ def whole(value: object, what: str, least: int = 1) -> int:
     return count(value, what, least, _MOST_WHOLE, error=RecordError)
 
 
-def below(value: float) -> str:
-    """Write a positive number with four digits, rounded down, so that the value in a message is possible."""
+def rounded(value: float, towards: Callable[[float], int]) -> str:
+    """Write a positive number with four digits, rounded by `floor` or `ceil`, so that a message's value is possible."""
     unit = 10.0 ** (floor(log10(value)) - 3)
-    return f"{floor(value * (1 - 1e-6) / unit) * unit:.6g}"
-
-
-def above(value: float) -> str:
-    """Write a positive number with four digits, rounded up."""
-    unit = 10.0 ** (floor(log10(value)) - 3)
-    return f"{ceil(value * (1 + 1e-6) / unit) * unit:.6g}"
+    return f"{towards(value * (1 - 1e-6 if towards is floor else 1 + 1e-6) / unit) * unit:.6g}"
 
 
 def samples_of(seconds: float, rate: float) -> int:
@@ -93,9 +83,9 @@ def samples_of(seconds: float, rate: float) -> int:
 class ScanOption(NamedTuple):
     """An option of scans, declared as the annotation of a field, for the command line and the workbench.
 
-    `unit`: unit as text, "um" for lengths, "degrees" for angles, "" for a pure number. `help`: description. `default`:
-    default as text. `least`: least value of a whole number. `kind`: float, int, the words to choose from, or "numbers"
-    or "pair"; it follows from the field's type.
+    `unit`: unit as text, "um" for lengths, "" for a pure number. `help`: description. `default`: default as text.
+    `least`: least value of a whole number. `kind`: float, int, the words to choose from, or "numbers"; it follows from
+    the field's type.
     """
 
     unit: str
@@ -105,35 +95,25 @@ class ScanOption(NamedTuple):
     kind: type | tuple[str, ...] | str = float
 
     def in_si(self, value: Any) -> Any:
-        """Return a value, or several, in metres or radians instead of `unit`."""
-        factor = 1e-6 if self.unit.startswith("um") else radians(1) if self.unit == "degrees" else None
-        if factor is None or isinstance(value, str | None):
+        """Return a value, or several, in metres instead of `unit`."""
+        if not self.unit.startswith("um") or isinstance(value, str | None):
             return value
-        return tuple(one * factor for one in value) if isinstance(value, list | tuple) else value * factor
+        return tuple(1e-6 * each for each in value) if isinstance(value, list | tuple) else 1e-6 * value
 
     def checked(self, value: Any, name: str) -> Any:
         """Return the value of a field; raise RecordError if it is impossible."""
         if isinstance(self.kind, tuple):
             choice(value, name, self.kind, error=RecordError)
             return value
-        if self.kind == "pair" and (not isinstance(value, Sequence) or len(value) != 2):
-            raise RecordError(argument=name, got=repr(value), need="a pair, for x and y")
         if self.kind == "numbers" and (not isinstance(value, Sequence | np.ndarray) or len(value) < 2):
             got = repr(value) if np.ndim(value) == 0 else counted(len(value), "value")
             raise RecordError(argument=name, got=got, need="two at least, such as 0,10,20")
         check = _CHECKS.get(self.unit) or partial(whole, least=self.least)
-        return tuple(check(one, name) for one in value) if self.kind in ("pair", "numbers") else check(value, name)
-
-
-def _angle(value: Any, what: str) -> float:
-    """Return `value` as an angle [rad]."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST_RADIANS:
-        return float(value)
-    raise RecordError(argument=what, got=repr(value), need="an angle of up to 1000 rad, 57000 degrees")
+        return tuple(check(each, name) for each in value) if self.kind == "numbers" else check(value, name)
 
 
 _CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    **{"um": length, "share": share, "degrees": _angle},
+    **{"um": length, "share": share},
     **dict.fromkeys(("Hz", "s", "um/s", "um/s2"), positive),
 }
 
@@ -148,7 +128,7 @@ def options_of(scan: type[Scan]) -> dict[str, ScanOption]:
             if isinstance(option := getattr(hint, "__metadata__", (None,))[0], ScanOption):
                 kind, words = hint.__origin__, get_args(hint.__origin__)
                 if words:
-                    kind = words if isinstance(words[0], str) else "numbers" if Ellipsis in words else "pair"
+                    kind = words if isinstance(words[0], str) else "numbers"
                 found[one.name] = option._replace(kind=kind)
     return found
 
@@ -156,16 +136,13 @@ def options_of(scan: type[Scan]) -> dict[str, ScanOption]:
 # Fields of several scans.
 Low: TypeAlias = Annotated[float, ScanOption("um", "Lowest displacement, along x")]
 High: TypeAlias = Annotated[float, ScanOption("um", "Highest displacement, along x")]
-Frequency: TypeAlias = Annotated[float, ScanOption("Hz", "Cycles, lines or whole figures a second")]
+Frequency: TypeAlias = Annotated[float, ScanOption("Hz", "Cycles or lines a second")]
 _DEFAULT_TURNS = "0.1, or as short as the acceleration allows"
 Turns: TypeAlias = Annotated[float, ScanOption("share", "Share of the time spent turning", _DEFAULT_TURNS)]
 Speed: TypeAlias = Annotated[float, ScanOption("um/s", "Largest speed of an axis")]
 Acceleration: TypeAlias = Annotated[float, ScanOption("um/s2", "Largest acceleration of an axis")]
 Rising: TypeAlias = Annotated[float, ScanOption("share", "Share of the time spent rising", "0.5")]
-_ROUNDINGS = "Shape of turns: parabola has constant acceleration, cosine has no jumps of it"
-Turning: TypeAlias = Annotated[Rounding, ScanOption("", _ROUNDINGS)]
 SampleRate: TypeAlias = Annotated[float, ScanOption("Hz", "Samples a second")]
-Centre: TypeAlias = Annotated[tuple[float, float], ScanOption("um", "Middle along x and y")]
 
 
 class Travel(NamedTuple):
@@ -191,29 +168,25 @@ class PathPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Edge:
-    """A motion from rest to rest: at constant speed except at both ends, where it speeds up and slows down.
+    """A motion from rest to rest: at constant speed except at both ends, where its acceleration is constant.
 
-    `start`, `end` [m]. `seconds`: duration. `blend`: duration of each end [s], where the speed changes; 0 to half of
-    `seconds`. `rounding`: constant acceleration at the ends, or an acceleration that falls to 0 like half a cosine
-    towards the straight part, and therefore has no jump in the turn between two edges.
+    `start`, `end` [m]. `seconds`: duration. `blend`: duration of each end [s], 0 to half of `seconds`.
     """
 
     start: float
     end: float
     seconds: float
     blend: float
-    rounding: Rounding = "parabola"
 
     @property
     def speed(self) -> float:
         """Velocity on the straight part [m/s]; negative if the edge falls."""
-        way = _ROUNDED[self.rounding][0]
-        return (self.end - self.start) / (self.seconds - 2 * (1 - way) * self.blend)
+        return (self.end - self.start) / (self.seconds - self.blend)
 
     @property
     def acceleration(self) -> float:
         """Largest abs(acceleration) [m/s^2]."""
-        return _ROUNDED[self.rounding][1] * abs(self.speed) / self.blend if self.blend else inf
+        return abs(self.speed) / self.blend if self.blend else inf
 
     def at(self, time: Array) -> Travel:
         """Return the motion at times (n,) [s] from its start."""
@@ -221,43 +194,20 @@ class Edge:
         late = time > 0.5 * self.seconds
         since = np.clip(np.where(late, self.seconds - time, time), 0.0, None)
         share, v = np.clip(since / self.blend, 0.0, 1.0), self.speed
-        if self.rounding == "parabola":
-            way, speed, push = 0.5 * share**2, share, np.where(share < 1, 1.0, 0.0)
-        else:
-            way = 0.5 * share**2 + (1 - np.cos(pi * share)) / pi**2
-            speed = np.where(share < 1, share + np.sin(pi * share) / pi, 1.0)
-            push = np.where(share < 1, 1 + np.cos(pi * share), 0.0)
-        moved = v * (self.blend * way + np.clip(since - self.blend, 0.0, None))
+        moved = v * (self.blend * 0.5 * share**2 + np.clip(since - self.blend, 0.0, None))
         y = np.where(late, self.end - moved, self.start + moved)
-        return Travel(y, v * speed, np.where(late, -1.0, 1.0) * push * v / self.blend)
+        push = np.where(share < 1, 1.0, 0.0)
+        return Travel(y, v * share, np.where(late, -1.0, 1.0) * push * v / self.blend)
 
 
-def least_seconds(height: float, speed: float | None, acceleration: float | None, rounding: Rounding) -> float:
-    """Return the shortest time [s] of an edge of `height` [m] within the limits [m/s, m/s^2]; 0 without limits."""
-    way, most = _ROUNDED[rounding]
-    v, a = speed or inf, acceleration or inf
-    if 2 * way * most * v * (v / a) <= height:
-        return height / v + 2 * (1 - way) * most * v / a
-    return sqrt(2 * most * height / (way * a))
-
-
-def highest(seconds: float, speed: float | None, acceleration: float | None, rounding: Rounding) -> float:
-    """Return the height [m] of the highest edge of a duration [s] within the limits [m/s, m/s^2]."""
-    way, most = _ROUNDED[rounding]
-    v, a = speed or inf, acceleration or inf
-    rounded = way * a * seconds**2 / (2 * most)
-    return rounded if rounded <= v * way * seconds else v * (seconds - 2 * (1 - way) * most * v / a)
-
-
-def least_blend(height: float, seconds: float, acceleration: float, rounding: Rounding) -> float:
+def least_blend(height: float, seconds: float, acceleration: float) -> float:
     """Return the shortest rounded end [s] within the acceleration [m/s^2], or half of the seconds if there is none.
 
-    From ``acceleration blend (seconds - 2 (1 - way) blend) = most height``.
+    From ``acceleration blend (seconds - blend) = height``.
     """
-    way, most = _ROUNDED[rounding]
-    square = seconds**2 - 8 * (1 - way) * most * height / acceleration
+    square = seconds**2 - 4 * height / acceleration
     # The smaller root, without a difference of two nearly equal numbers.
-    blend = 2 * most * height / acceleration / (seconds + sqrt(max(square, 0.0)))
+    blend = 2 * height / acceleration / (seconds + sqrt(max(square, 0.0)))
     return min(blend, 0.5 * seconds)
 
 
@@ -406,11 +356,6 @@ class Scan(ABC):
         return MotionLimits(self.speed, self.acceleration)
 
     @property
-    def periodic(self) -> bool:
-        """Whether it can be repeated."""
-        return True
-
-    @property
     def rate(self) -> float:
         """Samples a second [Hz]."""
         return self._usual_rate if self.sample_rate is None else self.sample_rate
@@ -446,12 +391,9 @@ class Scan(ABC):
         )
 
     def path(self, axis: str = "x") -> ScanPath:
-        """Return one period of an `axis`, or the whole scan if it is not periodic.
-
-        Raise `RecordError` if there is no such axis.
-        """
+        """Return one period of an `axis`; raise `RecordError` if there is no such axis."""
         choice(axis, "axis", self.axes, error=RecordError)
-        return ScanPath(*self._travel(axis), self.rate, self.periodic)
+        return ScanPath(*self._travel(axis), self.rate)
 
     @abstractmethod
     def _travel(self, axis: str) -> Travel: ...
@@ -477,8 +419,8 @@ class MotionLimits:
         raise RecordError(
             argument=name,
             got=f"{getattr(self, name) * 1e6:.6g} {unit}, but {what} takes {peaks[worst] * 1e6:.6g} {unit}",
-            hint=f"try {below(frequency * min(v, sqrt(a)))} Hz or less in place of {frequency:.6g}, or "
-            f"{below(height * min(v, a) * 1e6)} um in place of {height * 1e6:.6g}",
+            hint=f"try {rounded(frequency * min(v, sqrt(a)), floor)} Hz or less in place of {frequency:.6g}, or "
+            f"{rounded(height * min(v, a) * 1e6, floor)} um in place of {height * 1e6:.6g}",
         )
 
     @property

@@ -1,11 +1,12 @@
 """Standard excitations: voltages for the loops or creep of an actuator, for homing, and for a stage's coupling.
 
-All take `drive`, the speed, shape and sampling. They raise `RecordError` if a voltage or a number is impossible or
+All take `drive`, the speed and sampling. They raise `RecordError` if a voltage or a number is impossible or
 outside of the limits, the record would have more than 5e7 samples, or the slew rate is too low for the sample rate.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -19,18 +20,48 @@ from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names
 from dehyst._validation import count as whole
-from dehyst.waveforms.excitation import Excitation, Leg, Sampling, positive, voltages, volts
+from dehyst.waveforms.excitation import STEEPEST, Excitation, Leg, Sampling, positive, voltages, volts
 
-_PAPER = Sampling()
+_PAPER, _PACE = Sampling(), Sampling(0.1)
+# The recommended excitation: major loops, falling tops, cycles that each of its two holds lasts, random turning points
+# at each of three speeds, number of the turning point that is held, and the largest speed over the smallest.
+_LOOPS, _TOPS, _HOLD, _TURNS, _HELD, FASTER = 2, 5, 3.0, (12, 12, 24), 10, 25.0
+# Least samples of a cycle at the largest speed.
+_FEWEST = 16
 _MOST_TURNS = 1_000_000
-# Least height of a leg between random turning points, as a part of the range.
-_LEAST_LEG = 0.08
-# Time of the shortest of them, as a part of half a cycle.
-_SHORT = 0.3
+# Least height of a leg between random turning points, as a part of the range; its time, as a part of half a cycle.
+_LEAST_LEG, _SHORT = 0.08, 0.3
 # Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 # Periods of the axes of a stage moving together, in those of the first one: powers of the plastic number repeat never.
 RATIO = 1.3247179572447460
+
+
+def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
+    """Return the excitation for an identification, in one run of some 17 cycles: two holds, three speeds.
+
+    Two major loops, the second one with a hold at the top, and loops with falling tops; then random turning points,
+    always the same ones, the first twelve at the `drive`'s speed and with a second hold, the others faster, the last
+    ones 25 times as fast or as fast as slew rate and sample rate allow. The falling tops determine the stiffnesses, the
+    holds show creep, the speeds tell a lag from a fast creep, and the random turning points test any path.
+
+    `highest` [V], above the base. `drive`: sampling and slowest speed, by default 0.1 Hz. Raise `RecordError` as all
+    excitations do.
+    """
+    top, hold = _top(highest, drive), _HOLD / drive.frequency
+    height, tops = top - drive.base, [*(top,) * _LOOPS, *_tops(top, _TOPS, drive)[1:]]
+    legs = drive.legs([drive.base, *(v for peak in tops for v in (peak, drive.base))])
+    legs.insert(2 * _LOOPS - 1, Leg(top, top, hold))
+    steepest = math.inf if drive.slew_rate is None else drive.slew_rate / (2 * STEEPEST * drive.frequency * height)
+    fastest = max(1.0, min(FASTER, drive.rate / (_FEWEST * drive.frequency), steepest))
+    speeds = np.repeat(fastest ** np.array([0.0, 0.5, 1.0]), _TURNS).tolist()
+    now = drive.base
+    for k, (turn, speed) in enumerate(zip([*_random_turns(len(speeds)), 0.0], [*speeds, 1.0], strict=True), 1):
+        end = drive.base + height * turn
+        legs.append(Leg(now, end, drive.half * (_SHORT + (1 - _SHORT) * abs(end - now) / height) / speed))
+        legs += [Leg(end, end, hold)] if k == _HELD else []
+        now = end
+    return drive.play("recommended", drive.lead_in(height) + legs)
 
 
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
@@ -44,110 +75,36 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER
     if not tops.size or np.any(tops <= drive.base):
         raise RecordError(argument="peaks", got=tops, need=f"voltages above the base {drive.base:g} V")
     turns = [v for top in tops.tolist() for v in _cycles(cycles, "cycles", top, drive.base, rows=tops.size)]
-    return _through("raised-cosine" if drive.shape == "cosine" else "triangle", turns, drive)
+    return _through("raised-cosine", turns, drive)
 
 
-def descending_tops(
-    highest: float, *, steps: int = 10, majors: int = 2, random: int = 0, drive: Sampling = _PAPER
-) -> Excitation:
+def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Sampling = _PAPER) -> Excitation:
     """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
     With as many tops as elements, they determine every stiffness that loops can determine. The first cycle homes the
     actuator from any state.
 
     `highest` [V], above the base, to which all cycles go down. `steps`: number of tops; the first top is `highest`.
-    `majors`: number of cycles up to `highest` before the tops. `random`: number of random turning points after the
-    tops, always the same ones. Identification holds out parts of the record; with some 24 such turning points these
-    parts differ from the rest, and test the model for any path. `drive`: speed, shape and sampling. Raise `RecordError`
-    as all excitations do.
-    """
-    top, number = _top(highest, drive), _count(steps, "steps")
-    tops = drive.base + (top - drive.base) * np.linspace(1, 1 / number, number)
-    tops[0] = top
-    falling = [v for peak in tops.tolist() for v in (peak, drive.base)]
-    anywhere = [drive.base + (top - drive.base) * turn for turn in _random_turns(_count(random, "random", least=0))]
-    legs = drive.legs([drive.base, *_cycles(majors, "majors", top, drive.base, least=0), *falling])
-    # Shorter legs take less time, as in use, but not so much less that they look like a second speed.
-    ends = list(pairwise([drive.base, *anywhere])) if anywhere else []
-    shares = [_SHORT + (1 - _SHORT) * abs(b - a) / (top - drive.base) for a, b in ends]
-    legs += [Leg(a, b, drive.half * share) for (a, b), share in zip(ends, shares, strict=True)]
-    return drive.play("descending-tops", drive.lead_in(top - drive.base) + legs)
-
-
-def reversal_curves(
-    highest: float, *, lowest: float | None = None, count: int = 10, majors: int = 1, drive: Sampling = _PAPER
-) -> Excitation:
-    """Return first-order reversal curves: major cycles, then highest -> a -> highest for falling a, then the base.
-
-    `highest` [V], above the base. `lowest` [V]: the last a; by default the base. If `lowest` is below the base, major
-    cycles go down to it too. `count`: number of curves, from `highest` down in equal steps. `majors`: number of major
-    cycles. `drive`: how it is played. Raise `RecordError` as all excitations do.
-    """
-    top = _top(highest, drive)
-    bottom = drive.base if lowest is None else volts(lowest, "lowest")
-    if not bottom < top:
-        raise RecordError(argument="lowest", got=f"{bottom:g} V", need=f"a voltage below the highest, {top:g} V")
-    levels = np.linspace(top, bottom, _count(count, "count") + 1)[1:]
-    curves = [top, *(v for level in levels.tolist() for v in (level, top)), drive.base]
-    major_cycles = _cycles(majors, "majors", top, min(bottom, drive.base), least=0)
-    return _through("reversal-curves", major_cycles + curves, drive)
-
-
-def minor_loop(
-    low: float, high: float, *, highest: float, cycles: int = 1, majors: int = 2, drive: Sampling = _PAPER
-) -> Excitation:
-    """Return major cycles, then a minor loop with its lead-in: base -> high -> low -> high ... -> base.
-
-    The first major cycle homes the actuator; the second one is the major loop.
-
-    `low`, `high` [V]: turning points, base <= low < high <= highest. `highest` [V]: top of the major cycles. `majors`:
-    number of major cycles. `cycles`: number of minor cycles. `drive`: how it is played. Raise `RecordError` as all
+    `majors`: number of cycles up to `highest` before the tops. `drive`: speed and sampling. Raise `RecordError` as all
     excitations do.
     """
-    top, lower, upper = _top(highest, drive), volts(low, "low"), volts(high, "high")
-    if not drive.base <= lower < upper <= top:
-        raise RecordError(
-            f"minor loop: got {lower:g} to {upper:g} V, need low below high, both between the base {drive.base:g} V "
-            f"and the highest, {top:g} V"
-        )
-    rounds = [upper, *_cycles(cycles, "cycles", lower, upper), drive.base]
-    return _through("minor-loop", _cycles(majors, "majors", top, drive.base, least=0) + rounds, drive)
+    top = _top(highest, drive)
+    falling = [v for peak in _tops(top, _count(steps, "steps"), drive) for v in (peak, drive.base)]
+    return _through("descending-tops", _cycles(majors, "majors", top, drive.base, least=0) + falling, drive)
 
 
 def staircase(
-    highest: float,
-    *,
-    steps: int = 5,
-    hold: float = 60.0,
-    ramp: float | None = None,
-    back: bool = False,
-    drive: Sampling = _PAPER,
+    highest: float, *, steps: int = 5, hold: float = 60.0, back: bool = False, drive: Sampling = _PAPER
 ) -> Excitation:
     """Return equal steps from the base up to `highest` and down again; a hold after each step shows creep.
 
-    Parameters
-    ----------
-    highest : float
-        [V], above the base.
-    steps : int
-        Number of steps up, and down.
-    hold : float
-        Time at each voltage [s], to the next sample; the last hold is at the base.
-    ramp : float, optional
-        Time from one voltage to the next [s], at least four samples; by default all steps up take half a cycle.
-    back : bool
-        Whether one step back follows each two steps. These inner loops at all levels determine stiffnesses that tops
-        with returns to the base leave open.
-    drive : Sampling
-        How it is played; its pace has no effect.
-
-    Raises
-    ------
-    RecordError
+    All steps up take half a cycle. `highest` [V], above the base. `steps`: number of steps up, and down. `hold`: time
+    at each voltage [s], to the next sample; the last hold is at the base. `back`: whether one step back follows each
+    two steps; these inner loops at all levels determine stiffnesses that tops with returns to the base leave open.
+    `drive`: how it is played. Raise `RecordError` as all excitations do.
     """
-    top, number = _top(highest, drive), _count(steps, "steps")
-    waiting = positive(hold, "hold")
-    moving = drive.half / number if ramp is None else positive(ramp, "ramp")
+    top, number, waiting = _top(highest, drive), _count(steps, "steps"), positive(hold, "hold")
+    moving = drive.half / number
     places = [0]
     while places[-1] < number:
         places.append(min(places[-1] + 1 + back, number))
@@ -218,38 +175,31 @@ def stage_excitation(
     count = len(highest)
     names = axis_names(DEFAULT_AXES[:count] if axes is None else axes, count, "excitation", RecordError)
     drives = [drive or Sampling()] * count if drive is None or isinstance(drive, Sampling) else list(drive)
-    if len(drives) != count or len({one.rate for one in drives}) > 1:
+    if len(drives) != count or len({own.rate for own in drives}) > 1:
         raise RecordError(f"drive: need one Sampling an axis, {count}, and one sample rate for all")
-    alone = [
-        descending_tops(top, steps=steps, majors=majors, drive=one) for top, one in zip(highest, drives, strict=True)
+    driven = list(zip(highest, drives, strict=True))
+    moves = [
+        {j: descending_tops(top, steps=steps, majors=majors, drive=own).voltage} for j, (top, own) in enumerate(driven)
     ]
-    together = [
-        # From the base, with another period and the same samples.
-        _turns(
-            top,
-            replace(one, present=None, sample_rate=one.rate, frequency=one.frequency / RATIO**j),
-            max(3, round(cycles / RATIO**j)),
-            seed + j,
-        )
-        if cycles
-        else np.zeros(0)
-        for j, (top, one) in enumerate(zip(highest, drives, strict=True))
-    ]
-    most = max(map(len, together)) if cycles else 0
-    sizes = [len(one) for one in alone]
-    voltage = np.empty((sum(sizes) + most, count))
-    first, parts = 0, []
-    for j, one in enumerate(alone):
-        rest = [other.base if k < j else other.start for k, other in enumerate(drives)]
-        voltage[first : first + len(one)] = rest
-        voltage[first : first + len(one), j] = one.voltage
-        parts.append((f"{names[j]} alone", first, first + len(one)))
-        first += len(one)
     if cycles:
-        for j, row in enumerate(together):
-            voltage[first:, j] = np.concatenate([row, np.full(most - len(row), row[-1])])
-        parts.append(("together", first, first + most))
-    return Excitation("stage", voltage, drives[0].rate, axes=names, parts=tuple(parts))
+        # From the base, with another period and the same samples.
+        slower = [
+            replace(own, present=None, sample_rate=own.rate, frequency=own.frequency / RATIO**j)
+            for j, own in enumerate(drives)
+        ]
+        moves.append(
+            {j: _turns(highest[j], slower[j], max(3, round(cycles / RATIO**j)), seed + j) for j in range(count)}
+        )
+    still, blocks, parts, first = [own.start for own in drives], [], [], 0
+    for name, moving in zip([*(f"{name} alone" for name in names), "together"], moves, strict=False):
+        block = np.tile(still, (max(map(len, moving.values())), 1))
+        for j, row in moving.items():
+            still[j] = float(row[-1])
+            block[: len(row), j], block[len(row) :, j] = row, still[j]
+        blocks.append(block)
+        parts.append((name, first, first + len(block)))
+        first += len(block)
+    return Excitation("stage", np.concatenate(blocks), drives[0].rate, axes=names, parts=tuple(parts))
 
 
 def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 200) -> Array:
@@ -271,13 +221,18 @@ def _cycles(cycles: object, what: str, first: float, second: float, *, least: in
     return [first, second] * _count(cycles, what, least, _MOST_TURNS // (2 * rows))
 
 
+def _tops(top: float, steps: int, drive: Sampling) -> list[float]:
+    """Return tops [V] that fall in equal steps, the highest one exact."""
+    return [top, *(drive.base + (top - drive.base) * np.linspace(1, 1 / steps, steps))[1:].tolist()]
+
+
 def _random_turns(count: int) -> list[float]:
-    """Return a number of alternating top and bottom turning points, as parts of the range, and the way back to 0."""
+    """Return a number of alternating top and bottom turning points, as parts of the range."""
     rng, turns = np.random.default_rng(0), [0.0]
     for k in range(count):
         below, above = (turns[-1] + _LEAST_LEG, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_LEG)
         turns.append(float(rng.uniform(below, above)))
-    return [*turns[1:], 0.0] if count else []
+    return turns[1:]
 
 
 def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:
