@@ -10,7 +10,7 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, IdentifyError, Record, RecordError
-from dehyst.identification.preprocessing.regressors import epochs
+from dehyst.identification.regressors import epochs
 from dehyst.model import AbstractModel
 from dehyst.report import write_comparison
 from dehyst.trust import AbstractBaseline, ModelComparison, compare

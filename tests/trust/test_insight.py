@@ -1,4 +1,4 @@
-"""What `insight` says holds: directions are counted, advice closes what is open, a trap is caught."""
+"""What `insight` says holds: directions are counted, and a trap is caught."""
 
 import json
 
@@ -9,17 +9,17 @@ import pytest
 import dehyst
 from dehyst import Outcome, Record
 from dehyst._io import finite
-from dehyst.identification.diagnostics.identifiability import identifiability
-from dehyst.identification.structure import Grid
+from dehyst.control import Compensator, plan_path
+from dehyst.identification.identifiability import identifiability
+from dehyst.identification.structure import Grid, Structure
 from dehyst.trust import insight
-from dehyst.trust.evidence import Evidence
-from dehyst.trust.experiment_design import advise
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine
 from examples import at_night
 
 PLANT = plain_records.plant(10, seed=2)
 MAJOR = (1, 0, 1, 0)
+TEN = Structure(elements=10, knots=11, smoothing=0.0)
 TABLE = [
     (MAJOR, 5),
     ((*MAJOR, 0.3, 0, 0.3, 0), 6),
@@ -55,23 +55,6 @@ def test_the_major_loop_tells_half_of_the_directions(elements):
     assert told(MAJOR, plain_records.plant(elements)).determined == elements // 2
 
 
-def test_the_first_advice_closes_what_is_open():
-    major = plain_records.loops(PLANT, MAJOR * 2)
-    fit = dehyst.identify(major, elements=10, delay=0.0)
-    assert fit.outcome is Outcome.UNDETERMINED
-    evidence, limits = Evidence.from_records(fit.actuator, major), fit.actuator.limits
-    best = advise(evidence, limits)[0]
-    assert (best.determined, best.of) == (9, 9)
-    voltage = best.excitation.voltage
-    added = plain_records.driven(PLANT, voltage, name="added", state=PLANT.turned(0.0, rising=False))
-    again = dehyst.identify([major, added], elements=10, delay=0.0, shared_datum=True)
-    assert again.outcome is Outcome.IDENTIFIED
-    assert plain_records.stiffness_error(again.actuator, PLANT) < 1e-6
-    assert all(one.seconds <= 7 for one in advise(evidence, limits, 7.0))
-    assert all(one.excitation.voltage_range[1] <= 120 for one in advise(evidence, (0, 120)))
-    assert advise(Evidence.from_records(again.actuator, [major, added]), limits) == ()
-
-
 def trapped(truth, cycles):
     drive = Sampling(sample_rate=4.0)
     made = raised_cosine([truth.highest], cycles=cycles, drive=drive)
@@ -87,15 +70,14 @@ def test_the_newcomers_trap_is_caught(noise):
     assert fit.actuator.delay == 0.0  # the loop's shape is no delay
     turns = np.array([0.9, 0.02, 0.4, 0.02, 0.6, 0.2, 0.45])
     wanted = truth.stroke * np.interp(np.arange(0, 6.01, 0.02), np.arange(7), turns)
-    found = insight(fit.actuator, record, trajectory=wanted)
-    assert "stiffnesses are open" in found.warnings()[0]
+    found = insight(fit.actuator, record, plan=plan_path(Compensator(fit.actuator), wanted))
+    assert "are open" in found.warnings()[0]
     json.dumps(finite(found.as_dict()), allow_nan=False)
 
 
 def test_an_assessment_of_records_that_determine_everything_warns_of_nothing():
     record = plain_records.loops(PLANT, plain_records.THREE_LOOPS)
-    actuator = dehyst.identify(record, elements=10, delay=0.0).actuator
+    actuator = dehyst.identify(record, structure=TEN, delay=0.0).actuator
     found = insight(actuator, record)
     assert found.trustworthy
     assert found.warnings() == ()
-    assert found.homing.certified

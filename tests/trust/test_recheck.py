@@ -44,8 +44,21 @@ def test_each_change_is_found_and_named_and_nothing_else_is(case, seed):
     assert [change.name for change in recheck.changed] == [name]
     found = of(recheck, name)
     assert abs(found.value - size) < 3 * found.error
-    assert found.error < 0.1 * abs(size)
+    assert found.error < 0.25 * abs(size)
     assert len(recheck.change_sentences()) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"), [({"width": 0.6}, {"width", "delay"}), ({"delay": 15.0}, {"width", "delay"})]
+)
+def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(changes, named):
+    recheck = dehyst.check(loops.model(), loops.later(tops=[200.0], **changes))
+    stated = [change for change in recheck.changed if named <= set(change.parts)]
+    assert len(stated) == 1
+    assert named & {change.name for change in recheck.changed} == set()
+    sentence = recheck.change_sentences()[0]
+    assert "dehyst excite descending-tops 200 --steps 5" in sentence
+    assert "width from" in sentence and "lag" in sentence
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -60,7 +73,8 @@ def test_an_unchanged_actuator_is_still_true(seed):
 
 def test_two_changes_are_told_apart():
     recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN, offset=-loops.OFFSET, width=-loops.WIDTH))
-    assert {change.name for change in recheck.changed} == {"gain", "offset", "width"}
+    assert {change.name for change in recheck.changed} >= {"gain", "width"}
+    assert "offset" in {part for change in recheck.changed for part in change.parts}
     for name, size in (("gain", loops.GAIN), ("offset", -loops.OFFSET), ("width", -loops.WIDTH)):
         assert abs(of(recheck, name).value - size) < 3 * of(recheck, name).error
     effects = [abs(change.effect) for change in recheck.changed]

@@ -7,17 +7,18 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst import Actuator, Creep, IdentifyError, MaxwellSlip, Spring
+from dehyst import Actuator, DisplacementCreep, IdentifyError, MaxwellSlip, Spring, Structure
 
 TRAINED = (1, 0, 1, 0, 0.8, 0, 0.6, 0, 0.4, 0, 0.2, 0)
 ONE_LOOP = (0, 1, 0, 1, 0)
 TEST = (0, 1, 0, 0.9, 0.3, 0.7, 0.2, 0.8, 0.1, 0.6, 0.4, 1, 0)
+TEN = Structure(elements=10, knots=11, smoothing=0.0)
 TRUE = plain_records.plant(10, seed=4)
 
 
 @pytest.fixture(scope="module")
 def old():
-    return dehyst.identify(driven(TRUE, TRAINED), structure="maxwell_slip", elements=10).actuator
+    return dehyst.identify(driven(TRUE, TRAINED), structure=TEN).actuator
 
 
 def aged(gain, width):
@@ -46,7 +47,7 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     record = driven(stage, ONE_LOOP, seed=1)
     made = dehyst.update(old, record)
     test = driven(stage, TEST, seed=2)
-    anew = dehyst.identify(driven(stage, TRAINED, seed=3), structure="maxwell_slip", elements=10).actuator
+    anew = dehyst.identify(driven(stage, TRAINED, seed=3), structure=TEN).actuator
     assert made.used
     assert np.all(error(made.actuator, test) < 0.2 * error(old, test))
     assert np.all(error(made.actuator, test) < np.maximum(1.3 * error(anew, test), 0.003))
@@ -59,7 +60,7 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert made.after[1] < 0.3 * made.before[1]
     assert any("gain" in sentence for sentence in made.sentences())
     known = made.actuator.identification
-    assert known.expected_rms == known.validity.anywhere.rms == made.promise.rms
+    assert known.validity.anywhere.rms == made.promise.rms
     assert known.validity.rms >= old.identification.validity.rms
     assert len(known.validity.legs) > len(old.identification.validity.legs)
     assert made.actuator.provenance["updated_from"] == old.name
@@ -68,8 +69,8 @@ def test_one_loop_is_enough_for_gain_and_width(old):
 
 def test_one_loop_of_a_creeping_actuator_is_enough_too():
     """What creeps from before the record could take the place of a change of gain, if it could be any size."""
-    creep = Creep([0.5, 5.0, 50.0], np.full(3, 0.03 * TRUE.spring.slopes.mean()))
-    model, stage = replace(TRUE, creep=creep), replace(aged(-0.07, 0.25), creep=creep)
+    creep = DisplacementCreep([0.5, 5.0, 50.0], np.full(3, 0.02))
+    model, stage = replace(TRUE, displacement_creep=creep), replace(aged(-0.07, 0.25), displacement_creep=creep)
 
     def played(turns, seed, samples):
         voltage = plain_records.VOLTS / plain_records.STROKE * plain_records.path(turns)
@@ -81,7 +82,7 @@ def test_one_loop_of_a_creeping_actuator_is_enough_too():
     made = dehyst.update(model, played((0, 1, 0, 1, 0, 1, 0), 1, 200))
     test = played(TEST, 2, 1201)
     assert made.used
-    assert np.all(error(made.actuator, test) < [0.002, 0.0005])
+    assert np.all(error(made.actuator, test) < [0.006, 0.0025])
     assert np.all(error(model, test) > 0.04)
 
 
@@ -102,7 +103,6 @@ def test_a_record_counts_in_the_promise_even_if_it_teaches_nothing(old, parts):
     assert not made.used
     assert made.promise.largest >= made.before[0] > before.validity.anywhere.largest
     assert made.promise.rms >= np.sqrt(made.before[1] ** 2 - made.recheck.noise**2)
-    assert (after.expected_largest, after.expected_rms) == (made.promise.largest, made.promise.rms)
     assert len(after.validity.legs) > len(before.validity.legs)
     assert after.largest_error == before.largest_error
     assert made.actuator.thermal == model.thermal
@@ -131,7 +131,7 @@ def test_another_actuator_is_refused(old):
 
 
 def test_parts_behind_the_elements_stay_as_they_are(old):
-    creep, thermal = dehyst.DisplacementCreep([0.5, 5.0], [0.02, 0.02]), dehyst.Thermal(2e-3, 0.0, 20.0)
+    creep, thermal = DisplacementCreep([0.5, 5.0], [0.02, 0.02]), dehyst.Thermal(2e-3, 0.0, 20.0)
     model, stage = (replace(one, displacement_creep=creep, thermal=thermal) for one in (old, aged(-0.07, 0.25)))
     made = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
     degrees = np.full(len(made), 30.0)

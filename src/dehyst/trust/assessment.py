@@ -1,78 +1,98 @@
-"""What records determine of an actuator that was identified from them, and what they leave open."""
+"""How far a model can be trusted: the promise of a path, what the records do not test, and what to record next."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
+from dehyst._text import counted, escaped
 from dehyst._threads import one_thread
 from dehyst._types import Progress
-from dehyst._validation import interval, vector
-from dehyst.control import Compensator, PossibleStart, StartError, shortest_homing
-from dehyst.model import Actuator, TemperatureCover, temperature_range, tested_temperatures
+from dehyst._validation import interval
+from dehyst._views import html
+from dehyst._views.fields import json_values
+from dehyst._views.pictures import plotted
+from dehyst.control import PathPlan
+from dehyst.identification import Identifiability
+from dehyst.model import (
+    Actuator,
+    Promise,
+    Stage,
+    TemperatureCover,
+    promised,
+    temperature_range,
+    tested_temperatures,
+    words_of,
+)
 from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
-from dehyst.trust.experiment_design import advise
-from dehyst.trust.insight_result import Insight
-from dehyst.trust.prediction_band import PredictionBand, top_state
-from dehyst.trust.state_knowledge import StateKnowledge
+from dehyst.trust.turn_plane import TurnPlane, turn_plane
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# A model that misses records by more than this part of their range [%] is no model of them.
+_MISSED = 5.0
+# Nor is one that misses them by more than this [%] and this many times as far as those it was identified from.
+_WORTH, _TIMES = 0.5, 3.0
+# Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
+_WIDER = 0.01
 
 
 def insight(
-    actuator: Actuator,
+    model: Actuator | Stage,
     records: Record | Sequence[Record],
     *,
-    trajectory: ArrayLike | None = None,
-    time: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
-    start: PossibleStart | None = None,
+    plan: PathPlan | None = None,
     limits: tuple[float, float] | None = None,
     temperatures: tuple[float, float] | None = None,
-    seconds: float | None = None,
     progress: Progress = lambda _: None,
-) -> Insight:
-    """Assess an identified actuator by its records: what they determine, and what to record next.
+) -> Any:
+    """Assess an identified model by its records: its promise, what they do not test, and what to record next.
 
     Parameters
     ----------
-    actuator : Actuator
+    model : Actuator or Stage
+        For a stage, each of its actuators and its coupling are assessed.
     records : Record or sequence of Record
-        The records that the actuator was identified from.
-    trajectory : (n,) array_like, optional
-        A displacement to follow [m], on the model's axis, whose error is to be predicted.
-    time : (n,) array_like, optional
-        Time of the trajectory [s]; needed by a model that depends on time.
-    temperature : float or (n,) array_like, optional
-        Temperature of the trajectory [degC]; default: not known. Of a model that depends on temperature the
-        band is that of the trajectory at the reference.
-    start : PossibleStart, optional
-        The start of the trajectory; default: the top of the limits after a rise through them, where the state is known.
+        The records that the model was identified from.
+    plan : PathPlan, optional
+        A path that the model is to follow, from `dehyst.control.plan_path`; its promise is shown. Default: any path
+        like the records.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
     temperatures : (float, float), optional
-        Lowest and highest temperature in use [degC]; default: those of the trajectory. What the records do
-        not cover causes a warning.
-    seconds : float, optional
-        Longest excitation to suggest [s]; default: no limit.
+        Lowest and highest temperature in use [degC]; default: those of the path. What the records do not cover causes a
+        warning.
     progress : callable, optional
         Called with a short text at each step.
+
+    Returns
+    -------
+    Insight, or StageInsight of a stage
 
     Raises
     ------
     RecordError, IdentifyError
         If a record cannot be used or an option is impossible.
     ModelError
-        If the trajectory is not a path.
+        If a range is impossible.
     """
-    if not isinstance(actuator, Actuator):
-        raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator, such as the one of a Fit")
+    if isinstance(model, Stage):
+        from dehyst.trust.stage_assessment import stage_insight
+
+        options: dict[str, Any] = {"limits": limits, "temperatures": temperatures, "progress": progress}
+        return stage_insight(model, [records] if isinstance(records, Record) else records, plan, **options)
+    if not isinstance(model, Actuator):
+        raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
+    actuator = model
     progress("reading the records beside the model")
     allowed = actuator.limits if limits is None else interval(limits)
-    warmth = None if temperature is None else np.asarray(temperature, dtype=np.float64)
+    warmth = None if plan is None else plan.temperature
     used = temperatures
     if used is None and warmth is not None and warmth.size:
         used = float(warmth.min()), float(warmth.max())
@@ -81,30 +101,188 @@ def insight(
     cover = TemperatureCover(tested, used, reference)
     _ = cover.missing  # refuses an impossible range
     with one_thread():
-        evidence = Evidence.from_records(actuator, records)
-        band = opened = homing = None
-        if trajectory is not None:
-            wanted, clock = vector(trajectory, "trajectory"), None if time is None else vector(time, "time")
-            if actuator.thermal is not None and warmth is not None:
-                wanted = actuator.thermal.at_reference(wanted, warmth)
-            state = top_state(actuator, allowed) if start is None else start.within(actuator, allowed)
-            command = Compensator(actuator, allowed).trajectory(wanted, time=clock, state=state)
-            command = replace(command, temperature=warmth)
-            if start is not None and not start.known:
-                opened = StartError.along(actuator, start.states, command.voltage, time=clock)
-            path = command.voltage, command.displacement
-            band = PredictionBand(wanted, *path, evidence.misfit, command.warnings, command.promise, clock)
-        if allowed is not None:
-            homing = shortest_homing(actuator, limits=allowed, present=allowed[0], stiff_only=True)
-        progress("ranking excitations")
-        return Insight(
-            evidence,
-            tuple(StateKnowledge.of(actuator, item) for item in evidence.comparisons),
-            allowed,
-            homing=homing,
-            band=band,
-            advice=() if allowed is None else advise(evidence, allowed, seconds),
-            start=start if band is not None else None,
-            opened=opened,
-            temperatures=cover,
+        return Insight(Evidence.from_records(actuator, records), allowed, plan, cover)
+
+
+@dataclass(frozen=True, eq=False)
+class Insight:
+    """How far a model can be trusted, and what to record next.
+
+    Attributes
+    ----------
+    evidence : Evidence
+    limits : (float, float) or None
+        Voltages allowed [V].
+    plan : PathPlan or None
+        The path that is judged; None: any path like the records.
+    temperatures : TemperatureCover
+        Temperatures of the records, those in use, and those to record at.
+    """
+
+    evidence: Evidence
+    limits: tuple[float, float] | None
+    plan: PathPlan | None = None
+    temperatures: TemperatureCover = field(default_factory=TemperatureCover)
+
+    @property
+    def actuator(self) -> Actuator:
+        """The model."""
+        return self.evidence.actuator
+
+    @property
+    def promise(self) -> Promise | None:
+        """The promised error of the path; None if the model does not hold what its records tested."""
+        return promised(self.actuator) if self.plan is None else self.plan.promise
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """Identifiability of the stiffnesses; if the model has more parts, of ten plain slip elements instead."""
+        return self.evidence.identifiability
+
+    @property
+    def turns(self) -> TurnPlane | None:
+        """The plane of turning points: where the records turned, and which regions they test."""
+        records = (one.record.record for one in self.evidence.comparisons)
+        return turn_plane(((one.name, one.time, one.voltage) for one in records), self.actuator.limits)
+
+    def __repr__(self) -> str:
+        directions = f"{self.identifiability.determined} of {self.identifiability.of} directions determined"
+        return f"<Insight of '{escaped(self.actuator.name)}': {directions}, {counted(len(self.warnings()), 'warning')}>"
+
+    def _repr_html_(self) -> str:
+        warnings = self.warnings()
+        text = html.preformatted("Summary", lines(self))
+        title, colour = f"Insight of '{self.actuator.name}'", "amber" if warnings else "green"
+        return html.block(title, *map(html.line, warnings), text, colour=colour)
+
+    def summary(self, full: bool = False) -> str:
+        """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
+
+        With `full`, return what `--all` prints: also the directions.
+        """
+        return "\n".join(escaped(line) for line in lines(self, full=full))
+
+    def plot(
+        self,
+        kind: Literal["directions", "band"] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw what the records determine.
+
+        Parameters
+        ----------
+        kind : str, optional
+            "directions": singular values of the stiffness directions, determined or open. "band": where the
+            displacement of the path may be, minus the wanted path. Default: "band", if there is a path.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; default: the axes of a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ModelError
+            If there is no such kind, or no numbers for it.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        return plotted("insight", self, kind, ax)
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the records determine all directions of the stiffnesses; see `identifiability`."""
+        return self.identifiability.determined == self.identifiability.of
+
+    @property
+    def record_next(self) -> tuple[str, ...]:
+        """Commands that write what to record next; empty if no excitation tests more."""
+        found = () if self.promise is None else self.promise.untested
+        return tuple(dict.fromkeys(one.command for one in found if one.command))
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return warnings to consider before the model is used."""
+        remarks = [
+            self._of_another(),
+            self._open(),
+            self._beyond(),
+            self.temperatures.sentence if self.temperatures.missing else "",
+        ]
+        return tuple(remark for remark in remarks if remark)
+
+    def _of_another(self) -> str:
+        """Return a warning if the records seem to belong to another actuator."""
+        range_, stroke, misfit = (
+            float(np.ptp(self.actuator.spring.displacement)),
+            self.evidence.stroke,
+            self.evidence.misfit,
         )
+        missed, known = 100 * misfit / stroke, self.actuator.identification
+        own = np.inf if known is None or known.largest_error is None else known.largest_error
+        if missed <= _MISSED and not (missed > _WORTH and misfit > _TIMES * own):
+            return ""
+        return (
+            f"The model misses these records by up to {missed:.3g} % of their range, {stroke * 1e6:.4g} um (its own is "
+            f"{range_ * 1e6:.4g} um): they belong to another actuator or are in other units. Nothing below holds for "
+            "them."
+        )
+
+    def _open(self) -> str:
+        """Return a warning if the records leave combinations of stiffnesses open."""
+        found = self.identifiability
+        if self.trustworthy:
+            return ""
+        return (
+            f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "
+            "elsewhere than the records do may be predicted wrongly."
+        )
+
+    def _beyond(self) -> str:
+        """Return a warning if the limits [V] go beyond the recorded voltages."""
+        recorded, limits = self.actuator.limits, self.limits
+        if recorded is None or limits is None:
+            return ""
+        over = max(recorded[0] - limits[0], limits[1] - recorded[1])
+        if over <= _WIDER * (recorded[1] - recorded[0]):
+            return ""
+        return (
+            f"The limits, {limits[0]:.6g} to {limits[1]:.6g} V, go {over:.4g} V beyond those of the records, "
+            f"{recorded[0]:.6g} to {recorded[1]:.6g} V: all results for voltages there are extrapolated."
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values; lengths in metres."""
+        directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values")
+        return {
+            **self.evidence.as_dict(),
+            "warnings": list(self.warnings()),
+            **json_values(self, "promise record_next turns"),
+            "directions": directions,
+            "temperatures": self.temperatures.as_dict(),
+        }
+
+
+def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
+    """Yield the lines of a summary, in the order in which they matter."""
+    if found.promise is not None:
+        yield from found.promise.lines
+    for warning in found.warnings():
+        yield f"WARNING: {warning}"
+    if found.temperatures.sentence and not found.temperatures.missing:
+        yield found.temperatures.sentence
+    if full:
+        identifiability = found.identifiability
+        values = " ".join(f"{value:.2g}" for value in identifiability.values)
+        yield ""
+        yield (
+            f"Directions of {identifiability.subject} that the turning points determine, whatever the noise: "
+            f"{identifiability.determined} of {identifiability.of}"
+        )
+        yield f"  singular values, V for each volt of breakaway voltages: {values}"
+    if found.temperatures.missing:
+        yield f"To record at {words_of(found.temperatures.missing)}: the excitation of the records."
+    commands = found.record_next
+    yield "To record next:" if commands else "To record next: nothing; no excitation tests more."
+    yield from (f"    {command}" for command in commands)

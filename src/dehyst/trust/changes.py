@@ -4,34 +4,40 @@ With s the simulated displacement, m(v) its mean line (the average of rising and
 
     y - s = gain (s - m(0 V)) + width h - delay s' + creep log10(t) + offset,
 
-whose coefficients are the changes. Standard errors come from a jackknife over blocks of time, or over sections of the
-loop if that gives larger ones. They include the model's own error, because an error that repeats in each cycle is no
-evidence of a change.
+whose coefficients are the changes. The error of a model is no white noise: it is alike wherever the loop comes again.
+Its covariance falls with the distance in voltage and in h, and its size grows with the change itself, because no loop
+ages exactly as the columns say; standard errors follow from it. Theory: what a loop can tell of change. Constants were
+chosen on aged stages by other mechanisms, and are tested on further ones: `benchmarks/ageing.py`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._views import lines
 from dehyst.identification import Trace
-from dehyst.records import percent
+from dehyst.records import percent, turning_points
 
 # A change counts from so many standard errors on.
-SIGMAS = 3.0
-# Blocks of time, sections of the voltage on each branch, and knots of the mean line.
-_BLOCKS, _SECTIONS, _KNOTS = 16, 8, 24
-# Samples that suffice, and steps of the search for a delay, of which the regression alone knows the first order.
-_MOST, _STEPS = 100_000, 3
+SIGMAS, TOGETHER = 3.0, 2.0
+# Knots of the mean line; blocks of samples; steps of the search for a delay, of which the regression knows one order.
+_KNOTS, _BLOCKS, _STEPS = 24, 400, 4
+# Over which part of the voltages, and of h, the error of a model is alike, and over which part of a cycle it wanders.
+_ALIKE, _ALIKE_IN_LOOP, _WANDERS, _WANDERING = 0.3, 1.0, 0.25, 0.1
+# Parts of a change, and of a change of gain, that do not look like its column, and of all on the rise from a fitted
+# start; the own error of a model beside its promise; slow changes that a record cannot show, of the stroke a decade.
+_UNLIKE, _UNLIKE_GAIN, _AT_START, _OWN, _UNSEEN = 0.4, 0.1, 1.0, 1.3, 0.007
 # A loop narrower than this part of its height has no width that could change.
 _NARROW = 1e-3
+# Columns that depend on one another to this part count as dependent; a delay is found to this part of the stroke.
+_DEPENDENT, _SMALL = 1e-6, 1e-5
+# Part of a cycle from which on the time of creep is counted.
+_EARLY = 0.1
 # Names of the slow changes, of which a record shows one.
 SLOW = ("creep", "drift")
 # Names of the changes that an update learns.
@@ -41,6 +47,8 @@ UPDATE, IDENTIFY = "dehyst update", "identify the model again from new records"
 # Columns whose range is their largest effect; of others it is the largest value.
 _RANGING = ("gain", *SLOW)
 # Factor and unit in which each is shown.
+_AND = " and "
+_NOUNS = {"gain": "gain", "width": "width", "offset": "zero", "delay": "lag", "creep": "creep", "drift": "drift"}
 _SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "delay": (1e3, "ms")}
 
 
@@ -53,7 +61,8 @@ class Change:
     name : str
         "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "offset" (of the
         displacement at 0 V, at the beginning of the record), "delay", "creep" (logarithmic in time) or "drift" (linear
-        in time).
+        in time). Names joined by " and ": changes that the record cannot tell apart; value and error are those of their
+        common effect [m].
     value, error : float
         The change and its standard error: parts of 1 for gain and width, [m] for the offset, [s] for the delay,
         [m a decade of time] for creep, [m over the record] for a drift.
@@ -71,14 +80,25 @@ class Change:
 
     @property
     def counts(self) -> bool:
-        """Whether the change exceeds three standard errors and its effect exceeds `least`."""
-        return abs(self.value) > SIGMAS * self.error and abs(self.effect) > self.least
+        """Whether the change exceeds three standard errors, several together two, and its effect exceeds `least`."""
+        sigmas = SIGMAS if len(self.parts) == 1 else TOGETHER
+        return abs(self.value) > sigmas * self.error and abs(self.effect) > self.least
 
-    def sentence(self, stroke: float, *, lasting: str | None = UPDATE) -> str:
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What may have changed: one name, or several that the record cannot tell apart."""
+        return tuple(self.name.split(_AND))
+
+    def sentence(self, stroke: float, *, lasting: str | None = UPDATE, tells: str = "") -> str:
         """Return the change as a sentence with what to do; creep and drift relative to `stroke` [m].
 
-        `lasting`: what to do about a gain or a width that stays changed; None: leave out what to do.
+        `lasting`: what to do about a gain or a width that stays changed; None: leave out what to do. `tells`: the
+        command of a record that tells several changes apart.
         """
+        if len(self.parts) > 1:
+            words = " from ".join(_NOUNS[part] for part in self.parts)
+            text = f"The loop has changed its shape by {self.amount(stroke)}; this record cannot tell {words}."
+            return f"{text} Record the loops of `{tells}`, which tell them apart." if tells else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
         text = f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke."
@@ -87,7 +107,7 @@ class Change:
     def amount(self, stroke: float) -> str:
         """Return size and standard error as text; creep and drift relative to `stroke` [m]."""
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
-        if self.name in SLOW:
+        if self.name in SLOW or len(self.parts) > 1:
             factor, unit = 100.0 / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
         return f"{lines.uncertain(abs(self.value) * factor, self.error * factor)} {unit}"
 
@@ -114,60 +134,69 @@ _REMEDIES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Slow:
-    """A slow change over time: its name, "creep" or "drift", and its values (n,)."""
-
-    name: str
-    curve: Array
-
-
 @dataclass(frozen=True)
 class Known:
     """What is known of a record and its model before the regression.
 
-    Attributes
-    ----------
-    datum : float
-        Shift to the model's axis [m].
-    doubt : float
-        Uncertainty of the datum that the record leaves [m].
-    own : float
-        Standard deviation of the model's own error [m], which differs from one kind of loop to another.
+    `datum`: shift to the model's axis [m]; `doubt`: its uncertainty that the record leaves [m]. `own`, `noise`:
+    standard deviations of the model's own error on this path, and of the sensor [m]. `cycle` [s]. `slow`: whether the
+    record can show creep or a drift. `stroke` [m].
     """
 
     datum: float
     doubt: float
     own: float
+    noise: float
+    cycle: float
+    slow: bool
+    stroke: float
 
 
-def find_changes(trace: Trace, slow: Sequence[Slow], known: Known, least: float) -> tuple[Change, ...]:
+def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]:
     """Regress the measured minus the simulated displacement on possible changes.
 
     Parameters
     ----------
     trace : Trace
         Measured and simulated displacement, simulated without offset and drift.
-    slow : sequence of Slow
-        Candidate slow changes, of which the one that explains most is used; may be empty.
     known : Known
     least : float
         Effect [m] from which a change counts.
     """
-    loop, step = _SimulatedLoop.of(trace), max(1, trace.time.size // _MOST)
-    fits = [_fitted(loop, curve, step) for curve in slow] or [_fitted(loop, None, step)]
-    found = []
-    for name, value, spread, most in min(fits, key=lambda fit: fit.squares).parts():
-        offset = name == "offset"
-        size, doubt = (value - known.datum, known.doubt) if offset else (value, 0.0)
-        error = float(np.linalg.norm([spread, doubt, known.own / most if most else math.inf]))
-        found.append(Change(name, size, error, size * most, least))
+    loop = _SimulatedLoop.of(trace)
+    fit = min((_fitted(loop, known, name) for name in (SLOW if known.slow else (None,))), key=lambda one: one.squares)
+    covariance = fit.covariance(loop, known)
+    found, open_ = list[Change](), list[int]()
+    for place, name in enumerate(fit.names):
+        value, most, error = fit.values[place], fit.most[place], float(np.sqrt(covariance[place, place]))
+        if name == "offset":
+            value, error = value - known.datum, float(np.hypot(error, known.doubt))
+        found.append(Change(name, float(value), error, float(value * most), least))
+        if not found[-1].counts and SIGMAS * error * most > least:
+            open_.append(place)
+    if len(open_) > 1:
+        found.append(_together(fit, covariance, open_, known, least))
     return tuple(found)
+
+
+def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:
+    """Return the common effect of changes that the record cannot tell apart."""
+    columns, names = fit.columns[:, places], [fit.names[place] for place in places]
+    # Without a change of the zero, what is the same everywhere is none.
+    columns = columns if "offset" in names else columns - columns.mean(axis=0)
+    values = fit.values[places] - np.where([name == "offset" for name in names], known.datum, 0.0)
+    row = columns[int(np.argmax(np.abs(columns @ values)))]
+    error = float(np.hypot(np.sqrt(row @ covariance[np.ix_(places, places)] @ row), known.doubt * ("offset" in names)))
+    size = abs(float(row @ values))
+    return Change(_AND.join(names), size, error, size, least)
 
 
 @dataclass(frozen=True, eq=False)
 class _SimulatedLoop:
-    """A simulated loop: time, voltage, measured and simulated displacement, mean line, and mean line at 0 V."""
+    """A simulated loop: time, voltage, measured and simulated displacement, mean line, and mean line at 0 V.
+
+    `began`: time of the record's first sample; `start`: which samples may depend on the fitted start.
+    """
 
     time: Array
     voltage: Array
@@ -175,17 +204,27 @@ class _SimulatedLoop:
     simulated: Array
     mean: Array
     rest: float
-    stroke: float
+    began: float
+    start: Mask
 
     @classmethod
     def of(cls, trace: Trace) -> _SimulatedLoop:
         """Find the mean line of a trace."""
         knots = np.linspace(trace.voltage.min(), trace.voltage.max(), _KNOTS)
         levels = _mean_line(trace.voltage, trace.simulated, knots)
-        rest = float(np.interp(0.0, knots, levels))
-        mean = np.interp(trace.voltage, knots, levels)
-        stroke = float(np.ptp(trace.simulated))
-        return cls(trace.time, trace.voltage, trace.measured, trace.simulated, mean, rest, stroke)
+        turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
+        turns = turns[turns > 0]
+        first = turns[1] if len(turns) > 2 else turns[0] if len(turns) else 0
+        return cls(
+            trace.time,
+            trace.voltage,
+            trace.measured,
+            trace.simulated,
+            np.interp(trace.voltage, knots, levels),
+            float(np.interp(0.0, knots, levels)),
+            min(trace.began, float(trace.time[0])),
+            np.arange(trace.time.size) < first,
+        )
 
     def later(self, delay: float) -> _SimulatedLoop:
         """Return the loop as seen by a sensor with a `delay` [s]."""
@@ -194,21 +233,67 @@ class _SimulatedLoop:
         voltage, simulated, mean = moved
         return replace(self, voltage=voltage, simulated=simulated, mean=mean)
 
+    def slow(self, name: str, cycle: float) -> Array:
+        """Return the curve (n,) of creep, a decade of time, or of a drift over the record; both begin at 0."""
+        time = self.time - self.began
+        return np.log10(1 + time / (_EARLY * cycle)) if name == "creep" else time / float(time[-1])
+
 
 @dataclass(frozen=True, eq=False)
 class _ChangeFit:
-    """Coefficients (k,) of named columns, standard errors, the columns' largest values, and residual sum of squares."""
+    """Coefficients (k,) of named columns, the columns (n, k) and what they leave (n,), both in means over blocks.
+
+    `most`: largest effect of each column. `blocks`: of the loop's samples that count.
+    """
 
     names: list[str]
     values: Array
-    errors: Array
     most: Array
-    squares: float
+    columns: Array
+    left: Array
+    blocks: NDArray[np.intp]
 
-    def parts(self) -> list[tuple[str, float, float, float]]:
-        """Name, coefficient, standard error and largest value of each column."""
-        columns = (self.values.tolist(), self.errors.tolist(), self.most.tolist())
-        return list(zip(self.names, *columns, strict=True))
+    @property
+    def squares(self) -> float:
+        """Residual sum of squares."""
+        return float(self.left @ self.left)
+
+    def covariance(self, loop: _SimulatedLoop, known: Known) -> Array:
+        """Return the covariance (k, k) of the coefficients, by the correlated error of the model."""
+        effect = dict(zip(self.names, (self.columns * self.values).T, strict=True))
+        slow = next((effect[name] for name in SLOW if name in effect), 0.0)
+        shape = effect.get("width", 0.0) + effect["delay"]
+        own = _OWN * known.own
+        unlike = _UNLIKE * np.std(shape), _UNLIKE * np.std(slow), _UNLIKE_GAIN * np.std(effect["gain"])
+        size = own**2 + float(np.mean(self.left**2)) + float(np.sum(np.square(unlike)))
+        within = loop.simulated - loop.mean
+        voltage, within, time, start = (
+            _means(values, self.blocks) for values in (loop.voltage, within, loop.time, loop.start.astype(np.float64))
+        )
+        alike = np.exp(
+            -_apart(voltage, _ALIKE * np.ptp(voltage)) - _apart(within, _ALIKE_IN_LOOP * np.abs(within).max())
+        )
+        error = size * (alike + _WANDERING * np.exp(-_apart(time, _WANDERS * known.cycle)))
+        begins = _AT_START**2 * (np.var(shape + effect["gain"]) + own**2)
+        error += begins * np.outer(start, start) * alike
+        if not known.slow:
+            for name in SLOW:
+                curve = _means(loop.slow(name, known.cycle), self.blocks)
+                error += (_UNSEEN * known.stroke) ** 2 * np.outer(curve - curve.mean(), curve - curve.mean())
+        error[np.diag_indices(len(error))] += known.noise**2 * len(error) / self.blocks.size
+        scale = np.linalg.norm(self.columns, axis=0)
+        back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT) / scale[:, None]
+        return np.asarray(back @ error @ back.T)
+
+
+def _apart(place: Array, length: float) -> Array:
+    """Return distances (n, n) of places (n,) in a length."""
+    return np.asarray(np.abs(place[:, None] - place) / max(length, 1e-300))
+
+
+def _means(values: Array, blocks: NDArray[np.intp]) -> Array:
+    """Return means (k, ...) over blocks (k, m) of samples of values (n, ...)."""
+    return np.asarray(values[blocks].mean(axis=1))
 
 
 def _mean_line(voltage: Array, displacement: Array, knots: Array) -> Array:
@@ -227,40 +312,38 @@ def _mean_line(voltage: Array, displacement: Array, knots: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, target))
 
 
-def _fitted(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFit:
+def _fitted(loop: _SimulatedLoop, known: Known, slow: str | None) -> _ChangeFit:
     """Fit all columns; the simulated displacement is delayed, by half the record at most, until no delay is left."""
-    delay, fit = 0.0, _regression(loop, slow, step)
+    delay, fit = 0.0, _regression(loop, known, slow)
     longest = 0.5 * float(loop.time[-1] - loop.time[0])
     place = fit.names.index("delay")
     for _ in range(_STEPS):
-        if abs(fit.values[place]) <= 1e-2 * fit.errors[place]:
+        if abs(fit.values[place] * fit.most[place]) <= _SMALL * known.stroke:
             break
         delay = float(np.clip(delay + fit.values[place], -longest, longest))
-        fit = _regression(loop.later(delay), slow, step)
+        fit = _regression(loop.later(delay), known, slow)
     fit.values[place] += delay
     return fit
 
 
-def _regression(loop: _SimulatedLoop, slow: Slow | None, step: int) -> _ChangeFit:
-    rate = _rate(loop.time, loop.simulated)
-    width = loop.simulated - loop.mean
+def _regression(loop: _SimulatedLoop, known: Known, slow: str | None) -> _ChangeFit:
+    rate, width = _rate(loop.time, loop.simulated), loop.simulated - loop.mean
     columns = {"gain": loop.simulated - loop.rest, "delay": -rate, "offset": np.ones(rate.size)}
-    if np.ptp(width) > _NARROW * loop.stroke:
+    if np.ptp(width) > _NARROW * np.ptp(loop.simulated):
         columns["width"] = width
     if slow is not None:
-        columns[slow.name] = slow.curve
+        columns[slow] = loop.slow(slow, known.cycle)
     names = [name for name in _WORDS if name in columns]
-    kept = np.flatnonzero(np.isfinite(rate))[::step]
-    x = np.column_stack([columns[name][kept] for name in names])
-    scale = np.abs(x).max(axis=0)
+    kept = np.flatnonzero(np.isfinite(rate))
+    long = max(1, kept.size // _BLOCKS)
+    blocks = kept[: kept.size // long * long].reshape(-1, long)
+    whole = np.column_stack([columns[name] for name in names])
+    most = np.where([name in _RANGING for name in names], np.ptp(whole[kept], axis=0), np.abs(whole[kept]).max(axis=0))
+    few, target = _means(whole, blocks), _means(loop.measured - loop.simulated, blocks)
+    scale = np.linalg.norm(few, axis=0)
     scale[scale == 0] = 1.0
-    target = (loop.measured - loop.simulated)[kept]
-    groups = np.arange(kept.size) * _BLOCKS // kept.size, _sections(loop.voltage[kept], rate[kept])
-    fits = [_jackknife(x / scale, target, group) for group in groups]
-    values, errors = fits[0][0], np.max([own for _, own in fits], axis=0)
-    left = target - x / scale @ values
-    most = np.where([name in _RANGING for name in names], np.ptp(x, axis=0), scale)
-    return _ChangeFit(names, values / scale, errors / scale, most, float(left @ left))
+    values = np.linalg.lstsq(few / scale, target, rcond=_DEPENDENT)[0] / scale
+    return _ChangeFit(names, values, most, few, target - few @ values, blocks)
 
 
 def _rate(time: Array, values: Array) -> Array:
@@ -270,25 +353,3 @@ def _rate(time: Array, values: Array) -> Array:
     gaps = np.flatnonzero(steps > 3 * np.median(steps))
     rate[gaps] = rate[gaps + 1] = np.nan
     return rate
-
-
-def _sections(voltage: Array, rate: Array) -> NDArray[np.intp]:
-    """Return the section of the loop of each sample (n,): by voltage, rising and falling numbered separately."""
-    share = (voltage - voltage.min()) / max(float(np.ptp(voltage)), 1e-300)
-    section = np.minimum((_SECTIONS * share).astype(np.intp), _SECTIONS - 1)
-    return np.asarray(section + _SECTIONS * (rate > 0), dtype=np.intp)
-
-
-def _jackknife(x: Array, y: Array, groups: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return least-squares coefficients (k,) and their jackknife standard errors, with each group left out in turn."""
-    names = np.unique(groups)
-    products = np.array([x[own].T @ np.column_stack([x[own], y[own]]) for own in (groups == name for name in names)])
-    whole = products.sum(axis=0)
-    values = _solved(whole)
-    without = np.array([_solved(whole - part) for part in products])
-    spread = without - without.mean(axis=0)
-    return values, np.sqrt((names.size - 1) / names.size * np.sum(spread**2, axis=0))
-
-
-def _solved(products: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(products[:, :-1], products[:, -1], rcond=1e-13)[0])

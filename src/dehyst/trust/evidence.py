@@ -7,9 +7,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
-from dehyst.identification import Grid, Identifiability, RecordComparison, compare_all, identifiability, probed
+from dehyst.identification import (
+    Grid,
+    Identifiability,
+    RecordComparison,
+    compare_all,
+    errors_of,
+    identifiability,
+    probed,
+)
 from dehyst.model import Actuator
 from dehyst.records import Record, largest
 
@@ -66,7 +72,7 @@ class Evidence:
         with more parts it concerns ten plain Maxwell-slip elements instead.
         """
         records = [*self.pieces(), *more]
-        if not self.actuator.wide:
+        if not self.actuator._wide:
             return identifiability(records, self.grid)
         knots = self.grid.knots
         return probed(records, (float(knots[0]), float(knots[-1])))
@@ -74,8 +80,7 @@ class Evidence:
     @cached_property
     def misfit(self) -> float:
         """Largest error of the model on the records [m]."""
-        errors = [played[2] - played[3] for one in self.comparisons for *_, played in one.played(self.actuator)]
-        return largest(np.concatenate(errors))
+        return max(largest(errors_of(self.actuator, one, "training")[1].settled.residual) for one in self.comparisons)
 
     def pieces(self) -> list[Record]:
         """Return all pieces on the model's axis, their voltages delayed."""

@@ -2,22 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
 from dehyst import _validation
-from dehyst._errors import IdentifyError
+from dehyst._errors import IdentifyError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
-from dehyst.identification import Prepared, Trace, cleaning, compare, errors_of, prepare_for
-from dehyst.model import Actuator, Identification, Promise, TemperatureCost, promised, tested_temperatures
-from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
-from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, Slow, find_changes
+from dehyst._views.fields import json_values
+from dehyst._views.pictures import plotted
+from dehyst.identification import (
+    SEPARATE,
+    Plays,
+    Prepared,
+    Trace,
+    cleaning,
+    compare,
+    errors_of,
+    prepare_for,
+    refuse_still,
+)
+from dehyst.model import (
+    Actuator,
+    Identification,
+    Promise,
+    Stage,
+    TemperatureCost,
+    by_axis,
+    promised,
+    tested_temperatures,
+)
+from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, turning_points
+from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, find_changes
+from dehyst.waveforms import Sampling
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
@@ -69,8 +93,12 @@ class Recheck:
         Sentences on what limits the result, and what was repaired.
     trace : Trace
         Measured and simulated displacement.
+    settled : float
+        Largest error [m] from the second turning point of the voltage on: the rise from a fitted start is set aside.
     promise : Promise or None
         Error that the identification promised for this record's path; None if the model file lacks it.
+    tells : str
+        Command of a record that tells changes apart which this one cannot; empty if this one has as many loops.
     """
 
     record: str
@@ -87,12 +115,14 @@ class Recheck:
     changes: tuple[Change, ...]
     remarks: tuple[str, ...]
     trace: Trace
+    settled: float
     promise: Promise | None = None
+    tells: str = ""
 
     @property
     def without_noise(self) -> float:
-        """Largest error minus the peaks of the sensor's noise [m]; it is compared with the goal."""
-        return max(self.largest - NOISE_PEAK * self.noise, 0.0)
+        """`settled` minus the peaks of the sensor's noise [m]; it is compared with the goal and the promise."""
+        return max(self.settled - NOISE_PEAK * self.noise, 0.0)
 
     @property
     def ratio(self) -> float | None:
@@ -158,7 +188,7 @@ class Recheck:
                 f"; with noise {self._percent(self.largest)}, and {self._percent(self.before)} when it was identified"
             )
         if self.promise is not None and not self.mismatch:
-            promised = f"{self._percent(self.promise.largest)} on this path from its fitted start"
+            promised = f"{self._percent(self.promise.largest)} on {self.promise.path}"
             text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"
         return f"{text}. {self._advice()}"
 
@@ -168,7 +198,8 @@ class Recheck:
 
         That is gain, width, or another shape.
         """
-        learnable = not self.changed or self.changed[0].name in LEARNT
+        own = [change for change in self.changed if not set(change.parts) <= set(_SET_ASIDE)]
+        learnable = not self.changed or any(part in LEARNT for change in own[:1] for part in change.parts)
         return learnable and (
             self.standing in (Standing.WITHIN_GOAL, Standing.RECALIBRATE)
             or (self.standing is Standing.NEVER_MET and bool(self.changed))
@@ -185,7 +216,7 @@ class Recheck:
             Standing.DRIFTS: f"No new model is needed; {moved}: let the actuator warm up and rest.",
             Standing.WITHIN_GOAL: f"{learns or 'No new model is needed'}.",
             Standing.NEVER_MET: again
-            if any(change.name not in _SET_ASIDE for change in self.changed)
+            if any(part not in _SET_ASIDE for change in self.changed for part in change.parts)
             else "Records of the same kind would give the same error: record more loops, or allow more parts.",
             Standing.RECALIBRATE: again,
             Standing.ANOTHER: "Check that model and record belong together.",
@@ -200,7 +231,36 @@ class Recheck:
         `lasting`: as in `Change.sentence`.
         """
         changed = () if self.mismatch else self.changed
-        return tuple(change.sentence(self.stroke, lasting=lasting) for change in changed)
+        return tuple(change.sentence(self.stroke, lasting=lasting, tells=self.tells) for change in changed)
+
+    def plot(
+        self,
+        kind: Literal["hysteresis", "loops", "residuals", "residuals in time"] | None = None,
+        *,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Draw the loop as it is now, and as it was: measured, and simulated by the model.
+
+        Parameters
+        ----------
+        kind : str, optional
+            "hysteresis" (default): the loops off their best straight line, "loops", "residuals" over the displacement,
+            or "residuals in time".
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; by default a new figure.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        MissingExtraError
+            If matplotlib is not installed.
+        ModelError
+            If `kind` is unknown.
+        """
+        return plotted("recheck", self, kind, ax)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
@@ -234,26 +294,65 @@ class Recheck:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class StageRecheck:
+    """Whether a stage is still true: a `Recheck` of each axis, and changes of the coupling.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    rechecks : tuple of Recheck
+        Check of each actuator.
+    coupling, uncertainty : (axes, axes) array
+        The coupling matrix estimated from the new record, and its standard errors.
+    changes : tuple of str
+        Sentences on entries of the coupling matrix that have changed.
+    """
+
+    axes: tuple[str, ...]
+    rechecks: tuple[Recheck, ...]
+    coupling: Array
+    uncertainty: Array
+    changes: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether the model of each actuator and the coupling are still true."""
+        return all(one.good for one in self.rechecks) and not self.changes
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return json_values(self, "good coupling uncertainty changes") | {"axes": by_axis(self.axes, self.rechecks)}
+
+
 _GOAL = 1.0
 # A change counts if its effect exceeds this part of the goal.
 _PART = 0.25
+# Turning points of a record that tells all changes apart, and how far one goes back, as a part of the range.
+_MANY, _TURN = 20, 0.02
 # Steps of the search for the sensor's zero, and the part of the stroke that ends it.
 _STEPS, _CLOSE = 8, 1e-5
-# Part of a cycle from which on the time of creep is counted.
-_EARLY = 0.1
+# A coupling that differs by more than this, and by so many standard errors, has changed.
+_COUPLED, _ERRORS = 0.005, 3.0
 # Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
-# them, it says nothing of the longest elements; with less than most of them, gain and width are those of its own loops.
-_BEYOND, _LITTLE, _WHOLE = 1e-3, 0.5, 0.9
+# them, it says nothing of the longest elements.
+_BEYOND, _LITTLE = 1e-3, 0.5
 
 
-def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> Recheck:
+@overload
+def check(model: Actuator, record: Record, *, goal: float | None = None) -> Recheck: ...
+@overload
+def check(model: Stage, record: Record, *, goal: float | None = None) -> StageRecheck: ...
+def check(model: Actuator | Stage, record: Record, *, goal: float | None = None) -> Recheck | StageRecheck:
     """Check whether a model is still true by a new record of its actuator, and what has changed.
 
     As with a validation record, the initial state is fitted, and the whole record is simulated from it.
+    Of several axes each actuator is checked, and the coupling is estimated from the record: an entry has changed if it
+    differs by more than 0.005 and three standard errors.
 
     Parameters
     ----------
-    actuator : Actuator
+    model : Actuator or Stage
     record : Record
         At least one full loop of the voltage. Three loops show a drift; best is a record over the range of later use.
     goal : float, optional
@@ -262,19 +361,25 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
 
     Returns
     -------
-    Recheck
+    Recheck, or StageRecheck of a stage
 
     Raises
     ------
     RecordError
-        If the record cannot be used: no loop, too few samples, columns swapped, a clipped sensor.
+        If the record has other axes than the model, or cannot be used: no loop, too few samples, columns swapped, a
+        clipped sensor.
     IdentifyError
         If no sample counts, or the goal is impossible.
     """
-    if not isinstance(actuator, Actuator):
-        raise IdentifyError(
-            argument="actuator", got=type(actuator).__name__, need="an Actuator, such as the one of a Fit"
-        )
+    if isinstance(model, Stage):
+        return _check_stage(model, record, goal)
+    if not isinstance(model, Actuator):
+        raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage, as of a Fit")
+    return _check_actuator(model, record, goal)
+
+
+def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> Recheck:
+    """Simulate a record from a fitted start, and find what has changed."""
     origin = actuator.identification or Identification()
     goal = (origin.goal or _GOAL) if goal is None else goal
     goal = _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
@@ -286,12 +391,21 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         stroke = float(np.ptp(actuator.reach))
         compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
-    slow = _slow(prepared, trace) if origin.drift and prepared.can_drift else ()
-    error, drift = _steadied(trace, slow if actuator.creep is None else ())
+    slow, cycle = origin.drift and prepared.can_drift, cleaning.cycle_time(prepared.record)
+    error, drift = (
+        _steadied(trace) if slow and actuator.creep is None else (trace.residual - trace.residual.mean(), 0.0)
+    )
     before = origin.largest_error or None
-    promise, _ = promised(actuator, record.voltage, record.time, record.temperature)
-    known = Known(errors.datum, _doubt(actuator, record), (before or 0.0) / NOISE_PEAK)
-    changes = find_changes(trace, slow, known, _PART * goal / 100 * stroke)
+    promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
+    # As many turns as the excitation for an identification: another record of the kind tells no more.
+    tells = (
+        ""
+        if turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
+        else _telling(actuator, cycle)
+    )
+    own = (before or 0.0) / NOISE_PEAK if promise is None else promise.rms
+    known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
+    changes = find_changes(trace, known, _PART * goal / 100 * stroke)
     return Recheck(
         record=record.name,
         model=actuator.name,
@@ -305,10 +419,44 @@ def check(actuator: Actuator, record: Record, *, goal: float | None = None) -> R
         goal=goal,
         drift=drift,
         changes=changes,
-        remarks=(*_warmth(actuator, record), *_remarks(actuator, record, changes), *prepared.sentences),
+        remarks=(*_warmth(actuator, record), *_remarks(actuator, record), *prepared.sentences),
         trace=trace,
+        settled=largest(error[-trace.settled.time.size :]),
         promise=promise,
+        tells=tells,
     )
+
+
+def _check_stage(stage: Stage, record: Record, goal: float | None) -> StageRecheck:
+    """Check each actuator of a stage, and estimate its coupling with plays of the voltages."""
+    refuse_other_axes(stage, record)
+    refuse_still([record])
+    rechecks = tuple(check(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
+    plays = Plays.of([record])
+    if plays.separate().min() < SEPARATE:
+        return StageRecheck(stage.axes, rechecks, stage.coupling, np.full_like(stage.coupling, np.inf), ())
+    coupling, uncertainty = plays.coupling()
+    away, changes = coupling - stage.coupling, list[str]()
+    for i, j in np.argwhere((np.abs(away) > _COUPLED) & (np.abs(away) > _ERRORS * uncertainty)).tolist():
+        changes.append(
+            f"coupling of {stage.axes[j]} into {stage.axes[i]}: {coupling[i, j]:+.4f} now, "
+            f"{stage.coupling[i, j]:+.4f} in the model; identify the stage again"
+        )
+    return StageRecheck(stage.axes, rechecks, coupling, uncertainty, tuple(changes))
+
+
+def refuse_other_axes(stage: Stage, record: Record) -> None:
+    """Raise `RecordError` if a record is not one of a stage's axes."""
+    if record.axes != stage.axes:
+        own, axes = ", ".join(record.axes), ", ".join(stage.axes)
+        raise RecordError(f"record '{record.name}': has the axes {own}, the stage has {axes}")
+
+
+def _telling(actuator: Actuator, cycle: float) -> str:
+    """Return the command of an excitation with loops of several heights, which tell changes apart."""
+    low, high = actuator.voltage_range
+    drive = Sampling(frequency=float(f"{1 / cycle:.2g}"), base=low, limits=actuator.limits)
+    return drive.command(f"descending-tops {high:g} --steps 5 --random 14")
 
 
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
@@ -326,24 +474,11 @@ def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     return datum
 
 
-def _slow(record: Prepared, trace: Trace) -> tuple[Slow, ...]:
-    """Return the curves of creep, per decade of time, and of a drift over the record; both are 0 at its beginning."""
-    time = trace.time - record.start
-    creep = np.log10(1 + time / (_EARLY * cleaning.cycle_time(record.record)))
-    return Slow("creep", creep), Slow("drift", time / float(time[-1]))
-
-
-def _steadied(trace: Trace, slow: tuple[Slow, ...]) -> tuple[Array, float]:
+def _steadied(trace: Trace) -> tuple[Array, float]:
     """Return the error (n,) [m] without its mean and its linear drift, and the drift [m]."""
-    residual = trace.residual - trace.residual.mean()
-    error, drift = residual, 0.0
-    for one in slow:
-        curve = one.curve - one.curve.mean()
-        share = float(curve @ residual) / float(curve @ curve)
-        left = residual - share * curve
-        if left @ left < error @ error:
-            error, drift = left, share * float(np.ptp(curve))
-    return error, drift
+    error, time = trace.residual - trace.residual.mean(), trace.time - trace.time.mean()
+    drift = float(time @ error) / float(time @ time)
+    return error - drift * time, drift * float(np.ptp(time))
 
 
 def _doubt(actuator: Actuator, record: Record) -> float:
@@ -371,7 +506,7 @@ def _warmth(actuator: Actuator, record: Record) -> list[str]:
     ]
 
 
-def _remarks(actuator: Actuator, record: Record, changes: Sequence[Change]) -> list[str]:
+def _remarks(actuator: Actuator, record: Record) -> list[str]:
     """Return sentences on voltages outside of the model's limits, and on voltages that the record does not cover."""
     if actuator.limits is None:
         return []
@@ -389,11 +524,5 @@ def _remarks(actuator: Actuator, record: Record, changes: Sequence[Change]) -> l
         remarks.append(
             f"{record.name}: covers {100 * max(covered, 0.0):.0f} % of the model's voltages: what lies beyond was not "
             "checked. Record a loop over the whole range."
-        )
-    if covered < _WHOLE and any(change.counts and change.name in LEARNT for change in changes):
-        remarks.append(
-            f"{record.name}: gain and width are those of its own loops, over {100 * max(covered, 0.0):.0f} % of the "
-            "model's voltages. A change of one looks like a change of both there: a loop over the whole "
-            "range separates them."
         )
     return remarks

@@ -1,4 +1,4 @@
-"""How far to trust a stage: the uncertainty of its coupling, and whether a new record agrees."""
+"""How far to trust a stage: the uncertainty of its coupling."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst.identification import BARELY, INSEPARABLE, PlayColumns, coupling_by_plays, refuse_still, separate_motion
+from dehyst.control import PathPlan
+from dehyst.identification import Plays, refuse_still
 from dehyst.model import Stage, by_axis, matrix_lines
 from dehyst.records import Record
-from dehyst.trust.assessment import insight
-from dehyst.trust.insight_result import Insight
-from dehyst.trust.recheck import Recheck, check
+from dehyst.trust.assessment import Insight, insight
+from dehyst.trust.recheck import refuse_other_axes
 
 # Half the width of a 90 % interval, in standard errors.
 _DEVIATIONS = 1.6448536269514722
@@ -26,8 +25,8 @@ _MOVING, _WINDOWS = 0.02, 200
 _ALONE = 0.03
 # Periods repeat together after so few of the slowest one.
 _MOST_TURNS, _SAME = 3, 0.01
-# A coupling that differs by more than this, and by so many standard errors, has changed.
-_CHANGED, _ERRORS = 0.005, 3.0
+# A coupling that is known to less than this may differ.
+_CHANGED = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +38,6 @@ class StageInsight:
     axes : tuple of str
     coupling, low, high : (axes, axes) array
         The coupling matrix of the stage, and the ends of the 90 % confidence interval of each entry.
-    own_motion : (axes,) array
-        Share of each voltage's motion that no other voltage explains, 0 to 1.
     insights : tuple of Insight
         Assessment of each actuator.
     remarks : tuple of str
@@ -51,7 +48,6 @@ class StageInsight:
     coupling: Array
     low: Array
     high: Array
-    own_motion: Array
     insights: tuple[Insight, ...]
     remarks: tuple[str, ...]
 
@@ -63,99 +59,30 @@ class StageInsight:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        keys = "axes coupling lowest=low highest=high own_motion remarks"
+        keys = "axes coupling lowest=low highest=high remarks"
         return json_values(self, keys) | {"insights": by_axis(self.axes, self.insights)}
 
 
-def stage_insight(stage: Stage, records: Sequence[Record], **options: Any) -> StageInsight:
-    """Assess a stage by the records it was identified from.
-
-    Parameters
-    ----------
-    stage : Stage
-    records : sequence of Record
-    **options
-        Options of `dehyst.insight`, for each actuator.
-    """
-    _refuse_other_axes(stage, records)
-    columns = PlayColumns.of(records)
-    found, own = coupling_by_plays(columns), separate_motion(columns)
-    half = _DEVIATIONS * found.uncertainty
-    # The models follow the records closer than plays do: the interval is laid around their matrix.
+def stage_insight(
+    stage: Stage, records: Sequence[Record], plan: PathPlan | None = None, **options: Any
+) -> StageInsight:
+    """Assess a stage by the records it was identified from; `options`: of `insight`, for each actuator."""
+    for record in records:
+        refuse_other_axes(stage, record)
+    refuse_still(records)
+    _, uncertainty = Plays.of(records).coupling()
+    half = _DEVIATIONS * uncertainty
     low, high = stage.coupling - half, stage.coupling + half
     insights = tuple(
-        insight(one, [stage.alone(record, j) for record in records], **options) for j, one in enumerate(stage.actuators)
+        insight(one, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], **options)
+        for j, one in enumerate(stage.actuators)
     )
-    remarks = [*_alone(records), *_repeating(records), *_unknown(stage, half, own)]
-    return StageInsight(stage.axes, stage.coupling, low, high, own, insights, tuple(remarks))
-
-
-@dataclass(frozen=True, eq=False)
-class StageRecheck:
-    """Whether a stage is still true: a `Recheck` of each axis, and changes of the coupling.
-
-    Attributes
-    ----------
-    axes : tuple of str
-    rechecks : tuple of Recheck
-        Check of each actuator.
-    coupling, uncertainty : (axes, axes) array
-        The coupling matrix estimated from the new record, and its standard errors.
-    changes : tuple of str
-        Sentences on entries of the coupling matrix that have changed.
-    """
-
-    axes: tuple[str, ...]
-    rechecks: tuple[Recheck, ...]
-    coupling: Array
-    uncertainty: Array
-    changes: tuple[str, ...]
-
-    @property
-    def good(self) -> bool:
-        """Whether the model of each actuator and the coupling are still true."""
-        return all(one.good for one in self.rechecks) and not self.changes
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return json_values(self, "good coupling uncertainty changes") | {"axes": by_axis(self.axes, self.rechecks)}
-
-
-def check_stage(stage: Stage, record: Record, *, goal: float | None = None) -> StageRecheck:
-    """Check each actuator and the coupling of a stage against a new record.
-
-    The coupling is estimated from the new record with play operators. An entry counts as changed if it differs by more
-    than 0.005 and by more than three standard errors.
-
-    Parameters
-    ----------
-    stage : Stage
-    record : Record
-    goal : float, optional
-        As in `dehyst.check`.
-    """
-    _refuse_other_axes(stage, [record])
-    refuse_still([record])
-    rechecks = tuple(check(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
-    columns, changes = PlayColumns.of([record]), list[str]()
-    if separate_motion(columns).min() < INSEPARABLE:
-        return StageRecheck(stage.axes, rechecks, stage.coupling, np.full_like(stage.coupling, np.inf), ())
-    found = coupling_by_plays(columns)
-    away = found.matrix - stage.coupling
-    for i, j in np.argwhere((np.abs(away) > _CHANGED) & (np.abs(away) > _ERRORS * found.uncertainty)).tolist():
-        changes.append(
-            f"coupling of {stage.axes[j]} into {stage.axes[i]}: {found.matrix[i, j]:+.4f} now, "
-            f"{stage.coupling[i, j]:+.4f} in the model; identify the stage again"
-        )
-    return StageRecheck(stage.axes, rechecks, found.matrix, found.uncertainty, tuple(changes))
-
-
-def _refuse_other_axes(stage: Stage, records: Sequence[Record]) -> None:
-    for one in records:
-        if one.axes != stage.axes:
-            raise RecordError(
-                f"record '{one.name}': has the axes {', '.join(one.axes)}, the stage has {', '.join(stage.axes)}"
-            )
+    unknown = [
+        f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{half[i, j]:.2g} only"
+        for i, j in np.argwhere(half > _CHANGED).tolist()
+    ]
+    remarks = (*_alone(records), *_repeating(records), *unknown)
+    return StageInsight(stage.axes, stage.coupling, low, high, insights, remarks)
 
 
 def _alone(records: Sequence[Record]) -> list[str]:
@@ -205,16 +132,3 @@ def _together(record: Record, i: int, j: int) -> bool:
     """Return whether two axes move simultaneously during most of their motion."""
     moving = np.abs(np.diff(record.voltage[:, [i, j]], axis=0)) > 1e-6 * np.ptp(record.voltage[:, [i, j]], axis=0)
     return float(moving.all(axis=1).sum()) > 0.8 * float(moving.any(axis=1).sum())
-
-
-def _unknown(stage: Stage, half: Array, own: Array) -> list[str]:
-    remarks = [
-        f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{half[i, j]:.2g} only"
-        for i, j in np.argwhere(half > _CHANGED).tolist()
-    ]
-    return remarks + [
-        f"axis {axis}: only {100 * share:.2g} % of the motion of its voltage is independent of the other voltages; "
-        "record this axis alone"
-        for axis, share in zip(stage.axes, own, strict=True)
-        if share < BARELY
-    ]

@@ -42,7 +42,7 @@ def start_of(
         If the record is too short for a comparison with the model.
     """
     outside = outside_identified(actuator, record.voltage, limits, name=record.name)
-    if reason := actuator.implausibility(record.displacement):
+    if reason := actuator._implausibility(record.displacement):
         raise ModelError(f"{record.name}: {reason}")
     state, offset = (initial_state if began else state_after)(actuator, record)
     low, high = actuator.voltage_range

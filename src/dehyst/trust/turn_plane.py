@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.model import legs, speeds_of
+from dehyst.model import CELLS, are_tested, legs, speeds_of, tested_loops
 
-# Cells of the plane on each side, and how many cells around a passed one count as tested: 5 % of the range.
-_CELLS, _AROUND = 40, 2
 # Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn
 # and in which a voltage is held.
 _ENOUGH, _BAND = 100_000, 0.01
@@ -95,9 +93,7 @@ class TurnPlane:
 
     def tests(self, turn: Turn) -> bool:
         """Return whether a record tests this branch."""
-        place = np.searchsorted(self.edges, sorted((turn.begin, turn.end)), side="right") - 1
-        lower, upper = np.clip(place, 0, len(self.rising) - 1)
-        return bool((self.rising if turn.end > turn.begin else self.falling)[upper, lower])
+        return bool(are_tested(np.array([[turn.begin, turn.end]]), self.rising, self.falling, self.edges)[0])
 
     def untested(self, path: Sequence[Turn]) -> int:
         """Count the branches of a path that no record tests."""
@@ -137,12 +133,12 @@ def turn_plane(
     ends = [*(limits or ()), *(float(end) for _, _, v in kept if v.size for end in (v.min(), v.max()))]
     if not ends or max(ends) == min(ends):
         return None
-    edges = np.linspace(min(ends), max(ends), _CELLS + 1)
+    edges = np.linspace(min(ends), max(ends), CELLS + 1)
     span = max(ends) - min(ends)
     found = [turn for name, time, voltage in kept if voltage.size > 1 for turn in _turns(name, time, voltage, span)]
     if not found:
         return None
-    rising, falling = (_tested([one for one in found if (one.end > one.begin) is up], edges) for up in (True, False))
+    rising, falling = tested_loops(np.array([(one.begin, one.end) for one in found]), edges)
     return TurnPlane(tuple(found[:_MOST]), edges, rising, falling)
 
 
@@ -157,8 +153,6 @@ def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
     that begins at an end of its range has its first turning point there.
     """
     at, band = legs(voltage, span), _BAND * span
-    if len(at) and at[0, 0] == 0 and voltage.min() + band < voltage[0] < voltage.max() - band:
-        at = at[1:]
     alike: dict[tuple[int, int], list[Turn]] = {}
     for (first, last), speed in zip(at.tolist(), speeds_of(time, voltage, at).tolist(), strict=True):
         begin, end = float(voltage[first]), float(voltage[last])
@@ -173,15 +167,3 @@ def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
         max(turns, key=lambda turn: turn.speed)._replace(held=max(turn.held for turn in turns), times=len(turns))
         for turns in alike.values()
     ]
-
-
-def _tested(turns: Sequence[Turn], edges: Array) -> Mask:
-    """Return the cells through or near which a rise, or a fall, passes after its turning point."""
-    wide = np.zeros((_CELLS + 2 * _AROUND,) * 2, bool)
-    for turn in turns:
-        begin, end = np.clip(np.searchsorted(edges, (turn.begin, turn.end), side="right") - 1, 0, _CELLS - 1)
-        near = slice(begin, begin + 2 * _AROUND + 1)
-        passed = slice(min(begin, end), max(begin, end) + 2 * _AROUND + 1)
-        wide[(passed, near) if end > begin else (near, passed)] = True
-    # Below the diagonal there is nothing.
-    return np.asarray(wide[_AROUND:-_AROUND, _AROUND:-_AROUND] & np.tri(_CELLS, dtype=bool))

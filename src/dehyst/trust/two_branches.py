@@ -24,7 +24,7 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, vector
 from dehyst.model import on_curve
-from dehyst.records import Record
+from dehyst.records import Record, reversals
 from dehyst.trust.baselines import AbstractBaseline, widest_record
 
 _PLACES = 50
@@ -102,7 +102,7 @@ class TwoBranches(AbstractBaseline):
         Raise `RecordError` if a record cannot be used, and `IdentifyError` if there is none, or no leg in a direction.
         """
         record = widest_record(records)
-        ends = [0, *record.reversals().tolist(), len(record) - 1]
+        ends = [0, *reversals(record).tolist(), len(record) - 1]
         legs = [slice(a, b + 1) for a, b in pairwise(ends)]
         reach = np.diff(record.voltage[ends])
         wide = np.abs(reach) >= _WIDE * np.abs(reach).max()

@@ -1,12 +1,11 @@
-"""A model updated from one new record: regularised least squares with the old model as prior."""
+"""A model updated from one new record: the program of its identification, held near the old model."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
 from dehyst._text import counted
@@ -14,27 +13,36 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst._views.fields import json_values
-from dehyst.identification import Trace, compare, errors_of, prepare_for
-from dehyst.model import Actuator, Promise, Stage, Validity, by_axis
+from dehyst.identification import (
+    FOLDS,
+    Parts,
+    Program,
+    Solution,
+    Trace,
+    coefficients,
+    compare,
+    errors_of,
+    part_of,
+    prepare_for,
+)
+from dehyst.model import Actuator, Creep, Promise, SmoothSlip, Stage, Validity, by_axis, promised
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
-from dehyst.trust.active_set import StepwiseProgram
 from dehyst.trust.changes import IDENTIFY, Change
 from dehyst.trust.recheck import Recheck, check
-from dehyst.trust.stage_assessment import check_stage
-from dehyst.trust.weights import Weights
 
-# Likeness of neighbours that is tried, as a part of what the record says, and smallness of all changes beside it: a
-# strong likeness leaves a common change of all elements, and one of the spring.
-_STRENGTHS, _SMALL = np.geomspace(1e-5, 1e2, 15), 1e-4
-# Contiguous parts of the record: held out by equations for the choice of a strength, and by simulation for the promise.
-_FOLDS, _PROMISED = 8, 3
+# How much alike the changes of neighbours are held, by a record of a few loops and by one that turns in many places:
+# held-out parts of loops that come again say nothing of it. Rows of the program.
+_ALIKE, _ALIKE_BY_MANY, _ROWS = 0.1, 0.02, 6000
+# Voltages above the lowest one that count as it, as a part of the range.
+_BOTTOM = 0.02
+# A sensor whose zero has moved by less than this part of the stroke is taken to have kept it.
+_KEPT = 0.15
+# Common changes that depend on one another to this part count as dependent.
+_DEPENDENT = 1e-8
 # The updated model must predict held-out samples better than the old one by this part.
 _BETTER = 0.95
 # A part of the voltages that is not visited counts from here on; an element moves if twice its breakaway is reached.
 _NOT_VISITED = 0.02
-# Size of the strain of a branch of creep before a record, as a part of the reach, and of an error that is not noise, of
-# the stroke.
-_STRAINED, _DOUBT = 0.3, 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +59,6 @@ class Update:
         errors.
     used : bool
         Whether the model was updated.
-    shape, shape_error : float
-        RMS displacement [m] of the change besides gain and width, and its standard error.
     before, after, held_out : (float, float)
         Largest and RMS error [m]. `before`, `after`: of the old and the new model, simulated on the whole record.
         `held_out`: cross-validation of the update over parts of the record.
@@ -65,8 +71,6 @@ class Update:
     actuator: Actuator
     recheck: Recheck
     used: bool
-    shape: float
-    shape_error: float
     before: tuple[float, float]
     after: tuple[float, float]
     held_out: tuple[float, float]
@@ -96,8 +100,7 @@ class Update:
     @property
     def promise(self) -> Promise | None:
         """The promised error of any path within the recorded voltages; None if it is not known."""
-        known = self.actuator.identification
-        return None if known is None or known.validity is None else known.validity.anywhere
+        return promised(self.actuator)
 
     @property
     def good(self) -> bool:
@@ -107,9 +110,6 @@ class Update:
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
         found = list(self.recheck.change_sentences(lasting=None if self.used else IDENTIFY))
-        if self.used and self.shape > 2 * self.shape_error:
-            size, error = (lines.percent(value, self.stroke) for value in (self.shape, self.shape_error))
-            found.append(f"The shape of the loops has changed by {size} ± {error} of the stroke (RMS).")
         return (*found, *self.missing)
 
     def as_dict(self) -> dict[str, Any]:
@@ -119,8 +119,6 @@ class Update:
             **json_values(self, "used good sentence promise"),
             "sentences": list(self.sentences()),
             "changes": [change.as_dict(self.stroke) for change in self.changes],
-            "shape_percent": percent(self.shape, self.stroke),
-            "shape_error_percent": percent(self.shape_error, self.stroke),
             **{f"{name}_percent": [percent(one, self.stroke) for one in pair] for name, pair in pairs.items()},
             "missing": list(self.missing),
             "datum_m": self.datum,
@@ -155,17 +153,23 @@ class StageUpdate:
         return {**json_values(self, "good coupling_changes"), "axes": by_axis(self.stage.axes, self.updates)}
 
 
-def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> Update:
+@overload
+def update(model: Actuator, record: Record, *, goal: float | None = None) -> Update: ...
+@overload
+def update(model: Stage, record: Record, *, goal: float | None = None) -> StageUpdate: ...
+def update(model: Actuator | Stage, record: Record, *, goal: float | None = None) -> Update | StageUpdate:
     """Update a model from a new record of its actuator, even of one loop.
 
-    Stiffnesses of slip and smooth elements, of creep branches and of the spring are fitted again, by non-negative least
-    squares with a prior that groups of them change little, and like their neighbours. Cross-validation on the record
-    determines the strength of the prior. Thresholds, transformer, delay, inertia, limits, creep in displacement and the
-    effect of temperature stay.
+    Stiffnesses of slip and smooth elements, the spring and the transformer are solved for again, by the program of the
+    identification. Common changes of all elements and of the spring come first; what differs from these is small, and
+    alike for neighbours. Thresholds, inertia, limits, creep in displacement
+    and the effect of temperature stay; so does the delay, unless the record shows its change alone.
+
+    Of several axes each actuator is updated from what it has moved itself; the coupling stays, and is checked.
 
     Parameters
     ----------
-    actuator : Actuator
+    model : Actuator or Stage
     record : Record
         At least one full loop of the voltage; minor loops show more.
     goal : float, optional
@@ -173,7 +177,7 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
 
     Returns
     -------
-    Update
+    Update, or StageUpdate of a stage
 
     Raises
     ------
@@ -182,125 +186,142 @@ def update(actuator: Actuator, record: Record, *, goal: float | None = None) -> 
     IdentifyError
         If the record clearly belongs to another actuator, no sample counts, or an argument is of another type.
     """
-    if not isinstance(actuator, Actuator):
-        raise IdentifyError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
+    if not isinstance(model, Actuator | Stage):
+        raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
     if not isinstance(record, Record):
         raise IdentifyError(argument="record", got=type(record).__name__, need="a record, as of dehyst.read(path)")
-    creep, thermal = actuator.displacement_creep, actuator.thermal
-    if creep is not None or thermal is not None:
-        found = update(replace(actuator.before_creep, thermal=None), _before(actuator, record), goal=goal)
-        state = replace(found.actuator.state, displacement_creep=actuator.state.displacement_creep)
-        return replace(found, actuator=replace(found.actuator, displacement_creep=creep, thermal=thermal, state=state))
+    if isinstance(model, Actuator):
+        return _update_actuator(model, record, goal)
+    changes = check(model, record, goal=goal).changes
+    found = tuple(_update_actuator(one, model.alone(record, j), goal) for j, one in enumerate(model.actuators))
+    return StageUpdate(replace(model, actuators=tuple(one.actuator for one in found)), found, changes)
+
+
+def _update_actuator(actuator: Actuator, record: Record, goal: float | None) -> Update:
+    """Check the model, and refit it unless the record is of another actuator."""
     recheck = check(actuator, record, goal=goal)
     if recheck.mismatch:
         raise IdentifyError(f"{recheck.mismatch}. The model is not updated")
-    trace = recheck.trace
-    datum = float(np.mean(trace.measured - np.interp(trace.time, record.time, record.displacement)))
     with one_thread():
-        rows = _Rows(actuator, record, recheck, datum)
-        strength = rows.strength()
-        if not rows.constant(rows.factors(rows.whole, strength))[1]:
-            # The sensor kept its zero: the record lies on the model's axis as it is.
-            rows = _Rows(actuator, record, recheck, 0.0)
-            strength = rows.strength()
-        return rows.update(strength)
+        return _Refit(actuator, record, recheck).update()
 
 
-def update_stage(stage: Stage, record: Record, *, goal: float | None = None) -> StageUpdate:
-    """Update each actuator of a stage from a new record; the coupling stays, and is checked.
+class _Refit:
+    """The program of a record near an old model."""
 
-    Parameters
-    ----------
-    stage : Stage
-    record : Record
-        Of all axes.
-    goal : float, optional
-        As in `dehyst.check`.
+    def __init__(self, actuator: Actuator, record: Record, recheck: Recheck) -> None:
+        late = sum(change.value for change in recheck.changed if change.name == "delay")
+        self.old = replace(actuator, delay=max(actuator.delay + late, 0.0)) if late else actuator
+        self.given, self.recheck, self.record = actuator, recheck, record
+        self.prepared = prepare_for(actuator, record)
+        self.drifts = self.prepared.can_drift and actuator.creep is None
+        self.datum = self._datum()
+        self.moving = np.any(np.reshape(actuator.slip.stiffness, (len(actuator.slip), -1)) > 0, axis=1)
+        self.moving |= 2 * actuator.slip.breakaway < np.ptp(actuator.spring.displacement) * (1 - 1e-9)
 
-    Raises
-    ------
-    RecordError, IdentifyError
-        As `update`, for any axis.
-    """
-    changes = check_stage(stage, record, goal=goal).changes
-    found = tuple(update(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
-    return StageUpdate(replace(stage, actuators=tuple(one.actuator for one in found)), found, changes)
+    def _datum(self) -> float:
+        """Return the shift [m] to the model's axis with which the lower turning points of both lie on one another."""
+        trace = self.recheck.trace
+        begins, low = trace.settled.time[0], trace.voltage.min()
+        bottom = (trace.voltage <= low + _BOTTOM * np.ptp(trace.voltage)) & (trace.time >= begins)
+        measured = np.interp(trace.time, self.record.time, self.record.displacement)
+        shift = float(np.mean((trace.simulated - measured)[bottom if bottom.any() else slice(None)]))
+        # A smaller one may be of the stage: of creep from before the record, or of a gain.
+        return shift if abs(shift) > _KEPT * self.recheck.stroke else 0.0
 
-
-def _before(actuator: Actuator, record: Record) -> Record:
-    """Return a record at the reference temperature and before creep in displacement."""
-    settled = actuator.at_reference(record)
-    if actuator.displacement_creep is None:
-        return settled
-    return replace(settled, displacement=actuator.displacement_creep.removed(record.time, settled.displacement))
-
-
-class _Rows:
-    """The rows of a record in the weights of a model, less its constants, drift and creep before it, and their sums."""
-
-    def __init__(self, actuator: Actuator, record: Record, recheck: Recheck, datum: float) -> None:
-        self.weights, self.recheck, self.record = Weights.of(actuator), recheck, record
-        self.prepared, self.datum = prepare_for(actuator, record), datum
-        drifts = self.prepared.can_drift and actuator.creep is None
-        self.compared = compare(actuator, self.prepared, recheck.stroke, datum=self.datum, drifting=drifts)
-        regression = self.compared.regression
-        weight = 1 / regression.slope(self.compared.found)
-        internal = regression.rows.moved[:, : regression.grid.moved]
-        columns = self.weights.columns(regression.axis, regression.carts, internal) * weight[:, None]
-        voltage = regression.rows.voltage
-        target = (voltage if actuator.transformer is None else actuator.transformer(voltage)) * weight
-        nuisances, starts = regression.nuisances(), regression.start_columns
-        free = np.hstack([nuisances, starts]) * weight[:, None]
-        whole = np.column_stack([columns, target])
-        # A branch of creep was strained before the record by a part of the reach: the prior is one row for each.
-        stiffness = np.zeros(0) if actuator.creep is None else actuator.creep.stiffness
-        strained = _STRAINED * float(np.ptp(actuator.reach)) * np.resize(stiffness, starts.shape[1])
-        doubt = max(recheck.noise, _DOUBT * recheck.stroke) / np.maximum(strained, 1e-9 * strained.max(initial=0.0))
-        prior = np.hstack([np.zeros((doubt.size, nuisances.shape[1])), np.diag(doubt)])
-        known = np.any(free != 0, axis=0)
-        basis = np.linalg.qr(np.vstack([free, prior])[:, known])[0]
-        rows = np.vstack([whole, np.zeros((doubt.size, whole.shape[1]))])
-        rows -= basis @ (basis.T @ rows)
-        self.rows, self.before = np.split(rows, [len(whole)])
-        self.slope = float(1 / np.mean(weight))
-        self.folds: NDArray[np.intp] = np.arange(len(whole)) * _FOLDS // len(whole)
-        self.sums = np.array([own.T @ own for own in (self.rows[self.folds == k] for k in range(_FOLDS))])
-        self.whole = self.sums.sum(axis=0) + self.before.T @ self.before
-        self.mean = np.average(whole / weight[:, None], axis=0, weights=weight)
-
-    def update(self, strength: float) -> Update:
-        """Update with a strength of the prior, and judge."""
-        factors = self.factors(self.whole, strength)
-        constant, datum = self.constant(factors)
-        made = self.weights.model(factors, constant)
-        before = self._errors(self.recheck.trace)
-        after = self._errors(self._trace(made))
-        held_out = self._held_out(strength)
-        used = strength < np.inf and held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
-        shape, spread = self._shape(strength)
-        old, own = self.weights.actuator, after[0]
+    def update(self) -> Update:
+        """Update, and judge."""
+        made, held_out_models = self._solved(self.old)
+        if self.old.displacement_creep is not None:
+            # Creep from before the record is known by the updated model.
+            made, held_out_models = self._solved(made)
+        before, after = self._errors(self.recheck.trace), self._errors(self._trace(made))
+        held_out = self._held_out(held_out_models)
+        used = held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
+        own = after[0]
         if used:
-            source = {"updated_from": old.name, "updated_with": self.record.name}
-            made = replace(made, provenance={**old.provenance, **source})
+            source = {"updated_from": self.old.name, "updated_with": self.record.name}
+            made = replace(made, provenance={**self.old.provenance, **source})
         else:
             # The old model is still that of its own records.
-            made, after, held_out, own = old, before, before, self.recheck.before or before[0]
-        return Update(
-            made.with_validity(self._validity(after[0], held_out[1]), own),
-            self.recheck,
-            used,
-            shape,
-            spread,
-            before,
-            after,
-            held_out,
-            tuple(self._missing()),
-            -datum,
+            made = self.given
+            after, held_out, own = before, before, self.recheck.before or before[0]
+        known: dict[str, Any] = {"validity": self._validity(after[0], held_out[1]), "validated": False}
+        made = made.with_identification(largest_error=own, **known)
+        return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
+
+    def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:
+        """Return the model of the whole record, and those without each part of it."""
+        # A drift is solved for beside the changes: before them it would take a part of these.
+        compared = compare(near, self.prepared, self.recheck.stroke, datum=self.datum)
+        rows, grid = compared.program.rows.thinned(_ROWS), replace(compared.program.grid, sliding=self.moving)
+        fold = part_of((rows.time - self.record.time[0]) / float(np.ptp(self.record.time))) % FOLDS
+        old = coefficients(self.old)
+        alike = _ALIKE if self.recheck.tells else _ALIKE_BY_MANY
+        drift = Parts(compared.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
+        program = Program(rows, grid, compared.program.floor, alike, tuple(drift), old, FOLDS, fold)
+        program = replace(program, toward=self._in_common(program, program.unknowns_of(old)))
+        whole = program.solved()
+        others = [program.solved(whole, without=k) for k in range(FOLDS)]
+        return self._model(program, whole, whole), [self._model(program, one, whole) for one in others]
+
+    @staticmethod
+    def _in_common(program: Program, unknowns: Array) -> Array:
+        """Return the unknowns (q,) of a model whose elements change by a line over thresholds, its spring by a bend."""
+        grid, places = program.grid, program.grid.places()
+        columns, free = program.columns
+        count = int(np.count_nonzero(grid.movable))
+        elements, smooth = np.zeros_like(unknowns), slice(places["creep"].start, places["smooth"].stop)
+        elements[places["elements"]], elements[smooth] = unknowns[places["elements"]], unknowns[smooth]
+        longer = np.zeros_like(unknowns)
+        longer[places["elements"]] = unknowns[places["elements"]] * np.repeat(np.linspace(-1, 1, count), grid.segments)
+        changes, along = [elements, longer], np.linspace(-1, 1, grid.knots.size - 1)
+        for power in range(3):
+            changes.append(np.zeros_like(unknowns))
+            changes[-1][places["spring"]] = (unknowns[places["spring"]] + program.floor) * along**power
+        fixed, basis = columns[:, free:], np.array(changes).T
+        common = np.hstack([columns[:, :free], fixed @ basis])
+        sizes = np.linalg.lstsq(common, program.target - fixed @ unknowns, rcond=_DEPENDENT)[0][free:]
+        return np.asarray(np.maximum(unknowns + basis @ sizes, 0.0))
+
+    def _model(self, program: Program, found: Solution, whole: Solution) -> Actuator:
+        """Return the old model with the coefficients of a solution; a constant without rows is that of the whole."""
+        old, last = self.old, max(whole.offsets)
+        made = found.to_actuator(program.grid, found.offsets.get(last, whole.offsets[last]))
+        creep, smooth, count = old.creep, old.smooth, 0 if old.creep is None else len(old.creep)
+        return replace(
+            old,
+            slip=made.slip,
+            spring=made.spring,
+            transformer=made.transformer,
+            creep=None if creep is None else Creep(creep.time_constants, found.smooth[:count]),
+            smooth=None if smooth is None else SmoothSlip(smooth.length, smooth.closing, found.smooth[count:]),
         )
+
+    def _trace(self, made: Actuator) -> Trace:
+        """Return a model played along the record, from a start and with a sensor's zero that are fitted to it."""
+        compared = compare(made, self.prepared, self.recheck.stroke, drifting=self.drifts)
+        return errors_of(made, compared, "validation")[1]
+
+    @staticmethod
+    def _errors(trace: Trace) -> tuple[float, float]:
+        """Return the largest and the RMS residual of a trace [m], an offset set aside."""
+        error = trace.residual - trace.residual.mean()
+        return largest(error), rms(error)
+
+    def _held_out(self, models: list[Actuator]) -> tuple[float, float]:
+        """Return largest and RMS error [m] of parts of the record, each simulated by the model without it."""
+        errors = []
+        for k, model in enumerate(models):
+            trace = self._trace(model)
+            place = (trace.time - self.record.time[0]) / float(np.ptp(self.record.time))
+            errors.append((trace.residual - trace.residual.mean())[part_of(place) % FOLDS == k])
+        every = np.concatenate(errors)
+        return largest(every), rms(every)
 
     def _validity(self, largest: float, held_out: float) -> Validity:
         """Return the validity of the model after the old records and the new one; its errors as measured [m]."""
-        noise, known = self.recheck.noise, self.weights.actuator.identification
+        noise, known = self.recheck.noise, self.old.identification
         rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         largest_ = max(largest - NOISE_PEAK * noise, 0.0)
         if known is None or known.validity is None:
@@ -309,91 +330,9 @@ class _Rows:
             return Validity.by_records([played], rms=rms_, largest=largest_, disagreement=0.0, stroke=stroke)
         return known.validity.with_record(self.record, rms=rms_, largest=largest_)
 
-    def factors(self, sums: Array, strength: float) -> Array:
-        """Return the factors (m,) from sums over rows, with a prior of given strength."""
-        weights = self.weights
-        if not strength < np.inf:
-            return weights.initial
-        gram, image = sums[:-1, :-1], sums[:-1, -1]
-        prior = weights.prior(np.diag(self.whole)[:-1], _SMALL * strength, strength)
-        image = image + prior @ weights.initial
-        return StepwiseProgram(gram + prior, image, weights.least, *weights.limits, weights.initial).minimum()
-
-    def strength(self) -> float:
-        """Return the prior strength with the least cross-validation error; infinite if no update helps."""
-        whole, errors = self.whole, []
-        for strength in (*_STRENGTHS, np.inf):
-            left = 0.0
-            for fold in self.sums:
-                vector = np.append(self.factors(whole - fold, strength), -1.0)
-                left += float(vector @ fold @ vector)
-            errors.append(left)
-        # The strongest prior that does nearly as well.
-        good = np.flatnonzero(np.array(errors) <= 1.05 * min(errors))
-        return float([*_STRENGTHS, np.inf][good[-1]])
-
-    def constant(self, factors: Array) -> tuple[float, float]:
-        """Return the spring's constant [V], and the shift [m] from the sensor's axis to the model's that belongs to it.
-
-        The shift is 0 if a change of the weights explains the offset.
-        """
-        fitted = float(self.mean[-1] - self.mean[:-1] @ factors)
-        wanted = fitted + self.slope * self.datum
-        slack = self.slope * self.recheck.rms
-        low, high = self.weights.constants(factors)
-        constant = min(max(wanted, low - slack), high + slack)
-        return constant, (wanted - constant) / self.slope
-
-    def _trace(self, made: Actuator) -> Trace:
-        """Return a model played along the record, from a start and with a sensor's zero that are fitted to it."""
-        drifts = self.prepared.can_drift and made.creep is None
-        compared = compare(made, self.prepared, self.recheck.stroke, drifting=drifts)
-        return errors_of(made, compared, "validation")[1]
-
-    def _errors(self, trace: Trace, kept: Array | None = None) -> tuple[float, float]:
-        """Return the largest and the RMS residual of a trace [m], an offset set aside."""
-        error = trace.residual - trace.residual.mean()
-        error = error if kept is None else error[kept]
-        return largest(error), rms(error)
-
-    def _held_out(self, strength: float) -> tuple[float, float]:
-        """Return largest and RMS error [m] of contiguous parts of the record, simulated by models without them."""
-        if not strength < np.inf:
-            return self._errors(self.recheck.trace)
-        rows, time = np.arange(len(self.rows)) * _PROMISED // len(self.rows), self.compared.regression.rows.time
-        parts = []
-        for k in range(_PROMISED):
-            own = rows == k
-            others = np.vstack([self.rows[~own], self.before])
-            factors = self.factors(others.T @ others, strength)
-            trace = self._trace(self.weights.model(factors, self.constant(factors)[0]))
-            error = trace.residual - trace.residual.mean()
-            first, last = time[own].min() if k else -np.inf, time[own].max() if k < _PROMISED - 1 else np.inf
-            parts.append(error[(trace.time >= first) & (trace.time <= last)])
-        errors = np.concatenate(parts)
-        return largest(errors), rms(errors)
-
-    def _shape(self, strength: float) -> tuple[float, float]:
-        """Return the RMS of what changed beside gain and width [m], and its standard error by the jackknife."""
-
-        def size(sums: Array, count: int) -> float:
-            fine = np.append(self.factors(sums, strength), -1.0)
-            spring, initial = self.weights.springs, self.weights.initial
-            common = np.zeros((initial.size + 1, 3))
-            common[: spring.start, 0], common[spring, 1], common[-1, 2] = initial[: spring.start], 1.0, 1.0
-            common[spring.stop : -1, 0] = initial[spring.stop :]
-            small = common.T @ sums @ common
-            coarse = common @ np.append(np.linalg.lstsq(small[:2, :2], small[:2, 2], rcond=None)[0], -1.0)
-            return float(np.sqrt(max(coarse @ sums @ coarse - fine @ sums @ fine, 0.0) / count))
-
-        whole, count = self.whole, len(self.rows)
-        without = np.array([size(whole - one, count - int(np.sum(self.folds == k))) for k, one in enumerate(self.sums)])
-        spread = float(np.sqrt((_FOLDS - 1) * np.mean((without - without.mean()) ** 2)))
-        return size(whole, count), spread
-
     def _missing(self) -> list[str]:
         """Return sentences on what the record could not show."""
-        actuator, record, missing = self.weights.actuator, self.record, []
+        actuator, record, missing = self.old, self.record, list[str]()
         low, high = actuator.voltage_range
         least, most = record.voltage_range
         unseen = [
@@ -404,7 +343,7 @@ class _Rows:
         if unseen:
             missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")
         rho = actuator.slip.breakaway
-        reach = float(np.ptp(self.compared.regression.axis))
+        reach = record.stroke
         stuck = int(np.count_nonzero(2 * rho[rho * 2 < np.ptp(actuator.reach)] > reach))
         if stuck:
             missing.append(
@@ -413,7 +352,7 @@ class _Rows:
         span = float(np.ptp(record.time))
         if actuator.creep is not None and float(actuator.creep.time_constants.max()) > span / 3:
             missing.append(f"Creep slower than {span / 3:.3g} s is that of the old model.")
-        kept = {"transformer": actuator.transformer, "delay": actuator.delay, "inertia": actuator.dynamics}
+        kept = {"delay": actuator.delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
         names = [name for name, part in kept.items() if part]
         if names:
             missing.append(f"Not fitted anew: {', '.join(names)} and thresholds.")

@@ -1,0 +1,119 @@
+"""One promise: for one question each command gives the same number to the digit, for another one other words."""
+
+import json
+import shlex
+
+import coupled_stage
+import numpy as np
+import pytest
+from command_line import run
+from scipy.ndimage import shift
+
+from dehyst import Actuator, MaxwellSlip, Record, Spring, identify
+from dehyst.model import promised
+from dehyst.records import read_table, write_columns, write_record
+from dehyst.trust import insight
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, descending_tops, raised_cosine, recommended, staircase
+from examples import at_night
+
+TOP = 100.0
+
+
+def tops(drive):
+    return descending_tops(TOP, steps=6, drive=drive)
+
+
+def recommend(drive):
+    return recommended(TOP, drive=drive)
+
+
+# Excitation, creep of the actuator, and what happens to time [s] and displacement [m] on their way into the record.
+MODELS = {
+    "recommended": (recommend, 0.0, None),
+    "one sine": (lambda drive: raised_cosine([TOP], cycles=3, drive=drive), 0.0, None),
+    "growing loops": (lambda drive: raised_cosine([20, 40, 60, 80, TOP], cycles=1, drive=drive), 0.0, None),
+    "creep": (lambda drive: staircase(TOP, steps=5, hold=12, back=True, drive=drive), 0.01, None),
+    "creep, no holds": (tops, 0.02, None),
+    "lag": (recommend, 0.0, lambda y: shift(y, 1.5, order=1, mode="nearest")),
+    "tops": (tops, 0.0, None),
+    "three heights": (lambda drive: raised_cosine([TOP, 60, 30], cycles=2, drive=drive), 0.0, None),
+    "noise": (recommend, 0.0, lambda y: y + 3e-8 * np.sin(1e3 * np.arange(y.size) ** 2)),
+    "drift": (recommend, 0.0, lambda y: y + np.linspace(0, 3e-7, y.size)),
+    "coarse": (recommend, 0.0, lambda y: 2e-8 * np.round(y / 2e-8)),
+}
+
+
+def answer(*arguments, cwd):
+    status, out, err = run(*arguments, "--json", cwd=cwd)
+    assert status in (0, 1), err
+    return json.loads(out)
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in ("recommended", "one sine", "creep") else at_night(name) for name in MODELS]
+)
+def test_five_commands_promise_the_same(name, tmp_path):
+    excite, creep, disturbed = MODELS[name]
+    made = excite(Sampling(0.1, sample_rate=8.0))
+    truth = PlayActuator(highest=TOP, plays=40, noise=2e-9, creep=creep)
+    y = truth.play(made.voltage, time=made.time)
+    write_record(tmp_path / "r.csv", Record(made.time, made.voltage, y if disturbed is None else disturbed(y), "r"))
+    time = np.arange(0, 40, 0.1)
+    wanted = 8 - 2 * np.cos(2 * np.pi * time / 10)
+    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
+    found = answer("identify", "r.csv", "-o", "m.json", cwd=tmp_path)
+    model = Actuator.load(tmp_path / "m.json")
+    own = json.loads(json.dumps(promised(model).as_dict()))
+    assert own["path"] == "any path like the records"
+    # Any path like the records.
+    assert found["verdict"]["promise"] == own
+    assert (found["verdict"]["largest_m"], found["verdict"]["rms_m"]) == (own["largest_m"], own["rms_m"])
+    assert answer("insight", "m.json", "r.csv", cwd=tmp_path)["promise"] == own
+    # This path from a homed or from an unknown start.
+    there = answer("compensate", "m.json", "path.csv", "-o", "v.csv", cwd=tmp_path)["promise"]
+    assert answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", cwd=tmp_path)["promise"] == there
+    assert there["path"] in ("this path from a homed start", "this path from an unknown start")
+    assert there["largest_m"] == pytest.approx(sum(there["parts"].values()))
+    # The path of the record, from its fitted start.
+    fitted = answer("check", "m.json", "r.csv", cwd=tmp_path)["promise"]
+    assert fitted["path"] == "this path from its fitted start"
+    assert fitted["largest_m"] == promised(model, made.voltage, made.time).largest
+    # Any path like the records, of the model after the update.
+    new = answer("update", "m.json", "r.csv", "-o", "n.json", cwd=tmp_path)["promise"]
+    assert new == json.loads(json.dumps(promised(Actuator.load(tmp_path / "n.json")).as_dict()))
+
+
+@pytest.mark.nightly
+def test_commands_promise_the_same_of_coupled_axes(tmp_path):
+    write_record(tmp_path / "r.csv", coupled_stage.excited()[0])
+    found = answer("identify", "r.csv", "--columns", "x=vx_V:x_um, y=vy_V:y_um", "-o", "m.json", cwd=tmp_path)
+    seen = answer("insight", "m.json", "r.csv", cwd=tmp_path)["insights"]
+    for axis, one in seen.items():
+        assert one["promise"] == found["axes"][axis]["verdict"]["promise"]
+
+
+def test_no_number_without_what_the_records_tested():
+    assert promised(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, 1e-5], [0.0, 100.0]))) is None
+
+
+def test_a_command_that_was_played_is_not_asked_for_again(tmp_path):
+    drive = Sampling(0.1, sample_rate=8.0)
+    truth = PlayActuator(highest=TOP, plays=40, noise=2e-9)
+    excitation = raised_cosine([TOP], cycles=3, drive=drive)
+    records = [Record(excitation.time, excitation.voltage, truth.play(excitation.voltage), "sine")]
+    model = identify(records).actuator
+    asked = insight(model, records).record_next
+    assert len(asked) == 2
+    for k, command in enumerate(asked):
+        assert run(*shlex.split(command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
+        table = read_table(tmp_path / "excitation.csv")
+        time, voltage = (table.column(name) for name in ("time", "voltage"))
+        records.append(Record(time, voltage, truth.play(voltage), f"asked-{k}"))
+    model = identify(records).actuator
+    assert insight(model, records).record_next == ()
+    # A path that holds longer asks for such a hold, until it is recorded.
+    clock = np.array([0.0, 10.0, 20.0, 1e3])
+    longer = promised(model, [0.0, 90.0, 40.0, 40.0], clock).untested
+    assert [one.what for one in longer][-1] == "hold"
+    assert run(*shlex.split(longer[-1].command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
