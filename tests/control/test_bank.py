@@ -102,7 +102,7 @@ def classes():
         Actuator(graded, spring, limits=low_high),
         Actuator(slip, spring, limits=low_high, smooth=SmoothSlip([3e-7], [0.8], [2e6])),
         Actuator(slip, spring, limits=low_high, creep=Creep([0.1, 2.0], [4e5, 3e5])),
-        Actuator(slip, spring, limits=low_high, dynamics=Dynamics(500.0, 0.05)),
+        Actuator(slip, spring, limits=low_high, dynamics=Dynamics(79.6, 0.05)),
         Actuator(slip, spring, limits=low_high, lag=2e-3),
         Actuator(slip, spring, limits=low_high, displacement_creep=DisplacementCreep([0.1, 2.0], [0.01, 0.02])),
         Actuator(slip, spring, limits=low_high),

@@ -25,7 +25,7 @@ def pair(units="um", **options):
 def test_loops_and_paths_in_a_unit_give_the_voltages_in_metres(units, counts):
     metres, other = pair(units)
     path = PATH / 1e6 * counts
-    command, expected = other.trajectory(path), metres.trajectory(path / counts)
+    command, expected = plan_path(other, path, home=False), plan_path(metres, path / counts, home=False)
     np.testing.assert_array_equal(command.voltage, expected.voltage)
     np.testing.assert_allclose(command.displacement, path, rtol=1e-14)
     assert (command.units, command.warnings) == (units, expected.warnings)
@@ -38,12 +38,12 @@ def test_loops_and_paths_in_a_unit_give_the_voltages_in_metres(units, counts):
 
 def test_a_clamped_path_is_reported_in_the_unit():
     metres, micro = pair(limits=(0, 100))
-    expected, command = metres.trajectory(PATH / 1e6), micro.trajectory(PATH)
+    expected, command = plan_path(metres, PATH / 1e6, home=False), plan_path(micro, PATH, home=False)
     assert command.missed == pytest.approx(expected.missed * 1e6, rel=1e-12) and command.missed > 0.1
     assert command.warnings == expected.warnings
     assert repr(command) == repr(expected)
     pytest.importorskip("pandas")
-    for column in ("voltage_V", "displacement_um", "clamped"):
+    for column in ("phase", "voltage_V", "displacement_um", "expected_um", "clamped"):
         np.testing.assert_allclose(command.to_dataframe()[column], expected.to_dataframe()[column], rtol=1e-14)
 
 
@@ -53,25 +53,27 @@ def test_derivatives_are_in_the_unit_too():
     path = 8 + np.sin(300 * time)
     slope, bend = 300 * np.cos(300 * time), -9e4 * np.sin(300 * time)
     given = {"velocity": slope / 1e6, "acceleration": bend / 1e6}
-    expected = metres.trajectory(path / 1e6, **given).voltage
-    np.testing.assert_array_equal(micro.trajectory(path, velocity=slope, acceleration=bend).voltage, expected)
+    expected = plan_path(metres, path / 1e6, home=False, **given).voltage
+    np.testing.assert_array_equal(
+        plan_path(micro, path, home=False, velocity=slope, acceleration=bend).voltage, expected
+    )
 
 
 def test_a_copy_keeps_the_unit():
     micro = pair()[1]
     micro.step(5.0)
-    for other in (copy.copy(micro), copy.deepcopy(micro), pickle.loads(pickle.dumps(micro)), micro.clone()):
+    for other in (copy.copy(micro), copy.deepcopy(micro), pickle.loads(pickle.dumps(micro)), micro._clone()):
         assert other.units == "um"
     assert pickle.loads(pickle.dumps(micro)).step(7.0) == micro.step(7.0)
-    assert micro.clone("m").units == "m"
+    assert micro._clone("m").units == "m"
 
 
 def test_what_strays_is_refused_in_words_of_the_unit():
     micro = pair()[1]
     with pytest.raises(ModelError, match="compensator takes"):
-        micro.trajectory(PATH * 1e3)
-    assert micro.strays(PATH) == ""
-    assert "in um" in micro.strays(PATH * 1e3)
+        plan_path(micro, PATH * 1e3)
+    assert micro._strays(PATH) == ""
+    assert "in um" in micro._strays(PATH * 1e3)
     with pytest.raises(ModelError, match="displacement: got nan"):
         micro.step(float("nan"))
     with pytest.raises(ModelError, match="units: got 'V'"):
@@ -90,15 +92,15 @@ def test_a_clamp_warning_points_at_the_caller(units):
     with pytest.warns(ClampWarning) as caught:
         for wanted in (3e-6, 5e-6, *np.linspace(5e-6, 15e-6, 200)):
             compensator.step(wanted * scale)
-            compensator.offer_and_reach(wanted * scale)
+            compensator._offer_and_reach(wanted * scale)
     assert compensator.clamps.limited and compensator.clamps.slewed
     assert len(caught) >= 2 and {one.filename for one in caught} == {__file__}
 
 
 def test_a_path_in_metres_is_recognized():
     _, micro = pair(limits=(20, 100))
-    (clamped,), hinted = micro.trajectory(PATH).warnings, micro.trajectory(PATH / 2e6)
-    assert "metres" not in clamped and hinted.clamped.all()
+    (clamped,), hinted = plan_path(micro, PATH, home=False).warnings, plan_path(micro, PATH / 2e6, home=False)
+    assert "metres" not in clamped
     assert "in metres" in hinted.warnings[-1] and "in um" in hinted.warnings[-1]
     assert "in metres" in plan_path(micro, PATH / 2e6, home=True).warnings[-1]
     assert not any("metres" in one for one in plan_path(micro, PATH, home=True).warnings)

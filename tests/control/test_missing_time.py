@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from summaries import NEEDING_TIME, PARTS, STROKE, anatomy
 
-from dehyst import Compensator, DehystError, ModelError
+from dehyst import Compensator, DehystError, ModelError, plan_path
+from dehyst.control.following import follow
 
 PERIOD = 1e-3
 N = 50
@@ -30,11 +31,12 @@ def calls(actuator, **time):
     return {
         "simulate": lambda: actuator.simulate(voltage, **time),
         "compensate": lambda: actuator.compensate(PATH, **time),
-        "trajectory": lambda: compensator.trajectory(PATH, **time),
-        "trajectory from a state": lambda: compensator.trajectory(PATH, state=actuator.turned(0.0), **time),
-        "trajectory with a velocity": lambda: compensator.trajectory(PATH, velocity=np.zeros(N), **time),
-        "trajectory with both": lambda: compensator.trajectory(
-            PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time
+        "follow": lambda: follow(compensator, PATH, **time),
+        "plan": lambda: plan_path(compensator, PATH, home=False, **time),
+        "trajectory from a state": lambda: follow(compensator, PATH, state=actuator.turned(0.0), **time),
+        "trajectory with a velocity": lambda: follow(compensator, PATH, velocity=np.zeros(N), **time),
+        "trajectory with both": lambda: follow(
+            compensator, PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time
         ),
     }
 
@@ -62,16 +64,16 @@ def test_a_time_that_does_not_fit_is_refused_as_such(kind, wrong):
 @pytest.mark.parametrize("kind", PARTS)
 def test_the_period_is_the_time_base_of_a_trajectory(kind, preview):
     actuator = anatomy(kind)
-    timed = Compensator(actuator).trajectory(PATH, time=TIME)
-    by_period = Compensator(actuator, period=PERIOD, preview=preview).trajectory(PATH)
+    timed = follow(Compensator(actuator), PATH, time=TIME)
+    by_period = follow(Compensator(actuator, period=PERIOD, preview=preview), PATH)
     assert np.array_equal(by_period.voltage, timed.voltage)
-    both = Compensator(actuator, period=PERIOD).trajectory(PATH, time=TIME)
+    both = follow(Compensator(actuator, period=PERIOD), PATH, time=TIME)
     assert np.array_equal(both.voltage, timed.voltage)
 
 
 def test_a_period_is_enough_for_a_slew_rate():
     actuator, rate = anatomy("plain"), 500.0
-    command = Compensator(actuator, slew_rate=rate, period=PERIOD).trajectory(PATH)
+    command = follow(Compensator(actuator, slew_rate=rate, period=PERIOD), PATH)
     assert np.abs(np.diff(command.voltage)).max() <= rate * PERIOD * (1 + 1e-12)
     assert command.clamped.any()
 
@@ -81,8 +83,8 @@ def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
     uneven = TIME.copy()
     uneven[10] += 0.4 * PERIOD
     for time in (TIME, uneven):
-        without = Compensator(anatomy(kind)).trajectory(PATH, time=time)
-        command = Compensator(anatomy(kind), period=2 * PERIOD).trajectory(PATH, time=time)
+        without = follow(Compensator(anatomy(kind)), PATH, time=time)
+        command = follow(Compensator(anatomy(kind), period=2 * PERIOD), PATH, time=time)
         assert np.array_equal(command.voltage, without.voltage)
 
 
@@ -96,7 +98,7 @@ def test_loops_ask_for_the_period(kind):
         lambda: Compensator(actuator).hold(),
         lambda: Compensator(actuator).run(PATH),
         lambda: Compensator(actuator).snapshot(),
-        lambda: Compensator(actuator).tables(),
+        lambda: Compensator(actuator)._tables(),
     ):
         with pytest.raises(ModelError, match=r"give the period \[s\]"):
             call()
@@ -109,7 +111,7 @@ def test_short_paths_answer_or_are_refused(kind):
         for period in (None, PERIOD):
             try:
                 size = np.size(path)
-                assert Compensator(actuator, period=period).trajectory(path).voltage.shape == (size,)
+                assert follow(Compensator(actuator, period=period), path).voltage.shape == (size,)
             except DehystError:
                 assert period is None or np.ndim(path) != 1 or not np.all(np.isfinite(np.array(path, dtype=float)))
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
-from dehyst.control import PossibleStart, plan_path, plan_voltage
+from dehyst.control import PossibleStart, plan_path
+from dehyst.control.planning.path import plan_voltage
 from dehyst.control.stage_compensator import targets_and_clamped
 
 
@@ -117,7 +118,7 @@ def test_each_axis_is_clamped_only_by_its_own_limits(seed):
     # Far from what can be reached, as by a set-point in another unit.
     wanted[rng.random(wanted.shape) < 0.1] *= 30
     for row in wanted:
-        ends = np.array([[one.offer_and_reach(end)[1] for end in (-1e-3, 1e-3)] for one in loop.compensators])
+        ends = np.array([[one._offer_and_reach(end)[1] for end in (-1e-3, 1e-3)] for one in loop.compensators])
         loop.step(row)
         moved = model.decoupling @ loop.displacement
         own = row - (model.coupling - np.eye(size)) @ moved
@@ -133,17 +134,19 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
     rng = np.random.default_rng(seed)
     loop = random_loop(rng)
     wanted = path(rng, 200, len(loop.stage.axes))
-    commands, ran, voltage, clamped = loop.trajectory(wanted), loop.clone().run(wanted), [], []
+    starts = [PossibleStart("known", (state,)) for state in loop.states]
+    plan, ran, voltage, clamped = plan_path(loop, wanted, start=starts), loop._clone().run(wanted), [], []
     for row in wanted:
         voltage.append(loop.step(row))
         clamped.append(loop.clamped)
     assert np.array_equal(ran, voltage)
-    for j, one in enumerate(commands):
+    first = plan.first
+    for j, one in enumerate(plan.each if not first else ()):
         held = np.array(clamped)[:, j]
         assert held.any()
         assert np.array_equal(one.clamped, held)
         assert np.allclose(one.voltage, np.array(voltage)[:, j], rtol=0, atol=1e-10)
-        assert np.abs(one.displacement - wanted[:, j])[~held].max(initial=0) < 1e-15
+        assert np.abs(one.expected - wanted[:, j])[~held].max(initial=0) < 1e-15
 
 
 def test_a_path_that_begins_where_one_axis_cannot_go_leads_the_others_to_what_is_wanted():
@@ -152,9 +155,9 @@ def test_a_path_that_begins_where_one_axis_cannot_go_leads_the_others_to_what_is
     wanted = np.column_stack([np.full(100, 4e-6), np.linspace(40e-6, 5e-6, 100)])
     known = [PossibleStart("known", (one.state,)) for one in loop.compensators]
     for homed in (plan_path(loop, wanted, home=True), plan_path(loop, wanted, start=known)):
-        assert homed[1].clamped.any()
-        assert not homed[0].clamped.any()
-        assert np.abs(homed[0].expected[homed[0].first :] - 4e-6).max() < 1e-14
+        assert homed.clamped[:, 1].any()
+        assert not homed.clamped[:, 0].any()
+        assert np.abs(homed.expected[homed.first :, 0] - 4e-6).max() < 1e-14
 
 
 @settings(max_examples=200, deadline=None)
@@ -225,10 +228,8 @@ def test_after_a_homing_the_state_before_does_not_count(timed):
     time = 1e-2 * np.arange(len(wanted)) if timed else None
     options = {"limits": [(-60.0, 120.0)] * 3} | ({"slew_rate": [400.0] * 3, "period": 1e-2} if timed else {})
     homed = plan_path(StageCompensator(model, **options), wanted, time=time, home=True)
-    voltage = np.column_stack([one.voltage for one in homed])
-    first, time = homed[0].first, homed[0].time
-    assert {one.first for one in homed} == {first}
-    assert all(one.certified for one in homed)
+    voltage, first, time = homed.voltage, homed.first, homed.time
+    assert homed.certified
     assert voltage.min() >= -60.0
     assert voltage.max() <= 120.0
     if timed:
@@ -253,7 +254,6 @@ def test_what_one_axis_refuses_changes_no_axis():
         lambda: loop.restore(snapshot[:2]),
         lambda: loop.restore(None),
         lambda: plan_path(loop, np.zeros((9, 3)), start="top"),
-        lambda: loop.trajectory(np.zeros((0, 3))),
     ):
         with pytest.raises(dehyst.ModelError):
             refused()
@@ -334,15 +334,12 @@ def test_a_path_ahead_has_the_gains_and_offsets_of_the_axes():
     for one, gain, offset in zip(loop.compensators, (1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7), strict=True):
         one.scale(gain, offset)
     starts = [PossibleStart("known", (state,)) for state in loop.states]
-    commands = loop.trajectory(wanted)
     planned = plan_path(loop, wanted, start=starts)
     stepped = loop.run(wanted)
-    for j, (command, one) in enumerate(zip(commands, planned, strict=True)):
-        np.testing.assert_allclose(command.voltage, stepped[:, j], atol=1e-9)
-        np.testing.assert_allclose(one.voltage[one.first :], stepped[:, j], atol=1e-9)
-        np.testing.assert_allclose(command.displacement, wanted[:, j], atol=1e-15)
+    np.testing.assert_allclose(planned.voltage[planned.first :], stepped, atol=1e-9)
+    np.testing.assert_allclose(planned.expected[planned.first :], wanted, atol=1e-15)
     seen = plan_voltage(loop, stepped, start=starts)
-    np.testing.assert_allclose(np.column_stack([one.expected for one in seen]), wanted, atol=1e-13)
+    np.testing.assert_allclose(seen.expected, wanted, atol=1e-13)
 
 
 THERMALS = dehyst.Thermal(-2.5e-3, 4e-9, 30.0), None, dehyst.Thermal(1.5e-3, 0.0, 20.0)
@@ -365,10 +362,11 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
     assert np.abs(model.simulate(command.voltage, extrapolate=True).displacement - wanted).max() > 1e-8
     for limits in (None, [(-150.0, 35.0), None, None]):
         loop = StageCompensator(model, limits=limits)
-        commands = loop.trajectory(wanted, temperature=degrees)
-        voltage = np.column_stack([one.voltage for one in commands])
+        starts = [PossibleStart("known", (state,)) for state in loop.states]
+        planned = plan_path(loop, wanted, time=np.arange(300.0), temperature=degrees, start=starts)
+        voltage = planned.voltage
         reached = model.simulate(voltage, temperature=degrees, states=loop.states, extrapolate=True).displacement
-        np.testing.assert_allclose(np.column_stack([one.displacement for one in commands]), reached, atol=1e-13)
+        np.testing.assert_allclose(planned.expected, reached, atol=1e-13)
         # Axes that are not clamped follow, whatever the temperature of the others.
         assert np.abs(reached - wanted)[:, 1:].max() < 1e-13
         assert (np.abs(reached - wanted)[:, 0].max() > 1e-7) == (limits is not None)
@@ -378,25 +376,20 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
             stepped = np.array([loop.step(y, now) for y, now in zip(wanted, each, strict=True)])
         np.testing.assert_allclose(stepped, voltage, atol=1e-9)
         np.testing.assert_allclose(loop.displacement, reached[-1], atol=1e-13)
-        starts = [PossibleStart("known", (state,)) for state in loop.clone().states]
-        planned = plan_path(loop, wanted, time=np.arange(300.0), temperature=degrees, start=starts)
-        after = np.column_stack([one.voltage for one in planned])
-        np.testing.assert_allclose(after, voltage, atol=1e-9)
-        seen = plan_voltage(loop, after, time=np.arange(300.0), temperature=degrees, start=starts)
-        for one, other in zip(planned, seen, strict=True):
+        seen = plan_voltage(loop, voltage, time=np.arange(300.0), temperature=degrees, start=starts)
+        for one, other in zip(planned.each, seen.each, strict=True):
             np.testing.assert_allclose(one.expected, other.expected, atol=1e-13)
             assert np.all(other.error.lowest <= other.error.highest)
-        assert [one.temperature.tolist() for one in planned] == each.T.tolist()
+        assert planned.temperature.tolist() == each.tolist()
 
 
 def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
     loop = StageCompensator(warm_stage())
     loop.set_temperature(25.0)
-    before = [one.scaling for one in loop.compensators]
+    before = [one._scaling for one in loop.compensators]
     for wrong in ([20.0, 20.0], [20.0, 20.0, 900.0, 20.0], [25.0, 20.0, -900.0], np.nan):
         with pytest.raises(dehyst.ModelError, match="temperature"):
             loop.set_temperature(wrong)
-    assert [one.scaling for one in loop.compensators] == before
-    for refused in (StageCompensator(stage()).set_temperature, StageCompensator(stage()).trajectory):
-        with pytest.raises(dehyst.ModelError, match="temperature"):
-            refused(25.0) if refused.__name__ == "set_temperature" else refused(np.zeros((5, 3)), temperature=25.0)
+    assert [one._scaling for one in loop.compensators] == before
+    with pytest.raises(dehyst.ModelError, match="temperature"):
+        StageCompensator(stage()).set_temperature(25.0)

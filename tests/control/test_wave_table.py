@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from dehyst import Creep, DisplacementCreep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
 from dehyst.control import Compensator, wave_table
-from dehyst.control.planning.steady_cycle import steady_state, timed
-from dehyst.control.planning.wave_table import approach_to
+from dehyst.control.following import follow
+from dehyst.control.planning.wave_table import approach_to, steady_state, timed
 from dehyst.model import standing
-from dehyst.waveforms import Lissajous, MotionLimits, Spiral, Steps, Triangle
+from dehyst.waveforms import MotionLimits, Raster, Triangle
 from examples import at_night
 
 UM = 1e-6
@@ -35,8 +35,7 @@ ACTUATORS = {
 TRIANGLE = Triangle(2 * UM, 12 * UM, 10, turns=0.2)
 SCANS = {
     "triangle": TRIANGLE,
-    "lissajous": Lissajous((4 * UM, 3 * UM), 2, (3, 4), centre=(8 * UM, 8 * UM)),
-    "spiral": Spiral(4 * UM, 4, 1, centre=(8 * UM, 8 * UM)),
+    "sine": Triangle(2 * UM, 12 * UM, 5, turns=1.0),
 }
 
 
@@ -87,12 +86,10 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
 
 @pytest.mark.parametrize("scan", SCANS)
 def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
-    actuator = replace(PLAIN, dynamics=Dynamics(2 * np.pi * 1000, 0.1, 2e6))
+    actuator = replace(PLAIN, dynamics=Dynamics(1000, 0.1, 2e6))
     errors = []
     for times in (1, 4):
         finer = replace(SCANS[scan], sample_rate=times * SCANS[scan].rate)
-        if scan == "triangle":
-            finer = replace(finer, rounding="cosine")
         table = wave_table(actuator, finer, state=actuator.relaxed(20.0))
         played = table.played(4)
         made = simulated(actuator, played, actuator.relaxed(20.0))
@@ -100,13 +97,13 @@ def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
         errors.append(np.abs(made - played.displacement)[-size:].max() / strokes(finer))
         assert np.abs(made - played.expected)[-size:].max() <= 1e-7 * strokes(finer)
     assert errors[0] <= 2e-4
-    # Linear between samples: the error falls with their distance squared.
-    assert errors[1] <= errors[0] / 8
+    # The error falls with the distance of samples squared; with the distance where an acceleration jumps.
+    assert errors[1] <= errors[0] / (3 if scan == "triangle" else 8)
 
 
 def followed(compensator, path, state):
     """The state after a path."""
-    return compensator.trajectory(path.displacement, **timed(path), state=state).state
+    return follow(compensator, path.displacement, **timed(path), state=state).state
 
 
 def after_two_cycles(compensator, path):
@@ -180,7 +177,7 @@ def test_the_approach_takes_as_long_from_above_as_from_below():
 
 
 def test_the_axes_of_a_scan_can_be_kept_together():
-    scan = SCANS["lissajous"]
+    scan = Raster(4 * UM, 12 * UM, 10, 4, y_low=5 * UM, y_high=11 * UM)
     tables = [wave_table(PLAIN, scan, axis=axis, state=PLAIN.relaxed(20.0), approach=0.05, cycles=2) for axis in "xy"]
     assert len({len(table.start_up) for table in tables}) == 1
     assert len(tables[0].start_up) == 2 * scan.samples + np.ceil(0.05 * scan.rate)
@@ -230,7 +227,7 @@ def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
     assert played.voltage[end] == pytest.approx(30.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("parts", [{}, at_night({"dynamics": Dynamics(2 * np.pi * 300, 0.03, 1e6)})])
+@pytest.mark.parametrize("parts", [{}, at_night({"dynamics": Dynamics(300, 0.03, 1e6)})])
 def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     slow = replace(PLAIN, creep=Creep([5.0, 50.0], [2e5, 2e5]), **parts)
     table = wave_table(slow, TRIANGLE)
@@ -258,7 +255,6 @@ def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
         ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
         ({"tolerance": 0.0}, "tolerance: got 0, need a number above 0"),
         ({"approach": -1.0}, "approach: got -1, need a number above 0"),
-        ({"scan": Steps((2 * UM, 5 * UM), 0.1, edge=0.1, closed=False)}, "scan: got one that ends elsewhere"),
     ],
 )
 def test_what_cannot_be_is_refused(options, said):

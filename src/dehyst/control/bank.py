@@ -149,7 +149,7 @@ class Bank:
         """
         wanted = self._table(displacement, "displacement")
         for i, compensator in enumerate(self._compensators):
-            if sentence := compensator.straying(wanted[:, i]):
+            if sentence := compensator._straying(wanted[:, i]):
                 raise ModelError(f"actuator {i}: {sentence}")
         result = np.empty(wanted.shape)
         self._follow(wanted, result)
@@ -219,7 +219,7 @@ class Bank:
                 continue
             self._warned.add(kind)
             i = int(np.argmax(clamped))
-            sentence = self._compensators[i].straying(wanted[:, i])
+            sentence = self._compensators[i]._straying(wanted[:, i])
             more = f". {sentence}" if sentence else ""
             words = f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}"
             warnings.warn(words, ClampWarning, 3)
@@ -233,8 +233,7 @@ class Bank:
         if table.ndim != 2 or table.shape[1] != count:
             need = f"a column for each of {count} actuators"
             raise ModelError(argument=what, got=f"the shape {table.shape}", need=need)
-        wrong = ~(np.abs(table) <= FARTHEST)
-        if wrong.any():
-            t, i = np.argwhere(wrong)[0]
+        if table.size and not (table.max() <= FARTHEST and table.min() >= -FARTHEST):
+            t, i = np.argwhere(~(np.abs(table) <= FARTHEST))[0]
             raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
         return table

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -20,15 +20,11 @@ from dehyst.control.limits import (
     Clamps,
     ClampWarning,
     VoltageLimits,
-    assumed_start,
     stray_sentence,
-    unit_hint,
     warn_of_run,
 )
-from dehyst.control.loop import ReadOnly, Snapshot, make_loop, preview_filter
-from dehyst.control.trajectory import Command, follow, of_axis
+from dehyst.control.loop import ReadOnly, Snapshot, make_loop, memory_of, preview_filter, set_memory
 from dehyst.model import (
-    ANYWAY,
     Actuator,
     State,
     demand_thermal,
@@ -76,12 +72,8 @@ class Compensator(ReadOnly):
 
     Attributes
     ----------
-    actuator, limits, slew_rate, period, preview, units
+    actuator, limits, slew_rate, period, units
         As given; limits are a pair of floats.
-    bounds : VoltageLimits
-        Limits and slew rate.
-    initial_state : State
-        The state given at the construction or the last reset, before it was moved within the limits.
 
     Raises
     ------
@@ -94,10 +86,10 @@ class Compensator(ReadOnly):
     limits: tuple[float, float]
     slew_rate: float | None
     period: float | None
-    preview: bool
+    _previews: bool
     units: str
-    bounds: VoltageLimits
-    initial_state: State
+    _bounds: VoltageLimits
+    _initial_state: State
     _start: State
     _assumed: bool
     _warns: bool
@@ -123,7 +115,7 @@ class Compensator(ReadOnly):
             raise ModelError(argument="period", got=period, need="a positive number of seconds")
         if preview and period is None:
             raise ModelError("preview needs the time between steps", hint="give the period [s]", change=("period",))
-        keep(self, actuator=actuator, period=seconds, preview=bool(preview), units=units, bounds=bounds)
+        keep(self, actuator=actuator, period=seconds, _previews=bool(preview), units=units, _bounds=bounds)
         keep(self, limits=(bounds.low, bounds.high), slew_rate=bounds.slew_rate)
         keep(self, _warns=bool(warns), _per_metre=per_metre(units))
         self.reset(actuator.state if state is None else state)
@@ -133,7 +125,7 @@ class Compensator(ReadOnly):
         slew = "" if self.slew_rate is None else f", {self.slew_rate:g} V/s"
         period = "" if self.period is None else f", every {self.period:g} s"
         return (
-            f"<Compensator of {self.actuator.name!r}, {self.bounds.words}{slew}{period}, now at {self.voltage:.6g} V, "
+            f"<Compensator of {self.actuator.name!r}, {self._bounds.words}{slew}{period}, now at {self.voltage:.6g} V, "
             f"{self.clamps.limited} limited, {self.clamps.slewed} slewed>"
         )
 
@@ -142,9 +134,12 @@ class Compensator(ReadOnly):
         return _rebuilt, (self._options(), self.snapshot() if self._running else None)
 
     def _options(self) -> dict[str, Any]:
-        names = ("actuator", "limits", "slew_rate", "period", "preview", "units")
-        options = {name: getattr(self, name) for name in names}
-        return options | {"state": None if self._assumed else self.initial_state, "warns": self._warns}
+        options = {name: getattr(self, name) for name in ("actuator", "limits", "slew_rate", "period", "units")}
+        return options | {
+            "preview": self._previews,
+            "state": None if self._assumed else self._initial_state,
+            "warns": self._warns,
+        }
 
     def step(self, displacement: float, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
@@ -165,7 +160,7 @@ class Compensator(ReadOnly):
         """
         if temperature is not None:
             with same_scaling_after_errors((self,)):
-                self.set_temperature(temperature)
+                self.scale(temperature=temperature)
                 return self.step(displacement)
         try:
             return self._loop.step(displacement)
@@ -183,7 +178,7 @@ class Compensator(ReadOnly):
         except CoreError as error:
             raise _refusal(displacement) from error
 
-    def offer_and_reach(self, displacement: float) -> tuple[float, float | None]:
+    def _offer_and_reach(self, displacement: float) -> tuple[float, float | None]:
         """Return the voltage [V] of `offer` and, if it is clamped, the displacement [m, or `units`] that it causes.
 
         The displacement is None if the voltage is not clamped. A mass is assumed to be at rest. Raises and warns as
@@ -195,7 +190,7 @@ class Compensator(ReadOnly):
         reached, clamped = self._loop.trial()
         return voltage, reached * self._per_metre if clamped else None
 
-    def withdraw(self) -> None:
+    def _withdraw(self) -> None:
         """Withdraw the voltage on offer, if there is one: it was not sent."""
         self._loop.withdraw()
 
@@ -209,7 +204,7 @@ class Compensator(ReadOnly):
             self._loop.commit(number(voltage, "voltage"))
         except CoreError as error:
             raise ModelError(
-                f"got {voltage:g} V, too far outside the limits {self.bounds.words} to return in one step",
+                f"got {voltage:g} V, too far outside the limits {self._bounds.words} to return in one step",
                 argument="voltage",
                 hint="give the voltage that was really sent, in volts; if it was that, ramp to the limits first",
             ) from error
@@ -221,6 +216,9 @@ class Compensator(ReadOnly):
     def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
 
+        A path of 1000 samples or more is computed in blocks: where no voltage is clamped, and without preview, lag and
+        inertia, these agree with `step` to rounding. All others are those of `step` to the bit.
+
         Raises
         ------
         ModelError
@@ -231,122 +229,32 @@ class Compensator(ReadOnly):
         ClampWarning
             As `step`.
         """
-        wanted, begin, before = self.in_metres(displacement), self.assumed, self.snapshot()
+        wanted, begin, before = self._in_metres(displacement), self._assumed_voltage, memory_of(self._loop)
         voltage = self._loop.run(wanted)
-        limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before.counts))
+        limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before[2]))
         try:
             if refused:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
-                inner = self.in_model(wanted)
-                warn_of_run(self.actuator, self.bounds, Clamps(limited, slewed), inner, begin)
+                inner = self._in_model(wanted)
+                warn_of_run(self.actuator, self._bounds, Clamps(limited, slewed), inner, begin)
         except (ClampWarning, ModelError):
-            self.restore(before)
+            set_memory(self._loop, *before)
             raise
         return voltage
 
-    def trajectory(
-        self,
-        displacement: ArrayLike,
-        *,
-        time: ArrayLike | None = None,
-        load: ArrayLike | None = None,
-        velocity: ArrayLike | None = None,
-        acceleration: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        state: State | None = None,
-        present: float | None = None,
-        extrapolate: bool = False,
-    ) -> Command:
-        """Compute the voltages of a whole path that is known ahead, with even or uneven time steps.
-
-        The loop's memory is unchanged. Each voltage is clamped, and the state follows the clamped voltage. The slew
-        rate also limits the change from the present voltage to the first sample, which comes one `period`, or the first
-        interval of `time` if that is shorter, later.
-
-        Parameters
-        ----------
-        displacement : (n,) array_like
-            Wanted displacement [m, or `units`].
-        time : (n,) array_like, optional
-            [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag.
-            Default: a sample every `period`, if the compensator has one.
-        load, velocity, acceleration : (n,) array_like, optional
-            As in `Actuator.compensate`; velocity in `units` / s, acceleration in `units` / s^2.
-        temperature : float or (n,) array_like, optional
-            [degC], with the part `thermal`. It replaces the gain and offset of `scaling`, which hold by default.
-        state : State, optional
-            State of the actuator before the path; default: `self.state`.
-        present : float, optional
-            Voltage [V] before the first sample; default: the voltage that holds `state`, or without `state` the last
-            sent voltage. Before any step this is the assumed one, see `state` of the class.
-        extrapolate : bool, optional
-            Allow a path more than one stroke outside the actuator's reach, and follow it as far as the limits allow. By
-            default it is an error, because such a path is usually in micrometres instead of metres.
-
-        Raises
-        ------
-        ModelError
-            If the arrays do not fit, the path lies more than one stroke outside, the present voltage lies outside the
-            limits, or a time is needed and neither `time` nor `period` is given.
-        """
-        wanted = self.in_metres(displacement)
-        rates = {
-            "velocity": None if velocity is None else self.in_metres(velocity, "velocity"),
-            "acceleration": None if acceleration is None else self.in_metres(acceleration, "acceleration"),
-        }
-        followed, scaled = wanted, temperature is not None or self.scaling != (1.0, 0.0)
-        gain, offset = self.scaling_at(temperature, wanted.size)
-        if scaled:
-            followed = (wanted - offset) / gain
-            rates = {name: None if values is None else values / gain for name, values in rates.items()}
-        sentence = "" if extrapolate else self.straying(followed, load)
-        if sentence:
-            raise ModelError(f"{sentence}; {ANYWAY}")
-        if present is not None:
-            now = self.bounds.within(present, "present")
-        else:
-            now = self.voltage if state is None else self.held(state)
-        assumed = self.assumed if state is None and present is None else None
-        if state is None:
-            state = self.state if self._running else self.initial_state
-        command = follow(
-            self.actuator,
-            self.bounds,
-            followed,
-            time=time,
-            period=self.period,
-            load=load,
-            **rates,
-            start=state,
-            present=now,
-        )
-        slewed = command.clamped & (command.voltage > self.bounds.low) & (command.voltage < self.bounds.high)
-        if assumed is not None and slewed.any():
-            command = replace(command, warnings=(*command.warnings, assumed_start(assumed)))
-        if scaled:
-            reached = np.where(command.displacement == followed, wanted, offset + gain * command.displacement)
-            command = of_axis(command, wanted, reached, self.bounds)
-        if temperature is not None:
-            degrees = np.broadcast_to(np.asarray(temperature, dtype=np.float64), wanted.shape)
-            command = replace(command, temperature=degrees)
-        if self._per_metre == 1:
-            return command
-        hint = unit_hint(self.units, self.reach, wanted * self._per_metre) if command.clamped.any() else ()
-        return replace(command, warnings=(*command.warnings, *hint)).in_units(self.units)
-
-    def strays(self, displacement: ArrayLike, load: ArrayLike | None = None) -> str:
+    def _strays(self, displacement: ArrayLike, load: ArrayLike | None = None) -> str:
         """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
-        return self.straying(self.in_model(self.in_metres(displacement)), load)
+        return self._straying(self._in_model(self._in_metres(displacement)), load)
 
-    def straying(self, displacement: Array, load: ArrayLike | None = None) -> str:
-        """Return what `strays` does of a `displacement` (n,) [m] of the model, without gain and offset; `load` too."""
-        sentence = stray_sentence(self.actuator, self.bounds, displacement, load)
+    def _straying(self, displacement: Array, load: ArrayLike | None = None) -> str:
+        """Return what `_strays` does for a `displacement` (n,) [m] of the model, without gain and offset."""
+        sentence = stray_sentence(self.actuator, self._bounds, displacement, load)
         if not sentence or self._per_metre == 1:
             return sentence
         return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
-    def in_metres(self, values: ArrayLike, what: str = "displacement") -> Array:
+    def _in_metres(self, values: ArrayLike, what: str = "displacement") -> Array:
         """Return the `values` (n,) of a path, in `units`, in metres.
 
         `what`: name of the values in errors. Raise `ModelError` if a value is not finite.
@@ -357,7 +265,7 @@ class Compensator(ReadOnly):
     @property
     def voltage(self) -> float:
         """The last voltage sent [V]; before any step, the voltage that holds the actuator in its state."""
-        return self._loop.sent() if self._running else self.held(self._start)
+        return self._loop.sent() if self._running else self._held(self._start)
 
     @property
     def displacement(self) -> float:
@@ -366,14 +274,14 @@ class Compensator(ReadOnly):
         return metres * self._per_metre
 
     @property
-    def assumed(self) -> float | None:
+    def _assumed_voltage(self) -> float | None:
         """The present voltage [V], if it is only assumed: no state was given, and nothing was sent; else None."""
-        begins = self._assumed and (not self._running or self._loop.sent() == self.held(self._start))
+        begins = self._assumed and (not self._running or self._loop.sent() == self._held(self._start))
         return self.voltage if begins else None
 
-    def held(self, state: State) -> float:
+    def _held(self, state: State) -> float:
         """Return the voltage [V] within the limits that holds the actuator in a `state`, or the nearest limit."""
-        return self.bounds.nearest(self.actuator.voltage(state))
+        return self._bounds.nearest(self.actuator.voltage(state))
 
     @property
     def state(self) -> State:
@@ -393,7 +301,7 @@ class Compensator(ReadOnly):
     @property
     def reach(self) -> tuple[float, float]:
         """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest and the `scaling`."""
-        gain, offset = self.scaling
+        gain, offset = self._scaling
         low, high = self._reach
         return offset + gain * low, offset + gain * high
 
@@ -410,147 +318,116 @@ class Compensator(ReadOnly):
         """
         if state is not None:
             start = state_within_limits(self.actuator, state, self.limits)
-            keep(self, _start=start, initial_state=state, _assumed=False)
-        self.__dict__.pop("_loop", None)
+            keep(self, _start=start, _initial_state=state, _assumed=False)
+        for name in ("_loop", "step"):
+            self.__dict__.pop(name, None)
 
-    def clone(self, units: str | None = None) -> Compensator:
+    def _clone(self, units: str | None = None) -> Compensator:
         """Return a copy in the state at construction or the last reset, by default with the same `units`."""
         return Compensator(**self._options() | ({} if units is None else {"units": units}))
 
     def snapshot(self) -> Snapshot:
         """Return the loop's whole memory for saving; `restore` continues from it bit for bit."""
-        return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts(), f"{self.model_ids()[0]:08x}")
+        return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts(), f"{self._model_ids()[0]:08x}")
 
-    def restore(self, snapshot: Snapshot) -> bool:
+    def restore(self, snapshot: Snapshot | bytes) -> bool:
         """Continue from a `snapshot`; return whether its model is exactly this one, not only one of the same shape.
+
+        Bytes are a block of `dehyst.control.snapshot_block` or of `dehyst_loop_save` in C; its model is this one.
 
         Actuators have the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
         resonance and lag agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The next
         voltages follow this model as fast as the slew rate allows. Raise `ModelError` if the snapshot belongs to an
         actuator of another shape, another period or preview, or is damaged: the loop is unchanged.
         """
+        if isinstance(snapshot, bytes):
+            self._model_block()
+            checked(self._loop.restore, snapshot)
+            return True
         if not isinstance(snapshot, Snapshot):
             got = type(snapshot).__name__
             raise ModelError(argument="snapshot", got=got, need="a Snapshot", hint="Snapshot.load reads a file")
-        snapshot.resume(self._loop, self.actuator, self.bounds, self._key)
-        return snapshot.model == f"{self.model_ids()[0]:08x}"
+        snapshot.resume(self._loop, self.actuator, self._bounds, self._key)
+        return snapshot.model == f"{self._model_ids()[0]:08x}"
 
-    def scale(self, gain: float, offset: float = 0.0) -> None:
-        """Set a `gain` and an `offset` [m, or `units`] of the displacement between two steps.
+    def scale(
+        self, gain: float | None = None, offset: float = 0.0, *, temperature: float | None = None
+    ) -> tuple[float, float]:
+        """Set a gain and an offset of the displacement between two steps, and return the present ones.
 
         The wanted displacement is then offset + gain times the model's displacement, for instance for another
-        temperature or an aged sensor. This holds for steps, offers, `trajectory`, `strays` and `reach`. A construction
-        or a reset sets gain 1 and offset 0. The next voltages follow as fast as the slew rate allows; a pending offer
-        is withdrawn.
-
-        Raise `ModelError` if the gain is not positive, or a number is not finite: gain and offset are unchanged.
-        """
-        values = number(gain, "gain"), number(offset, "offset") / self._per_metre
-        try:
-            self._loop.scale(*values)
-        except CoreError as error:
-            raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
-
-    def follow_sensor(self, measured: float, *, rate: float = 0.01, gain: float = 0.2, offset: float = 0.0) -> int:
-        """Learn gain and offset of the displacement from a sensor, between two steps.
-
-        This is what `dehyst_loop_follow` does on a microcontroller, bit for bit. A sample counts if the actuator has
-        moved by two breakaway elongations and a fiftieth of its range since the last one. Nothing is learnt from a
-        sample with a clamped voltage, a value that is NaN or has not changed, or as long as the sensor does not
-        follow the displacement. The result is in `scaling`. For actuators without delay.
+        temperature or an aged sensor. This holds for steps, offers, `plan_path` and `reach`. A construction or a reset
+        sets gain 1 and offset 0. The next voltages follow as fast as the slew rate allows; a pending offer is
+        withdrawn.
 
         Parameters
         ----------
-        measured : float
-            Displacement [m, or `units`] due to all voltages sent so far.
-        rate : float, optional
-            Weight of a sample that counts, up to 0.5.
-        gain : float, optional
-            Most by which the gain may differ from 1.
-        offset : float, optional
-            Most by which the offset may differ from 0 [m, or `units`]; 0: the zero of the sensor may drift.
+        gain, offset : float, optional
+            Gain, and offset [m, or `units`]; without a gain nothing changes.
+        temperature : float, optional
+            [degC], instead of them, for an actuator with the part `thermal`.
 
         Returns
         -------
-        int
-            0 if nothing is new; 1 if gain and offset are new; 2 if they are new and one is held at its bound. If this
-            happens again and again, the sensor has other units (micrometres, say), or the bound is too narrow.
+        (float, float)
+            The present gain and offset [m, or `units`].
 
         Raises
         ------
         ModelError
-            If rate or a bound is impossible.
+            If the gain is not positive, a number is not finite, or the actuator has no part `thermal`: gain and offset
+            are unchanged.
         """
-        reading, most = float(measured) / self._per_metre, number(offset, "offset") / self._per_metre
-        try:
-            return self._loop.follow(reading, number(rate, "rate"), number(gain, "gain"), most)
-        except CoreError as error:
-            raise ModelError(
-                f"got rate {rate}, gain {gain} and offset {offset}",
-                argument="rate",
-                hint="need a rate up to 0.5, a gain between 0 and 1, and an offset of 0 or more",
-            ) from error
-
-    def set_temperature(self, temperature: float) -> None:
-        """Set gain and offset for a `temperature` [degC], as `scale` does.
-
-        Raise `ModelError` if the actuator has no part `thermal`, or its gain at this temperature is not positive.
-        """
-        gain, offset = demand_thermal(self.actuator.thermal).scale(number(temperature, "temperature"), 1)
-        checked(self._loop.scale, float(gain[0]), float(offset[0]))
+        if temperature is not None:
+            values = demand_thermal(self.actuator.thermal).scale(number(temperature, "temperature"), 1)
+            checked(self._loop.scale, *(float(one[0]) for one in values))
+        elif gain is not None:
+            try:
+                self._loop.scale(number(gain, "gain"), number(offset, "offset") / self._per_metre)
+            except CoreError as error:
+                raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
+        return self._scaling
 
     @property
-    def scaling(self) -> tuple[float, float]:
+    def _scaling(self) -> tuple[float, float]:
         """Gain and offset [m, or `units`] of the displacement, see `scale`."""
-        gain, offset = self.scaling_at(None, 1)
+        gain, offset = self._scaling_at(None, 1)
         return gain, offset * self._per_metre
 
-    def scaling_at(self, temperature: ArrayLike | None, samples: int) -> tuple[Any, Any]:
+    def _scaling_at(self, temperature: ArrayLike | None, samples: int) -> tuple[Any, Any]:
         """Return gains and offsets [m] of `samples` at a `temperature`, one or (n,) [degC]; None: those of `scaling`.
 
-        Raise `ModelError` as `set_temperature`.
+        Raise `ModelError` as `scale`.
         """
         if temperature is not None:
             return demand_thermal(self.actuator.thermal).scale(temperature, samples)
         gain, offset = self._loop.rest()[5:7].tolist() if self._running else (1.0, 0.0)
         return gain, offset
 
-    def in_model(self, displacement: Array) -> Array:
+    def _in_model(self, displacement: Array) -> Array:
         """Return the displacement (n,) [m] of the model that makes a `displacement` (n,) [m], by the `scaling`."""
-        gain, offset = self.scaling_at(None, displacement.size)
+        gain, offset = self._scaling_at(None, displacement.size)
         return np.asarray((displacement - offset) / gain)
 
-    def tables(self) -> dict[str, Array]:
+    def _tables(self) -> dict[str, Array]:
         """Return all numbers that a step reads, as computed by the core; names as in `core/dehyst.h`."""
         return self._loop.tables()
 
-    def model_block(self) -> bytes:
-        """Return actuator, limits, period and start as the block of bytes that `dehyst_model_load` reads in C.
+    def _model_block(self) -> bytes:
+        """Return the block of `dehyst.control.model_block`."""
+        return self._loop.block(*self._core_start(), self.period or 0.0, self.samples_ahead)
 
-        The block is the same for every processor and number type and has a checksum. Its start is the state at the
-        construction or the last reset.
-        """
-        return self._loop.block(*self.start(), self.period or 0.0, self.samples_ahead)
-
-    def model_ids(self) -> tuple[int, int]:
+    def _model_ids(self) -> tuple[int, int]:
         """Return the checksums `id` and `shape` of the model in C; limits and start have no effect on them."""
-        self.model_block()
+        self._model_block()
         return self._loop.ids()
 
-    def snapshot_block(self) -> bytes:
-        """Return the loop's memory as the block of bytes that `dehyst_loop_restore` reads in C."""
-        self.model_block()
+    def _snapshot_block(self) -> bytes:
+        """Return the block of `dehyst.control.snapshot_block`."""
+        self._model_block()
         return self._loop.save()
 
-    def restore_block(self, block: bytes) -> None:
-        """Continue from a `block` that `dehyst_loop_save` wrote in C, or `snapshot_block`.
-
-        Raise `ModelError` if the block belongs to another model or is damaged: the loop is unchanged.
-        """
-        self.model_block()
-        checked(self._loop.restore, block)
-
-    def start(self) -> CoreState:
+    def _core_start(self) -> CoreState:
         """Return the state at the construction or the last reset, as numbers of the C core."""
         return self.actuator.model.core_state(self._start)
 
@@ -560,20 +437,38 @@ class Compensator(ReadOnly):
 
     @cached_property
     def _key(self) -> str:
-        return f"{self.model_ids()[1]:08x}"
+        return f"{self._model_ids()[1]:08x}"
 
     @cached_property
     def _preview(self) -> tuple[Array, int]:
         """Taps of the preview filter, and the number of samples that it looks ahead."""
-        return preview_filter(self.actuator, self.period) if self.preview and self.period else (np.ones(1), 0)
+        return preview_filter(self.actuator, self.period) if self._previews and self.period else (np.ones(1), 0)
 
     @cached_property
     def _loop(self) -> Loop:
-        """The loop in C, made when first needed, because a trajectory does not need it."""
+        """The loop in C, made when first needed, because a plan does not need it."""
         options = {"warns": self._warns, "assumed": self._assumed}
-        loop = make_loop(self.actuator, self.bounds, self.period, self._preview[0], self.start(), **options)
+        loop = make_loop(self.actuator, self._bounds, self.period, self._preview[0], self._core_start(), **options)
         loop.per_metre = self._per_metre
+        # A step without a frame of Python; it must not keep this object alive.
+        here = weakref.proxy(self)
+        loop.slow = lambda displacement, temperature: Compensator.step(here, displacement, temperature)
+        self.__dict__["step"] = loop.quick
         return loop
+
+
+def model_block(compensator: Compensator) -> bytes:
+    """Return actuator, limits, period and start of a `compensator` as the block that `dehyst_model_load` reads in C.
+
+    The block is the same for every processor and number type and has a checksum. Its start is the state at the
+    construction or the last reset of the compensator.
+    """
+    return compensator._model_block()
+
+
+def snapshot_block(compensator: Compensator) -> bytes:
+    """Return the memory of a `compensator` as the block that `dehyst_loop_restore` in C and its `restore` read."""
+    return compensator._snapshot_block()
 
 
 def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
@@ -591,7 +486,7 @@ def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[
 @contextmanager
 def same_scaling_after_errors(loops: Sequence[Compensator]) -> Iterator[None]:
     """Restore gain and offset of all `loops` if an error occurs in the block."""
-    before = [one.scaling_at(None, 1) for one in loops]
+    before = [one._scaling_at(None, 1) for one in loops]
     try:
         yield
     except BaseException:

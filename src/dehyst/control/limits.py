@@ -6,6 +6,7 @@ import math
 import sys
 import warnings
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
 _TINY = 1e-6
 # Voltages farther outside of the identified range than this part of it were not covered by the records.
 _FAR = 0.1
+# Shares of the reach: what a sensor may correct, by default and at most.
+_BOUND, _WIDEST = 0.05, 0.25
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,56 @@ def assumed_start(voltage: float) -> str:
     )
 
 
+class SensorFault(IntEnum):
+    """Why a sensor is not believed.
+
+    `NONE`: it is believed. `FAR`: most readings lie farther from the model than the bound: another unit, scale or zero.
+    `STUCK`: it hardly moves while the actuator does. `SCALED`: it moves less than half, or more than twice, as much.
+    `CONTRADICTS`: it moves at other times: inverted, late by more than a sixth of a cycle, or noise.
+    """
+
+    NONE = 0
+    FAR = 1
+    STUCK = 2
+    SCALED = 3
+    CONTRADICTS = 4
+
+
+class SensorWarning(UserWarning):
+    """A sensor contradicted the model for a cycle: it is not believed any more, and its correction is taken back.
+
+    `fault`: why, a `SensorFault`.
+    """
+
+    def __init__(self, fault: SensorFault, bound: float) -> None:
+        reasons = {
+            SensorFault.FAR: f"most readings are more than {bound * 1e6:.4g} um (bound) from the model: another unit, "
+            "scale or zero, or an aged actuator",
+            SensorFault.STUCK: "it hardly moves while the actuator does",
+            SensorFault.SCALED: "it moves less than half, or more than twice, as much as the actuator",
+            SensorFault.CONTRADICTS: "it moves at other times than the actuator: inverted, late, or noise",
+        }
+        super().__init__(f"SENSOR NOT BELIEVED: {reasons[fault]}. Its correction is taken back; reset() begins anew")
+        self.fault = fault
+
+
+def warn_of_sensor(fault: SensorFault, bound: float) -> None:
+    """Warn the caller that a sensor is not believed any more; `bound` [m]."""
+    warnings.warn(SensorWarning(fault, bound), None, _caller())
+
+
+def sensor_bound(reach: tuple[float, float], stroke: float, bound: float | None) -> float:
+    """Return the largest correction by a sensor: the `bound` that was given, or a twentieth of `reach` or `stroke`."""
+    # A reach far beyond the records is extrapolated: the stroke bounds it.
+    width = min(reach[1] - reach[0], stroke)
+    if bound is None:
+        return _BOUND * width
+    if not 0 < number(bound, "bound") <= _WIDEST * width:
+        need = f"a displacement up to a quarter of the reach, {_WIDEST * width:g}"
+        raise ModelError(argument="bound", got=bound, need=need)
+    return float(bound)
+
+
 class Clamps(NamedTuple):
     """Number of samples whose voltage was clamped at a limit, and held back by the slew rate."""
 
@@ -225,11 +278,11 @@ def stray_sentence(
     actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None
 ) -> str:
     """Return why displacements (n,) [m] are implausible, or "" if they are within reach of the limits."""
-    sentence = actuator.implausibility(displacement, load)
+    sentence = actuator._implausibility(displacement, load)
     if not sentence or (limits.low, limits.high) == actuator.limits:
         return sentence
     try:
-        return actuator.implausibility(displacement, load, actuator.major_loop((limits.low, limits.high)))
+        return actuator._implausibility(displacement, load, actuator.major_loop((limits.low, limits.high)))
     except ModelError:
         return sentence
 

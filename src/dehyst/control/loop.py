@@ -81,7 +81,7 @@ def make_loop(
     return loop
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Snapshot(files.JsonFile):
     """The memory of a loop between two steps.
 
@@ -114,6 +114,9 @@ class Snapshot(files.JsonFile):
         if not whole or not all(0 <= n < _MOST for n in counts):
             raise ModelError(argument="snapshot: counts", got=repr(counts), need=f"three whole numbers below {_MOST}")
         keep(self, rest=vector(self.rest, "snapshot: rest"), counts=tuple(counts))
+
+    def __repr__(self) -> str:
+        return f"<Snapshot: {self.rest[0]:.6g} V, {self.state!r}, of the model {self.model}>"
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; `from_dict` reads them back without loss."""
@@ -182,7 +185,7 @@ def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:
         Number of samples by which the input displacement is ahead.
     """
     delay, dynamics = actuator.delay / period, actuator.dynamics
-    if delay > _FARTHEST or (dynamics is not None and dynamics.frequency * period < 1 / _FARTHEST):
+    if delay > _FARTHEST or (dynamics is not None and dynamics.omega * period < 1 / _FARTHEST):
         raise ModelError(
             f"got {period:g} s, which is too short to look ahead by a delay of {actuator.delay:g} "
             "s or a period of the resonance",
@@ -201,6 +204,6 @@ def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:
     powers = np.vander(np.subtract(offsets, delay), increasing=True).T
     taps, first, second = (np.linalg.solve(powers, math.factorial(n) * np.eye(offsets.size)[n]) for n in range(3))
     if dynamics is not None:
-        steps = dynamics.frequency * period
+        steps = dynamics.omega * period
         taps = taps + (2 * dynamics.damping * first + second / steps) / steps
     return np.ascontiguousarray(taps[::-1]), int(offsets[-1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,7 @@ from dehyst._validation import for_each, interval, keep, plain, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
-from dehyst.control.trajectory import Command, of_axis
 from dehyst.model import Stage, State, apply, dot, reachable, state_after_loops
-
-# Most passes over the path in which clamped axes correct the free ones.
-_PASSES = 100
-# Of the stroke: changes that are rounding.
-_SETTLED = 1e-12
 
 
 class StageCompensator(ReadOnly):
@@ -38,12 +31,12 @@ class StageCompensator(ReadOnly):
     Parameters
     ----------
     stage : Stage
-    period : float, optional
-        Seconds between steps; needed with a slew rate, and by actuators with creep, dynamics or a lag.
     limits : (float, float), or one an axis, optional
         Lowest and highest voltage [V]. None, for one axis or (default) for all, means the actuator's own.
     slew_rate : float, or one an axis, optional
         Largest abs(dv/dt) [V/s]. None, for one axis or (default) for all, means not limited.
+    period : float, optional
+        Seconds between steps; needed with a slew rate, and by actuators with creep, dynamics or a lag.
     states : State, or one an axis, optional
         State of each actuator. Default: its own state, usually the top of its records as in `Compensator`, or if this
         is outside the limits, the state after major loops between the limits.
@@ -73,10 +66,10 @@ class StageCompensator(ReadOnly):
     def __init__(
         self,
         stage: Stage,
-        *,
-        period: float | None = None,
         limits: Sequence[tuple[float, float] | None] | tuple[float, float] | None = None,
         slew_rate: Sequence[float | None] | float | None = None,
+        *,
+        period: float | None = None,
         states: Sequence[State | None] | State | None = None,
     ) -> None:
         if not isinstance(stage, Stage):
@@ -126,7 +119,7 @@ class StageCompensator(ReadOnly):
         """Displacement (axes,) [m] of the model after all voltages sent; a mass is assumed to follow at once."""
         moved = []
         for one, state in zip(self.compensators, self.states, strict=True):
-            gain, offset = one.scaling
+            gain, offset = one._scaling
             moved.append(offset + gain * one.actuator.model.displacement(state, of_mass=False))
         return np.asarray(apply(self.stage.coupling, np.array([moved]))[0])
 
@@ -166,12 +159,12 @@ class StageCompensator(ReadOnly):
     def _offered(self, displacement: ArrayLike) -> list[float]:
         # As with one axis, a displacement that is refused takes the place of the one on offer.
         for one in self.compensators:
-            one.withdraw()
+            one._withdraw()
         wanted = self._values(displacement, "displacement")
         voltage, alone = [0.0] * len(wanted), [dot(row, wanted) for row in self._table]
 
         def offer(j: int, target: float) -> float | None:
-            voltage[j], reached = self.compensators[j].offer_and_reach(target)
+            voltage[j], reached = self.compensators[j]._offer_and_reach(target)
             return reached
 
         known = targets_and_clamped(self._table, wanted, offer)[1]
@@ -181,15 +174,15 @@ class StageCompensator(ReadOnly):
             slewed = one.limits[0] < voltage[j] < one.limits[1]
             # Once of each kind.
             if not (one.clamps.slewed if slewed else one.clamps.limited):
-                given: dict[str, Any] = {"axis": name, "target": float(one.in_model(np.array(alone[j])))}
-                warn_of_sample(one.actuator, one.bounds, slewed, wanted[j], voltage[j], one.assumed, **given)
+                given: dict[str, Any] = {"axis": name, "target": float(one._in_model(np.array(alone[j])))}
+                warn_of_sample(one.actuator, one._bounds, slewed, wanted[j], voltage[j], one._assumed_voltage, **given)
         return voltage
 
     def set_temperature(self, temperature: ArrayLike) -> None:
         """Set the `temperature` [degC] of all actuators, or of each (axes,), for all further steps and offers.
 
         Actuators without the part `thermal` ignore it. Raise `ModelError` if none has that part, or as
-        `Compensator.set_temperature`: all memory is unchanged.
+        `Compensator.scale`: all memory is unchanged.
         """
         given = plain(temperature, "temperature")
         degrees = self.stage.temperatures(given if np.ndim(given) == 0 else np.atleast_2d(given), 1)
@@ -213,10 +206,10 @@ class StageCompensator(ReadOnly):
         for one in self.compensators:
             one.hold()
 
-    def clone(self) -> StageCompensator:
+    def _clone(self) -> StageCompensator:
         """Return a copy in the state at construction or the last reset."""
         options: dict[str, Any] = {name: getattr(self, name) for name in ("period", "limits", "slew_rate")}
-        return StageCompensator(self.stage, **options, states=[one.initial_state for one in self.compensators])
+        return StageCompensator(self.stage, **options, states=[one._initial_state for one in self.compensators])
 
     def reset(self, states: Sequence[State | None] | State | None = None) -> None:
         """Start again in `states`, by default the states at construction; counts restart at 0.
@@ -238,93 +231,6 @@ class StageCompensator(ReadOnly):
         Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
         """
         restore_all(self.compensators, snapshots)
-
-    def trajectory(
-        self,
-        displacement: ArrayLike,
-        *,
-        time: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
-        present: ArrayLike | None = None,
-        extrapolate: bool = False,
-    ) -> tuple[Command, ...]:
-        """Compute the voltages of a whole path that is known ahead; the loop's memory is unchanged.
-
-        Each voltage is clamped, the free axes are corrected, and the states follow the clamped voltages.
-
-        Parameters
-        ----------
-        displacement : (n, axes) array_like
-            Wanted displacements [m].
-        time : (n,) array_like, optional
-            [s], as in `Compensator.trajectory`.
-        temperature : float, (n,) or (n, axes) array_like, optional
-            As in `Stage.simulate`. It replaces the gains and offsets of `scaling` of the actuators with the part
-            `thermal`, which hold by default.
-        present : (axes,) array_like, optional
-            Voltages [V] before the first sample, as in `Compensator.trajectory`.
-        extrapolate : bool, optional
-            As in `Compensator.trajectory`.
-
-        Returns
-        -------
-        tuple of Command
-            One for each axis: `displacement` of the axis, with all coupling; `state` of its actuator; `followed`:
-            whether all axes follow.
-
-        Raises
-        ------
-        ModelError
-            As `Compensator.trajectory`, with the name of the axis.
-        """
-        wanted = self.stage.columns(displacement, "displacement")
-        if not len(wanted):
-            raise ModelError(argument="displacement", got="no samples", need="one at least")
-        axes = range(len(self.compensators))
-        before = [None] * len(axes) if present is None else self._values(present, "present")
-        degrees = self.stage.temperatures(temperature, len(wanted))
-
-        def command(j: int, target: Array, stray: bool) -> Command:
-            options: dict[str, Any] = {"time": time, "temperature": degrees[j], "present": before[j]}
-            try:
-                return self.compensators[j].trajectory(target, **options, extrapolate=stray)
-            except ModelError as error:
-                raise of_part(error, f"axis {self.stage.axes[j]}") from error
-
-        alone = targets = apply(self.stage.decoupling, wanted)
-        commands = [command(j, targets[:, j], extrapolate) for j in axes]
-        settled = _SETTLED * max(float(np.ptp(wanted)), np.finfo(np.float64).tiny)
-        for _ in range(_PASSES if len(axes) > 1 and any(one.clamped.any() for one in commands) else 0):
-            corrected = self._corrected(alone, targets, wanted, commands)
-            if np.abs(corrected - targets).max() <= settled:
-                break
-            changed, targets = (corrected != targets).any(axis=0), corrected
-            # These targets are in the neighbourhood of those that were checked.
-            commands = [command(j, targets[:, j], True) if changed[j] else commands[j] for j in axes]
-        exact = all(one.followed for one in commands)
-        moved = apply(self.stage.coupling, np.column_stack([one.displacement for one in commands]))
-        reached = wanted if exact else moved
-        # What an axis misses is that of its own displacement, not that of its actuator.
-        bounds = [one.bounds for one in self.compensators]
-        own = [of_axis(commands[j], wanted[:, j], reached[:, j], bounds[j]) for j in axes]
-        return tuple(replace(one, followed=exact) for one in own)
-
-    def _corrected(self, alone: Array, targets: Array, wanted: Array, commands: Sequence[Command]) -> Array:
-        """Return targets with which the free axes reach their wanted displacements; `alone`: those if none is clamped.
-
-        Clamped axes keep theirs.
-        """
-        reached = np.column_stack([one.displacement for one in commands])
-        clamped = np.column_stack([one.clamped for one in commands])
-        corrected, beyond = alone.copy(), targets - reached
-        for i in np.flatnonzero(clamped.any(axis=1)).tolist():
-            aims = wanted[i].tolist()
-            known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
-            for j in _released(known, beyond[i], aims, reachable(self._table, aims, known)):
-                del known[j]
-            moved = reachable(self._table, aims, known)
-            corrected[i] = [targets[i, j] if j in known else dot(row, moved) for j, row in enumerate(self._table)]
-        return corrected
 
     def _values(self, values: ArrayLike, what: str) -> list[float]:
         numbers, count = vector(values, what), len(self.compensators)
@@ -348,7 +254,7 @@ def targets_and_clamped(
     count, moved, known = len(wanted), wanted, dict[int, float]()
     targets, beyond = [0.0] * count, [0.0] * count
     for passed in itertools.count():
-        released = _released(known, beyond, wanted, moved) if passed < 2 * count else []
+        released = to_release(known, beyond, wanted, moved) if passed < 2 * count else []
         fresh = dict[int, float]()
         for j in range(count):
             if j in known:
@@ -364,7 +270,7 @@ def targets_and_clamped(
     return targets, known
 
 
-def _released(
+def to_release(
     known: Iterable[int], beyond: Sequence[float] | Array, wanted: Sequence[float], moved: Sequence[float]
 ) -> list[int]:
     """Return which of the clamped axes in `known` move past what is wanted of them: they need not be clamped.

@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, overload
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._native import EMPTY
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import for_each, untimely, vector
 from dehyst.control.compensator import Compensator
-from dehyst.control.limits import unit_hint
+from dehyst.control.following import Followed, follow_axes
+from dehyst.control.limits import outside_identified, unit_hint
 from dehyst.control.planning.homing import (
     FASTEST_LEG,
     Homing,
     leg_seconds,
+    pace,
     played_homing,
     present_voltage,
     rows_of,
 )
-from dehyst.control.planning.start import PossibleStart, StartError, model_error
-from dehyst.control.planning.states import time_dependence
+from dehyst.control.planning.plan import HOMING, PATH, WAY, PathPlan, shortfall
+from dehyst.control.planning.start import PossibleStart, model_error
 from dehyst.control.stage_compensator import StageCompensator, axes_of, targets_and_clamped
-from dehyst.control.trajectory import Command
 from dehyst.model import (
-    ANYWAY,
     Actuator,
-    Promise,
     Stage,
     State,
     apply,
@@ -40,281 +40,160 @@ from dehyst.model import (
     state_at,
     temperature_columns,
     tested_temperatures,
+    untested,
 )
 from dehyst.waveforms import Excitation, Leg, Sampling
 
-HOMING, WAY, PATH = 0, 1, 2
 # Fewest samples of a leg at the path's sample rate, and samples of a leg where a path has no time.
 _FEWEST, _TIMELESS = 25, 100
-# Share of the range of the spring's knots that a homing in time must leave at most, if the model is better than that.
+# Share of the range of the spring's knots: a homing in time must leave no more, if the model is better than that; and
+# where there is no promise, a path that is missed by more is not followed.
 _TOLERANCE = 1e-3
 # Creep on the way to the first sample changes the voltage there: so often the way is found again.
 _ROUNDS = 3
 # A larger file is more than 300 MB.
 MOST_ROWS = 5_000_000
-# Of the time before the path: rows of two axes that are closer are one.
+# Relative difference of times, and of voltage steps, that is rounding.
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class HomedPath:
-    """The voltage of one axis for a path: homing if necessary, the way to the first sample, and the path itself.
-
-    Attributes
-    ----------
-    time : (n,) array or None
-        Time [s] from the first sample of the homing; None if the path has no time. Rows of a long homing are farther
-        apart than rows of the path; between rows the voltage is linear.
-    phase : (n,) array
-        0 for the homing, 1 for the way to the path, 2 for the path.
-    voltage : (n,) array
-        Voltage [V], within limits and slew rate.
-    displacement : (n,) array
-        Wanted displacement of the axis [m, or `units`]; before the path, and for a given voltage, the model's
-        displacement.
-    expected : (n,) array
-        Displacement of the model [m, or `units`]. It starts from the middle of the possible states; in a homing, where
-        the true one is unknown, from a state after slow loops between the limits.
-    state : State
-        State of the actuator at the last sample.
-    start : PossibleStart
-        The possible states before the homing.
-    homing : Homing or None
-        The homing with its certificate; None if there is no homing.
-    clamped : (n,) bool array
-        Samples whose voltage was changed to keep limits and slew rate.
-    followed : bool
-        Whether the path is followed, see `Command.followed`; true for a given voltage.
-    unhomed : StartError or None
-        Error due to the unknown start without a homing, if this error is the reason for the homing.
-    error : StartError
-        Error along the path due to the unknown start, from simulations of the whole voltage from all possible states.
-    promise : Promise or None
-        Promised error of the path [m], in addition to that of clamped voltages and of the start; None if the model does
-        not hold what its records tested.
-    warnings : tuple of str
-        Remarks on the homing, on clamped voltages, and on what the records do not test: voltages, speeds, temperatures.
-    temperature : (n,) array or None
-        Temperature [degC] of the actuator; before the path that of the first sample. None if it is not known.
-    units : str
-        Unit of `displacement`, `expected` and `error`, as in the compensator, by default "m". `state`, `start`,
-        `homing` and `promise` are always in SI units.
-    """
-
-    time: Array | None
-    phase: NDArray[np.int64]
-    voltage: Array
-    displacement: Array
-    expected: Array
-    state: State
-    start: PossibleStart
-    homing: Homing | None
-    clamped: Mask
-    followed: bool
-    error: StartError
-    promise: Promise | None
-    warnings: tuple[str, ...]
-    temperature: Array | None = None
-    units: str = "m"
-    unhomed: StartError | None = None
-
-    @property
-    def first(self) -> int:
-        """Number of the first sample of the path."""
-        return int(np.count_nonzero(self.phase != PATH))
-
-    @property
-    def left_open(self) -> StartError | None:
-        """The error due to the start; None if the start is known."""
-        return None if self.homing is None and self.start.known else self.error
-
-    @property
-    def seconds(self) -> float | None:
-        """Time [s] from the first sample to the first sample of the path; None if the path has no time."""
-        return None if self.time is None else float(self.time[self.first] - self.time[0])
-
-    @property
-    def certified(self) -> bool:
-        """Whether there is no homing, or it is certified, or its error along the path is below the model's error."""
-        return self.homing is None or self.homing.certified or not self.error.matters
-
-    def in_units(self, units: str) -> HomedPath:
-        """Return the path with its displacements converted from metres to `units`, such as "um"."""
-        counts = per_metre(units)
-        return replace(
-            self,
-            displacement=self.displacement * counts,
-            expected=self.expected * counts,
-            error=self.error.in_units(units),
-            unhomed=self.unhomed and self.unhomed.in_units(units),
-            units=units,
-        )
-
-
-@overload
 def plan_path(
-    compensator: Compensator,
-    displacement: ArrayLike,
+    model: Actuator | Stage | Compensator | StageCompensator,
+    path: ArrayLike,
     *,
     time: ArrayLike | None = None,
-    velocity: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
-    start: PossibleStart | None = None,
-    home: bool | None = None,
-    present: float | None = None,
-) -> HomedPath: ...
-@overload
-def plan_path(
-    compensator: StageCompensator,
-    displacement: ArrayLike,
-    *,
-    time: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
-    start: Sequence[PossibleStart] | None = None,
-    home: bool | None = None,
-    present: Sequence[float] | None = None,
-) -> tuple[HomedPath, ...]: ...
-def plan_path(
-    compensator: Any,
-    displacement: ArrayLike,
-    *,
-    time: ArrayLike | None = None,
+    limits: Any = None,
+    slew_rate: Any = None,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     temperature: ArrayLike | None = None,
     start: Any = None,
     home: bool | None = None,
+    home_within: float | None = None,
     present: Any = None,
-) -> Any:
-    """Compute the voltages of a path from its possible starts, with a homing before it if the start matters.
+    on_time: bool | None = None,
+) -> PathPlan:
+    """Plan the voltages of a path that is known ahead, with a homing before it if the start matters.
 
-    Limits and slew rate hold from the present voltage to the last sample. Several axes are homed simultaneously: an
-    axis with a shorter homing waits before it, at its present voltage.
+    The path is followed at its own speed within limits and slew rate. Jumps to its first sample, homings and the ways
+    to the path are no faster than the records of the model. Several axes are homed simultaneously: an axis with a
+    shorter homing waits before it, at its present voltage.
 
     Parameters
     ----------
-    compensator : Compensator or StageCompensator
-        Source of actuators, limits, slew rates, units and `scaling`; its state has no effect.
-    displacement : (n,) or (n, axes) array_like
-        The path, as in `Compensator.trajectory`.
-    time, velocity, acceleration
-        As in `Compensator.trajectory`; velocity and acceleration only for one axis.
+    model : Actuator, Stage, Compensator or StageCompensator
+        A compensator gives limits, slew rates, units and `scaling`; its state has no effect.
+    path : (n,) or (n, axes) array_like
+        Wanted displacement [m, or `units` of the compensator], as its sensor shows it.
+    time : (n,) array_like, optional
+        [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag. Default: a
+        sample every `period`, if the compensator has one.
+    limits, slew_rate : optional
+        As in `Compensator` or `StageCompensator`, if `model` is none.
+    velocity, acceleration : (n,) array_like, optional
+        Of the path of a single axis, per second and per second squared, used with dynamics; default: those of its
+        cubic spline.
     temperature : float, (n,) or (n, axes) array_like, optional
-        [degC] of the path, as in `Stage.simulate`; default: not known, and computed with the compensator's `scaling`.
-        Without the part `thermal` it is only compared with that of the model's records.
-    start : PossibleStart, or one an axis, optional
+        [degC] of the path; default: not known, and computed with the compensator's `scaling`. Without the part
+        `thermal` it is only compared with that of the model's records.
+    start : PossibleStart or State, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
-        True: a way to the first sample comes before the path, from a known start directly, otherwise with the shortest
-        homing. False: no homing. Default: a homing if the error that an unknown start leaves along the path exceeds the
+        True: a way to the first sample comes before the path, from a known start directly, otherwise with a homing.
+        False: no homing. Default: a homing if the error that an unknown start leaves along the path exceeds the
         model's error. With False and by default, a way leads from a given start or present voltage to a path that one
-        step within the slew rate does not reach.
+        step does not reach.
+    home_within : float, optional
+        Longest duration of the homing [s]; a shorter homing leaves a larger error of the start. Default: as long as
+        necessary; a remark offers a shorter one if it takes more than twice as long as the path.
     present : float, or one an axis, optional
         Present voltage [V] of an unknown start: from there the homing begins, or without one the way to the first
         sample. Default 0 V or the nearest limit; without a homing: if none is given, at the first sample.
+    on_time : bool, optional
+        True: the voltage leads the path by the actuator's delay, so that the path is on time. False: the path comes
+        late by the delay. Default: True if the actuator lags by the identification (`lag_of`).
 
     Returns
     -------
-    HomedPath, or a tuple of one an axis
-        For several axes with the same rows in time: displacements are of the axes, with all coupling; states and errors
-        are of the actuators.
+    PathPlan
 
     Raises
     ------
     ModelError
-        As `trajectory` of the compensator does.
+        If the arrays do not fit, a time is missing, the path lies more than one stroke outside of the reach, or the
+        present voltage lies outside of the limits.
     RecordError
-        If the path is empty, the present voltage lies outside of the limits, or there would be more than 5e6 rows.
+        If the path is empty, there is no homing that is short enough, or there would be more than 5e6 rows.
+
+    Examples
+    --------
+    >>> import dehyst, numpy as np
+    >>> actuator = dehyst.Actuator(dehyst.MaxwellSlip([1e-6], [5e6]), dehyst.Spring([0, 1e-5], [0, 90]))
+    >>> plan = dehyst.plan_path(actuator, np.linspace(3e-6, 6e-6, 50), limits=(0, 100), home=True)
+    >>> plan.voltage[plan.first :].shape
+    (50,)
     """
-    plan = _Plan(compensator, displacement, "displacement", time, temperature, velocity, acceleration)
-    given, now = plan.starts(start), plan.each(present, "present")
+    task = _Task(_compensator(model, limits, slew_rate), path, "displacement", time, temperature)
+    task.set_rates(velocity, acceleration)
+    task.shift(on_time)
+    task.home_within = home_within
+    given, now = task.starts(start), task.each(present, "present")
     if home:
-        return plan.result(plan.led([one if one and one.known else None for one in given], now))
-    if all(given):
-        return plan.result(plan.begun(given))
-    paths = plan.begun(None) if all(one is None for one in now) else plan.standing(now)
-    if home is None and any(one.error.matters for one in paths):
-        homed = plan.led(given, now)
-        paths = [replace(one, unhomed=before.error) for one, before in zip(homed, paths, strict=True)]
-    return plan.result(paths)
+        return task.result(task.led(task.begins([one if one and one.known else None for one in given], now), True))
+    unhomed = task.begun(task.begins(given, now, near=all(one is None for one in now)))
+    if home is None and not all(given) and any(one.error.matters for one in unhomed):
+        homed = task.led(task.begins(given, now), True)
+        return task.result([replace(one, unhomed=old.error) for one, old in zip(homed, unhomed, strict=True)])
+    return task.result(unhomed)
 
 
-@overload
 def plan_voltage(
-    compensator: Compensator,
-    voltage: ArrayLike,
-    *,
-    time: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
-    start: PossibleStart | None = None,
-    home: bool = False,
-    present: float | None = None,
-) -> HomedPath: ...
-@overload
-def plan_voltage(
-    compensator: StageCompensator,
-    voltage: ArrayLike,
-    *,
-    time: ArrayLike | None = None,
-    temperature: ArrayLike | None = None,
-    start: Sequence[PossibleStart | None] | None = None,
-    home: bool = False,
-    present: Sequence[float] | None = None,
-) -> tuple[HomedPath, ...]: ...
-def plan_voltage(
-    compensator: Any,
+    model: Actuator | Stage | Compensator | StageCompensator,
     voltage: ArrayLike,
     *,
     time: ArrayLike | None = None,
     temperature: ArrayLike | None = None,
     start: Any = None,
-    home: bool = False,
-    present: Any = None,
-) -> Any:
-    """Return the displacement that a voltage causes from its possible starts, optionally with a homing before it.
+) -> PathPlan:
+    """Return the displacement that a voltage (n,) or (n, axes) [V] causes; limits of a compensator do not count.
 
-    Parameters
-    ----------
-    compensator : Compensator or StageCompensator
-        Source of actuators and `scaling`, and of limits and slew rates for the homing.
-    voltage : (n,) or (n, axes) array_like
-        Voltages [V], which are not changed.
-    time, temperature, present
-        As in `plan_path`.
-    start : PossibleStart, or one an axis, optional
-        The state before the voltage; default: unknown, at rest at the first voltage.
-    home : bool, optional
-        Whether the shortest homing comes first.
-
-    Returns
-    -------
-    HomedPath, or a tuple of one an axis
-
-    Raises
-    ------
-    ModelError
-        As `Actuator.simulate` does.
-    RecordError
-        As `plan_path` does.
+    Default of `start`: unknown, at rest at the first voltage. Others, and errors, as in `plan_path`.
     """
-    plan = _Plan(compensator, voltage, "voltage", time, temperature)
-    given = plan.starts(start)
-    if home:
-        ways = plan.ways([None] * len(given), plan.each(present, "present"))
-    else:
-        starts = [
-            known or PossibleStart.unknown(one.actuator, volts, one.limits)
-            for known, one, volts in zip(given, plan.loops, plan.firsts, strict=True)
-        ]
-        ways = [_Way(known, known.state) for known in starts]
-    size = ways[0].voltage.size
-    moved, states = plan.motion(ways, plan.rows)
-    commands = [
-        Command(volts, y, np.zeros(y.size, dtype=bool), state, (), 0.0, True)
-        for volts, y, state in zip(plan.rows.T, moved[size:].T, states, strict=True)
+    task = _Task(_compensator(model, None, None), voltage, "voltage", time, temperature)
+    starts = [
+        known or PossibleStart.unknown(one.actuator, volts, one.limits)
+        for known, one, volts in zip(task.starts(start), task.loops, task.firsts, strict=True)
     ]
-    return plan.result(plan.joined(ways, plan.lead(ways) if home else moved[:size], commands, moved[size:]))
+    ways = [_Way(known, known.state) for known in starts]
+    moved, states = task.motion(ways, task.rows)
+    still, pairs = np.zeros(len(task.rows), dtype=bool), zip(task.rows.T, moved.T, states, strict=True)
+    found = [Followed(volts, y, still, state) for volts, y, state in pairs]
+    return task.result(task.plans(ways, moved[:0], found, moved))
+
+
+def _compensator(model: Any, limits: Any, slew_rate: Any) -> Compensator | StageCompensator:
+    """Return the compensator of a model, or the given one; raise `ModelError` for limits beside a compensator."""
+    if isinstance(model, Actuator):
+        return Compensator(model, limits, slew_rate)
+    if isinstance(model, Stage):
+        return StageCompensator(model, limits, slew_rate)
+    if not isinstance(model, Compensator | StageCompensator):
+        raise ModelError(argument="model", got=type(model).__name__, need="an Actuator, a Stage, or a compensator")
+    for name, value in {"limits": limits, "slew_rate": slew_rate}.items():
+        if value is not None:
+            raise ModelError(argument=name, got="some beside a compensator, which has its own", hint="leave them out")
+    return model
+
+
+class _Begin(NamedTuple):
+    """How an actuator stands before a path: its possible starts, the state to plan from, and its voltage [V].
+
+    Without a voltage, the actuator stands at the first sample of the path.
+    """
+
+    start: PossibleStart
+    state: State
+    volts: float | None
 
 
 class _Way(NamedTuple):
@@ -339,11 +218,12 @@ class _Way(NamedTuple):
     waits: float = 0.0
 
 
-class _Plan:
+class _Task:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `targets` (axes, n): voltage [V] or displacement [m] of each actuator's model, without gain and offset. `firsts`:
-    the first of these. `temperature` (n, axes) [degC]: of the actuators; `warmth`: those that have an effect.
+    `moved` (n, axes): voltage [V], or displacement [m] without coupling. `firsts`: the voltage or displacement of each
+    model at the first sample, without gain and offset. `temperature` (n, axes) [degC]: of the actuators; `warmth`:
+    those that have an effect. `delays` [s]: by which the voltage of each axis leads. `ahead`: rows added for that.
     """
 
     def __init__(
@@ -353,14 +233,12 @@ class _Plan:
         what: str,
         time: ArrayLike | None,
         temperature: ArrayLike | None,
-        velocity: ArrayLike | None = None,
-        acceleration: ArrayLike | None = None,
     ) -> None:
         self.compensator, self.loops, self.voltage = compensator, axes_of(compensator), what == "voltage"
         self.single = compensator if isinstance(compensator, Compensator) else None
         if isinstance(compensator, Compensator):
             self.stage = Stage((compensator.actuator,))
-            self.rows = (vector(rows, what) if self.voltage else compensator.in_metres(rows))[:, None]
+            self.rows = (vector(rows, what) if self.voltage else compensator._in_metres(rows))[:, None]
         else:
             self.stage = compensator.stage
             self.rows = self.stage.columns(rows, what)
@@ -374,32 +252,26 @@ class _Plan:
             self.temperature = temperature_columns(temperature, size, len(actuators))
             if any(one.thermal for one in actuators) or not any(map(tested_temperatures, actuators)):
                 self.warmth = self.stage.temperatures(self.temperature, size)
-        self.targets, self.firsts = self.rows.T, self.rows[0].tolist()
-        if not self.voltage:
-            moved = apply(self.stage.decoupling, self.rows).T
-            scales = [one.scaling_at(degrees, size) for one, degrees in zip(self.loops, self.warmth, strict=True)]
-            self.targets = np.array([(y - offset) / gain for y, (gain, offset) in zip(moved, scales, strict=True)])
-            strays = "" if self.single is None else self.single.straying(self.targets[0])
-            if strays:
-                raise ModelError(f"{strays}; {ANYWAY}")
-            self.firsts = self.firsts_within(scales)
+        self.moved, self.firsts = self.rows, self.rows[0].tolist()
         self.time = None if period is None else period * np.arange(size, dtype=np.float64)
         if time is not None:
             self.time = vector(time, "time")
             if self.time.size != size or np.any(np.diff(self.time) <= 0):
                 raise ModelError(untimely(self.time, size))
-        given = {"velocity": velocity, "acceleration": acceleration}
-        self.rates = {
-            name: self.loops[0].in_metres(values, name) for name, values in given.items() if values is not None
-        }
-        if self.rates and self.single is None:
-            raise ModelError(argument=min(self.rates), got="it for several axes", need="a path of one axis")
+        self.rates: dict[str, Array] = {}
+        self.home_within: float | None = None
+        self.delays, self.ahead = [0.0] * len(actuators), 0
+        self.remarks: list[tuple[str, ...]] = [()] * len(actuators)
+        if not self.voltage:
+            self._decouple()
 
-    def firsts_within(self, scales: Sequence[tuple[Any, Any]]) -> list[float]:
-        """Return the `firsts` if axes within reach are corrected by what the others miss, as in each step.
-
-        `scales`: gains and offsets [m] of the axes.
-        """
+    def _decouple(self) -> None:
+        """Find the displacements without coupling, and the first ones of the models."""
+        self.moved = apply(self.stage.decoupling, self.rows)
+        scales = [one._scaling_at(warm, len(self.rows)) for one, warm in zip(self.loops, self.warmth, strict=True)]
+        for j, (one, (gain, offset)) in enumerate(zip(self.loops, scales, strict=True)):
+            if words := one._straying((self.moved[:, j] - offset) / gain):
+                raise ModelError(words if self.single else f"axis {self.stage.axes[j]}: {words}")
         gains, offsets = ([float(np.ravel(values)[0]) for values in column] for column in zip(*scales, strict=True))
 
         def nearest(j: int, target: float) -> float | None:
@@ -407,8 +279,61 @@ class _Plan:
             low, high = (offsets[j] + gains[j] * end for end in one.actuator.major_loop(one.limits))
             return None if low <= target <= high else min(max(target, low), high)
 
+        # Axes within reach are corrected by what the others miss, as in each step.
         targets, _ = targets_and_clamped(self.stage.decoupling.tolist(), self.rows[0].tolist(), nearest)
-        return [(target - offset) / gain for target, gain, offset in zip(targets, gains, offsets, strict=True)]
+        self.firsts = [(y - offset) / gain for y, gain, offset in zip(targets, gains, offsets, strict=True)]
+
+    def set_rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> None:
+        """Take over the derivatives of a path of one axis."""
+        for name, values in {"velocity": velocity, "acceleration": acceleration}.items():
+            if values is not None:
+                if self.single is None:
+                    raise ModelError(argument=name, got="it for several axes", need="a path of one axis")
+                self.rates[name] = self.single._in_metres(values, name)
+
+    def shift(self, on_time: bool | None) -> None:
+        """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late."""
+        by = [one.actuator.identification for one in self.loops]
+        lags = ["" if known is None else known.lag_of for known in by]
+        for j, (one, lag_of) in enumerate(zip(self.loops, lags, strict=True)):
+            delay = one.actuator.delay
+            leads = lag_of == "actuator" if on_time is None else on_time
+            if not delay or (lag_of == "sensor" and not on_time):
+                continue
+            if leads and self.time is not None:
+                self.delays[j] = delay
+                words = "the voltage leads the path by the delay of the actuator, {:.4g} ms: the path is on time"
+            elif lag_of == "actuator" or self.time is None:
+                words = "the displacement lags by {:.4g} ms: expect the path that much later"
+            else:
+                words = (
+                    "the displacement lagged by {:.4g} ms in the records: expect it that much later, unless it was the "
+                    "sensor that lagged"
+                )
+            self.remarks[j] = (words.format(1e3 * delay),)
+        if self.time is None or not any(self.delays):
+            return
+        step = self.step
+        self.ahead = math.ceil(max(self.delays) / step - _ROUNDING)
+        time = np.concatenate([self.time[0] - step * np.arange(self.ahead, 0, -1), self.time])
+        columns = zip(self.delays, self.moved.T, strict=True)
+        self.moved = np.column_stack([np.interp(time + delay, self.time, column) for delay, column in columns])
+        # Before it begins and after it ends, the path rests.
+        rates, rests = self.rates.items(), {"left": 0.0, "right": 0.0}
+        self.rates = {name: np.interp(time + self.delays[0], self.time, rate, **rests) for name, rate in rates}
+        self.rows = np.concatenate([np.repeat(self.rows[:1], self.ahead, axis=0), self.rows])
+        self.warmth = [self.degrees(warm, self.ahead, warm.size) if warm is not None else None for warm in self.warmth]
+        if self.temperature is not None:
+            first = np.repeat(self.temperature[:1], self.ahead, axis=0)
+            self.temperature = np.concatenate([first, self.temperature])
+        self.time = time
+
+    @property
+    def step(self) -> float:
+        """The usual step of the path [s]; 1 if the path has no time."""
+        if self.time is None:
+            return 1.0
+        return float(np.median(np.diff(self.time))) if self.time.size > 1 else FASTEST_LEG / _FEWEST
 
     def each(self, values: Any, what: str) -> list[Any]:
         """Return one entry for each axis."""
@@ -416,108 +341,83 @@ class _Plan:
 
     def starts(self, given: Any) -> list[Any]:
         """Return the start of each axis, None if none was given."""
-        starts = self.each(given, "start")
+        starts = [
+            PossibleStart("given", (one,)) if isinstance(one, State) else one for one in self.each(given, "start")
+        ]
         for one in starts:
             if one is not None and not isinstance(one, PossibleStart):
                 hint = 'PossibleStart.named(actuator, "top") makes one'
-                raise ModelError(argument="start", got=repr(one), need="a PossibleStart", hint=hint)
+                raise ModelError(argument="start", got=repr(one), need="a State or a PossibleStart", hint=hint)
         return starts
 
-    def result(self, paths: list[HomedPath]) -> Any:
-        """Return the paths of several axes, or the path of the only axis, in the units of its compensator."""
-        if self.single is None:
-            return tuple(paths)
-        units = self.single.units
-        hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
-        return replace(paths[0], warnings=(*paths[0].warnings, *hint)).in_units(units)
+    def begins(self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False) -> list[_Begin]:
+        """Return how each actuator stands: as given, or unknown at a voltage [V], or `near` the first sample."""
+        begins = []
+        for one, known, now, first in zip(self.loops, given, present, self.firsts, strict=True):
+            if known is not None:
+                start, state = known, known.within(one.actuator, one.limits)
+                volts = one._held(state) if now is None else present_voltage(one._bounds, now)
+            elif near:
+                start = PossibleStart.unknown_near(one.actuator, first, one.limits)
+                state, volts = start.within(one.actuator, one.limits), None
+            else:
+                volts = present_voltage(one._bounds, now)
+                start = PossibleStart.unknown(one.actuator, volts, one.limits)
+                state = start.within(one.actuator, (volts, volts))
+            begins.append(_Begin(start, state, volts))
+        return begins
 
-    def degrees(self, temperature: Array | None, before: int, size: int) -> Array | None:
-        """Return a temperature (n,) [degC] for `before` rows and `size` samples after them; before, it is the first."""
-        return None if temperature is None else np.concatenate([np.full(before, temperature[0]), temperature[:size]])
-
-    def standing(self, present: Sequence[float | None]) -> list[HomedPath]:
-        """Return the voltages of the path from unknown starts at present voltages [V], with a way as in `begun`."""
-        held = [present_voltage(one.bounds, now) for one, now in zip(self.loops, present, strict=True)]
-        pairs = list(zip(self.loops, held, strict=True))
-        return self.begun([PossibleStart.unknown(one.actuator, now, one.limits) for one, now in pairs], held)
-
-    def begun(self, given: list[PossibleStart] | None, present: list[float] | None = None) -> list[HomedPath]:
-        """Return the voltages of the path, with a way before it if its first step would exceed the slew rate.
-
-        `present` [V]: of given starts; by default as their states.
-        """
-        starts = given or [
-            PossibleStart.unknown_near(one.actuator, y, one.limits)
-            for one, y in zip(self.loops, self.firsts, strict=True)
-        ]
-        places = [one.limits for one in self.loops] if present is None else [(now, now) for now in present]
-        states = [
-            start.within(one.actuator, place) for start, one, place in zip(starts, self.loops, places, strict=True)
-        ]
+    def begun(self, begins: list[_Begin]) -> list[PathPlan]:
+        """Return the voltages of the path, with a way before it if its first step is a jump."""
         # An actuator stands at the first sample, or is brought there slowly.
-        begins = [
-            state_at(one.actuator, state, y) if given is None or one.actuator.model.has_dynamics else state
-            for one, state, y in zip(self.loops, states, self.firsts, strict=True)
+        states = [
+            state_at(one.actuator, begin.state, y)
+            if begin.volts is None or one.actuator.model.has_dynamics
+            else begin.state
+            for one, begin, y in zip(self.loops, begins, self.firsts, strict=True)
         ]
-        held = present or [one.held(state) for one, state in zip(self.loops, states, strict=True)]
-        commands = self.follow(begins, None if given is None else held, self.compensator.period)
-        jumps = [one.slew_rate and command.clamped[0] for one, command in zip(self.loops, commands, strict=True)]
-        if given is not None and any(jumps):
-            known = [PossibleStart(start.name, (state,)) for start, state in zip(starts, states, strict=True)]
-            return self.led(known, held, given)
-        ways = [_Way(start, start.state) for start in starts]
-        return self.joined(ways, np.zeros((0, len(starts))), commands, self.rows)
+        found = self.follow(states, [begin.volts for begin in begins], self.compensator.period)
+        if any(self.jumps(one, begin.volts, each) for one, begin, each in zip(self.loops, begins, found, strict=True)):
+            return self.led(begins, False)
+        ways = [_Way(begin.start, begin.start.state) for begin in begins]
+        return self.plans(ways, np.zeros((0, len(ways))), found)
 
-    def led(
-        self,
-        known: Sequence[PossibleStart | None],
-        present: Sequence[float | None],
-        starts: list[PossibleStart] | None = None,
-    ) -> list[HomedPath]:
-        """Return the voltages of the path after a way from known starts, or after the shortest homing.
+    def jumps(self, one: Compensator, volts: float | None, found: Followed) -> bool:
+        """Return whether a path begins with a step that its slew rate does not allow, or a fast one unlike its own."""
+        if volts is None or self.time is None:
+            return False
+        if one.slew_rate and found.clamped[0]:
+            return True
+        usual = max((pace(one) or math.inf) * self.step, float(np.abs(np.diff(found.voltage)).max(initial=0.0)))
+        return abs(float(found.voltage[0]) - volts) > usual * (1 + _ROUNDING)
 
-        `starts`: start of each axis, if `known` has only the middle of its possible states.
-        """
-        ways = self.ways(known, present)
+    def led(self, begins: list[_Begin], home: bool) -> list[PathPlan]:
+        """Return the voltages of the path after a way to it; with `home`, a homing comes first from unknown starts."""
+        ways = self.ways(begins, home)
         # A mass moves with the path from its first sample on.
-        begins = [
+        states = [
             state_at(one.actuator, way.state, y) if one.actuator.model.has_dynamics else way.state
             for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
-        commands = self.follow(begins, [way.last for way in ways], ways[0].step)
+        found = self.follow(states, [way.last for way in ways], ways[0].step)
         before = self.lead(ways)
-        if starts:
-            ways = [way._replace(start=start) for way, start in zip(ways, starts, strict=True)]
-        return self.joined(ways, before, commands, self.rows)
+        # The way leads from one state of several possible ones.
+        ways = [way if way.homing else way._replace(start=begin.start) for way, begin in zip(ways, begins, strict=True)]
+        return self.plans(ways, before, found)
 
-    def follow(self, states: list[State], present: list[float] | None, period: float | None) -> Sequence[Command]:
+    def follow(self, states: list[State], present: Sequence[float | None], period: float | None) -> list[Followed]:
         """Return the voltages of the path from given states; it begins one `period` after the present voltages."""
-        if self.single is not None:
-            one = Compensator(self.single.actuator, self.single.limits, self.single.slew_rate, period=period)
-            self.scale((one,))
-            options: dict[str, Any] = {"time": self.time, "temperature": self.warmth[0], **self.rates}
-            begin = None if present is None else present[0]
-            return [one.trajectory(self.rows[:, 0], state=states[0], present=begin, **options)]
-        limits, slews = [one.limits for one in self.loops], [one.slew_rate for one in self.loops]
-        several = StageCompensator(self.stage, period=period, limits=limits, slew_rate=slews, states=states)
-        self.scale(several.compensators)
-        warm = self.temperature if any(degrees is not None for degrees in self.warmth) else None
-        return several.trajectory(self.rows, time=self.time, temperature=warm, present=present)
+        options: dict[str, Any] = {"time": self.time, "period": period, "temperature": self.warmth, **self.rates}
+        return follow_axes(self.stage, self.loops, self.moved, states=states, present=present, **options)
 
-    def scale(self, others: Sequence[Compensator]) -> None:
-        """Set in compensators in metres the gain and offset that those of the axes have."""
-        for one, other in zip(self.loops, others, strict=True):
-            if one.scaling != (1.0, 0.0):
-                other.scale(*one.scaling_at(None, 1))
-
-    def ways(self, starts: Sequence[PossibleStart | None], present: Sequence[float | None]) -> list[_Way]:
+    def ways(self, begins: Sequence[_Begin], home: bool) -> list[_Way]:
         """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits.
 
         It waits at its present voltage, so that its homing, which makes the state known, ends with the way to the path.
         """
         ways = [
-            self.way(one, start, now, first)
-            for one, start, now, first in zip(self.loops, starts, present, self.firsts, strict=True)
+            self.way(one, begin, first, home and not begin.start.known)
+            for one, begin, first in zip(self.loops, begins, self.firsts, strict=True)
         ]
         ahead = np.unique(np.concatenate([one.time - one.seconds for one in ways]))
         # Rows of two axes at one time may differ by rounding.
@@ -540,24 +440,25 @@ class _Plan:
             for one, state in zip(merged, states, strict=True)
         ]
 
-    def way(self, one: Compensator, start: PossibleStart | None, present: float | None, first: float) -> _Way:
-        """Return the shortest homing of an axis (none from a known start), and the way from its end to the path."""
-        actuator, limits = one.actuator, one.limits
-        now = present_voltage(one.bounds, one.held(start.state) if start and present is None else present)
-        rate, leg = self.pace(actuator)
-        drive = Sampling(frequency=0.5 / leg, sample_rate=rate)
+    def way(self, one: Compensator, begin: _Begin, first: float, home: bool) -> _Way:
+        """Return the shortest homing of an axis, if it is to `home`, and the way from its end to the path."""
+        actuator, limits, start, state = one.actuator, one.limits, begin.start, begin.state
+        now = one._held(state) if begin.volts is None else begin.volts
+        rate, leg = self.pace_of_legs(actuator)
+        drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=limits, slew_rate=pace(one))
         played: Excitation | None = None
         homing: Homing | None = None
         remarks: tuple[str, ...] = ()
-        if start is None:
+        if home:
             least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
-            tolerance = least if time_dependence(actuator) else None
-            played, homing, remarks = played_homing(one, rate, leg, present=now, drive=drive, tolerance=tolerance)
-            start = PossibleStart.unknown(actuator, now, limits)
+            options: dict[str, Any] = {"tolerance": least, "within": self.home_within}
+            options["path"] = math.inf if self.time is None else float(np.ptp(self.time))
+            played, homing, remarks = played_homing(one, rate, leg, present=now, drive=drive, **options)
+            state = homing.state
+        else:
+            start = PossibleStart(start.name, (state,))
         rows = rows_of(EMPTY if played is None else played.voltage[:-1])
         seconds = 0.0 if played is None else played.duration
-        drive = replace(drive, base=now, present=now, limits=limits, slew_rate=one.slew_rate)
-        state = start.state if homing is None else homing.state
         ramp, goal, state = self.ramp(actuator, drive, state, first)
         if rows.size + ramp.size + len(self.rows) > MOST_ROWS:
             raise RecordError(
@@ -582,13 +483,12 @@ class _Plan:
             step=1 / rate,
         )
 
-    def pace(self, actuator: Actuator) -> tuple[float, float]:
+    def pace_of_legs(self, actuator: Actuator) -> tuple[float, float]:
         """Return the sample rate [Hz] of a homing before the path, and the duration of its legs [s]."""
         if self.time is None:
             return 1.0, float(_TIMELESS)
-        step = float(np.median(np.diff(self.time))) if self.time.size > 1 else FASTEST_LEG / _FEWEST
-        leg = max(FASTEST_LEG, _FEWEST * step)
-        return 1 / step, max(leg, leg_seconds(actuator, leg))
+        leg = max(FASTEST_LEG, _FEWEST * self.step)
+        return 1 / self.step, max(leg, leg_seconds(actuator, leg))
 
     def ramp(self, actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
         """Return the voltages [V] before the first sample of the path, its own voltage, and the state before it.
@@ -616,6 +516,10 @@ class _Plan:
             return None
         return np.concatenate([way.time, way.seconds + (self.time - self.time[0])[:size]])
 
+    def degrees(self, temperature: Array | None, before: int, size: int) -> Array | None:
+        """Return a temperature (n,) [degC] for `before` rows and `size` samples after them; before, it is the first."""
+        return None if temperature is None else np.concatenate([np.full(before, temperature[0]), temperature[:size]])
+
     def motion(self, ways: Sequence[_Way], rows: Array | None = None) -> tuple[Array, list[State]]:
         """Return the displacement (k, axes) [m] along ways and then voltages (n, axes) [V], and the last states."""
         after = np.zeros((0, len(ways))) if rows is None else rows
@@ -624,7 +528,7 @@ class _Plan:
         for one, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
             voltage, clock = np.concatenate([way.voltage, volts]), time if one.actuator.needs_time else None
             motion = one.actuator.simulate(voltage, time=clock, state=way.start.state, extrapolate=True)
-            gain, offset = one.scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
+            gain, offset = one._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
             moved.append(offset + gain * motion.displacement)
             states.append(motion.state)
         return apply(self.stage.coupling, np.column_stack(moved)), states
@@ -639,54 +543,95 @@ class _Plan:
             begun.append(way._replace(start=start))
         return self.motion(begun)[0]
 
-    def joined(
-        self, ways: Sequence[_Way], before: Array, commands: Sequence[Command], wanted: Array
-    ) -> list[HomedPath]:
-        """Return the path of each axis: its way, with displacements `before` (k, axes) [m], then its command."""
-        size, first = len(wanted), ways[0].voltage.size
-        time, phase = self.time_of(ways[0], size), np.concatenate([ways[0].phase, np.full(size, PATH)])
+    def misses(self, found: Sequence[Followed]) -> Array:
+        """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
+        miss = np.column_stack([one.displacement for one in found]) - self.moved
+        if self.time is not None:
+            pairs = zip(self.delays, miss.T, strict=True)
+            miss = np.column_stack(
+                [np.interp(self.time - delay, self.time, one) if delay else one for delay, one in pairs]
+            )
+        return apply(self.stage.coupling, miss)
+
+    def plans(
+        self, ways: Sequence[_Way], before: Array, found: Sequence[Followed], wanted: Array | None = None
+    ) -> list[PathPlan]:
+        """Return the plan of each axis: its way, with displacements `before` (k, axes) [m], then what was found.
+
+        `wanted` (n, axes) [m]: what a given voltage causes; by default the path.
+        """
+        size, first = len(self.rows), ways[0].voltage.size
+        time = self.time_of(ways[0], size)
+        phase = np.concatenate([ways[0].phase, np.repeat([WAY, PATH], [self.ahead, size - self.ahead])])
         temperatures = [None] * len(ways) if self.temperature is None else list(self.temperature.T)
-        columns = self.loops, ways, commands, before.T, wanted.T, self.warmth, temperatures
-        paths = []
-        for j, (one, way, command, led, path, warmth, temperature) in enumerate(zip(*columns, strict=True)):
-            voltage = np.concatenate([way.voltage, command.voltage])
-            error = way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first)
-            gain, offset = one.scaling_at(warmth, size)
+        path, miss = (self.rows, self.misses(found)) if wanted is None else (wanted, np.zeros_like(wanted))
+        columns = self.loops, ways, found, before.T, path.T, miss.T, self.warmth, temperatures
+        plans = []
+        for j, (one, way, each, led, goal, off, warmth, temperature) in enumerate(zip(*columns, strict=True)):
+            voltage = np.concatenate([way.voltage, each.voltage])
+            error = way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first + self.ahead)
+            gain, offset = one._scaling_at(None if warmth is None else warmth[self.ahead :], size - self.ahead)
             error = replace(error, lowest=offset + gain * error.lowest, highest=offset + gain * error.highest)
-            promise, untested = promised(one.actuator, command.voltage, self.time, temperature, way.waits)
-            speeds = () if self.voltage else self.speeds(j, command)
-            paths.append(
-                HomedPath(
+            after, degrees = self.ahead, None if temperature is None else temperature[self.ahead :]
+            promise = promised(
+                one.actuator,
+                each.voltage[after:],
+                None if self.time is None else self.time[after:],
+                temperature=degrees,
+                waits=way.waits,
+                begins=way.start.name if way.homing is None else "homed",
+                opened=() if way.homing is None and way.start.known else error.difference,
+                missed=off[after:] if each.clamped.any() else (),
+            )
+            missed = float(np.abs(off).max())
+            tolerated = _TOLERANCE * float(np.ptp(one.actuator.spring.displacement))
+            if promise is not None:
+                tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
+            remarks = way.warnings
+            if wanted is None:
+                remarks += shortfall(each.voltage, each.clamped, one._bounds, missed, tolerated)
+                remarks += outside_identified(one.actuator, each.voltage, refuse=False).warnings
+                remarks += self.remarks[j] + self.speeds(j, each)
+            plans.append(
+                PathPlan(
                     time,
                     phase,
                     voltage,
-                    displacement=np.concatenate([led, path]),
-                    expected=np.concatenate([led, command.displacement]),
-                    state=command.state,
+                    displacement=np.concatenate([led, goal]),
+                    expected=np.concatenate([led, goal + off]),
+                    clamped=np.concatenate([np.zeros(first, dtype=bool), each.clamped]),
+                    state=each.state,
                     start=way.start,
                     homing=way.homing,
-                    clamped=np.concatenate([np.zeros(first, dtype=bool), command.clamped]),
-                    followed=command.followed,
                     error=error,
                     promise=promise,
-                    warnings=(*way.warnings, *command.warnings, *speeds, *untested),
+                    followed=missed <= tolerated,
+                    warnings=(*remarks, *untested(one.actuator, promise, degrees)),
                     temperature=self.degrees(temperature, first, size),
                 )
             )
-        return paths
+        return plans
 
-    def speeds(self, j: int, command: Command) -> tuple[str, ...]:
+    def speeds(self, j: int, found: Followed) -> tuple[str, ...]:
         """Return a remark if the path of an axis needs more than its slew rate, or than the speed of the records."""
-        one, voltage = self.loops[j], command.voltage
+        one = self.loops[j]
         if self.time is None or self.time.size < 2:
             return ()
-        if not command.clamped.any():
+        if not found.clamped.any():
             # Nothing was held back.
-            return speed_remark(one.actuator, float(np.abs(np.diff(voltage) / np.diff(self.time)).max()))
-        gain = one.scaling_at(self.warmth[j], len(self.rows))[0]
+            return speed_remark(one.actuator, float(np.abs(np.diff(found.voltage) / np.diff(self.time)).max()))
+        gain, offset = one._scaling_at(self.warmth[j], len(self.rows))
         rates = {name: values / gain for name, values in self.rates.items()}
-        needed = needed_slew_rate(one.actuator, self.targets[j], self.time, one.limits, **rates)
+        needed = needed_slew_rate(one.actuator, (self.moved[:, j] - offset) / gain, self.time, one.limits, **rates)
         return speed_remark(one.actuator, needed, one.slew_rate)
+
+    def result(self, plans: list[PathPlan]) -> PathPlan:
+        """Return the plan of several axes, or that of the only axis in the units of its compensator."""
+        if self.single is None:
+            return PathPlan.of_axes(self.stage.axes, plans)
+        units = self.single.units
+        hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
+        return replace(plans[0], warnings=(*plans[0].warnings, *hint)).in_units(units)
 
 
 def needed_slew_rate(

@@ -15,7 +15,7 @@ from dehyst._units import per_metre
 from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.homing import shortest_homing
-from dehyst.control.planning.states import StateBounds, possible_states
+from dehyst.control.planning.states import middle_of, possible_states
 from dehyst.model import Actuator, State, state_within_limits
 from dehyst.waveforms import Sampling
 
@@ -51,7 +51,7 @@ class PossibleStart:
     @property
     def state(self) -> State:
         """The known state, or the middle of the possible states."""
-        return self.states[0] if self.known else StateBounds.of(self.states).middle
+        return self.states[0] if self.known else middle_of(self.states)
 
     def within(self, actuator: Actuator, limits: tuple[float, float] | None) -> State:
         """Return the state, or the nearest state within the `limits` [V], by default the limits of the `actuator`."""
@@ -95,9 +95,9 @@ class PossibleStart:
         if name == "homed":
             low, high = actuator.limits or (0.0, 0.0)
             end = min(max(0.0, low), high)
-            return cls(name, (shortest_homing(actuator, present=end, stiff_only=True, drive=Sampling()).state,))
-        rising, knots = name == "top", actuator.spring.displacement
-        return cls(name, (actuator.turned(float(knots[-1 if rising else 0]), rising=rising),))
+            return cls(name, (shortest_homing(actuator, present=end, drive=Sampling()).state,))
+        rising = name == "top"
+        return cls(name, (actuator.turned(actuator.knots[rising], rising=rising, extrapolate=True),))
 
     @classmethod
     def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:

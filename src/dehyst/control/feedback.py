@@ -1,0 +1,130 @@
+"""Feedback: an integral of the error of a sensor, ahead of the compensator."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dehyst import _native
+from dehyst._errors import ModelError
+from dehyst._native import CoreError
+from dehyst._validation import number
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
+
+
+class Feedback:
+    """An integral of the error ahead of a compensator, for a sensor that is there while the stage moves.
+
+    Each reading takes away a share `gain` of the error: wanted less measured displacement, or with clamped voltages
+    what the sensor says more or less than the model. Nothing winds up, as the model knows the voltages that were really
+    sent. Without a reading the correction is held, so that a sensor may be slower than the loop::
+
+        feedback = dehyst.Feedback(compensator)
+        for wanted in path:
+            dac.write(feedback.step(wanted, sensor.read()))
+
+    This is what `dehyst_feedback_step` does on a microcontroller, bit for bit.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        With a period. It is stepped by this feedback, and by nobody else. With `preview` its delay and resonance are
+        compensated, and the gain is higher.
+    margin_db : float, optional
+        Gain margin [dB] with the identified resonance, see `Actuator.margins`.
+    bound : float, optional
+        Largest correction [`units` of the compensator], and the farthest that a reading may be from the model: one
+        beyond counts as missing. Default: a twentieth of the compensator's reach.
+
+    Attributes
+    ----------
+    compensator, bound
+        As given.
+    gain : float
+        Share of the error that each reading takes away.
+    bandwidth : float
+        Frequency [Hz] below which disturbances are reduced by 3 dB or more, with a reading each period.
+
+    Raises
+    ------
+    ModelError
+        If the compensator has no period, the bound is not up to a quarter of the reach, or a delay has more than 63
+        periods.
+    """
+
+    def __init__(self, compensator: Compensator, margin_db: float = 6.0, *, bound: float | None = None) -> None:
+        if not isinstance(compensator, Compensator):
+            raise ModelError(argument="compensator", got=type(compensator).__name__, need="a Compensator")
+        if compensator.period is None:
+            raise ModelError("a feedback needs the time between steps", hint="give the period [s]", change=("period",))
+        stroke = compensator.actuator.stroke * compensator._per_metre
+        self.compensator, self.bound = compensator, sensor_bound(compensator.reach, stroke, bound)
+        self.gain, self.bandwidth = compensator.actuator.margins(
+            compensator.period, margin_db, preview=compensator._previews
+        )
+        self.reset()
+
+    def __repr__(self) -> str:
+        state = "believed" if self.believed else self.fault.name
+        return f"<Feedback of gain {self.gain:.3g}, {self.bandwidth:.3g} Hz, sensor {state}>"
+
+    def step(self, wanted: float, measured: float | None = None) -> float:
+        """Return the voltage [V] to send for a `wanted` displacement [m, or `units`], and commit it.
+
+        `measured`: the displacement [m, or `units`] after all voltages sent so far, or None if there is no reading. A
+        value that is not finite counts as none.
+
+        Raises
+        ------
+        ModelError
+            As `Compensator.step`: nothing has changed.
+
+        Warns
+        -----
+        ClampWarning
+            As `Compensator.step`.
+        SensorWarning
+            Once, when the sensor is not believed any more.
+        """
+        believed = self.believed
+        if self._loop is not self.compensator._loop:
+            # The compensator was reset.
+            self.reset()
+        try:
+            voltage = self._core.step(wanted, measured)
+        except TypeError:
+            plain = measured is None or isinstance(measured, np.floating)
+            reading = measured if plain else number(measured, "measured")
+            voltage = self._core.step(number(wanted, "wanted"), None if reading is None else float(reading))
+        except CoreError as error:
+            raise ModelError(argument="wanted", got=repr(wanted), need="a finite number") from error
+        if believed and not self.believed:
+            warn_of_sensor(self.fault, self.bound / self.compensator._per_metre)
+        return voltage
+
+    @property
+    def correction(self) -> float:
+        """What is added to the wanted displacement [m, or `units`]."""
+        return self._core.correction * self.compensator._per_metre
+
+    @property
+    def fault(self) -> SensorFault:
+        """Why the sensor is not believed; `SensorFault.NONE` if it is."""
+        return SensorFault(self._core.fault)
+
+    @property
+    def believed(self) -> bool:
+        """Whether the sensor is believed; once it is not, only `reset` trusts it again."""
+        return self._core.fault == 0
+
+    def reset(self) -> None:
+        """Believe the sensor again, and begin without a correction."""
+        one = self.compensator
+        late = one.samples_ahead if one._previews else round(one.actuator.delay / (one.period or 1.0))
+        self._loop = one._loop
+        try:
+            self._core = _native.Feedback(self._loop, self.gain, self.bound / one._per_metre, late)
+        except CoreError as error:
+            raise ModelError(
+                argument="compensator", got=f"a delay of {late} periods", need="63 at most", hint="give a longer period"
+            ) from error

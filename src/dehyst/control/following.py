@@ -1,0 +1,257 @@
+"""Voltages that follow a whole path within limits and slew rate, from a known state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dehyst._errors import ModelError, of_part
+from dehyst._native import CoreState
+from dehyst._types import Array, Mask
+from dehyst._validation import vector
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import TIME_NEEDED, VoltageLimits
+from dehyst.control.stage_compensator import to_release
+from dehyst.model import Actuator, Motion, PathData, Stage, State, apply, dot, reachable
+
+_CHUNK = 64
+_ANY = float(np.finfo(np.float64).max)
+# The code of `Loop.trace` for an offer that was not clamped.
+_NOT_CLAMPED = 1
+_ROUNDING = 1e-12
+# Most runs of equal steps for which a loop is set up.
+_FEW = 64
+# Most passes over the path in which clamped axes correct the free ones.
+_PASSES = 100
+
+
+class Followed(NamedTuple):
+    """Voltages (n,) [V] within limits and slew rate, and what they cause.
+
+    `displacement` (n,) [m]: the wanted path except where the voltage was clamped; simulated for an actuator with
+    dynamics or a lag. `clamped` (n,): samples whose voltage was changed. `state`: after the last sample.
+    """
+
+    voltage: Array
+    displacement: Array
+    clamped: Mask
+    state: State
+
+
+def follow(
+    one: Compensator,
+    displacement: ArrayLike,
+    *,
+    state: State | None = None,
+    present: float | None = None,
+    time: ArrayLike | None = None,
+    period: float | None = None,
+    temperature: ArrayLike | None = None,
+    velocity: Array | None = None,
+    acceleration: Array | None = None,
+) -> Followed:
+    """Return the voltages of a path (n,) [m] from a `state`, by default the compensator's, whose memory is unchanged.
+
+    `present` [V]: before the first sample, by default the voltage that holds a given `state`, or else the last one
+    sent. `time` (n,) [s]: needed with a slew rate, and by an actuator that depends on time; default: a sample every
+    period. `period` [s]: from the present voltage to the first sample, if it is shorter than the first step; default:
+    the compensator's. `temperature` [degC]: replaces the `scaling` of the compensator. `velocity` [m/s],
+    `acceleration` [m/s^2]: as in `Actuator.compensate`.
+    """
+    wanted = vector(displacement, "displacement")
+    gain, offset = one._scaling_at(temperature, wanted.size)
+    rates = [None if values is None else values / gain for values in (velocity, acceleration)]
+    if time is None and one.period is not None:
+        time = one.period * np.arange(wanted.size)
+    period = one.period if period is None else period
+    if present is None:
+        present = one.voltage if state is None else one._held(state)
+    begin, now = one.state if state is None else state, one._bounds.within(present, "present")
+    target = (wanted - offset) / gain
+    found = _follow(one.actuator, one._bounds, target, time, period, rates, begin, now)
+    reached = np.where(found.displacement == target, wanted, offset + gain * found.displacement)
+    return found._replace(displacement=reached)
+
+
+def follow_axes(
+    stage: Stage,
+    loops: Sequence[Compensator],
+    moved: Array,
+    *,
+    states: Sequence[State],
+    present: Sequence[float | None],
+    temperature: Sequence[Array | None],
+    **options: Any,
+) -> list[Followed]:
+    """Return the voltages of each actuator for displacements `moved` (n, axes) [m], already without coupling.
+
+    Where an axis is clamped, the targets of the free ones are corrected, as in each step of `StageCompensator`. The
+    lists have one entry for each axis; `options`: as in `follow`.
+    """
+    axes = range(len(loops))
+
+    def followed(j: int, target: Array) -> Followed:
+        given: dict[str, Any] = {"state": states[j], "present": present[j], "temperature": temperature[j]}
+        try:
+            return follow(loops[j], target, **given, **options)
+        except ModelError as error:
+            raise of_part(error, f"axis {stage.axes[j]}" if len(loops) > 1 else "") from error
+
+    targets, found = moved, [followed(j, moved[:, j]) for j in axes]
+    settled = _ROUNDING * max(float(np.ptp(moved)), np.finfo(np.float64).tiny)
+    for _ in range(_PASSES if len(axes) > 1 and any(each.clamped.any() for each in found) else 0):
+        corrected = _corrected(stage, moved, targets, found)
+        if np.abs(corrected - targets).max() <= settled:
+            break
+        changed, targets = (corrected != targets).any(axis=0), corrected
+        found = [followed(j, targets[:, j]) if changed[j] else found[j] for j in axes]
+    return found
+
+
+def _corrected(stage: Stage, moved: Array, targets: Array, found: Sequence[Followed]) -> Array:
+    """Return targets with which the free axes reach what is wanted of them; clamped axes keep theirs."""
+    table, wanted = stage.decoupling.tolist(), apply(stage.coupling, moved)
+    reached = np.column_stack([each.displacement for each in found])
+    clamped = np.column_stack([each.clamped for each in found])
+    corrected, beyond = moved.copy(), targets - reached
+    for i in np.flatnonzero(clamped.any(axis=1)).tolist():
+        aims = wanted[i].tolist()
+        known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
+        for j in to_release(known, beyond[i], aims, reachable(table, aims, known)):
+            del known[j]
+        free = reachable(table, aims, known)
+        corrected[i] = [targets[i, j] if j in known else dot(row, free) for j, row in enumerate(table)]
+    return corrected
+
+
+def _follow(
+    actuator: Actuator,
+    limits: VoltageLimits,
+    wanted: Array,
+    time: ArrayLike | None,
+    period: float | None,
+    rates: Sequence[Array | None],
+    start: State,
+    present: float,
+) -> Followed:
+    """Return the voltages of a path of the model (n,) [m]; `rates`: its velocity and its acceleration."""
+    steps = limits.steps(wanted.size, time, period)
+    path, state = _Path(actuator, wanted, time, *rates), start
+    # Raises if the time is missing or does not fit. Of few runs of equal steps, and no part that still responds to
+    # voltages before, what comes after a clamped sample is stepped through.
+    steps_on = path.clock[1].size <= _FEW and not actuator.model.has_dynamics
+    voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
+    clamped = np.zeros(wanted.size, dtype=bool)
+    i, chunk = 0, _CHUNK
+    while i < wanted.size:
+        stop = min(i + chunk, wanted.size)
+        candidate, after = path.compensate(i, stop, state)
+        allowed = limits.allowed(candidate, voltage[i - 1] if i else present, steps[i:stop])
+        # The rounding of a voltage on a limit does not count as clamping.
+        changed = np.flatnonzero(np.abs(allowed - candidate) > _ROUNDING * (limits.high - limits.low))
+        count = int(changed[0]) if changed.size else stop - i
+        voltage[i : i + count], reached[i : i + count] = allowed[:count], wanted[i : i + count]
+        if not changed.size:
+            i, state, chunk = stop, after, 2 * chunk
+            continue
+        if count:
+            state = path.compensate(i, i + count, state)[1]
+        i += count
+        voltage[i], clamped[i] = allowed[count], True
+        reached[i], state = path.simulate_sample(voltage, i, state)
+        i, chunk = i + 1, _CHUNK
+        if steps_on:
+            # After a clamped sample others follow soon: sample by sample, then, to the end.
+            voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
+            break
+    if actuator.model.has_dynamics:
+        motion = actuator.simulate(voltage, time=time, state=start, extrapolate=True)
+        reached, state = motion.displacement, motion.state
+    return Followed(voltage, reached, clamped, state)
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """A wanted path, followed in pieces. If time matters, pieces overlap by one sample."""
+
+    actuator: Actuator
+    wanted: Array
+    time: ArrayLike | None
+    velocity: ArrayLike | None
+    acceleration: ArrayLike | None
+
+    @cached_property
+    def clock(self) -> tuple[NDArray[np.int64], Array]:
+        """Runs of equal steps, see `Evaluator.clock`."""
+        return self.actuator.model.clock(self.time, self.wanted.size, TIME_NEEDED)
+
+    @cached_property
+    def data(self) -> dict[str, Array]:
+        """The given values of time and derivatives that have an effect, one for each sample."""
+        columns = {"time": self.time} if self.actuator.needs_time else {}
+        if self.actuator.dynamics is not None:
+            data = PathData(self.time, None, self.velocity, self.acceleration)
+            columns["velocity"], columns["acceleration"] = self.actuator.model.derivatives(self.wanted, data)
+        return {name: vector(values, name) for name, values in columns.items() if values is not None}
+
+    @cached_property
+    def lead(self) -> Array:
+        """The difference w - y (n,) [m]."""
+        return self.actuator.model.lead(self.wanted, PathData(**self.data))
+
+    def compensate(self, i: int, stop: int, start: State) -> tuple[Array, State]:
+        """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the final state."""
+        motion = self._piece(i, stop, start)
+        voltage = motion.voltage
+        if self.actuator.lag and stop < self.wanted.size:
+            # A lag needs the slope of the voltage, which the last sample of a piece has from one side only.
+            voltage = self._piece(i, stop + 1, start).voltage[:-1]
+        return voltage[i - self._first(i) :], motion.state
+
+    def _piece(self, i: int, stop: int, start: State) -> Motion:
+        first, path = self._first(i), self.wanted[self._first(i) : stop]
+        if first < i:
+            model, m = self.actuator.model, start.deformation - self.lead[first]
+            here = model.displacement(replace(start, deformation=m), of_mass=False)
+            path = np.concatenate([[here], path[1:]])
+        data: dict[str, Any] = {name: values[first:stop] for name, values in self.data.items()}
+        return self.actuator.compensate(path, **data, state=start, extrapolate=True)
+
+    def _first(self, i: int) -> int:
+        """Return the first sample of a piece that starts at sample i."""
+        return max(i - 1, 0) if self.actuator.needs_time else i
+
+    def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
+        """Return displacement and state after the voltage of sample i."""
+        piece = slice(self._first(i), i + 1)
+        data: dict[str, Any] = {name: self.data[name][piece] for name in ("time",) if name in self.data}
+        motion = self.actuator.simulate(voltage[piece], **data, state=start, extrapolate=True)
+        return float(motion.displacement[-1]), motion.state
+
+    def step(self, first: int, before: float, start: State, limits: VoltageLimits) -> tuple[Array, Array, Mask, State]:
+        """Step through the samples from `first`; return voltages, displacements, clamped samples and the state."""
+        model, n, state = self.actuator.model, self.wanted.size, start
+        bounds, durations = self.clock
+        voltage, reached_by, offers = np.empty(n), np.empty(n), np.empty(n)
+        w = self.wanted + self.lead
+        for r, seconds in enumerate(durations):
+            run = slice(max(int(bounds[r]), first), int(bounds[r + 1]))
+            if run.start >= run.stop:
+                continue
+            change = _ANY if limits.slew_rate is None else limits.slew_rate * seconds
+            numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
+            coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
+            loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))
+            rest = [before, before, before, before, 0.0, 1.0, 0.0, state.deformation, w[run.start - 1]]
+            loop.go_on(np.array(rest), 0, 0, 0)
+            voltage[run], reached_by[run], offers[run] = loop.trace(w[run])
+            before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
+        clamped = offers[first:] != _NOT_CLAMPED
+        clamped &= np.abs(reached_by - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
+        reached = np.where(clamped, reached_by[first:] - self.lead[first:], self.wanted[first:])
+        return voltage[first:], reached, clamped, state

@@ -1,0 +1,214 @@
+"""The plan of a path: voltages to play, what they should cause, and what may be missed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._text import counted
+from dehyst._types import Array, Mask
+from dehyst._units import per_metre
+from dehyst._views import html, tables
+from dehyst._views.lines import length, span_of
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.planning.start import StartError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+HOMING, WAY, PATH = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PathPlan:
+    """The voltages for a path: a homing if necessary, the way to the first sample, and the path itself.
+
+    For several axes, arrays of displacements and voltages are (n, axes), and the entries that are marked with * are
+    tuples with one for each axis; `each` has the plan of each axis.
+
+    Attributes
+    ----------
+    time : (n,) array or None
+        Time [s] from the first sample of the homing; None if the path has no time. Rows of a long homing are farther
+        apart than rows of the path; between rows the voltage is linear.
+    phase : (n,) array
+        0 for the homing, 1 for the way to the path, 2 for the path.
+    voltage : (n,) array
+        Voltage [V], within limits and slew rate.
+    displacement : (n,) array
+        Wanted displacement of the axis [m, or `units`]; before the path, and for a given voltage, the model's
+        displacement.
+    expected : (n,) array
+        Displacement of the model [m, or `units`]. It starts from the middle of the possible states; in a homing, where
+        the true one is unknown, from a state after slow loops between the limits.
+    clamped : (n,) bool array
+        Samples whose voltage was changed to keep limits and slew rate.
+    state : State *
+        State of the actuator at the last sample.
+    start : PossibleStart *
+        The possible states before the homing.
+    homing : Homing or None *
+        The homing with its certificate; None if there is no homing.
+    error : StartError *
+        Error along the path due to the unknown start, from simulations of the whole voltage from all possible states.
+    unhomed : StartError or None *
+        Error due to the unknown start without a homing, if this error is the reason for the homing.
+    promise : Promise or None *
+        Promised error of the path [m] from its start, with that of clamped voltages; None if the model does not hold
+        what its records tested.
+    followed : bool
+        Whether voltages miss the path by no more than the promise, or where there is none by no more than a thousandth
+        of the range of the spring's knots; true for a given voltage.
+    warnings : tuple of str
+        Remarks on the homing, on clamped voltages, on a delay, and on what the records do not test.
+    temperature : (n,) array or None
+        Temperature [degC] of the actuator; before the path that of the first sample. None if it is not known.
+    units : str
+        Unit of displacements and `error`, as in the compensator, by default "m". `state`, `start`, `homing` and
+        `promise` are always in SI units.
+    each : tuple of PathPlan
+        The plan of each axis; empty for a single axis.
+    """
+
+    time: Array | None
+    phase: NDArray[np.int64]
+    voltage: Array
+    displacement: Array
+    expected: Array
+    clamped: Mask
+    state: Any
+    start: Any
+    homing: Any
+    error: Any
+    promise: Any
+    followed: bool
+    warnings: tuple[str, ...]
+    unhomed: Any = None
+    temperature: Array | None = None
+    units: str = "m"
+    each: tuple[PathPlan, ...] = ()
+
+    @classmethod
+    def of_axes(cls, names: Sequence[str], plans: Sequence[PathPlan]) -> PathPlan:
+        """Return the plan of several axes from the plan of each."""
+
+        def all_of(name: str) -> Any:
+            return tuple(getattr(one, name) for one in plans)
+
+        entries = ("state", "start", "homing", "error", "promise", "unhomed")
+        joined: dict[str, Any] = {name: all_of(name) for name in entries}
+        columns = ("voltage", "displacement", "expected", "clamped")
+        joined |= {name: np.column_stack(all_of(name)) for name in columns}
+        warnings = (f"{name}: {words}" for name, one in zip(names, plans, strict=True) for words in one.warnings)
+        warm = None if plans[0].temperature is None else np.column_stack(all_of("temperature"))
+        return cls(
+            plans[0].time,
+            plans[0].phase,
+            **joined,
+            followed=all(all_of("followed")),
+            warnings=tuple(warnings),
+            temperature=warm,
+            each=tuple(plans),
+        )
+
+    @property
+    def first(self) -> int:
+        """Number of the first sample of the path."""
+        return int(np.count_nonzero(self.phase != PATH))
+
+    @property
+    def missed(self) -> Any:
+        """Largest distance of `expected` from the path [m, or `units`]; for several axes (axes,)."""
+        return np.abs(self.expected - self.displacement)[self.first :].max(axis=0, initial=0.0)
+
+    @property
+    def left_open(self) -> StartError | None:
+        """The error of a single axis due to the start; None if the start is known."""
+        return None if self.homing is None and self.start.known else self.error
+
+    @property
+    def seconds(self) -> float | None:
+        """Time [s] from the first sample to the first sample of the path; None if the path has no time."""
+        return None if self.time is None else float(self.time[self.first] - self.time[0])
+
+    @property
+    def certified(self) -> bool:
+        """Whether there is no homing, or it is certified, or its error along the path is below the model's error."""
+        if self.each:
+            return all(one.certified for one in self.each)
+        return self.homing is None or self.homing.certified or not self.error.matters
+
+    def in_units(self, units: str) -> PathPlan:
+        """Return the plan of a single axis with its displacements converted from metres to `units`, such as "um"."""
+        counts = per_metre(units)
+        return replace(
+            self,
+            displacement=self.displacement * counts,
+            expected=self.expected * counts,
+            error=self.error.in_units(units),
+            unhomed=self.unhomed and self.unhomed.in_units(units),
+            units=units,
+        )
+
+    def __repr__(self) -> str:
+        return f"<PathPlan: {', '.join(self._facts().values())}>"
+
+    def _repr_html_(self) -> str:
+        colour = "green" if self.followed else "amber"
+        facts = html.facts(self._facts().items())
+        return html.block("PathPlan", facts, html.folded("Warnings", self.warnings), colour=colour)
+
+    def _facts(self) -> dict[str, str]:
+        um, count = 1e6 / per_metre(self.units), int(np.count_nonzero(self.clamped))
+        before = {"before": f"{counted(self.first, 'sample')} before"} if self.first else {}
+        missed = length(float(np.max(self.missed)) / per_metre(self.units))
+        return {
+            "samples": counted(len(self.phase) - self.first, "sample"),
+            **before,
+            "voltage": span_of(self.voltage, "V"),
+            "displacement": span_of(self.displacement, "um", um),
+            "clamped": f"{count} clamped, missed by up to {missed}" if count else "nothing clamped",
+        }
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the columns time_s, phase, voltage_V, displacement_um, expected_um and clamped as a pandas DataFrame.
+
+        With several axes, the last four have a number after their quantity. Raise `MissingExtraError` if pandas is not
+        installed.
+        """
+        um = 1e6 / per_metre(self.units)
+        columns: dict[str, Any] = {} if self.time is None else {"time_s": self.time}
+        columns["phase"] = self.phase
+        for k, one in enumerate(self.each or (self,)):
+            number = k + 1 if self.each else ""
+            columns[f"voltage{number}_V"] = one.voltage
+            columns[f"displacement{number}_um"] = one.displacement * um
+            columns[f"expected{number}_um"] = one.expected * um
+            columns[f"clamped{number}"] = one.clamped
+        return tables.frame(columns)
+
+
+def shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float, tolerated: float) -> tuple[str, ...]:
+    """Return a sentence on a path that is `missed` [m] by its voltages (n,) [V], or none.
+
+    A miss beyond what is `tolerated` [m] is a failure; below, it is a remark.
+    """
+    if not clamped.any():
+        if missed <= tolerated:
+            return ()
+        # Then only a mass or an amplifier can be left behind.
+        return (
+            f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
+            "actuator's state, or moves too fast for its sample rate",
+        )
+    count = int(np.count_nonzero(clamped))
+    at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
+    words = (
+        f"{count} of {voltage.size} voltages ({at_limit} at the limits {limits.words}, {count - at_limit} by the slew "
+        f"rate), the first at sample {int(np.argmax(clamped))}; the path is missed by up to {missed * 1e6:.4g} um"
+    )
+    return (f"CLAMPED: {words}" if missed > tolerated else f"clamped: {words}, less than what is promised",)

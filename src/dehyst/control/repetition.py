@@ -1,0 +1,298 @@
+"""Repetition: a path that is repeated learns from its own error, cycle by cycle, around the compensator."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._native import judge
+from dehyst._types import Array
+from dehyst._validation import plain
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
+from dehyst.control.planning.wave_table import StartUp, WaveTable
+from dehyst.control.stage_compensator import StageCompensator, axes_of
+from dehyst.model import State, mechanical_response
+
+# Share of the error that a cycle takes away; at first of harmonics above the tenth, where a resonance may be unknown.
+_GAIN, _FIRST_GAIN, _SAFE = 0.6, 0.05, 10
+# A harmonic that falls gets so many times the gain; one that rises by this factor, so many times less.
+_FASTER, _RISE, _SLOWER = 2.0, 1.2, 0.25
+# Longest gap between readings, as a share of the cycle.
+_GAP = 0.05
+# The correction ends at this multiple of the resonance, after errors have risen at this part of that; harmonics of the
+# error count that are more than so many times noise.
+_RESONANCE, _LOWER, _ABOVE_NOISE = 1.2, 0.5, 3.0
+# An error that is so many times the least and still rises is no drift; one of so many times returns at once.
+_WORSE, _FAR_WORSE = 1.5, 3.0
+# Of the RMS error: a smaller change is none, nor is one within so many standard errors of the noise.
+_CHANGE, _ERRORS = 0.02, 3.0
+# Share of a cycle in which a new correction comes.
+_BLEND = 0.125
+
+
+class _Cycle(NamedTuple):
+    """A cycle as it was sent: states before it, arrays (n, axes), and its RMS error."""
+
+    states: tuple[State, ...]
+    aim: Array
+    correction: Array
+    voltage: Array
+    clamped: bool
+    measured: Array = np.zeros((0, 0))
+    rms: float = np.inf
+
+
+class Repetition:
+    """A path that is repeated: each cycle corrects the wanted displacement by the error of the cycle before.
+
+    Hysteresis and creep are the compensator's; what is left of the error is learnt::
+
+        repetition = dehyst.Repetition(compensator, path)
+        for _ in range(10):
+            repetition.learn(rig.play(repetition.next()))
+
+    The correction is low-passed without a delay, to just above the identified resonance, and a harmonic of the error
+    is learnt as far as it is more than noise; one that rises is taken back and learnt more slowly. A cycle counts if
+    its readings are complete, no voltage was clamped, and the sensor is believed. After two cycles with rising errors
+    the best cycle returns, and the low-pass ends at half.
+
+    Parameters
+    ----------
+    compensator : Compensator or StageCompensator
+        With a period. It is stepped by this repetition, and by nobody else. Without `preview`, identified delay and
+        resonance are learnt too.
+    path : (n,) or (n, axes) array_like
+        Wanted displacement [`units` of the compensator] of one cycle, a sample a period; after its last sample comes
+        its first.
+    bound : float, optional
+        Largest correction, and the farthest that a reading may be from the model [as `path`]: one beyond counts as
+        missing. Default: a twentieth of the compensator's reach, of the smallest axis.
+
+    Attributes
+    ----------
+    compensator, bound
+        As given.
+    path : (n, axes) array
+    correction : (n, axes) array
+        What the next cycle adds to the path.
+    errors : list of float
+        RMS error of each complete cycle [as `path`].
+    fault : SensorFault
+        Why the sensor is not believed; `SensorFault.NONE` if it is.
+
+    Raises
+    ------
+    ModelError
+        If the compensator has no period, the path does not fit, or the bound is not up to a quarter of the reach.
+    """
+
+    def __init__(
+        self, compensator: Compensator | StageCompensator, path: ArrayLike, *, bound: float | None = None
+    ) -> None:
+        if not isinstance(compensator, Compensator | StageCompensator):
+            raise ModelError(argument="compensator", got=type(compensator).__name__, need="a compensator")
+        self._loops = axes_of(compensator)
+        if compensator.period is None:
+            raise ModelError("a repetition needs the time between steps", hint="give the period [s]")
+        self.compensator, self.path = compensator, self._samples(path, "path")
+        if len(self.path) < 2 or not np.isfinite(self.path).all():
+            raise ModelError(argument="path", got=f"{len(self.path)} samples", need="two or more finite numbers")
+        self.bound = min(
+            sensor_bound(loop.reach, loop.actuator.stroke * loop._per_metre, bound) for loop in self._loops
+        )
+        self.reset()
+
+    def __repr__(self) -> str:
+        state = "believed" if self.believed else self.fault.name
+        error = f", RMS error {self.errors[-1]:.3g}" if self.errors else ""
+        return f"<Repetition of {len(self.path)} samples, sensor {state}{error}>"
+
+    @property
+    def believed(self) -> bool:
+        """Whether the sensor is believed; once it is not, only `reset` trusts it again."""
+        return self.fault == SensorFault.NONE
+
+    def reset(self) -> None:
+        """Believe the sensor again, and begin without a correction."""
+        self.correction = self._before = np.zeros(self.path.shape)
+        self.errors: list[float] = []
+        self.fault = SensorFault.NONE
+        self._cycle: _Cycle | None = None
+        self._best: _Cycle | None = None
+        self._rises = 0
+        # Error and correction of the last cycle by harmonics, and the gain of each.
+        self._last: tuple[Any, Any] | None = None
+        self._gains = np.full((len(self.path) // 2 + 1, len(self._loops)), _GAIN)
+        # The harmonic at which the correction ends.
+        seconds = len(self.path) * (self.compensator.period or 1.0)
+        rings = [loop.actuator.dynamics.frequency for loop in self._loops if loop.actuator.dynamics is not None]
+        unknown = [j for j, loop in enumerate(self._loops) if loop.actuator.dynamics is None]
+        self._gains[_SAFE:, unknown] = _FIRST_GAIN
+        self._highest = min([0.5 * len(self.path), *(_RESONANCE * hertz * seconds for hertz in rings)])
+
+    def next(self) -> Array:
+        """Return the voltages (n,) or (n, axes) [V] of the next cycle; they count as sent.
+
+        Warn `ClampWarning` as `Compensator.run`.
+        """
+        states, clamps = tuple(loop.state for loop in self._loops), [loop.clamps for loop in self._loops]
+        # What changes comes within a part of the cycle, so that nothing jumps.
+        new = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(len(self.path)) / (_BLEND * len(self.path)), 0, 1))[:, None]
+        aim = self.path + self._before + new * (self.correction - self._before)
+        if isinstance(self.compensator, Compensator):
+            # The next cycle begins with this correction.
+            ahead, following = self.compensator.samples_ahead, (self.path + self.correction)[:, 0]
+            after = np.resize(following, ahead)
+            voltage = self.compensator.run(np.concatenate([aim[:, 0], after])[ahead:])[:, None]
+        else:
+            voltage = self.compensator.run(aim)
+        self._before = self.correction
+        clamped = clamps != [loop.clamps for loop in self._loops]
+        self._cycle = _Cycle(states, aim, self.correction, voltage, clamped)
+        return voltage[:, 0] if isinstance(self.compensator, Compensator) else voltage
+
+    def learn(self, measured: ArrayLike) -> bool:
+        """Learn from the displacements (n,) or (n, axes) that the voltages of `next` led to; return whether it did.
+
+        NaN is no reading; up to a twentieth of a cycle may lie between two of them, as of a slow sensor.
+
+        Raises
+        ------
+        ModelError
+            If the shape is not the path's, or no cycle was sent since the last call.
+
+        Warns
+        -----
+        SensorWarning
+            Once, when the sensor is not believed any more.
+        """
+        read = self._samples(measured, "measured")
+        if read.shape != self.path.shape:
+            raise ModelError(argument="measured", got=f"the shape {read.shape}", need=f"{self.path.shape}")
+        if self._cycle is None:
+            raise ModelError("no cycle was sent since the last one that was learnt", hint="call next() first")
+        cycle, self._cycle = self._cycle, None
+        if not self.believed or cycle.clamped:
+            return False
+        columns = [np.ascontiguousarray(values) for values in (*cycle.aim.T, *read.T)]
+        axes = len(self._loops)
+        faults = [judge(columns[j], columns[axes + j], self.bound) for j in range(axes)]
+        if any(faults):
+            self._distrust(SensorFault(max(faults)))
+            return False
+        read = np.where(np.abs(read - cycle.aim) <= self.bound, read, np.nan)
+        gaps = [_longest_gap(np.isfinite(column)) for column in read.T]
+        if max(gaps) > _GAP * len(read):
+            return False
+        error = np.column_stack([_filled(column) for column in (self.path - read).T])
+        cycle = cycle._replace(measured=self.path - error, rms=float(np.sqrt(np.mean(error**2))))
+        self.errors.append(cycle.rms)
+        return self._improve(cycle, error, max(gaps))
+
+    def table(self) -> WaveTable | tuple[WaveTable, ...]:
+        """Return the best cycle as a wave table to play, one for each axis of a stage.
+
+        Its start-up is empty: it follows cycles of this repetition, or a wave table of the same path. Raise
+        `ModelError` if no cycle has been complete.
+        """
+        if self._best is None:
+            raise ModelError("nothing was learnt: no cycle was complete", hint="call next() and learn() first")
+        best, rate = self._best, 1 / (self.compensator.period or 1.0)
+        tables = []
+        for j, loop in enumerate(self._loops):
+            wanted, measured = self.path[:, j] / loop._per_metre, best.measured[:, j] / loop._per_metre
+            error, state = float(np.abs(wanted - measured).max()), best.states[j]
+            tables.append(
+                WaveTable(
+                    homing=None,
+                    start_up=StartUp(np.zeros(0), np.zeros(0), np.zeros(0), rate),
+                    cycle=StartUp(best.voltage[:, j], wanted, measured, rate),
+                    cycles=0,
+                    error=error,
+                    tolerance=error,
+                    unknown=0.0,
+                    certified=True,
+                    state=state,
+                    start=state,
+                    actuator=loop.actuator,
+                    clamped=0,
+                    warnings=(),
+                )
+            )
+        return tables[0] if isinstance(self.compensator, Compensator) else tuple(tables)
+
+    def _samples(self, values: ArrayLike, what: str) -> Array:
+        """Return samples (n, axes) that may be NaN."""
+        found = np.asarray(plain(values, what))
+        if found.dtype.kind not in "fiu":
+            raise ModelError(argument=what, got=f"{found.dtype} values", need="real numbers")
+        table = found.astype(np.float64).reshape(len(found), -1) if found.ndim == 1 else found.astype(np.float64)
+        if table.ndim != 2 or table.shape[1] != len(self._loops):
+            raise ModelError(argument=what, got=f"the shape {found.shape}", need=f"{len(self._loops)} columns")
+        return table
+
+    def _distrust(self, fault: SensorFault) -> None:
+        self.fault, self._best = fault, None
+        self.correction = np.zeros(self.path.shape)
+        warn_of_sensor(fault, self.bound / self._loops[0]._per_metre)
+
+    def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:
+        """Judge a cycle by its error, and correct the next one; return whether it does."""
+        by, noise = self._filtered(error, gap)
+        least = max(_CHANGE * cycle.rms, _ERRORS * noise / np.sqrt(2 * error.size))
+        if self._best is None or cycle.rms < self._best.rms - least:
+            self._best, self._rises = cycle, 0
+        elif cycle.rms > _WORSE * self._best.rms:
+            self._rises = self._rises + 1 if self.errors[-1] > self.errors[-2] + least else 0
+        if self._rises < 2 and cycle.rms <= _FAR_WORSE * self._best.rms:
+            self.correction = np.clip(cycle.correction + by, -self.bound, self.bound)
+            return bool(by.any())
+        # What rises is a resonance that is not where it was identified: below it there may be more to learn.
+        self.correction, self._best, self._rises = self._best.correction, None, 0
+        self._highest *= _LOWER
+        self._last = None
+        return False
+
+    def _filtered(self, error: Array, gap: int) -> tuple[Array, float]:
+        """Return the part of an error (n, axes) that can be learnt, and the noise that is in it."""
+        samples, period = len(error), self.compensator.period or 1.0
+        spectrum = np.fft.rfft(error, axis=0)
+        update = spectrum.copy()
+        harmonic = np.arange(len(spectrum))
+        size = np.abs(spectrum)
+        # The median of a Rayleigh distribution, of harmonics that hold noise alone.
+        floor = np.median(size[len(size) // 2 :], axis=0) / np.sqrt(np.log(2))
+        heard = np.clip(1 - (_ABOVE_NOISE * floor / np.maximum(size, np.finfo(float).tiny)) ** 2, 0, 1)
+        limit = max(min(self._highest, samples / (4.0 * max(gap, 1))), 1.0)
+        frequency, before = harmonic / (samples * period), self._last
+        if before is not None:
+            # Each harmonic by its own gain: one that has risen is taken back, and learnt more slowly.
+            rose = (size > _RISE * np.abs(before[0]) + _ABOVE_NOISE * floor) & (harmonic >= _SAFE)[:, None]
+            self._gains = np.where(rose, _SLOWER, _FASTER) * self._gains
+            self._gains = np.minimum(self._gains, _GAIN)
+        for j, loop in enumerate(self._loops):
+            actuator = loop.actuator
+            moves = mechanical_response(actuator.dynamics, actuator.delay, frequency)
+            weight = heard[:, j] * np.clip(3 - 2 * harmonic / limit, 0, 1)
+            weight = weight * self._gains[:, j]
+            update[:, j] *= weight if loop._previews else weight / np.where(weight > 0, moves, 1)
+        if before is not None:
+            update = np.where(rose, -before[1], update)
+        self._last = spectrum, update
+        return np.fft.irfft(update, samples, axis=0), float(floor.max() / np.sqrt(samples))
+
+
+def _longest_gap(there: Array) -> int:
+    """Return the most samples without a reading in a row, around the end too; all of them if there is no reading."""
+    at = np.flatnonzero(there)
+    return len(there) if not at.size else int(np.diff(np.append(at, at[0] + len(there))).max()) - 1
+
+
+def _filled(error: Array) -> Array:
+    """Return a periodic error (n,) with its gaps filled along straight lines."""
+    at = np.flatnonzero(np.isfinite(error))
+    return np.asarray(np.interp(np.arange(error.size), at, error[at], period=error.size))

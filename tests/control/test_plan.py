@@ -1,0 +1,93 @@
+"""A plan of a path: on time, at its own speed, of one axis and several."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+
+from dehyst import Actuator, Compensator, ModelError, Stage, StageCompensator, plan_path
+from dehyst.model import Identification
+
+STEP, DELAY = 5e-3, 0.0172
+TIME = STEP * np.arange(600)
+WANTED = plain_records.STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * TIME / 1.5))
+PLANT = replace(plain_records.plant(6), limits=(-40.0, 260.0), recorded_slew_rate=200.0)
+LATE = replace(PLANT, delay=DELAY, identification=Identification(lag_of="actuator"))
+
+
+def shown(actuator: Actuator, plan):
+    """What the sensor shows [m] along the path: the displacement of a delay before."""
+    fine = np.linspace(plan.time[0], plan.time[-1], 20 * plan.time.size)
+    moved = actuator.simulate(np.interp(fine, plan.time, plan.voltage), state=plan.start.state, extrapolate=True)
+    return np.interp(plan.time[plan.first :] - actuator.delay, fine, moved.displacement)
+
+
+@pytest.mark.parametrize("home", [True, False])
+def test_a_path_of_an_actuator_that_lags_is_on_time(home):
+    start = None if home else LATE.turned(float(WANTED[0]))
+    plan = plan_path(LATE, WANTED, time=TIME, home=home, start=start)
+    assert np.count_nonzero(plan.phase == 2) == WANTED.size and plan.followed and not plan.clamped.any()
+    np.testing.assert_array_equal(plan.displacement[plan.first :], WANTED)
+    np.testing.assert_allclose(np.diff(plan.time[plan.first :]), STEP)
+    # Between samples the voltages are straight, where the plant has kinks.
+    assert np.abs(shown(LATE, plan) - WANTED).max() < 5e-4 * plain_records.STROKE
+    late = plan_path(LATE, WANTED, time=TIME, home=home, start=start, on_time=False)
+    assert np.abs(shown(LATE, late) - WANTED).max() > 2e-2 * plain_records.STROKE
+    assert any("on time" in one for one in plan.warnings) and any("later" in one for one in late.warnings)
+
+
+@pytest.mark.parametrize("lag_of", ["", "sensor"])
+def test_a_lag_that_is_not_the_actuators_is_made_up_for_only_if_that_is_asked(lag_of):
+    actuator = replace(LATE, identification=Identification(lag_of=lag_of))
+    plan = plan_path(actuator, WANTED, time=TIME, start=PLANT.turned(float(WANTED[0])))
+    np.testing.assert_array_equal(plan.voltage, plan_path(PLANT, WANTED, time=TIME, start=plan.start).voltage)
+    assert any("later" in one for one in plan.warnings) == (lag_of == "")
+    asked = plan_path(actuator, WANTED, time=TIME, start=plan.start, on_time=True)
+    assert asked.voltage.size > plan.voltage.size
+
+
+def test_each_axis_of_a_stage_leads_by_its_own_delay():
+    stage = Stage((LATE, replace(LATE, delay=3 * STEP)), [[1.0, 0.05], [-0.03, 1.0]])
+    wanted = np.column_stack([WANTED, WANTED[::-1]])
+    plan = plan_path(stage, wanted, time=TIME, home=True)
+    assert plan.followed and plan.displacement.shape == plan.voltage.shape == (plan.time.size, 2)
+    moved = np.column_stack([shown(one, part) for one, part in zip(stage.actuators, plan.each, strict=True)])
+    reached = moved @ stage.coupling.T
+    assert np.abs(reached - wanted).max() < 5e-4 * plain_records.STROKE
+
+
+def test_a_path_is_as_fast_as_it_is_and_jumps_to_it_are_as_fast_as_the_records():
+    fast = plain_records.STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * TIME / 0.15))
+    for start in (PLANT.state, None):
+        plan = plan_path(PLANT, fast, time=TIME, start=start)
+        speed = np.abs(np.diff(plan.voltage) / np.diff(plan.time))
+        assert plan.first and speed[: plan.first].max() <= 200.0 * (1 + 1e-6) < speed[plan.first :].max()
+        assert plan.followed and plan.missed == 0
+        assert any("times the speed of the model's records" in one for one in plan.warnings)
+
+
+@pytest.mark.parametrize(("share", "loud"), [(0.999, False), (0.5, True)])
+def test_capitals_are_for_a_miss_beyond_what_is_promised(share, loud):
+    start = PLANT.turned(float(WANTED[0]))
+    free = plan_path(PLANT, WANTED, time=TIME, start=start)
+    most = share * np.abs(np.diff(free.voltage[free.first :])).max() / STEP
+    plan = plan_path(PLANT, WANTED, time=TIME, start=start, slew_rate=most)
+    assert plan.clamped.any() and plan.missed > 0 and plan.followed != loud
+    assert any("CLAMPED" in one for one in plan.warnings) == loud
+
+
+def test_a_model_and_its_compensator_give_the_same_plan():
+    stage = Stage((PLANT, replace(PLANT, name="other")))
+    pairs = (
+        (PLANT, Compensator(PLANT, (0, 250), 900.0), WANTED, (0, 250)),
+        (stage, StageCompensator(stage, (0, 250), 900.0), np.column_stack([WANTED, WANTED[::-1]]), (0, 250)),
+    )
+    for model, compensator, wanted, limits in pairs:
+        plan = plan_path(model, wanted, time=TIME, limits=limits, slew_rate=900.0)
+        np.testing.assert_array_equal(plan.voltage, plan_path(compensator, wanted, time=TIME).voltage)
+        with pytest.raises(ModelError, match="limits: got"):
+            plan_path(compensator, wanted, time=TIME, limits=limits)
+    for wrong in (None, WANTED, "model.json"):
+        with pytest.raises(ModelError, match="model"):
+            plan_path(wrong, WANTED, time=TIME)
