@@ -40,7 +40,7 @@ def make(folder, *arguments):
 @cache
 def pythons(kind, samples):
     """What Python answers to so many wishes, a hundred of them one by one."""
-    loop = KINDS[kind]().clone()
+    loop = KINDS[kind]()._clone()
     voltages = loop.run(compiled_exports.wishes(loop, samples))
     return compiled_exports.told(voltages, loop.clamps, every=samples // 100)
 
@@ -230,7 +230,7 @@ def test_displacement_is_that_of_the_compiled_export_to_the_bit(tmp_path, kind):
             displacements.append(loop.displacement)
     assert [float.fromhex(line) for line in lines] == displacements
     assert displacements[-1] == pytest.approx(middle, abs=1e-12)
-    assert loop.clone("um").displacement == pytest.approx(1e6 * displacements[0], rel=1e-15)
+    assert loop._clone("um").displacement == pytest.approx(1e6 * displacements[0], rel=1e-15)
 
 
 @pytest.mark.parametrize("flag", ["-Ofast", "-ffast-math", "-ffinite-math-only"])

@@ -53,7 +53,7 @@ def test_the_actuator_is_pythons(fmus, model):
 
 
 def test_gain_and_offset_are_pythons(fmus):
-    loop, (before, after) = ALL["plain"].clone(), np.split(PATH[:400], 2)
+    loop, (before, after) = ALL["plain"]._clone(), np.split(PATH[:400], 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
         expected = [loop.run(before)]
@@ -102,11 +102,11 @@ def test_simulate_fmu_gives_the_same(fmus, model):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
-    fresh = ALL["mass"].clone()
+    fresh = ALL["mass"]._clone()
     start = fresh.state.motion[0], fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
     if kind == "actuator":  # it has no limits to be brought within
-        asked = fresh.actuator.model.complete_state(fresh.initial_state)
+        asked = fresh.actuator.model.complete_state(fresh._initial_state)
         start = asked.motion[0], fresh.actuator.voltage(asked)
     with Slave(fmus("mass", kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])

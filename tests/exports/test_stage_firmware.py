@@ -101,7 +101,7 @@ def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
 
 def test_the_golden_trace_clamps_no_axis_some_and_all(compensator):
     rows = [row for row in golden_trace(compensator).rows if row.what is Call.STEP]
-    loop, patterns = compensator.clone(), set()
+    loop, patterns = compensator._clone(), set()
     for row in rows:
         loop.step(row.given)
         patterns.add(loop.clamped)
@@ -111,7 +111,7 @@ def test_the_golden_trace_clamps_no_axis_some_and_all(compensator):
 
 def told_by_python(compensator, middle, half):
     """What DRIVER prints."""
-    loop, x, told = compensator.clone(), 18, 14695981039346656037
+    loop, x, told = compensator._clone(), 18, 14695981039346656037
     for _ in range(STEPS):
         wanted = []
         for m, h in zip(middle, half, strict=True):

@@ -16,7 +16,7 @@ def test_the_files_say_where_memory_begins(tmp_path, kind):
     compensator = KINDS[kind]()
     export(compensator, tmp_path / "c")
     outset = ExportedStart.of(compensator)
-    held = compensator.actuator.voltage(compensator.clone().state)
+    held = compensator.actuator.voltage(compensator._clone().state)
     assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
     for file in ("README.md", "piezo.c"):
         text = (tmp_path / "c" / file).read_text()

@@ -99,7 +99,7 @@ def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensat
         raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
     if kind == "actuator":
         # The same actuator in the same state, for any voltage.
-        state = compensator.initial_state
+        state = compensator._initial_state
         compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
     summary, variables = _interface(compensator, kind)
     sources = _sources(compensator, kind)
@@ -130,7 +130,7 @@ def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensat
 
 def _sources(compensator: Compensator, kind: Kind) -> dict[str, str]:
     """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
-    block, text = compensator.model_block(), ModelText(compensator, "double")
+    block, text = compensator._model_block(), ModelText(compensator, "double")
     sizes = {
         "ACTUATOR": int(kind == "actuator"),
         "ROOM": text.room,

@@ -88,7 +88,7 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
     """
 
     def new() -> Loop:
-        return compensator.clone("m") if isinstance(compensator, Compensator) else compensator.clone()
+        return compensator._clone("m") if isinstance(compensator, Compensator) else compensator._clone()
 
     loop, body = new(), new()
     axes = (loop,) if isinstance(loop, Compensator) else loop.compensators

@@ -88,10 +88,10 @@ class ExportedStart(NamedTuple):
     @classmethod
     def of(cls, compensator: Compensator) -> ExportedStart:
         """Return the initial state of a compensator, at its construction or last reset."""
-        loop, actuator = compensator.clone(), compensator.actuator
-        state, (low, high), asked = loop.state, loop.limits, loop.initial_state
+        loop, actuator = compensator._clone(), compensator.actuator
+        state, (low, high), asked = loop.state, loop.limits, loop._initial_state
         # A little beyond the limits, the requested state has the same way.
-        held = loop.held(asked)
+        held = loop._held(asked)
         near = abs(actuator.voltage(asked) - held) <= NEAR * (high - low)
         return cls(
             actuator.displacement(state),
@@ -172,7 +172,7 @@ class ModelText:
 
     def __init__(self, compensator: Compensator, number: Number) -> None:
         self._compensator, self._number = compensator, number
-        self._start, self._tables = compensator.start(), compensator.tables()
+        self._start, self._tables = compensator._core_start(), compensator._tables()
         if number == "float":
             self._tables["loop"] = _inward(self._tables["loop"])
             _demand_float(self._tables)
@@ -194,7 +194,7 @@ class ModelText:
         grades = max(tables["grade_knot"].size - 1, 0)
         computed = tables["knot"].size + 2 * tables["tau_voltage"].size
         computed += grades + (elements + 1) * (grades + 1) if grades else 0
-        return (len(self._compensator.model_block()) - _HEADER) // 8 + computed
+        return (len(self._compensator._model_block()) - _HEADER) // 8 + computed
 
     def macros(self) -> str:
         """Return the macros that `piezo.h` begins with."""
@@ -247,7 +247,7 @@ class ModelText:
         moves = transition if transition.size else np.zeros(8)
         low, high, change, *amplifier, stiffness = tables["loop"].tolist()
         motion = start.motion if start.motion.size else np.array([start.w, 0.0])
-        model_id, shape = compensator.model_ids()
+        model_id, shape = compensator._model_ids()
 
         def at(*names: str) -> str:
             return ", ".join(f"piezo_{name}" if arrays[name].size else "0" for name in names)

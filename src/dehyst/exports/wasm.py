@@ -72,16 +72,16 @@ def wasm_module(compensator: Compensator) -> bytes:
         "limits": list(compensator.limits),
         "slewRate": compensator.slew_rate,
         "period": compensator.period,
-        "needsPeriod": actuator.model.needs_time or compensator.preview,
+        "needsPeriod": actuator.model.needs_time or compensator._previews,
         "samplesAhead": compensator.samples_ahead,
-        "reach": list(compensator.clone("m").reach),
+        "reach": list(compensator._clone("m").reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},
     }
     if (thermal := actuator.thermal) is not None:
         about["thermal"] = {"gain": thermal.gain, "offset": thermal.offset, "reference": thermal.reference}
     text = json.dumps(about, ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
     # Own sections come first: a file of dehyst is known by its beginning.
-    return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", compensator.model_block()) + core[8:]
+    return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", compensator._model_block()) + core[8:]
 
 
 def _section(name: str, content: bytes) -> bytes:

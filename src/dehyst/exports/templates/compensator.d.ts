@@ -76,13 +76,15 @@ export class Compensator {
   /** Set gain and offset for a temperature [degC] between two steps; needs a model that depends on it. */
   setTemperature(degrees: number): void;
   /**
-   * Learn gain and offset from a sensor [m] between two steps. NaN: not measured. `rate`: weight of a sample, 0.01.
-   * `gain`, `offset` [m]: how far they may go from 1 and 0, by default 0.2 and 0.
-   *
-   * Return 0 if nothing is new, 1 if they are new, 2 if they are new and one is held at its bound. If it is 2 again and
-   * again, the sensor has other units (micrometres instead of metres), or the bound is too narrow.
+   * Begin to feed back a sensor in `track`, without a correction. `gain`: share of the error that a reading takes away, as
+   * `Feedback.gain` in Python. `bound`: largest correction, and the farthest that a reading may be from the model [m].
+   * `late`: periods by which a reading is late.
    */
-  followSensor(measured: number, options?: { rate?: number; gain?: number; offset?: number }): 0 | 1 | 2;
+  feedback(gain: number, bound: number, late?: number): void;
+  /** Step with an integral of the error; a `measured` displacement [m] that is NaN or missing holds the correction. */
+  track(displacement: number, measured?: number): number;
+  /** Why the sensor is not believed: 0 it is, 1 far from the model, 2 stuck, 3 scaled, 4 it contradicts the model. */
+  readonly fault: 0 | 1 | 2 | 3 | 4;
   /** Return the voltage [V] to send for a displacement [m], which then counts as sent. */
   step(displacement: number): number;
   /** Return the voltage [V] for a displacement [m]; nothing moves until a voltage is committed. */

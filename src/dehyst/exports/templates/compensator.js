@@ -42,7 +42,7 @@ export class Compensator {
   #core;
   #views;
   #memory;
-  #followed;
+  #feeds;
 
   constructor(module, { limits, slewRate, period } = {}) {
     const numbers = section(module, "dehyst.model");
@@ -77,7 +77,7 @@ export class Compensator {
   /** Begin again from the model's start; counts restart at 0. */
   reset() {
     demand(this.#core, this.#core.begin());
-    this.#followed = undefined;
+    this.#feeds = false;
   }
 
   /** Set gain and offset of the displacement between two steps. */
@@ -93,14 +93,24 @@ export class Compensator {
     this.scale(1 + thermal.gain * kelvins, thermal.offset * kelvins);
   }
 
-  /** Learn gain and offset from a sensor, between two steps; return 0, 1 if they are new, 2 if one is at its bound. */
-  followSensor(measured, { rate = 0.01, gain = 0.2, offset = 0 } = {}) {
-    const options = [rate, gain, offset];
-    if (String(options) !== String(this.#followed)) {
-      if (this.#core.follow_begin(...options)) throw new RangeError(`rate, gain, offset: got ${options}`);
-      this.#followed = options;
-    }
-    return this.#core.follow(measured);
+  /** Begin to feed back a sensor in `track`: share of the error [0 to 1] and largest correction [m]. */
+  feedback(gain, bound, late = this.about.samplesAhead ?? 0) {
+    if (this.#core.feedback(gain, bound, late)) throw new RangeError(`gain, bound, late: got ${[gain, bound, late]}`);
+    this.#feeds = true;
+  }
+
+  /** Why the sensor is not believed: 0 it is, 1 far from the model, 2 stuck, 3 scaled, 4 contradicts it. */
+  get fault() {
+    return this.#feeds ? this.#core.fault() : 0;
+  }
+
+  /** Step with an integral of the error; without a number `measured`, the correction is held. */
+  track(displacement, measured = NaN) {
+    if (!this.#feeds) throw new RangeError("feedback: call it first");
+    const before = this.#memory.slice();
+    const voltage = this.#core.step(displacement + this.#core.correct(measured));
+    if (Number.isNaN(voltage)) this.#memory.set(before);
+    return number(voltage, displacement);
   }
 
   /** Return the voltage to send for a displacement, which then counts as sent. */
