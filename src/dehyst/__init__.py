@@ -4,7 +4,7 @@ Measured loops in, a physical model and the cancelling voltage out::
 
     record = dehyst.read("loops.csv")
     fit = dehyst.identify(record)
-    command = dehyst.Compensator(fit.actuator, period=1e-3).trajectory(wanted_displacement)
+    plan = dehyst.plan_path(fit.actuator, wanted_displacement, time=time)
 """
 
 from __future__ import annotations
@@ -29,12 +29,14 @@ if TYPE_CHECKING:
     from dehyst.control import (
         Bank,
         ClampWarning,
-        Command,
         Compensator,
+        Feedback,
+        PathPlan,
+        Repetition,
         Snapshot,
         StageCompensator,
         VoltageLimits,
-        shortest_homing,
+        plan_path,
         wave_table,
     )
     from dehyst.exports import export, export_fmu, export_wasm
@@ -46,9 +48,7 @@ if TYPE_CHECKING:
         RecordErrors,
         StageFit,
         Structure,
-        Trace,
         identify,
-        identify_stage,
     )
     from dehyst.model import (
         Actuator,
@@ -74,10 +74,10 @@ _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
-        "control": "Bank ClampWarning Command Compensator Snapshot StageCompensator VoltageLimits shortest_homing "
-        "wave_table",
+        "control": "Bank ClampWarning Compensator Feedback PathPlan Repetition Snapshot StageCompensator VoltageLimits "
+        "plan_path wave_table",
         "exports": "export export_fmu export_wasm",
-        "identification": "Fit Outcome RecordErrors StageFit Structure Trace identify identify_stage",
+        "identification": "Fit Outcome RecordErrors StageFit Structure identify",
         "calibration": "calibrate",
         "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
         "Spring Stage State Thermal Transformer",
@@ -89,13 +89,13 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper", "report", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Command", "Compensator", "Creep"]
-__all__ += ["DehystError", "DisplacementCreep", "Dynamics", "FileFormatError", "Fit", "GradedSlip", "IdentifyError"]
-__all__ += ["MaxwellSlip", "MissingExtraError", "ModelError", "Motion", "Outcome", "Physical", "Record"]
-__all__ += ["RecordError", "RecordErrors", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage"]
-__all__ += ["StageCompensator", "StageFit", "State", "Structure", "Thermal", "Trace", "Transformer", "VoltageLimits"]
-__all__ += ["__version__", "calibrate", "check", "compare", "export", "export_fmu", "export_wasm", "identify"]
-__all__ += ["identify_stage", "insight", "read", "shortest_homing", "update", "wave_table", "write_record"]
+__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "Creep", "DehystError", "DisplacementCreep"]
+__all__ += ["Dynamics", "Feedback", "FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip"]
+__all__ += ["MissingExtraError", "ModelError", "Motion", "Outcome", "PathPlan", "Physical", "Record", "RecordError"]
+__all__ += ["RecordErrors", "Repetition", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage", "StageCompensator"]
+__all__ += ["StageFit", "State", "Structure", "Thermal", "Transformer", "VoltageLimits", "__version__", "calibrate"]
+__all__ += ["check", "compare", "export", "export_fmu", "export_wasm", "identify", "insight", "plan_path", "read"]
+__all__ += ["update", "wave_table", "write_record"]
 
 
 def __getattr__(name: str) -> object:

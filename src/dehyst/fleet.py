@@ -185,13 +185,11 @@ def row_of(read: Callable[[Path], Record], name: str, path: Path) -> _Row:
         with one_thread():
             record = read(path)
             known |= {"stroke_um": 1e6 * record.stroke, "noise_nm": 1e9 * record.noise}
-            fit = identify(record, throw=False)
-            if fit.actuator is None:
-                return _row(name, **known, reason=fit.outcome.value)
+            fit = identify(record)
             known |= _described(fit.actuator)
-            if fit.expectation is not None:
-                known["promise_percent"] = fit.expectation.largest_percent
-            reason = "" if fit.good else fit.outcome.value if not fit.outcome.good else str(fit.expectation)
+            if fit.promise is not None:
+                known["promise_percent"] = fit.promise.largest_percent
+            reason = "" if fit.good else fit.outcome.value if not fit.outcome.good else str(fit.promise)
             return _row(name, **known, reason=reason)
     except MissingExtraError:
         raise
@@ -218,7 +216,7 @@ def _described(actuator: Actuator) -> _Row:
 def loop_width(actuator: Actuator) -> float:
     """Return falling minus rising displacement [m] at the middle of the voltages, on a major loop without creep."""
     low, high = actuator.voltage_range
-    fast = replace(actuator.quasistatic().before_creep, creep=None, state=None)  # type: ignore[arg-type]
+    fast = replace(actuator.quasistatic()._before_creep, creep=None, state=None)  # type: ignore[arg-type]
     begin = fast.turned(fast.knots[0], rising=False, extrapolate=True)
     middle = 0.5 * (low + high)
     y = fast.simulate([low, middle, high, middle], state=begin, extrapolate=True).displacement

@@ -85,7 +85,7 @@ def test_what_has_no_such_cycle_has_no_replay():
     assert replay(staircase(200, steps=5, hold=0.1, back=True, drive=PACE.sampling())) is None
 
 
-@pytest.mark.parametrize("name", ["look", "tops", "others", "homing"])
+@pytest.mark.parametrize("name", ["look", "loops", "others", "homing"])
 def test_a_replay_is_within_limits_and_slew_rate_of_what_it_repeats(name):
     excitation = getattr(PACE, name)()
     loop = replay(excitation)
@@ -168,7 +168,7 @@ def test_neither_noise_nor_creep_lets_60_percent_of_the_stroke_pass(truth):
 def folder(tmp_path):
     """A folder with two records of a play actuator, made on a rig that answers as any other does."""
     job = Session(tmp_path / "out", rig_of(PlayActuator()), NullProgress())
-    for name, excitation in (("look", PACE.look()), ("loops", PACE.tops())):
+    for name, excitation in (("look", PACE.look()), ("loops", PACE.tops(10))):
         job.record(excitation, name)
     assert job.agreement is None
     return tmp_path / "out"
@@ -178,7 +178,7 @@ def test_records_are_kept_after_one_loop(folder):
     before, heard = contents(folder), Heard()
     rig = rig_of(PlayActuator(seed=7))
     job = Session(folder, rig, heard)
-    look, loops = job.record(PACE.look(), "look"), job.record(PACE.tops(), "loops")
+    look, loops = job.record(PACE.look(), "look"), job.record(PACE.tops(10), "loops")
     assert (job.kept, job.played, heard.steps) == (["look", "loops"], [], ["comparison"])
     assert job.agreement.record == "look"
     assert job.agreement.difference < 1e-3
@@ -192,7 +192,7 @@ def test_records_are_kept_after_one_loop(folder):
     assert [one.name for one in job.sequence] == ["look", "loops", "comparison", "others"]
     assert job.sequence[0].time[0] == look.time[0]
     assert others.time[0] > job.sequence[2].time[-1]
-    assert len(loops) == len(PACE.tops())
+    assert len(loops) == len(PACE.tops(10))
 
 
 def test_another_actuator_behind_an_equal_identity_is_refused(folder):
@@ -243,7 +243,7 @@ def test_a_later_record_is_compared_if_the_first_was_lost(folder):
     job = Session(folder, rig_of(PlayActuator(stroke=0.6 * STROKE)), NullProgress())
     job.record(PACE.look(), "look")
     with pytest.raises(RecordError, match="record 'loops'"):
-        job.record(PACE.tops(), "loops")
+        job.record(PACE.tops(10), "loops")
 
 
 @pytest.mark.parametrize("after", [20, 300])
@@ -263,7 +263,7 @@ def test_an_interrupted_comparison_loses_nothing(folder, after):
 def test_it_goes_on_from_any_step(tmp_path):
     """Stopped where each step begins, again and again: each session keeps what the ones before it recorded."""
     truth, names = PlayActuator(), ["look", "loops", "others"]
-    protocol = dict(zip(names, (PACE.look(), PACE.tops(), PACE.others()), strict=True))
+    protocol = dict(zip(names, (PACE.look(), PACE.tops(10), PACE.others()), strict=True))
     for done in range(len(names)):
         job = Session(tmp_path, rig_of(truth), NullProgress())
         for name in names[: done + 1]:

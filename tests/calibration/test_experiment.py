@@ -123,7 +123,7 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
 def test_creep_is_seen_and_followed(creeping):
     found, _, _ = creeping
     assert found.creep.seen
-    assert [one.name for one in found.training] == ["look", "loops", "fast", "stairs"]
+    assert [one.name for one in found.training] == ["look", "loops"]
     assert found.fit.actuator.displacement_creep is not None
     assert found.compensated.largest_percent < 0.4
 
@@ -226,8 +226,6 @@ def test_steps_send_nothing_and_fit_the_limits():
         "comparison",
         "look",
         "loops",
-        "fast",
-        "stairs",
         "more-1",
         "more-2",
         "others",

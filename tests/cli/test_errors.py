@@ -42,7 +42,7 @@ def test_an_error_is_made_of_its_fields(kind):
     ("command", "error", "shown"),
     [
         ("identify", {"argument": "goal", "got": 2.0}, "--goal: got 2.0"),
-        ("identify", {"argument": "elements, knots", "got": 3}, "elements in --options, knots in --options: got 3"),
+        ("identify", {"argument": "delay, drift", "got": 3}, "delay in --options, drift in --options: got 3"),
         ("identify", {"argument": "voltage", "got": "no samples"}, "voltage: got no samples"),
         ("export", {"argument": "slew_rate", "got": -1.0}, "--slew-rate: got -1.0"),
         ("excite", {"argument": "volts", "got": (0.0,)}, "VOLTS: got (0.0,)"),
@@ -70,11 +70,15 @@ def folder(tmp_path_factory):
 @pytest.mark.parametrize(
     ("line", "argument", "flag"),
     [
-        ('identify loops.csv --options {"slope_floor":7}', "slope_floor", "slope_floor in --options: "),
+        ('identify loops.csv --options {"delay":1e9}', "delay", "delay in --options: "),
         ("identify loops.csv --goal 1e6", "goal", "--goal: "),
         ("compensate creeps.json path.csv -o out.csv", "", "(--columns time=NAME, --columns rate=HZ)"),
         ("compensate plain.json path.csv -o out.csv --slew-rate -1 --columns rate=10", "slew_rate", "--slew-rate: "),
-        ('insight plain.json loops.csv --options {"seconds":-1}', "seconds", "seconds in --options: "),
+        (
+            'insight plain.json loops.csv --options {"temperatures":[30,20]}',
+            "temperatures",
+            "temperatures in --options: ",
+        ),
         ("export creeps.json firmware", "", "(--period NUMBER)"),
         ("export plain.json firmware --period -1", "period", "--period: "),
         ("excite raised-cosine 0 -o out.csv", "peaks", "peaks: "),
@@ -111,7 +115,7 @@ def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monke
 
 @pytest.mark.parametrize("option", ["--count", "--count=10", "--adapt"])
 def test_an_unknown_option_among_numbers_is_no_number(option):
-    done = CliRunner().invoke(main, ["excite", "reversal-curves", "-20", "100", option])
+    done = CliRunner().invoke(main, ["excite", "staircase", "-20", "100", option])
     assert (done.exit_code, isinstance(done.exception, SystemExit)) == (2, True)
     assert option.partition("=")[0] in done.stderr
     assert "number" not in done.stderr

@@ -72,12 +72,12 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
     tested, _ = follow(folder, "model.json", "warm.csv")
     unknown, _ = follow(folder, "model.json", "path.csv")
     hot, _ = follow(folder, "model.json", "path.csv", "--temperature", "50")
-    assert "temperature_m" not in tested["judgement"]["parts"]
+    assert "temperature_m" not in tested["promise"]["parts"]
     for found, cost in ((unknown, 15 * kelvin), (hot, 5 * kelvin)):
-        judged = found["judgement"]
+        judged = found["promise"]
         assert judged["parts"]["temperature_m"] == pytest.approx(cost)
-        assert judged["largest_m"] > tested["judgement"]["largest_m"] + 0.9 * cost
-        assert any("degC" in sentence for sentence in judged["untested"])
+        assert judged["largest_m"] > tested["promise"]["largest_m"] + 0.9 * cost
+        assert any("degC" in one["sentence"] for one in judged["untested"])
     _, out, _ = run("simulate", "model.json", "out.csv", "--temperature", "50", "--json", "-o", "x.csv", cwd=folder)
     assert json.loads(out)["temperature_cost_um"] == pytest.approx(5e6 * kelvin)
 
@@ -162,7 +162,7 @@ def test_a_column_is_used_by_all_of_several_axes(folder):
     back = {one.name: one.data for one in read_table(folder / "axes.csv").columns}
     np.testing.assert_allclose(back["x_expected_um"][after], PATH, atol=1e-6)
     constant, _ = follow(folder, "stage.json", "warm_axes.csv", "--columns", "x=x_um, y=y_um", "--temperature", "50")
-    assert constant["judgement"]["x"]["parts"]["temperature_m"] > 0
+    assert constant["promise"]["x"]["parts"]["temperature_m"] > 0
     assert any("50 degC" in sentence for sentence in constant["warnings"])
 
 
@@ -176,4 +176,4 @@ def test_a_planned_path_warns_as_the_command_does(folder):
     assert any("50 degC" in one for one in planned.warnings)
     assert any("V/s" in one and "(50 V/s)" in one for one in planned.warnings)
     assert set(planned.warnings) <= set(result["warnings"])
-    assert set(planned.promise.untested) <= set(planned.warnings)
+    assert set(planned.promise.lines[1:]) <= set(planned.warnings)

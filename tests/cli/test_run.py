@@ -58,7 +58,7 @@ def test_the_path_is_followed_and_its_record_is_written(folder):
     status, out, _ = run(*WORDS, "-o", "run.csv", "--json", cwd=folder)
     found = json.loads(out)
     assert (status, found["clamped"]) == (0, 0)
-    assert 0 < found["largest_m"] <= found["judgement"]["largest_m"] + abs(found["mean_percent"]) / 100 * 15e-6
+    assert 0 < found["largest_m"] <= found["promise"]["largest_m"] + abs(found["mean_percent"]) / 100 * 15e-6
     assert found["largest_percent"] < 1
     columns = {one.name: one.data for one in read_table(folder / "run.csv").columns}
     wanted = read_table(folder / "path.csv").column("displacement")
@@ -86,17 +86,18 @@ def test_the_promise_is_that_of_compensate_and_says_what_is_untested_before_anyt
     assert status == 0
     ran = json.loads(out)
     compensate = ("compensate", "model.json", "path.csv", "--home", "--slew-rate", "none", "-o", "volts.csv")
-    planned = json.loads(run(*compensate, "--force", "--json", cwd=folder)[1])["judgement"]
-    assert ran["judgement"]["begins"] == planned["begins"] == "homed"
-    assert ran["judgement"]["untested"] == planned["untested"] != []
+    planned = json.loads(run(*compensate, "--force", "--json", cwd=folder)[1])["promise"]
+    assert ran["promise"]["path"] == planned["path"]
+    assert ran["promise"]["untested"] == planned["untested"] != []
     for name in ("rms_m", "largest_m"):
-        assert ran["judgement"][name] == pytest.approx(planned[name], rel=1e-6)
+        assert ran["promise"][name] == pytest.approx(planned[name], rel=1e-6)
     (folder / "never_moves.py").write_text(
         RIG + "\n\nclass Still(SimulatedRig):\n    def _wave(self, *_):\n        raise OSError('still')\n"
         "\n\ndef still(**options):\n    return Still(PlayActuator(), **options)\n"
     )
     status, out, err = run("run", "never_moves.py:still", *WORDS[2:], cwd=folder)
-    assert (status, out.splitlines()[:2]) == (1, ran["promise"][:2])
+    promised = [ran["promise"]["sentence"], *(one["sentence"] for one in ran["promise"]["untested"])]
+    assert (status, out.splitlines()[: len(promised)]) == (1, promised)
     assert "brought to 0 V" in err
 
 

@@ -49,7 +49,7 @@ def test_a_scan_is_followed(folder):
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folder, model):
-    given = ("--home", "--present", 20, "--table", "table.csv", "--cycles", 60, "-o", "o.csv")
+    given = ("--home", "--present", 20, "--table", "table.csv", *rare(cycles=60), "-o", "o.csv")
     status, told = result("compensate", model, "scan.csv", *given, cwd=folder)
     assert status == 0 and told["clamped"] == 0 and told["frequency_Hz"] == pytest.approx(10)
     table = rows(folder / "table.csv")
@@ -74,7 +74,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
         assert run("compensate", "model.json", "raster.csv", *axis, *TOP, "-o", "r.csv", cwd=folder)[0] == 0
         y = rows(folder / "r.csv")[1]
         assert (y.min(), y.max()) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
-    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, *rare(shape="trapezoid", edge=0.02))
+    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, *rare(edge=0.02))
     assert run("scan", *steps, "-o", "steps.csv", cwd=folder)[0] == 0
     assert run("compensate", "model.json", "steps.csv", *TOP, "-o", "s.csv", cwd=folder)[0] == 0
     # A scan is replaced by another one.
@@ -113,7 +113,7 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
     [
         (("path.csv", *rare(approach=1)), "approach"),
         (("path.csv", "--table", "t.csv"), "table"),
-        (("path.csv", "--cycles", 2), "cycles"),
+        (("path.csv", *rare(cycles=2)), "cycles"),
         (("scan.csv", "--columns", "time=t"), "columns"),
         (("scan.csv", *rare(approach=1)), "approach"),
         (("scan.csv", "--table", "t.csv", "--present", 900, *TOP), "present"),
@@ -127,9 +127,8 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
         (("scan.csv", "--columns", "displacement=y_um"), "displacement"),
         (("scan.csv", "--limits", 5, 2), "limits"),
         (("scan.csv", "--slew-rate", -2), "slew_rate"),
-        (("scan.csv", "--table", "t.csv", "--cycles", -1), "cycles"),
+        (("scan.csv", "--table", "t.csv", *rare(cycles=-1)), "cycles"),
         (("scan.csv", "--table", "t.csv", *rare(start_up=-1)), "start_up"),
-        (("scan.csv", "--table", "t.csv", *rare(tolerance=-1)), "tolerance"),
         (("scan.csv", "--table", "t.csv", *rare(approach=-1)), "approach"),
         (("scan.csv", "--table", "t.csv", "--home", "--present", 900), "present"),
     ],
@@ -152,12 +151,10 @@ def test_wrong_options_of_compensate_are_named(folder, arguments, argument):
         (("steps", "--levels", "2", "--dwell", 0.1, *rare(edge=1)), "levels"),
         (("steps", "--levels", "2,6", "--dwell", 0.1), "edge"),
         (("steps", "--levels", "2,6", "--dwell", 0.1, *rare(edge=1e-3), "--acceleration", 10), "edge"),
-        (("lissajous", "--low", 2, "--high", 12, "--frequency", 1, *rare(phase=1e9)), "phase"),
         ((*TRIANGLE, "--sample-rate", 20), "sample_rate"),
         ((*TRIANGLE, "--sample-rate", 1e8), "scan"),
         (("raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000), "scan"),
         ((*TRIANGLE, "--cycles", -1), "cycles"),
-        (("spiral", "--low", 2, "--high", 12, "--frequency", 1, "--revolutions", 3, "--y-high", 20), "y_low, y_high"),
         (TRIANGLE[:-2], "frequency"),
     ],
 )
@@ -168,7 +165,7 @@ def test_wrong_options_of_scan_are_named(tmp_path, arguments, argument):
 
 @pytest.mark.parametrize(
     ("arguments", "argument"),
-    [(rare(start_up=10_000_000), "start_up"), (("--cycles", 100_000_000), "cycles"), (("--cycles", 12_500), "output")],
+    [(rare(start_up=10_000_000), "start_up"), (rare(cycles=100_000_000), "cycles"), (rare(cycles=12_500), "output")],
 )
 def test_files_that_no_one_can_use_are_not_written(folder, arguments, argument):
     given = ("scan.csv", "--table", "no-table.csv", *arguments, "-o", "no.csv")
@@ -178,8 +175,7 @@ def test_files_that_no_one_can_use_are_not_written(folder, arguments, argument):
 
 def test_what_is_not_settled_ends_with_status_1(folder):
     given = ("scan.csv", "--table", "t.csv", "--start", "relaxed")
-    for more, wanted in ((rare(start_up=1), 1), (rare(start_up=1, tolerance=5), 0)):
-        status, told = result("compensate", "slow.json", *given, *more, "-o", "o.csv", cwd=folder)
-        assert (status, told["settled"], told["clamped"]) == (wanted, not wanted, 0)
-        said = [one for one in told["warnings"] if "NOT SETTLED" in one]
-        assert len(said) == wanted and not any("cycles=" in one for one in said)
+    status, told = result("compensate", "slow.json", *given, *rare(start_up=1), "-o", "o.csv", cwd=folder)
+    assert (status, told["settled"], told["clamped"]) == (1, False, 0)
+    assert sum("NOT SETTLED" in one for one in told["warnings"]) == 1
+    assert not any("cycles=" in one for one in told["warnings"])

@@ -30,7 +30,6 @@ def test_a_model_that_has_changed_is_true_again(folder):
     assert status == 0
     assert checked["without_noise_percent"] <= 100 * checked["promise"]["largest_m"] / checked["stroke_m"]
     known = dehyst.Actuator.load(folder / "new.json").identification
-    assert known.expected_largest == known.validity.anywhere.largest
     assert known.validity.rms > 0
 
 

@@ -55,7 +55,7 @@ COMMON = ("slip", "spring", "state", "limits", "delay", "name", "provenance", "i
 PARTS = {
     "transformer": Transformer([0, 30, 80], [0, 35, 80]),
     "creep": Creep([0.01, 1.0], [4e6, 5e6]),
-    "dynamics": Dynamics(2 * np.pi * 50, 0.1, series=1e6),
+    "dynamics": Dynamics(50, 0.1, series=1e6),
     "lag": 2e-3,
     "load_stiffness": 1e7,
     "smooth": SmoothSlip([2e-6], [0.8], [2e6]),

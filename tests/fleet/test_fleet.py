@@ -97,7 +97,7 @@ def test_each_record_has_a_row_with_its_numbers_or_a_reason(folder, tmp_path, in
     assert two["loop_width_um"] / one["loop_width_um"] == pytest.approx(0.8, rel=0.01)
     assert one["noise_nm"] == pytest.approx(2.0, rel=0.3)
     fit = dehyst.identify(dehyst.read(folder / "A" / "1.csv"))
-    assert one["promise_percent"] == fit.expectation.largest_percent
+    assert one["promise_percent"] == fit.promise.largest_percent
     assert dehyst.Actuator.from_dict(json.loads(one["model"])).voltage() == fit.actuator.voltage()
     assert [table["bad.csv"][name] for name in (*NUMBERS, "model")] == [None] * 7
     assert table["bad.csv"]["reason"] and table["dead.csv"]["reason"]

@@ -24,6 +24,7 @@ import specimens
 import strategies
 
 from dehyst import Compensator, DehystError, Snapshot
+from dehyst.control.following import follow
 
 HOSTILE = (np.nan, np.inf, -np.inf, 1e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30, -1e16, 5e-324, -1e-310, -0.0)
 # Of the spring's range.
@@ -115,7 +116,7 @@ class Life:
         twin = (
             copy.deepcopy(self.compensator) if self.rng.random() < 0.8 else pickle.loads(pickle.dumps(self.compensator))
         )
-        other = self.compensator.clone()
+        other = self.compensator._clone()
         other.restore(self.compensator.snapshot())
         stepped = np.array([twin.step(y) for y in wanted.tolist()])
         here, there = self.compensator.run(wanted), other.run(wanted)
@@ -134,7 +135,7 @@ class Life:
             loop.step,
             loop.commit,
             lambda x: loop.run([x]),
-            lambda x: loop.trajectory([x], time=[0.0], extrapolate=True),
+            lambda x: follow(loop, [x], time=[0.0]),
         ):
             # What is refused must move nothing; what is taken, here, is forgotten again.
             try:
@@ -172,7 +173,7 @@ class Life:
 
     def damaged(self):
         """A snapshot with a damaged number is refused, or the loop goes on within its limits."""
-        loop = self.compensator.clone()
+        loop = self.compensator._clone()
         snapshot = self.compensator.snapshot()
         where, bad = self.rng.integers(5), float(self.rng.choice(HOSTILE))
         try:
@@ -202,7 +203,7 @@ class Life:
         self.finite(loop)
 
     def trajectory(self):
-        if self.compensator.preview:
+        if self.compensator._previews:
             return
         period, n = self.compensator.period, int(self.rng.choice([1, 2, 5, 80, 200]))
         path = np.array([self.wish() for _ in range(n)])
@@ -210,7 +211,7 @@ class Life:
         if self.rng.random() < 0.4:
             time = np.cumsum(period * self.rng.uniform(0.2, 2, n))
         try:
-            command = self.compensator.trajectory(path, time=time, extrapolate=bool(self.rng.random() < 0.8))
+            command = follow(self.compensator, path, time=time)
         except DehystError:
             self.note("trajectories refused")
             return

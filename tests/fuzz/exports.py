@@ -43,7 +43,7 @@ def play(seed, case, note, steps=STEPS):
         for name, text in files.items():
             (Path(folder) / name).write_text(text)
         shutil.copy(HERE / "exports.c", folder)
-        change = compensator.tables()["loop"][2]
+        change = compensator._tables()["loop"][2]
         span = np.ptp(compensator.actuator.spring.displacement)
         defines = [f"-DCHANGE={float(change)!r}", f"-DSPAN={float(span)!r}"]
         built = _run(

@@ -23,7 +23,7 @@ from file_mutations import mutated
 from file_specimens import specimens
 
 import dehyst
-from dehyst.identification.preprocessing.preparation import prepare
+from dehyst.identification.preparation import prepare
 
 # Formats that libraries in C read.
 _IN_C = (".mat", ".h5", ".hdf5", ".parquet", ".tdms", ".xlsx")
@@ -96,7 +96,7 @@ def _used(path: Path) -> str:
         record.problems(), record.cycles()
         try:
             prepared = prepare(record)
-            prepared.span(), prepared.coarser(100, 4000)
+            prepared.span(), prepared.reduced
         except dehyst.DehystError as error:
             return f"unusable: {type(error).__name__}"
     return "prepared"

@@ -34,6 +34,7 @@ import specimens
 from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
+from dehyst.control import plan_path
 from dehyst.identification import Structure
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, staircase
@@ -43,7 +44,6 @@ NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")
 STRUCTURES = {
     "transformer": Structure(elements=20, transformer=20),
     "graded": Structure(elements=20, grades=8),
-    "creep": Structure(elements=20, creep=9),
     "smooth": Structure(elements=20, grades=3, transformer=10, smooth=True),
 }
 
@@ -129,7 +129,8 @@ def trust() -> Iterator[tuple[str, Any]]:
     for name, structure in (("plain", "maxwell_slip"), ("structured", STRUCTURES["graded"])):
         fit = dehyst.identify(tops, structure=structure)
         path = np.linspace(2e-6, 8e-6, 200)
-        yield f"insight {name}", dehyst.insight(fit.actuator, [tops], trajectory=path).summary(full=True)
+        plan = plan_path(dehyst.Compensator(fit.actuator), path)
+        yield f"insight {name}", dehyst.insight(fit.actuator, [tops], plan=plan).summary(full=True)
         yield f"check {name}", str(dehyst.check(fit.actuator, stairs).as_dict())
 
 

@@ -24,6 +24,7 @@ import specimens
 import strategies
 
 from dehyst import Actuator, Compensator, DehystError, Snapshot
+from dehyst.control import following
 
 HUGE = (1e308, -1e308, 1.7e308, 1e300, 1e30, -1e30, 10**400, -(10**30), 1e15, -1e15)
 TINY = (5e-324, 1e-300, 1e-30, 1e-15, 0, -0.0)
@@ -146,11 +147,11 @@ class Trial:
 
     def simulate(self):
         voltage = self.low + (self.high - self.low) * self.numbers.uniform(0, 1, SAMPLES)
-        if not np.isfinite(self.actuator.simulate(voltage, extrapolate=True, **self.course).displacement).all():
+        if not np.isfinite(self.actuator.simulate(voltage, **self.course).displacement).all():
             self.findings.append("simulate: not finite")
 
     def compensate(self):
-        if not np.isfinite(self.actuator.compensate(self.path, extrapolate=True, **self.course).voltage).all():
+        if not np.isfinite(self.actuator.compensate(self.path, **self.course).voltage).all():
             self.findings.append("compensate: not finite")
 
     def compensator(self):
@@ -174,7 +175,7 @@ class Trial:
         repr(loop)
 
     def follow(self):
-        command = self.compensator().trajectory(self.path, time=self.time, extrapolate=True)
+        command = following.follow(self.compensator(), self.path, time=self.time)
         voltage = command.voltage
         if not (np.isfinite(voltage).all() and voltage.min() >= self.low and voltage.max() <= self.high):
             self.findings.append("trajectory: outside the limits")
@@ -189,7 +190,7 @@ class Trial:
         loop, path = self.compensator(), self.folder / "loop.json"
         loop.snapshot().save(path)
         path.write_text(json.dumps(mutated(json.loads(path.read_text()), self.rng)))
-        other = loop.clone()
+        other = loop._clone()
         other.restore(Snapshot.load(path))
         self.note("restored")
         self.steps(other, "after a snapshot")

@@ -33,7 +33,7 @@ def random_model(rng, kind):
     parts = {}
     if kind in ("dynamics", "all"):
         stiffness = volts / span * rng.uniform(0.1, 3)
-        parts["dynamics"] = Dynamics(2 * np.pi * 10 ** rng.uniform(0, 4), rng.uniform(0.005, 1), stiffness)
+        parts["dynamics"] = Dynamics(10 ** rng.uniform(0, 4), rng.uniform(0.005, 1), stiffness)
     if kind in ("lag", "all"):
         parts["lag"] = 10 ** rng.uniform(-6, -2)
     if kind in ("smooth", "all"):

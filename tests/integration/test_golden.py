@@ -27,7 +27,7 @@ def test_an_actuator():
     assert 1e6 * displacement == pytest.approx([11.33, 9.37952471266, 11.5087668548, 7.87207977881], rel=1e-9)
     assert (actuator.name, actuator.limits, actuator.delay) == ("all parts", (0.0, 90.0), 2e-4)
     known = actuator.identification
-    assert (known.norm, known.goal, known.largest_error) == ("l1", 2.0, 5e-8)
+    assert (known.lag_of, known.goal, known.largest_error) == ("", 2.0, 5e-8)
 
 
 def test_a_stage():

@@ -33,20 +33,20 @@ def test_its_code_runs(tmp_path, monkeypatch, capsys):
     exec(code, names)
     verdict, *_ = capsys.readouterr().out.splitlines()
     assert verdict == str(names["fit"])
-    assert names["played"].voltage.size > names["wanted"].size == 2000
-    assert not names["played"].clamped.any()
-    assert names["played"].error.largest < 1e-8
+    assert names["plan"].voltage.size > names["wanted"].size == 2000
+    assert not names["plan"].clamped.any()
+    assert names["plan"].error.largest < 1e-8
     assert names["compensator"].clamps == (0, 0)
 
 
 @pytest.mark.parametrize("kind", PARTS)
 def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, monkeypatch, capsys):
-    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.Outcome.WIDER, errors=())
+    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.Outcome.IDENTIFIED, errors=())
     monkeypatch.setattr(dehyst, "read", lambda path: None)
     monkeypatch.setattr(dehyst, "identify", lambda record: fit)
     names = {}
     exec(its_code(), names)
-    assert not names["played"].clamped.any()
+    assert not names["plan"].clamped.any()
     assert names["compensator"].clamps == (0, 0)
     assert capsys.readouterr().out.splitlines()[-1].startswith("Clamps(limited=0, slewed=0)")
 

@@ -53,7 +53,7 @@ actuator = plain_records.plant(6)
 record = plain_records.loops(actuator, plain_records.DESCENDING_TOPS)
 """
 SOLVERS = {
-    "a structure": "dehyst.identify(record, structure=Structure(elements=8, knots=9, transformer=4, creep=2))",
+    "a structure": "dehyst.identify(record, structure=Structure(elements=8, knots=9, transformer=4))",
     "plain, insight": "insight(dehyst.identify(record, structure='maxwell_slip').actuator, record)",
     "compare": "compare(record, models={'linear': contenders()['linear ratio'], 'ours': contenders()['dehyst']})",
 }

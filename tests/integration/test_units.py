@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dehyst
-from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring
+from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.instruments import Samples
 from dehyst.instruments.samples import admitted
 from dehyst.waveforms import standard
@@ -23,7 +23,7 @@ ACTUATOR = Actuator(
     load_stiffness=1e6,
     name="stage",
 )
-LOW, HIGH = ACTUATOR.plausible.low, ACTUATOR.plausible.high
+LOW, HIGH = ACTUATOR._plausible.low, ACTUATOR._plausible.high
 STROKE = HIGH - LOW
 FREE = Actuator(ACTUATOR.slip, ACTUATOR.spring)
 PATH = np.linspace(-110e-6, -80e-6, 9)
@@ -68,7 +68,7 @@ def test_extrapolation_that_is_asked_for_gives_the_core_s_numbers(actuator):
 
 @pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
 def test_one_stroke_is_the_border(actuator):
-    low, high = actuator.plausible.low, actuator.plausible.high
+    low, high = actuator._plausible.low, actuator._plausible.high
     stroke, (first, last) = high - low, actuator.voltage_range
     actuator.compensate([low - 0.999 * stroke, high + 0.999 * stroke])
     actuator.simulate([first - 0.999 * (last - first), last + 0.999 * (last - first)])
@@ -103,9 +103,9 @@ def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited
     np.testing.assert_array_equal(
         actuator.simulate(v).displacement, actuator.simulate(v, extrapolate=True).displacement
     )
-    widest = actuator.plausible.high - actuator.plausible.low
+    widest = actuator._plausible.high - actuator._plausible.low
     with pytest.raises(ModelError, match="model reaches"):
-        actuator.compensate([actuator.plausible.high + 1.01 * widest])
+        actuator.compensate([actuator._plausible.high + 1.01 * widest])
 
 
 def test_the_reach_is_that_of_a_compensator():
@@ -117,7 +117,7 @@ def test_the_reach_is_that_of_a_compensator():
 def test_limits_too_wide_to_be_computed_with_leave_the_spring():
     wide = replace(ACTUATOR, limits=(-1e299, 1e299))
     np.testing.assert_array_equal(wide.compensate(PATH).voltage, ACTUATOR.compensate(PATH).voltage)
-    assert np.isfinite([wide.plausible.low, wide.plausible.high]).all()
+    assert np.isfinite([wide._plausible.low, wide._plausible.high]).all()
 
 
 def test_a_load_moves_the_reach():
@@ -129,16 +129,13 @@ def test_a_load_moves_the_reach():
 
 
 def test_a_trajectory_strokes_outside_is_refused_and_one_that_is_clamped_is_not():
-    compensator = Compensator(ACTUATOR)
     with pytest.raises(ModelError, match="in micrometres"):
-        compensator.trajectory([2, 12])
-    assert compensator.trajectory([2, 12], extrapolate=True).clamped.all()
-    assert compensator.trajectory([LOW, HIGH + 0.9 * STROKE]).clamped.any()
+        plan_path(ACTUATOR, [2, 12])
+    assert plan_path(ACTUATOR, [LOW, HIGH + 0.9 * STROKE]).clamped.any()
     # What wider limits of its own allow can be meant.
-    wider = Compensator(ACTUATOR, (0.0, 12.0))
-    assert not wider.trajectory([HIGH + 1.5 * STROKE]).clamped.any()
+    assert not plan_path(ACTUATOR, [HIGH + 1.5 * STROKE], limits=(0.0, 12.0)).clamped.any()
     # And what the model reaches can be meant under narrower ones.
-    assert Compensator(ACTUATOR, (0.0, 0.5)).trajectory([HIGH]).clamped.all()
+    assert plan_path(ACTUATOR, [HIGH], limits=(0.0, 0.5), home=False).clamped.all()
 
 
 @pytest.mark.parametrize("method", ["step", "offer"])

@@ -11,7 +11,8 @@ import pytest
 from summaries import PARTS, VOLTS, anatomy
 
 import dehyst
-from dehyst import DisplacementCreep, Fit, MissingExtraError, ModelError, Outcome, RecordError
+from dehyst import DisplacementCreep, MissingExtraError, ModelError, RecordError, Structure
+from dehyst.control import plan_path
 from dehyst.report.report import render
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -24,6 +25,7 @@ KINDS = {
     "creeping": ["creep", "loop"],
     "fit": ["loops", "hysteresis", "residuals", "residuals in time"],
     "insight": ["directions", "band"],
+    "check": ["hysteresis", "loops", "residuals", "residuals in time"],
 }
 PICTURES = [(name, kind) for name, kinds in KINDS.items() for kind in kinds]
 
@@ -33,10 +35,18 @@ def things():
     plant = plain_records.plant(6)
     record = plain_records.loops(plant, plain_records.DESCENDING_TOPS, samples=30, noise=5e-9, name=HOSTILE)
     other = plain_records.loops(plant, plain_records.THREE_LOOPS, samples=30, noise=5e-9, name="other")
-    fit = dehyst.identify(record, validate=other, elements=6, structure="maxwell_slip", norm="l2")
-    insight = dehyst.insight(fit.actuator, record, trajectory=np.linspace(2e-6, 12e-6, 20))
-    creeping = anatomy("creep")
-    return {"record": record, "actuator": fit.actuator, "creeping": creeping, "fit": fit, "insight": insight}
+    fit = dehyst.identify(record, validate=other, structure=Structure(elements=6, knots=7))
+    plan = plan_path(dehyst.Compensator(fit.actuator), np.linspace(2e-6, 12e-6, 20))
+    insight = dehyst.insight(fit.actuator, record, plan=plan)
+    creeping, check = anatomy("creep"), dehyst.check(fit.actuator, record)
+    return {
+        "record": record,
+        "actuator": fit.actuator,
+        "creeping": creeping,
+        "fit": fit,
+        "insight": insight,
+        "check": check,
+    }
 
 
 def axes():
@@ -143,7 +153,7 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
     with pytest.raises(ModelError, match="'directions' or 'band'"):
         things["insight"].plot("loops")
     with pytest.raises(ModelError, match="without traces"):
-        Fit(None, Outcome.FAILED).plot()
+        replace(things["fit"], traces=()).plot()
     assert pyplot.get_fignums() == figures
 
 

@@ -138,7 +138,7 @@ def wider(kind, *, moving=False):
     made = structured_records.plant(structured_records.STRUCTURES[kind])
     period, actuator = 1 / structured_records.RATE, made.actuator
     if moving:
-        actuator = replace(actuator, dynamics=Dynamics(2 * np.pi * 5, 0.1, 2e6), lag=0.01, delay=0.012)
+        actuator = replace(actuator, dynamics=Dynamics(5, 0.1, 2e6), lag=0.01, delay=0.012)
     return Compensator(actuator, LIMITS, 5e3, period=period, state=None if moving else made.state, preview=moving)
 
 
@@ -147,7 +147,7 @@ def creeping_behind():
     made = wider("graded, transformer")
     creep = DisplacementCreep([0.01, 0.2, 3.0], [0.01, 0.02, 0.03])
     actuator = replace(made.actuator, displacement_creep=creep)
-    state = replace(made.initial_state, displacement_creep=[1e-7, -2e-7, 3e-7])
+    state = replace(made._initial_state, displacement_creep=[1e-7, -2e-7, 3e-7])
     return Compensator(actuator, LIMITS, 5e3, period=made.period, state=state)
 
 
@@ -233,27 +233,26 @@ def _built_for_board(folder, source, text, *flags):
     return f"{source}.elf"
 
 
-# In place of a step alone: one that learns gain and offset from a sensor.
-FOLLOWED = """dehyst_loop_follow(piezo_exported(), &p.loop, p.memory, &follow, reading);
-        sent = piezo_step(&p, wish);"""
+# In place of a step alone: one that feeds back a sensor.
+FED = """sent = dehyst_feedback_step(piezo_exported(), &p.loop, p.memory, &fed, wish, reading);"""
 
 
-def instructions(folder, given, *, follows=False):
+def instructions(folder, given, *, feeds=False):
     """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages.
 
-    With `follows`, each step follows a sensor too.
+    With `feeds`, each step feeds back a sensor too.
     """
     values = ",".join(float(x).hex() for x in given)
     text = STOPWATCH
-    if follows:
-        text = text.replace("sent = piezo_step(&p, wish);", FOLLOWED)
+    if feeds:
+        text = text.replace("sent = piezo_step(&p, wish);", FED)
         text = text.replace('#include "piezo.h"', '#include "piezo.h"\n#include "dehyst_model.h"')
-        begun = "dehyst_follow_begin(piezo_exported(), &p.loop, p.memory, 0.01f, 0.2f, 0, &follow)"
+        begun = "dehyst_feedback_begin(piezo_exported(), &p.loop, p.memory, 0.01f, 1e-6f, 0, &fed)"
         text = text.replace("!= DEHYST_OK) return 1;", f"!= DEHYST_OK || {begun} != DEHYST_OK) return 1;", 1)
-        text = text.replace("static piezo p;", "static piezo p;\n    static dehyst_follow follow;", 1)
+        text = text.replace("static piezo p;", "static piezo p;\n    static dehyst_feedback fed;", 1)
         text = text.replace(
             "COUNT = 0;\n        begin",
-            "dehyst_real reading = 0.93f * p.loop.w + 1e-8f * (t % 7);\n        COUNT = 0;\n        begin",
+            "dehyst_real reading = 0.98f * p.loop.w + 1e-8f * (t % 7);\n        COUNT = 0;\n        begin",
             1,
         )
     text = text.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)

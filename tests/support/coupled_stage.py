@@ -17,16 +17,13 @@ def actuators():
     )
 
 
-def played(time, voltage, seed=0, coupling=COUPLING, bent=0.0, noise=3e-9):
-    """Return a record of two axes after one cycle of both; `bent` is a part of the coupling by a wider loop."""
+def played(time, voltage, seed=0, coupling=COUPLING, noise=3e-9):
+    """Return a record of two axes after one cycle of both."""
     rise = np.sin(np.linspace(0, np.pi, 200)[:, None]) ** 2 * np.array(HIGHEST)
     both, moved = np.vstack([rise, voltage]), []
     for j, one in enumerate(actuators()):
         moved.append(one.play(both[:, j], measured=False)[len(rise) :])
     y = np.column_stack(moved) @ coupling.T
-    if bent:
-        wide = PlayActuator(stroke=16e-6, highest=100.0, width=0.95, noise=0.0)
-        y[:, 1] += bent * wide.play(both[:, 0], measured=False)[len(rise) :]
     return Record(time, voltage, y + np.random.default_rng(seed).normal(0, noise, y.shape))
 
 

@@ -4,11 +4,12 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator Bank ClampWarning Columns Command Compensator Creep DehystError DisplacementCreep
-            Dynamics FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError Motion
-            Outcome Physical Record RecordError RecordErrors RigError SmoothSlip Snapshot Spring Stage
-            StageCompensator StageFit State Structure Thermal Trace Transformer VoltageLimits __version__ calibrate
-            check compare export export_fmu export_wasm identify identify_stage insight read shortest_homing update
+            Actuator Bank ClampWarning Columns Compensator Creep DehystError DisplacementCreep
+            Dynamics Feedback FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError
+            Motion Outcome PathPlan Physical Record RecordError RecordErrors Repetition RigError SmoothSlip Snapshot
+            Spring Stage
+            StageCompensator StageFit State Structure Thermal Transformer VoltageLimits __version__ calibrate
+            check compare export export_fmu export_wasm identify insight plan_path read update
             wave_table write_record
         """,
         "calibration": """
@@ -18,9 +19,9 @@ FACES = {
             main
         """,
         "control": """
-            Bank ClampWarning Command Compensator HomedPath Homing PossibleStart
-            Snapshot StageCompensator StartError StateBounds VoltageLimits WaveTable plan_path
-            plan_voltage shortest_homing wave_table
+            Bank ClampWarning Compensator Feedback Homing PathPlan PossibleStart Repetition
+            SensorFault SensorWarning Snapshot StageCompensator StartError VoltageLimits WaveTable
+            model_block plan_path shortest_homing snapshot_block wave_table
         """,
         "exports": """
             SourceOnlyWarning export export_fmu export_wasm wasm_module
@@ -30,7 +31,7 @@ FACES = {
         """,
         "identification": """
             Check Deadline Fit Outcome Readiness RecordErrors StageFit Structure Trace Verdict identify
-            identify_stage initial_state state_after
+            initial_state state_after
         """,
         "instruments": """
             HIGHEST_RATE AbstractRig DeviceError LinkError Reading RigError Samples SensorError
@@ -38,7 +39,7 @@ FACES = {
         """,
         "model": """
             AbstractModel Actuator Creep DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
-            Physical Promise SmoothSlip Spring Stage State Thermal Transformer Validity promise simulated
+            Physical Promise SmoothSlip Spring Stage State Thermal Transformer Untested Validity promised simulated
         """,
         "records": """
             Columns Record read write_columns write_record
@@ -54,16 +55,15 @@ FACES = {
             FakeInstrument RigCandidate RigContract
         """,
         "trust": """
-            AbstractBaseline Change Insight ModelComparison Recheck Update check check_stage
-            compare insight judge stage_insight update update_stage
+            AbstractBaseline Change Insight ModelComparison Recheck Update check
+            compare insight update
         """,
         "virtual": """
             PlayActuator VirtualBench VirtualStage
         """,
         "waveforms": """
-            Excitation Lissajous MotionLimits Raster Sampling Scan ScanPath Spiral Steps
-            Triangle descending_tops homing minor_loop raised_cosine reversal_curves
-            stage_excitation staircase
+            Excitation MotionLimits Raster Sampling Scan ScanPath Steps
+            Triangle descending_tops homing raised_cosine recommended stage_excitation staircase
         """,
         "web": "",
         "workbench": """

@@ -21,7 +21,7 @@ PERIOD = 1 / structured_records.RATE
 INPUT, OUTPUT, GAIN, OFFSET, LIMITED, SLEWED = 1, 2, 3, 4, 5, 6
 KINDS = ("compensator", "actuator")
 # Resonance [rad/s] that a period of 5 ms can follow.
-SLOW = dehyst.Dynamics(2 * np.pi * 12, 0.4, 2e6)
+SLOW = dehyst.Dynamics(12, 0.4, 2e6)
 
 
 def _all_parts(**more):
@@ -52,7 +52,7 @@ def wanted(seed=1, size=400):
 
 def voltages(compensator, path):
     """Python's, begun where an FMU begins."""
-    fresh = compensator.clone()
+    fresh = compensator._clone()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
         return fresh.run(path), fresh.clamps
@@ -71,7 +71,7 @@ def actuator_voltages(model):
 def displacements(model, volts, start=None):
     """Of `Actuator.simulate`, from the start state on."""
     compensator = ALL[model]
-    actuator, start = compensator.actuator, compensator.initial_state if start is None else start
+    actuator, start = compensator.actuator, compensator._initial_state if start is None else start
     given = np.append(actuator.voltage(start), volts)
     time = np.arange(given.size) * PERIOD if compensator.period else None
     return actuator.simulate(given, time=time, state=start).displacement[1:]

@@ -36,11 +36,11 @@ def text():
     low, high = compensator.reach
     t = np.arange(240) / 240
     wanted = low + (high - low) * (0.5 + 0.6 * np.sin(11 * t) * np.cos(37 * t))
-    block = compensator.model_block()
+    block = compensator._model_block()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         first = compensator.run(wanted[:SAVED_AT])
-        snapshot = compensator.snapshot_block()
+        snapshot = compensator._snapshot_block()
         sent = np.concatenate([first, compensator.run(wanted[SAVED_AT:])])
     return "\n".join(
         [

@@ -11,12 +11,12 @@ import plain_records
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
 from dehyst.identification import Structure
-from dehyst.identification.preprocessing.preparation import prepare
-from dehyst.identification.preprocessing.regressors import RowSource
-from dehyst.identification.regression.coefficients import Coefficients
-from dehyst.identification.regression.regression import Regression
+from dehyst.identification.frame import Frame
+from dehyst.identification.motion import Motion
+from dehyst.identification.preparation import prepare
+from dehyst.identification.program import Program, Solution
+from dehyst.identification.regressors import RowSource
 from dehyst.identification.structure import Grid
-from dehyst.identification.training_data import Lagging, TrainingData
 from dehyst.model import SmoothSlip
 
 SLOPE = plain_records.VOLTS / plain_records.STROKE
@@ -58,33 +58,51 @@ class Plant:
         sensed = self.path + noise * np.random.default_rng(seed).normal(size=self.path.size)
         return Record(self.time, motion.voltage, sensed, name)
 
-    def coefficients(self, regression):
-        """The true ones, with the constant of every epoch."""
-        base = float(self.actuator.spring.voltage[0])
-        return replace(
-            Coefficients.from_actuator(self.actuator), offsets=dict.fromkeys(np.unique(regression.rows.epoch), base)
-        )
+    def solution(self, program):
+        """The true coefficients, with the constant of every epoch."""
+        actuator, (columns, free) = self.actuator, program.columns
+        base = float(actuator.spring.voltage[0])
+        kappa, tau = actuator.slip.stiffness.reshape(len(actuator.slip), -1), actuator.transformer
+        smooth = np.zeros(0) if actuator.smooth is None else actuator.smooth.stiffness
+        rises = np.zeros(0) if tau is None else np.diff(tau.drive) / np.diff(tau.voltage)
+        static = [kappa[self.grid.movable].ravel(), actuator.spring.slopes - program.floor, smooth]
+        unknowns = np.concatenate([np.full(free, base), *static, rises[:-1] - 0.2])
+        assert unknowns.size == columns.shape[1]
+        offsets = dict.fromkeys(program.numbers.tolist(), base)
+        return Solution(kappa, actuator.spring.slopes, smooth, rises, offsets, {}, unknowns, None, None)
+
+
+@dataclass(frozen=True)
+class CreepingStructure(Structure):
+    """A structure with branches of creep as a force, which models have and identifications do not find."""
+
+    creep: int = 0
+
+    def grid(self, span, voltages, times=(1 / RATE, 10.0)):
+        branches = np.geomspace(3 * times[0], times[1], self.creep)
+        return replace(super().grid(span, voltages), time_constants=branches)
 
 
 def plant(structure, seed=0, path=None):
     """An actuator of a structure; every branch rises by a fifth of the mean slope at least."""
     rng = np.random.default_rng([seed, 7])
     y = wandering() if path is None else path
-    times = 1 / RATE, (y.size - 1) / RATE
-    grid = structure.grid((0.0, plain_records.STROKE), (0.0, plain_records.VOLTS), times)
+    creep = getattr(structure, "creep", 0)
+    times = ((1 / RATE, (y.size - 1) / RATE),) if creep else ()
+    grid = structure.grid((0.0, plain_records.STROKE), (0.0, plain_records.VOLTS), *times)
     parts = {"slip": _slip(grid, rng), "spring": _spring(grid, rng)}
-    if structure.creep:
-        parts["creep"] = Creep(grid.time_constants, 0.1 * SLOPE * rng.uniform(0.2, 1, structure.creep))
+    if creep:
+        parts["creep"] = Creep(grid.time_constants, 0.1 * SLOPE * rng.uniform(0.2, 1, creep))
     if structure.smooth:
         share = 0.05 * plain_records.VOLTS * rng.uniform(0.2, 1, grid.lengths.size)
         parts["smooth"] = SmoothSlip(grid.lengths, grid.closings, share / grid.lengths / grid.lengths.size)
     actuator = Actuator(**parts)
-    # Smooth elements begin at none, as the regression takes them to; what they forget would take many cycles.
+    # Smooth elements begin at none, as the program takes them to; what they forget would take many cycles.
     state = replace(actuator.turned(float(y[0])), smooth=np.zeros(grid.lengths.size))
     if structure.transformer:
         drive = actuator.compensate(y, time=np.arange(y.size) / RATE, state=state).voltage
         ends = float(drive.min()), float(drive.max())
-        grid = structure.grid((0.0, plain_records.STROKE), ends, times)
+        grid = structure.grid((0.0, plain_records.STROKE), ends, *times)
         actuator = replace(actuator, transformer=_transformer(grid, rng), state=state)
     return Plant(actuator, y, state, grid)
 
@@ -110,7 +128,7 @@ def _transformer(grid, rng):
 
 
 def moved_along(grid, piece, lead):
-    """What `dehyst.identification.preprocessing.regressors.internal_states` returns, by the parts of a model."""
+    """What `dehyst.identification.regressors.internal_states` returns, by the parts of a model."""
     creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
     time, y = piece.time, piece.displacement
@@ -126,17 +144,16 @@ def moved_along(grid, piece, lead):
     return np.hstack(columns)[-len(piece) :]
 
 
-def regression(grid, records, *, leads=(), **options):
-    """The rows of records as they are: no smoothing, no search for anything."""
-    leads = leads or [None] * len(records)
+def program(grid, records, *, leads=()):
+    """The program of records as they are: no smoothing, no search for anything."""
     pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
-    source = RowSource.of(pieces, grid, [0.0] * len(pieces), leads=leads)
-    return Regression(source.thinned(len(source)), grid, FLOOR, np.zeros(len(pieces)), **options)
+    source = RowSource.of(pieces, grid, [0.0] * len(pieces), leads=leads or [None] * len(records))
+    return Program(source.thinned(len(source)), grid, FLOOR, 0.0)
 
 
 def _rough(**parts):
     """A structure whose neighbours may be as unlike as a random actuator's are: only so is that one met exactly."""
-    return Structure(smoothing=0.0, **parts)
+    return (CreepingStructure if "creep" in parts else Structure)(smoothing=0.0, **parts)
 
 
 STRUCTURES = {
@@ -151,12 +168,11 @@ STRUCTURES = {
 }
 
 
-def frame(records, delay=0.0):
-    """What an identification of these records shares, their sensors never zeroed anew."""
+def frame(records, **motion):
+    """What an identification of these records begins with; `motion`: numbers of what moves that are known."""
     training = [prepare(one) for one in records]
-    spans = [item.span() for item in training]
-    span = max(spans, key=lambda ends: ends[1] - ends[0])
-    volts = [one.voltage_range for one in records]
-    ends = min(low for low, _ in volts), max(high for _, high in volts)
-    floor = 0.2 * (ends[1] - ends[0]) / (span[1] - span[0])
-    return TrainingData(training, Lagging(delay), span, ends, floor, np.zeros(len(records)))
+    spans = [float(np.ptp(item.span())) for item in training]
+    volts = np.array([one.voltage_range for one in records])
+    ends, widest = (float(volts[:, 0].min()), float(volts[:, 1].max())), int(np.argmax(spans))
+    moved = replace(Motion.none(len(records)), **motion)
+    return Frame(training, moved, ends, 0.2, widest, spans[widest])

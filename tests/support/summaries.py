@@ -19,7 +19,7 @@ PARTS = {
     "graded": {"slip": GradedSlip(_RHO, _GRADES, np.full((5, 2), 0.06 * _SLOPE) * [1.0, 0.9])},
     "creep": {"creep": Creep([0.02, 0.5], [0.03 * _SLOPE, 0.03 * _SLOPE])},
     "smooth": {"smooth": SmoothSlip([0.1 * STROKE], [0.5], [0.05 * _SLOPE])},
-    "inertia": {"dynamics": Dynamics(2000.0, 0.05)},
+    "inertia": {"dynamics": Dynamics(1000.0 / np.pi, 0.05)},
     "lag": {"lag": 1e-4},
     "delay": {"delay": 1e-3},
 }

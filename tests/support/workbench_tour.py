@@ -27,7 +27,7 @@ def tour(visitor, csv, look):
     visitor.page.locator("#model canvas").first.wait_for()
     look("verdict")
     visitor.click("button", "Assess the model")
-    visitor.sees("When the state becomes known", within="#insight")
+    visitor.sees("Where the records turned", within="#insight")
     look("trust")
     visitor.step("Path")
     visitor.page.get_by_label("Draw points").check()

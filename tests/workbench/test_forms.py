@@ -4,7 +4,7 @@ import pytest
 
 from dehyst import Actuator, MaxwellSlip, Spring, Stage
 from dehyst.operations.registry import find
-from dehyst.waveforms.named import SCANS
+from dehyst.waveforms.scans import SCANS
 from dehyst.workbench.data import RequestError, path_points
 from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds

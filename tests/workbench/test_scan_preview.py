@@ -14,8 +14,6 @@ from dehyst.workbench.server import json_of
 SCANS = (
     {"kind": "triangle", "low": 2, "high": 8, "frequency": 5, "cycles": 3, "rising": 0.3},
     {"kind": "raster", "low": 2, "high": 8, "frequency": 10, "lines": 4, "axis": "y", "y_low": 3, "y_high": 6},
-    {"kind": "spiral", "low": 2, "high": 8, "frequency": 2, "revolutions": 3, "constant": "angular"},
-    {"kind": "lissajous", "low": 2, "high": 8, "frequency": 2, "ratio": [3, 2], "phase": 30},
     {"kind": "steps", "levels": [2, 6, 4], "dwell": 0.1, "edge": 0.02},
 )
 

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import IdentifyError, ModelError
 from dehyst._io import PathLike, finite, write_json
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.calibration.comparison_loop import Agreement
-from dehyst.calibration.plan import CreepCheck, ExcitationPlan, Plan, creep_of, steps
+from dehyst.calibration.plan import CreepCheck, Plan, creep_of, steps
 from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
-from dehyst.identification import Fit, StageFit, identify, identify_stage, write_traces
+from dehyst.identification import Fit, StageFit, identify, write_traces
 from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
 from dehyst.records import Record, cleaned
@@ -65,10 +63,7 @@ class Calibration:
     @property
     def model(self) -> Actuator | Stage:
         """The identified model."""
-        model = self.fit.stage if isinstance(self.fit, StageFit) else self.fit.actuator
-        if model is None:
-            raise IdentifyError(f"{self.fit.summary()}; there is no model")
-        return model
+        return self.fit.model
 
     @property
     def good(self) -> bool:
@@ -77,7 +72,7 @@ class Calibration:
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
-        first = self.fit.remarks if self.insight is None else self.insight.warnings()
+        first = () if self.insight is None else self.insight.warnings()
         missed = []
         for axis, one in zip(self.compensated.axes or ("",), self.compensated.each, strict=True):
             if one.largest_percent > self.goal:
@@ -224,32 +219,28 @@ class _Run:
         excitations, record = self.plan.axes_excitations(self.rig), self.session.record
         training, held_out = record(excitations.training(), "axes"), record(excitations.others(), "others")
         self.listener.step("identify")
-        fit = identify_stage(training, validate=held_out, progress=self.listener.message)
-        if fit.stage is None:
-            raise IdentifyError(f"{fit.verdict}; look at the records in {self.session.records}")
+        fit: Any = identify(training, validate=held_out, progress=self.listener.message)
         name = f"{self.rig.identity}, axes {', '.join(self.rig.axes)}"
         stage = replace(fit.stage, name=name)
         homing, leg = excitations.homing(), excitations.leg
         return _Measured(replace(fit, stage=stage), stage, (training,), held_out, homing, leg)
 
     def _measure_axis(self) -> _Measured:
-        """Record one axis, with further records as long as insight asks for them."""
+        """Record one axis, with further records as long as they leave stiffnesses open."""
         plan, record, excitations = self.plan, self.session.record, self.plan.excitations(self.rig)
         look = record(excitations.look(), "look")
-        loops, creep = excitations.loops(look), creep_of(look)
+        loops, creep = excitations.major_loops(look), creep_of(look)
         played = [(f"given-{i}", excitation) for i, excitation in enumerate(plan.protocol, 1)]
-        if not played:
-            played = [("loops", self._most_informative(excitations, loops))]
-            if creep.seen:
-                played += zip(("fast", "stairs"), excitations.creep_pair(), strict=True)
-        training = [look, *(record(excitation, name) for name, excitation in played)]
+        training = [
+            look,
+            *(record(excitation, name) for name, excitation in played or [("loops", excitations.loops())]),
+        ]
         held_out = record(excitations.others(), "others")
         fit, assessment = self._identify(training, held_out)
         for i in range(1, 1 + (0 if plan.protocol else plan.rounds)):
             if assessment.trustworthy:
                 break
-            more = _suggested(excitations, assessment) or excitations.tops(10 * (i + 1))
-            training.append(record(more, f"more-{i}"))
+            training.append(record(excitations.tops(10 * (i + 1)), f"more-{i}"))
             fit, assessment = self._identify(training, held_out)
         return _Measured(
             fit,
@@ -263,15 +254,6 @@ class _Run:
             creep=creep,
         )
 
-    def _most_informative(self, excitations: ExcitationPlan, loops: Record) -> Excitation:
-        """Return the excitation that adds most to the major loops."""
-        self.listener.message("choosing what to record")
-        with suppress(IdentifyError, ModelError):
-            fit = identify(loops, structure="maxwell_slip", throw=False)
-            if fit.actuator is not None:
-                return _suggested(excitations, self._insight(fit, loops)) or excitations.tops()
-        return excitations.tops()
-
     def _identify(self, training: Sequence[Record], held_out: Record) -> tuple[Fit, Insight]:
         self.listener.step("identify")
         fit = identify(training, validate=held_out, progress=self.listener.message)
@@ -282,12 +264,8 @@ class _Run:
 
     def _insight(self, fit: Fit, records: Record | Sequence[Record]) -> Insight:
         limits = self.rig.limits
-        return insight(fit.actuator, records, limits=(limits.low, limits.high))
-
-
-def _suggested(excitations: ExcitationPlan, assessment: Insight) -> Excitation | None:
-    """Return the excitation that insight suggests first, within the slew rate."""
-    return excitations.within_slew_rate(assessment.advice[0].excitation) if assessment.advice else None
+        found: Insight = insight(fit.actuator, records, limits=(limits.low, limits.high))
+        return found
 
 
 def _ends(loops: Record) -> tuple[float, float]:

@@ -23,8 +23,8 @@ from dehyst.waveforms import (
     descending_tops,
     positive,
     raised_cosine,
+    recommended,
     stage_excitation,
-    staircase,
 )
 
 _SAMPLES_A_CYCLE = 400
@@ -34,11 +34,6 @@ _HOLD, _LOOPS = 3.0, 2
 _EARLY, _LATE = (0.1, 0.2), (0.9, 1.0)
 # Creep that a model may ignore, as a share of the stroke.
 _LITTLE = 1e-3
-# Speed-up of the fast loops that separate creep, and least samples a cycle that resolve the corners.
-_FASTER, _FEWEST = 5, 60
-_STEPS = 5
-# Random turning points after descending tops.
-_RANDOM = 24
 # A rig may round a rate up.
 _SLOWER = 0.95
 # Share of the median by which the steps of time may differ.
@@ -84,35 +79,24 @@ class ExcitationPlan:
         stay, rest = (Leg(level, level, self.hold) for level in (self.high, self.low))
         return sampling.play("look", [rise, stay, fall, rest, *(rise, fall) * _LOOPS])
 
-    def loops(self, look: Record) -> Record:
+    def major_loops(self, look: Record) -> Record:
         """Return the major loops at the end of a look."""
         sampling = self.sampling()
         cycle = sampling.play("loop", sampling.legs([self.low, self.high, self.low]))
         return replace(look[len(look) - 1 - _LOOPS * (len(cycle) - 1) :], name="look's loops")
 
-    def tops(self, steps: int = 10) -> Excitation:
-        """Play two major loops, descending tops, and random turning points, which test the promise."""
-        return descending_tops(self.high, steps=steps, random=_RANDOM, drive=self.sampling())
+    def loops(self) -> Excitation:
+        """Play the recommended excitation."""
+        return recommended(self.high, drive=self.sampling())
+
+    def tops(self, steps: int) -> Excitation:
+        """Play two major loops and descending tops."""
+        return descending_tops(self.high, steps=steps, drive=self.sampling())
 
     def others(self) -> Excitation:
         """Play loops of other heights for held-out records."""
         heights = self.low + (self.high - self.low) * np.array([1.0, 0.75, 0.45])
         return raised_cosine(heights, cycles=2, drive=self.sampling())
-
-    def creep_pair(self) -> tuple[Excitation, Excitation]:
-        """Return two excitations that separate creep from hysteresis: faster loops, and stairs with holds."""
-        faster = min(_FASTER, self.sample_rate / (_FEWEST * self.frequency))
-        fast = descending_tops(self.high, steps=_STEPS, drive=self.sampling(max(faster, 1.0)))
-        stairs = staircase(self.high, steps=_STEPS, hold=self.hold, back=True, drive=self.sampling())
-        return fast, stairs
-
-    def within_slew_rate(self, excitation: Excitation) -> Excitation:
-        """Return the excitation, slowed down to the slew rate."""
-        steepest = float(np.abs(np.diff(excitation.voltage)).max()) * excitation.sample_rate
-        if self.slew_rate is None or steepest <= _SLOWER * self.slew_rate:
-            return excitation
-        slower = excitation.sample_rate * _SLOWER * self.slew_rate / steepest
-        return Excitation(excitation.name, excitation.voltage, slower, excitation.warnings)
 
     @property
     def leg(self) -> int:
@@ -185,9 +169,9 @@ class Plan:
     hold : float, optional
         Time [s] at each voltage of the holds that measure creep; default three cycles.
     protocol : tuple of Excitation
-        Excitations to record instead of the suggestions of `insight`.
+        Excitations to record instead of descending tops and what shows creep.
     rounds : int
-        How often `insight` may request more records.
+        How often more tops are recorded while the records leave stiffnesses open.
     goal : float
         Largest error along the path [% of the stroke] of a good calibration, on every axis.
     steps, cycles : int
@@ -277,11 +261,11 @@ def _steps_of_one(rig: AbstractRig, plan: Plan) -> Iterator[PlannedStep]:
     for i, given in enumerate(plan.protocol, 1):
         yield PlannedStep(f"given-{i}", f"{given.name}, as given", given)
     if not plan.protocol:
-        yield PlannedStep("loops", "what insight chooses after the look, e.g. descending tops", excitations.tops())
-        for name, excitation in zip(("fast", "stairs"), excitations.creep_pair(), strict=True):
-            yield PlannedStep(name, "if the look shows creep", excitation)
+        yield PlannedStep(
+            "loops", "the recommended excitation: loops, random turns, speeds, holds", excitations.loops()
+        )
         for i in range(1, plan.rounds + 1):
-            yield PlannedStep(f"more-{i}", "if insight finds undetermined stiffnesses", None)
+            yield PlannedStep(f"more-{i}", "if stiffnesses are not determined", None)
     yield PlannedStep("others", "loops of other heights, held out", excitations.others())
     # With a constant ratio the voltages of the path depend on no measured displacement.
     path = PathPlanner(excitations.homing(), [rig.limits], excitations.leg, (0.0, 1.0)).nominal().excitation

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
-from dehyst.control import Compensator, StageCompensator, VoltageLimits
+from dehyst.control import VoltageLimits, plan_path
 from dehyst.model import Actuator, Stage, State, apply, beginning
 from dehyst.records import Record, largest, percent, rms
 from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
@@ -140,17 +140,15 @@ class PathPlanner:
         # The path stays where it is while the temperature drifts.
         warmth = None if seen is None else seen.after(self.homing.duration + time)
         bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
-        if isinstance(model, Stage):
-            several = StageCompensator(model, limits=bounds, slew_rate=rates, states=states)
-            commands = several.trajectory(ahead, time=time, temperature=warmth)
-            pairs = zip(model.axes, commands, strict=True)
-            remarks = tuple(f"{axis}: {words}" for axis, own in pairs for words in own.warnings)
-            voltage = np.column_stack([one.voltage for one in commands])
-            return self._run("compensated", wanted, voltage, place, remarks)
-        one = Compensator(model, bounds[0], rates[0])
-        present = float(self.homing.voltage[-1])
-        followed = one.trajectory(ahead[:, 0], time=time, temperature=warmth, state=states[0], present=present)
-        return self._run("compensated", wanted, followed.voltage[:, None], place, followed.warnings)
+        several = isinstance(model, Stage)
+        given: dict[str, Any] = {
+            "limits": bounds if several else bounds[0],
+            "slew_rate": rates if several else rates[0],
+        }
+        given |= {"start": states, "present": self.homing.voltage[-1], "home": False, "on_time": False}
+        plan = plan_path(model, ahead if several else ahead[:, 0], time=time, temperature=warmth, **given)
+        voltage = plan.voltage[plan.first :].reshape(wanted.shape)
+        return self._run("compensated", wanted, voltage, place, plan.warnings)
 
     @property
     def _legs(self) -> list[int]:

@@ -6,19 +6,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control.planning.path import needed_slew_rate, speed_remark
+from dehyst.control import PathPlan, plan_path
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.check_log import append_checks, read_log
 from dehyst.operations.declaration import Continued, Input, Only, Output, Values, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of, write_table
 from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.operations.start import Start, start_reader
+from dehyst.operations.start import Start, starts_of
 from dehyst.records import read, read_table
 from dehyst.report import write_insight
-from dehyst.trust import Insight, Recheck, StageInsight, check_stage, stage_insight
+from dehyst.trust import Insight, Recheck, StageInsight
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
 
@@ -31,7 +33,7 @@ _of_one = Only(_single, "with a model of several axes")
 _of_path = Only(lambda given: _single(given) and "trajectory" in given, "without --trajectory, on a model of one axis")
 
 
-@operation(insight_one, rare=("seconds", "temperatures"), details=True)
+@operation(insight_one, rare=("temperatures",), details=True)
 def insight(
     run: Run,
     model: Input,
@@ -42,23 +44,22 @@ def insight(
     start: Annotated[Start | None, _of_path] = None,
     limits: tuple[float, float] | None = None,
     temperatures: tuple[float, float] | None = None,
-    seconds: float | None = None,
     output: Annotated[Output | None, _of_path] = None,
     report: Output | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
-    """Assess a MODEL by the RECORDS that it was identified from: what they determine, and what to record next.
+    """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
     The status is 1 if there is a warning.
 
     Parameters
     ----------
     trajectory
-        Predict the error along this path: a file with a displacement.
+        Show the promise of this path, as compensate plans it: a file with a displacement.
     zero
         Displacement from which the trajectory is counted, as in compensate; default: the sensor's zero.
     start
-        State before the trajectory, as in compensate; default: the top of the limits, after a rise through them.
+        State before the trajectory, as in compensate; default: unknown.
     output
         Write the trajectory with the promise along it here (CSV).
     report
@@ -68,28 +69,17 @@ def insight(
     keys = RECORD if trajectory is None else (*RECORD, "wanted", "temperature")
     known.demand(columns, keys, "on records")
     training = [read(path, known.of_records(columns)) for path in records]
-    asked: dict[str, Any] = {
-        "limits": limits,
-        "seconds": seconds,
-        "temperatures": temperatures,
-        "progress": run.progress,
-    }
+    asked: dict[str, Any] = {"limits": limits, "temperatures": temperatures, "progress": run.progress}
     if known.stage is not None:
-        whole = stage_insight(known.stage, training, **asked)
+        whole = insight_one(known.stage, training, **asked)
         assessed: Insight | StageInsight = whole
         found, fields, head = whole.insights, whole.as_dict(), list(whole.lines())
     else:
-        actuator = known.actuators[0]
-        time: dict[str, Array] = {}
-        if trajectory is not None:
-            path, time, warmth = _path(known, trajectory, columns, limits, zero, run)
-            asked |= {"trajectory": path, "time": time.get("time_s"), "temperature": warmth}
-        if start is not None:
-            asked["start"] = start_reader(known, start, columns)(0, actuator, limits)
-        one = insight_one(actuator, training, **asked)
+        plan = None if trajectory is None else _planned(run, known, trajectory, columns, limits, zero, start)
+        one = insight_one(known.actuators[0], training, plan=plan, **asked)
         assessed, found, fields, head = one, (one,), one.as_dict(), []
-        if output is not None and one.band is not None:
-            write_table(output, {**time, **one.band.columns()})
+        if output is not None and plan is not None:
+            write_table(output, _along(plan))
     if report is not None:
         run.progress("drawing the page")
         write_insight(report, assessed, command=run.command)
@@ -103,35 +93,48 @@ def insight(
     return Result(fields, lines(full=False), lines(full=True), good=good)
 
 
-def _path(
+def _planned(
+    run: Run,
     known: AxesModel,
     trajectory: Path,
     columns: Columns,
     limits: tuple[float, float] | None,
     zero: Zero | None,
-    run: Run,
-) -> tuple[Array, dict[str, Array], float | Array | None]:
-    """Return the displacement (n,) [m] of a trajectory on the model's axis, its time column, and its temperature."""
+    start: Start | None,
+) -> PathPlan:
+    """Return the plan of a trajectory, as compensate makes it."""
     (actuator,) = known.actuators
     table = read_table(trajectory, columns)
     # The displacement in --columns is that of the records here.
     path = table.column("displacement", columns.wanted)
-    time = clock_of(table, AS_FOUND)
-    if actuator.needs_time and not time:
+    time = clock_of(table, AS_FOUND).get("time_s")
+    if actuator.needs_time and time is None:
         raise ModelError(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
         )
-    path = path + zero_of_path(actuator, limits, zero)
+    begins, remarks = starts_of(known, start, [limits], columns)
+    path = path + zero_of_path(actuator, limits, zero, begins[0])
     warmth = temperature_of(known, None, columns, table, path.size, remark=run.note)
-    followed = known.targets(path[:, None], warmth)[:, 0]
-    for warning in reach_remarks(actuator, path, limits, zero, warmth, refuse=False):
-        run.note(warning)
-    allowed = limits or actuator.voltage_range
-    if time and path.size > 1:
-        needed = needed_slew_rate(actuator, followed, time["time_s"], allowed)
-        for remark in speed_remark(actuator, needed):
-            run.note(f"{remark}; it is judged as wanted here, while compensate holds it back without --slew-rate none")
-    return path, time, warmth
+    rows = path[:, None]
+    for remark in [*remarks, *reach_remarks(actuator, known.targets(rows).T[0], limits, zero, warmth)]:
+        run.note(remark)
+    options = {"time": time, "temperature": warmth}
+    return known.planned(plan_path, rows, [limits], [None], options, start=begins)[0]
+
+
+def _along(plan: PathPlan) -> dict[str, Array]:
+    """Return the columns of a path and of the promise along it, without what comes before it."""
+    time, first = {} if plan.time is None else {"time_s": plan.time[plan.first :]}, plan.first
+    wanted, expected = 1e6 * plan.displacement[first:], 1e6 * plan.expected[first:]
+    half = np.nan if plan.promise is None else 1e6 * plan.promise.half
+    return {
+        **time,
+        "wanted_um": wanted,
+        "voltage_V": plan.voltage[first:],
+        "expected_um": expected,
+        "lowest_um": expected - half,
+        "highest_um": expected + half,
+    }
 
 
 @operation(check_one)
@@ -163,7 +166,7 @@ def check(
         found = [check_one(known.actuators[0], measured, goal=goal)]
         coupling, good = None, found[0].good
     else:
-        stage = check_stage(known.stage, measured, goal=goal)
+        stage = check_one(known.stage, measured, goal=goal)
         found, coupling, good = [*stage.rechecks], stage.as_dict(), stage.good
     if log is not None and before is not None:
         append_checks(log, before, dict(zip(known.axes, found, strict=True)))

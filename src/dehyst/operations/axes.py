@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
 from dehyst._units import quantity_of
-from dehyst.control import Compensator, HomedPath, StageCompensator
+from dehyst.control import Compensator, PathPlan, StageCompensator
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model, values_of
@@ -140,12 +140,10 @@ class AxesModel:
 
     @classmethod
     def read(cls, run: Run, path: Path) -> AxesModel:
-        """Read a model; warn if its identification was not usable, or its coupling is more than a matrix."""
+        """Read a model; warn if its identification was not usable."""
         if not is_stage(path):
             return cls(None, (read_model(run, path),), ("",))
         stage = Stage.load(path)
-        if not stage.is_matrix:
-            run.note(f"{path}: when this stage was identified, its coupling was more than a matrix")
         for axis, actuator in zip(stage.axes, stage.actuators, strict=True):
             for sentence in edited(actuator):
                 run.note(f"{path}: {axis}: {sentence}")
@@ -159,7 +157,7 @@ class AxesModel:
         slew_rates: Sequence[float | None],
         options: Mapping[str, Any],
         **by_axis: Sequence[Any],
-    ) -> list[HomedPath]:
+    ) -> list[PathPlan]:
         """Return the planned path of each axis for displacements or voltages `rows` (n, axes).
 
         `plan`: `plan_path` or `plan_voltage`. `by_axis`: options with one entry for each axis.
@@ -168,7 +166,7 @@ class AxesModel:
             own = {name: values[0] for name, values in by_axis.items()}
             return [plan(Compensator(self.actuators[0], limits[0], slew_rates[0]), rows[:, 0], **options, **own)]
         several = StageCompensator(self.stage, limits=limits, slew_rate=slew_rates)
-        return [*plan(several, rows, **options, **by_axis)]
+        return [*plan(several, rows, **options, **by_axis).each]
 
     def by_axis(self, values: Iterable[Any]) -> Any:
         """Return the value of a single axis, or the values of several axes by name, for JSON."""

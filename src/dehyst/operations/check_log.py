@@ -13,17 +13,9 @@ from dehyst._io import unwritten, write_atomically
 from dehyst.records import percent
 from dehyst.trust import Recheck
 
-# Changes by name: name and unit in the table, and the factor that converts to this unit from SI units.
-_CHANGES = {
-    "gain": ("gain", "percent", 100.0),
-    "width": ("width", "percent", 100.0),
-    "offset": ("offset", "um", 1e6),
-    "delay": ("lag", "ms", 1e3),
-}
 _COLUMNS = (
-    *("date", "record", "model", "axis", "standing"),
-    *("error_percent", "goal_percent", "promised_percent", "promise_kept"),
-    *(f"{name}_{what}{unit}" for name, unit, _ in _CHANGES.values() for what in ("", "error_")),
+    *("date", "record", "model", "axis", "standing", "error_percent", "rms_percent", "goal_percent"),
+    *("promised_percent", "promise_kept", "changes"),
 )
 
 
@@ -50,11 +42,8 @@ def append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> N
 def _row(now: str, axis: str, check: Recheck) -> list[str]:
     """Return a check by column; a number that is not known is empty."""
     row = [now, check.record, check.model, axis, check.standing.value]
-    row += [f"{percent(check.without_noise, check.stroke):.4g}", f"{check.goal:.4g}"]
+    row += [f"{percent(part, check.stroke):.4g}" for part in (check.without_noise, check.rms)]
     promised = None if check.promise is None else f"{percent(check.promise.largest, check.stroke):.4g}"
-    row += ["", ""] if promised is None else [promised, "yes" if check.kept else "no"]
-    changes = {change.name: change for change in check.changes}
-    for name, (_, _, factor) in _CHANGES.items():
-        change = changes.get(name)
-        row += ["", ""] if change is None else [f"{factor * value:.4g}" for value in (change.value, change.error)]
-    return row
+    row += [f"{check.goal:.4g}", *(["", ""] if promised is None else [promised, "yes" if check.kept else "no"])]
+    signs = {change.name: "-" if change.value < 0 else "+" for change in check.changed}
+    return [*row, "; ".join(f"{one.name} {signs[one.name]}{one.amount(check.stroke)}" for one in check.changed)]

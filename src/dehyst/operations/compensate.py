@@ -12,10 +12,10 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import HomedPath, PossibleStart, VoltageLimits, WaveTable, plan_path, wave_table
+from dehyst.control import PathPlan, PossibleStart, VoltageLimits, WaveTable, plan_path, wave_table
 from dehyst.control.planning.homing import present_voltage
 from dehyst.control.planning.path import MOST_ROWS, needed_slew_rate, speed_remark
-from dehyst.model import Actuator, promised
+from dehyst.model import Actuator, promised, untested
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Present, Slew, is_stage, limits_of, numbers_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
@@ -33,9 +33,8 @@ from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
 from dehyst.records import read_table, table_of
-from dehyst.trust import judge, judge_planned
 from dehyst.waveforms import Scan
-from dehyst.waveforms.named import OPTIONS, scan_of
+from dehyst.waveforms.scans import OPTIONS, scan_of
 
 # Part of the reachable range by which a row of a scan's file may differ from the scan.
 _WRITTEN = 1e-9
@@ -73,10 +72,11 @@ def _is_scan(given: Values) -> bool:
 
 _of_scan = Only(_is_scan, "without the path of a dehyst scan, for a model of one axis")
 _of_table = beside("table")
+_homes = Only(lambda given: given.get("start") is None and given.get("home") is not False, "without a homing")
 _without_table = Only(lambda given: "table" not in given, "with --table, which is at the reference temperature")
 
 
-@operation(plan_path, rare=("approach", "start_up", "tolerance"))
+@operation(plan_path, rare=("approach", "cycles", "on_time", "start_up"))
 def compensate(
     run: Run,
     model: Input,
@@ -88,20 +88,22 @@ def compensate(
     zero: Zero | None = None,
     start: Start | None = None,
     home: bool | None = None,
+    home_within: Annotated[float | None, _homes] = None,
     present: tuple[Present, ...] = (),
+    on_time: bool | None = None,
     temperature: Annotated[float | None, _without_table] = None,
     table: Annotated[Output | None, _of_scan] = None,
     cycles: Annotated[int, _of_table] = 1,
     approach: Annotated[float | None, _of_table] = None,
     start_up: Annotated[int | None, _of_table] = None,
-    tolerance: Annotated[float | None, _of_table] = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
     Without --start the state before the path is unknown: a homing comes first if the start matters, and the error due
-    to the start is reported. The status is 1 if a voltage was clamped, or if the error due to the start after --home
-    exceeds the model's error; with --table also if the cycle is not settled, or the homing is not certified.
+    to the start is reported. The status is 1 if clamped voltages miss the path by more than the promise, or if
+    the error due to the start after --home exceeds the model's error; with --table if a voltage was clamped, the cycle
+    is not settled, or the homing is not certified.
 
     Parameters
     ----------
@@ -112,7 +114,8 @@ def compensate(
     limits
         Allowed voltages [V], of all axes or of one; default: the voltages of the records.
     slew_rate
-        Largest slew rate [V/s]; none: not limited; default: the speed of the model's records.
+        Largest slew rate [V/s]; none or default: the path's own speed. Jumps and homings keep to the speed of the
+        model's records.
     zero
         Zero of the path: bottom or mean of the reachable range; first: the actuator's start; or a number [um]; default:
         the sensor's zero.
@@ -123,9 +126,13 @@ def compensate(
     home
         Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the first
         sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's error.
+    home_within
+        Longest duration of the homing [s]; default: as long as the model's error asks for.
     present
         Present voltage [V], of all axes or of one: the output begins there; default: the voltage of --start, else 0 or
         the nearest limit, where a homing begins.
+    on_time
+        Let the voltage lead the path by the delay of the model; default: if the model's --lag-of is actuator.
     temperature
         Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
         model's reference.
@@ -138,8 +145,6 @@ def compensate(
         Time to the first sample [s]; default: as short as possible.
     start_up
         Cycles before the steady ones; default: from the tolerance.
-    tolerance
-        Error left by the start-up [um]; default: 1e-4 of the stroke.
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
@@ -151,13 +156,14 @@ def compensate(
         words = "the path is counted from {:.6g} um of the sensor, and written in um of the sensor"
         remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
     declared = None if known.stage is not None else scan_declared(trajectory)
+    how = {"home": home, "home_within": home_within, "on_time": on_time}
     if declared is None:
         read = table_of(trajectory, columns)
         known.demand(columns, PATH, "on a path")
         wanted = known.values(read, "displacement", columns) + places
         warmth = temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)
         clock = clock_of(read, columns)
-        return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, home, remarks)
+        return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, how, remarks)
     made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
     if len(made.axes) > 1 and not columns.displacement:
         others = " and ".join(one for one in made.axes if one != axis)
@@ -171,10 +177,10 @@ def compensate(
         rates = {"velocity": path.velocity, "acceleration": path.acceleration}
         moved, time = path.displacement[:, None], {"time_s": path.time}
         warmth = temperature_of(known, temperature, columns, remark=remarks.append)
-        return _follow(run, known, axes, moved, time, rates, warmth, output, zero, home, [*remarks, *made.warnings])
+        return _follow(run, known, axes, moved, time, rates, warmth, output, zero, how, [*remarks, *made.warnings])
     remarks += reach_remarks(axes[0].actuator, made.path(axis).displacement, axes[0].limits, zero)
     refuse_cycles(made, cycles)
-    options = {"approach": approach, "cycles": start_up, "tolerance": None if tolerance is None else tolerance * 1e-6}
+    options = {"approach": approach, "cycles": start_up}
     return _tabulate(run, axes[0], made, axis, cycles, (output, table), home, options, remarks)
 
 
@@ -245,12 +251,12 @@ def _follow(
     warmth: float | Array | None,
     output: Path,
     zero: Zero | None,
-    home: bool | None,
+    how: Mapping[str, Any],
     remarks: list[str],
 ) -> Result:
     """Compute and write the voltages of a path (n, axes) [m]."""
     when = time.get("time_s")
-    slews = [one.slew.of_path(timed=when is not None) for one in axes]
+    slews = [one.slew for one in axes]
     targets = known.targets(wanted).T
     pairs = zip(axes, targets, strict=True)
     remarks += known.prefixed(reach_remarks(one.actuator, target, one.limits, zero, warmth) for one, target in pairs)
@@ -259,7 +265,7 @@ def _follow(
         wanted,
         [one.limits for one in axes],
         [slew.bound for slew in slews],
-        {"time": when, **rates, "temperature": warmth, "home": home},
+        {"time": when, **rates, "temperature": warmth, **how},
         start=[one.start for one in axes],
         present=[one.present for one in axes],
     )
@@ -270,9 +276,8 @@ def _follow(
     remarks += known.prefixed(
         starts.path_warnings(one.actuator, path, one.place, slew.bound, stands=one.stands) for one, slew, path in each
     )
-    judged = [judge_planned(one.actuator, path) for one, _, path in each]
     clamped = [int(path.clamped.sum()) for path in paths]
-    misses = [float(abs(path.expected - path.displacement).max(initial=0.0)) for path in paths]
+    misses = [float(path.missed) for path in paths]
     spans = [(float(path.voltage.min()), float(path.voltage.max())) for path in paths]
     fields = {
         "samples": samples,
@@ -283,7 +288,7 @@ def _follow(
         "limits_V": known.by_axis(list(one.allowed) for one in axes),
         **known.merged([slew.fields() for slew in slews]),
         **known.merged([starts.path_start_fields(path) for path in paths]),
-        "judgement": known.by_axis(one.as_dict() for one in judged),
+        "promise": known.by_axis(None if path.promise is None else path.promise.as_dict() for path in paths),
         "warnings": remarks,
         "state": known.by_axis(path.state.as_dict() for path in paths),
         "output": str(output),
@@ -294,7 +299,7 @@ def _follow(
         before = (
             starts.start_words(one.actuator, path.start, begin) if path.homing is None else starts.homed_words(path)
         )
-        missed = slew.missed_words(one.allowed, path.voltage[path.first :], miss) if count else ""
+        missed = slew.missed_words(one.allowed, path.voltage[path.first :], miss) if count and not path.followed else ""
         words.append([f"{low:.6g} to {high:.6g} V {before}{missed}"])
     lines = [
         f"{counted(samples, 'sample')}, {', '.join(known.prefixed(words))}: {output}",
@@ -302,14 +307,14 @@ def _follow(
         *known.prefixed(
             starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths
         ),
-        *known.prefixed(got.lines(one.actuator.stroke) for one, got in zip(axes, judged, strict=True)),
+        *known.prefixed([] if path.promise is None else [path.promise.sentence] for path in paths),
     ]
     certified = all(path.certified for path in paths)
-    good = all(path.followed for path in paths) and (certified or not home)
+    good = all(path.followed for path in paths) and (certified or not how["home"])
     return Result(fields, lines, warnings=remarks, good=good)
 
 
-def _written(known: AxesModel, paths: Sequence[HomedPath], time: Mapping[str, Array]) -> dict[str, Array]:
+def _written(known: AxesModel, paths: Sequence[PathPlan], time: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns of wanted displacement, voltage and expected displacement of each axis."""
     wanted, volts, expected = (
         np.column_stack([getattr(path, name) for path in paths]) for name in ("displacement", "voltage", "expected")
@@ -339,8 +344,6 @@ def _tabulate(
         else PossibleStart.unknown(actuator, one.present, bounds)
     )
     homes = one.start is None and home is not False
-    if options["tolerance"] is not None and not options["tolerance"] > 0:
-        raise RecordError(argument="tolerance", got=f"{options['tolerance'] * 1e6:g}", need="a length above 0 in um")
     run.progress("homing, and the steady cycle")
     begin: dict[str, Any] = {"state": None if homes else start.within(actuator, one.place), "present": one.present}
     try:
@@ -357,24 +360,24 @@ def _tabulate(
     first = table.homing_rows.size
     rates = {"velocity": path.velocity, "acceleration": path.acceleration}
     needed = needed_slew_rate(actuator, path.displacement, path.time, one.allowed, **rates)
-    promise, untested = promised(actuator, played.voltage[first:], played.time[first:])
-    warnings = [*table.warnings, *remarks, *speed_remark(actuator, needed, slew.bound), *untested]
+    warnings = [*table.warnings, *remarks, *speed_remark(actuator, needed, slew.bound)]
     if table.homing is None:
         first_volts, state = float(table.start_up.voltage[0]), begin["state"] if one.stands else None
         warnings += starts.file_warnings(actuator, first_volts, start, state, slew.bound)
-    else:
-        warnings += starts.delay_warnings(actuator)
+    warnings += starts.delay_warnings(actuator)
     left = None
     if not start.known:
         left = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
     low, high = float(played.voltage.min()), float(played.voltage.max())
-    judged = judge(
+    promise = promised(
         actuator,
-        path=left,
-        promised=promise,
-        missed=cycle.expected - cycle.displacement,
+        played.voltage[first:],
+        played.time[first:],
         begins="homed" if homes else start.name,
+        opened=() if left is None else left.difference,
+        missed=np.concatenate([np.zeros(len(table.start_up)), cycle.expected - cycle.displacement]),
     )
+    warnings += untested(actuator, promise)
     fields = {
         "samples": played.voltage.size,
         "sample_rate_Hz": table.sample_rate,
@@ -393,7 +396,7 @@ def _tabulate(
         "highest_V": high,
         "limits_V": list(one.allowed),
         **slew.fields(),
-        "judgement": judged.as_dict(),
+        "promise": None if promise is None else promise.as_dict(),
         "warnings": warnings,
         "state": table.state.as_dict(),
         "output": str(outputs[0]),
@@ -408,7 +411,7 @@ def _tabulate(
         f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
         slew.words,
         *starts.error_lines(start.name, left, homed=homes),
-        *judged.lines(actuator.stroke),
+        *([] if promise is None else [promise.sentence]),
     ]
     good = table.settled and table.certified and not table.clamped
     return Result(fields, lines, warnings=warnings, good=good)

@@ -10,13 +10,13 @@ import numpy as np
 
 from dehyst._io import PathLike, demand_own_folder, made_folder, write_json
 from dehyst._types import Array, Progress
-from dehyst.control import Compensator
+from dehyst.control import plan_path
 from dehyst.identification import Fit, identify
 from dehyst.operations.declaration import Continued, operation
 from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
-from dehyst.waveforms import Sampling, descending_tops, raised_cosine, wanted_path
+from dehyst.waveforms import Sampling, raised_cosine, recommended, wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
@@ -59,9 +59,9 @@ class Demo:
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
-    """Record two major loops and descending tops in one run for training, loops of other heights for validation."""
+    """Record the recommended excitation for training, loops of other heights for validation."""
     drive = Sampling(sample_rate=_RATE)
-    tops = descending_tops(truth.highest, steps=6, random=24, drive=drive)
+    tops = recommended(truth.highest, drive=drive)
     others = raised_cosine([0.75 * truth.highest, 0.45 * truth.highest], cycles=2, drive=drive)
     return (
         Record(tops.time, tops.voltage, truth.play(tops.voltage), name="loops"),
@@ -81,14 +81,14 @@ def journey(progress: Progress = lambda _: None) -> Demo:
     homing = np.concatenate([np.linspace(0, truth.highest, _SAMPLES), np.linspace(truth.highest, 0, _SAMPLES)])
     actuator = fit.actuator
     homed = actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
-    command = Compensator(actuator, (0.0, truth.highest), period=1 / _RATE).trajectory(wanted, state=homed)
+    time, limits = np.arange(wanted.size) / _RATE, (0.0, truth.highest)
+    plan = plan_path(actuator, wanted, time=time, limits=limits, start=homed)
+    voltage = plan.voltage[plan.first :]
     truth.play(homing)
-    compensated = truth.play(command.voltage, measured=False)
+    compensated = truth.play(voltage, measured=False)
     truth.play(homing)
     linear = truth.play(wanted * truth.highest / truth.stroke, measured=False)
-    return Demo(
-        records, fit, np.arange(wanted.size) / _RATE, wanted, linear, compensated, command.voltage, truth.stroke
-    )
+    return Demo(records, fit, time, wanted, linear, compensated, voltage, truth.stroke)
 
 
 def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:

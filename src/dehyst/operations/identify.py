@@ -12,23 +12,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from dehyst._errors import DehystError
-from dehyst.identification import Deadline, Fit, StageFit, identify_stage
+from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
-from dehyst.identification.coupling.cross_talk import followed
 from dehyst.identification.results import write_traces
-from dehyst.identification.settings import Settings
-from dehyst.identification.solvers.program import Norm
-from dehyst.model import Actuator, Stage
+from dehyst.model import Actuator
 from dehyst.operations.declaration import Input, Only, Output, Values, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of
+from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.paths import Zero
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record, read, table_of
+from dehyst.records import Record, read
 from dehyst.report import write_report, write_stage_report
 from dehyst.trust import insight
-
-_VOLTS = ("V", "mV", "kV")
-_SLIP = ("elements", "knots")
 
 
 def _several(given: Values) -> bool:
@@ -37,14 +31,8 @@ def _several(given: Values) -> bool:
 
 @operation(
     identify_one,
-    take=(
-        "goal",
-        "sensor_lag",
-        "elements",
-        "delay",
-        "drift",
-    ),
-    rare=("norm", "elements", "knots", "slope_floor", "delay", "drift", "shared_datum"),
+    take=("goal", "sensor_lag", "lag_of", "delay", "drift"),
+    rare=("delay", "drift", "shared_datum"),
     details=True,
 )
 def identify(
@@ -55,19 +43,10 @@ def identify(
     validate: tuple[Input, ...] = (),
     report: Output | None = None,
     traces: Output | None = None,
-    structure: Annotated[
-        Literal["auto", "maxwell_slip"],
-        Only(
-            lambda given: given["structure"] != "auto" or not any(name in given for name in _SLIP),
-            "with elements or knots, which imply maxwell_slip",
-        ),
-    ] = "auto",
+    structure: Literal["auto", "maxwell_slip"] = "auto",
     zero: Zero | None = None,
     time_limit: float | None = None,
     shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
-    norm: Norm = Settings.norm,
-    knots: int | None = None,
-    slope_floor: float = Settings.slope_floor,
     columns: Columns = AS_FOUND,
     **settings: Any,
 ) -> Result:
@@ -88,8 +67,8 @@ def identify(
     traces
         Write measured and simulated displacement of all records here (.npz).
     structure
-        auto: select the parts (transformer, graded elements, creep, ...) by cross-validation. maxwell_slip: slip
-        elements and a spring, as in Yeh's paper.
+        auto: a dictionary of graded and smooth elements, and what moves in time, chosen by held-out time. maxwell_slip:
+        slip elements and a spring, as in Yeh's paper.
     zero
         Zero of the displacement: bottom, first sample or mean of the first record; default: the sensor's zero.
     time_limit
@@ -103,23 +82,13 @@ def identify(
     settings |= {
         "structure": structure,
         "shared_datum": shared_datum,
-        "norm": norm,
-        "knots": knots,
-        "slope_floor": slope_floor,
         "validate": held_out,
         "progress": run.progress,
     }
-    fit: Fit | StageFit
-    model: Actuator | Stage | None
     with run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True), lambda: best.usable):
         try:
-            if columns.axes:
-                fit = identify_stage(training, time_limit=time_limit, **settings)
-                model, every = fit.stage, tuple(trace for one in fit.fits for trace in one.traces)
-            else:
-                found = identify_one(training, throw=False, time_limit=deadline, first_model=best.keep, **settings)
-                fit = replace(found, remarks=(*_neighbour_remarks(found, records, columns), *found.remarks))
-                model, every = fit.actuator, fit.traces
+            first = None if columns.axes else best.keep
+            fit = identify_one(training, time_limit=deadline, first_model=first, **settings)
         except KeyboardInterrupt as interrupt:
             if columns.axes:
                 interrupt.add_note("several axes have no model before all are identified; nothing was written")
@@ -127,20 +96,18 @@ def identify(
         except Exception:
             best.remove()
             raise
-    if output is not None and model is not None:
-        model.save(output)
-    if model is None:
-        best.remove()
+    if output is not None:
+        fit.model.save(output)
     if traces is not None:
-        write_traces(traces, every)
+        write_traces(traces, fit.traces)
     if report is not None:
         run.progress("drawing the report")
         _report(report, fit, [*training, *held_out], len(training), run.command, quick=deadline.ended)
     warnings = []
     if deadline.ended:
-        where = "was printed" if output is None or model is None else f"is in {output}"
+        where = "was printed" if output is None else f"is in {output}"
         warnings = [f"stopped by Ctrl-C; the best model so far {where}"]
-    written = files(Model=None if model is None else output, Report=report)
+    written = files(Model=output, Report=report)
     lines, more = ([*fit.summary(full).split("\n"), *written] for full in (False, True))
     return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
 
@@ -168,23 +135,8 @@ def _report(
     if not isinstance(fit, Fit):
         write_stage_report(path, fit, records, command=command)
         return
-    found = None if quick or fit.actuator is None else insight(fit.actuator, records[:training])
+    found = None if quick else insight(fit.actuator, records[:training])
     write_report(path, fit, command=command, insight=found)
-
-
-def _neighbour_remarks(fit: Fit, records: Sequence[Path], columns: Columns) -> list[str]:
-    """Return warnings if the residual of a single axis follows another voltage in the files of its records."""
-    remarks = []
-    for path, trace, error in zip(records, fit.traces, fit.errors, strict=False):
-        if path.is_fifo() or columns.rate is not None:
-            continue
-        table = table_of(path, columns)
-        used = {table.select(name, getattr(columns, name)).column.name for name in ("voltage", "displacement")}
-        others = {c.name: c.data for c in table.columns if c.name not in used and not c.fault and c.parts[1] in _VOLTS}
-        if others:
-            time = clock_of(table, columns).get("time_s")
-            remarks += [] if time is None else [one.sentence for one in followed(trace, time, others, error.stroke)]
-    return remarks
 
 
 class _BestSoFar:

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
 from dehyst.calibration import TrackedPath
 from dehyst.calibration.plan import even_rate
-from dehyst.control import Compensator, HomedPath, VoltageLimits, plan_path
+from dehyst.control import Compensator, PathPlan, VoltageLimits, plan_path
 from dehyst.instruments import AbstractRig, open_rig, played_rate
 from dehyst.operations.axes import AxesModel, Slew, is_stage
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, values_of, write_table
 from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record, table_of
+from dehyst.records import Record, columns_of, table_of
 from dehyst.records.files import demand_text
-from dehyst.trust import judge_planned
 from dehyst.waveforms import Excitation
 
 # Part by which a rate may differ without a remark.
@@ -92,21 +89,20 @@ def run_path(
         for remark in [*remarks, *reach_remarks(actuator, wanted, (bounds.low, bounds.high), zero, warmth)]:
             run.note(remark)
         loop = Compensator(actuator, (bounds.low, bounds.high), bounds.slew_rate, period=1 / played, warns=False)
-        planned = _planned(loop, wanted, warmth, bounds.nearest(instrument.read().voltage))
-        judged = judge_planned(actuator, planned)
-        promise = [*judged.lines(actuator.stroke), *judged.untested]
-        for line in promise:
+        present, at = bounds.nearest(instrument.read().voltage), np.arange(wanted.size) / played
+        planned = plan_path(loop, wanted, time=at, temperature=warmth, home=True, present=present, on_time=True)
+        promise = planned.promise
+        for line in () if promise is None else promise.lines:
             run.say(line)
         record, reached = _played(run, instrument, planned, wanted, played, actuator.stroke)
     if output is not None:
-        write_table(output, {**record.columns(), "wanted_um": 1e6 * reached.wanted})
+        write_table(output, {**columns_of(record), "wanted_um": 1e6 * reached.wanted})
     clamped = int(planned.clamped.sum())
     fields = {
         "rig": instrument.identity,
         "limits_V": [bounds.low, bounds.high],
         "slew_V_per_s": bounds.slew_rate,
-        "judgement": judged.as_dict(),
-        "promise": promise,
+        "promise": None if promise is None else promise.as_dict(),
         **reached.as_dict(),
         "clamped": clamped,
     }
@@ -117,18 +113,8 @@ def run_path(
     return Result(fields, [head, *files(Record=output)], good=not clamped)
 
 
-def _planned(loop: Compensator, wanted: Array, temperature: float | Array | None, present: float) -> HomedPath:
-    """Plan the homing from a present voltage [V] and a path (n,) [m], which begins earlier by the model's delay."""
-    period, delay = loop.period or 1.0, loop.actuator.delay
-    at = period * np.arange(-math.ceil(delay / period), wanted.size)
-    ahead = np.interp(at + delay, period * np.arange(wanted.size), wanted)
-    if isinstance(temperature, np.ndarray):
-        temperature = np.interp(at, at[-wanted.size :], temperature)
-    return plan_path(loop, ahead, time=at - at[0], temperature=temperature, home=True, present=present)
-
-
 def _played(
-    run: Run, rig: AbstractRig, planned: HomedPath, wanted: Array, rate: float, stroke: float
+    run: Run, rig: AbstractRig, planned: PathPlan, wanted: Array, rate: float, stroke: float
 ) -> tuple[Record, TrackedPath]:
     """Play a planned path at a rate [Hz]; return the record of the path (n,) [m] without the homing, and its error."""
     times = planned.time if planned.time is not None else np.zeros(1)
@@ -141,5 +127,5 @@ def _played(
         rig.retreat()
     rows = rig.rows(at.size) - (at.size - wanted.size)
     along = rows >= 0
-    record = record.take(along)
+    record = record[along]
     return record, TrackedPath(record.time, wanted[rows[along]], record.displacement, stroke)

@@ -11,7 +11,7 @@ import numpy as np
 import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import Compensator, HomedPath, PossibleStart, VoltageLimits
+from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Slew
@@ -52,7 +52,7 @@ class Zero:
 
 
 class PathSlew(NamedTuple):
-    """The largest slew rate [V/s] of a path (None: not limited), its origin, and that of the model's records."""
+    """The largest slew rate [V/s] of a path (None: its own speed), its origin, and that of the model's records."""
 
     bound: float | None
     origin: str
@@ -60,15 +60,10 @@ class PathSlew(NamedTuple):
 
     @classmethod
     def chosen(cls, actuator: Actuator, given: Slew | None) -> PathSlew:
-        """Return the given slew rate, or the default of a path: the speed of the model's records."""
-        recorded = actuator.recorded_slew_rate
-        if given is not None:
-            return cls(given.number, "none" if given.number is None else "option", recorded)
-        return cls(recorded, "unknown" if recorded is None else "records", recorded)
-
-    def of_path(self, *, timed: bool) -> PathSlew:
-        """Return the slew rate of a path; without time there is no default."""
-        return self if timed or self.origin != "records" else PathSlew(None, "no time")
+        """Return the given slew rate of a path; by default it is not limited."""
+        if given is None:
+            return cls(None, "default", actuator.recorded_slew_rate)
+        return cls(given.number, "none" if given.number is None else "option", actuator.recorded_slew_rate)
 
     @property
     def times(self) -> float:
@@ -77,26 +72,12 @@ class PathSlew(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The slew rate, its origin, and the option that changes it, as text."""
-        options = {
-            "records": " (--slew-rate V/S changes it, --slew-rate none removes it)",
-            "unknown": "; give --slew-rate",
-            "default": "; --slew-rate V/S with --period limits it",
-        }
-        return f"slew rate: {self.plain}{options.get(self.origin, '')}"
-
-    @property
-    def plain(self) -> str:
         """The slew rate and its origin as text."""
-        bound = "" if self.bound is None else f"at most {self.bound:.4g} V/s"
-        more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
-        words = {
-            "option": f"{bound}{more}",
-            "records": f"{bound}, the speed of the model's records and a margin of 5 %",
-            "unknown": "not limited: this model does not know the speed of its records",
-            "no time": "not limited: the path has no time",
-        }
-        return words.get(self.origin, "not limited")
+        if self.bound is not None:
+            more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
+            return f"slew rate: at most {self.bound:.4g} V/s{more}"
+        jumps = "" if self.recorded is None else f"; jumps and homings take at most {self.recorded:.4g} V/s"
+        return f"slew rate: not limited{jumps}{' (--slew-rate V/S limits it)' if self.origin == 'default' else ''}"
 
     def missed_words(self, limits: tuple[float, float], voltage: Array, missed: float) -> str:
         """Return as text why, and by how much [m], a path is missed with its clamped voltages (n,) [V]."""
@@ -164,7 +145,7 @@ def temperature_of(
     return None
 
 
-def temperature_column(path: HomedPath) -> dict[str, Array]:
+def temperature_column(path: PathPlan) -> dict[str, Array]:
     """Return the column of temperatures of a planned path, if it has one."""
     return {} if path.temperature is None else {"temperature_C": path.temperature}
 
@@ -216,7 +197,7 @@ def reach_remarks(
     low, high = float(lows.max()), float(highs.min())
     least, most = float(wanted.min()), float(wanted.max())
     advice = _zero_advice((least, most), (low, high), zero)
-    if refuse and compensator.strays(cold):
+    if refuse and compensator._strays(cold):
         raise ModelError(
             f"got {1e6 * least:.6g} to {1e6 * most:.6g} um, the model reaches {1e6 * low:.4g} to {1e6 * high:.4g} um"
             f"{degrees}, from the sensor's zero in its records",

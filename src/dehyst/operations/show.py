@@ -152,7 +152,7 @@ class _AxisView:
         yield "Notes:" if problems else "No problems found."
         yield from (f"  - {sentence}" for sentence in problems)
         yield ""
-        shown = self.record if self.record.measured is None else self.record.take(self.record.measured)
+        shown = self.record if self.record.measured is None else self.record[self.record.measured]
         yield from _drawing(shown.voltage, shown.displacement * 1e6, "voltage (V)", "displacement (um)")
 
     def _ends(self) -> Iterator[str]:

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError, ModelError
+from dehyst._errors import FileFormatError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import HomedPath, plan_voltage
-from dehyst.control.limits import outside_identified
+from dehyst.control import PathPlan, outside_identified, plan_voltage
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, clock_of, write_table
-from dehyst.operations.paths import PathSlew, temperature_column, temperature_of
+from dehyst.operations.paths import temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Start
 from dehyst.records import table_of
@@ -31,7 +30,6 @@ def simulate(
     output: Output,
     lag: bool = False,
     start: Start | None = None,
-    home: bool = False,
     temperature: float | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
@@ -39,7 +37,7 @@ def simulate(
 
     Without --start the state before the first sample is unknown: the displacement starts from the middle of the
     possible states, and lowest_um and highest_um bound it. The status is 1 if a voltage lies outside the model's limits
-    by more than a tenth of their range, or if the error due to the start after --home exceeds the model's error.
+    by more than a tenth of their range.
 
     Parameters
     ----------
@@ -49,14 +47,10 @@ def simulate(
         Delay the displacement by the delay found at identification.
     start
         State before the first sample, as in compensate; default: unknown.
-    home
-        Put the shortest homing before the voltages, from 0 V, at most as fast as the model's records.
     temperature
         Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
         model's reference.
     """
-    if home and start is not None:
-        raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
     known.demand(columns, VOLTAGE, "on a voltage")
     table = table_of(voltage, columns)
@@ -64,12 +58,9 @@ def simulate(
     time = clock_of(table, columns)
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
     warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
-    options = {"time": time.get("time_s"), "temperature": warmth, "home": home}
+    options = {"time": time.get("time_s"), "temperature": warmth}
     ranges = [one.voltage_range for one in known.actuators]
-    # The given voltages stay as they are.
-    slews = [PathSlew.chosen(one, None).of_path(timed="time_s" in time) for one in known.actuators]
-    bounds = [slew.bound if home else None for slew in slews]
-    paths = known.planned(plan_voltage, given, ranges, bounds, options, start=begins)
+    paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), options, start=begins)
     if lag and not any(one.delay for one in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")
     clock = starts.clock_columns(paths[0], time)
@@ -83,12 +74,11 @@ def simulate(
         for outside, path, one in zip(outsides, paths, known.actuators, strict=True)
     )
     far = any(outside.far for outside in outsides)
-    costs = [path.promise.by_temperature if path.promise else 0.0 for path in paths]
+    costs = [path.promise.parts.get("temperature", 0.0) if path.promise else 0.0 for path in paths]
     fields = {
         "samples": len(volts),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
-        **(known.merged([slew.fields() for slew in slews]) if home else {}),
         **known.merged([starts.path_start_fields(path) for path in paths]),
         "temperature_cost_um": known.by_axis(1e6 * cost for cost in costs),
         "warnings": warnings,
@@ -96,21 +86,19 @@ def simulate(
         "output": str(output),
     }
     begin_words = (
-        starts.homed_words(path) if path.homing is not None else starts.start_words(one, path.start, path.start.state)
-        for path, one in zip(paths, known.actuators, strict=True)
+        starts.start_words(one, path.start, path.start.state) for path, one in zip(paths, known.actuators, strict=True)
     )
     words = ", ".join(known.prefixed([one] for one in begin_words))
-    errors = (starts.error_lines(path.start.name, path.left_open, homed=path.homing is not None) for path in paths)
+    errors = (starts.error_lines(path.start.name, path.left_open, homed=False) for path in paths)
     lines = [
         f"{counted(len(volts), 'sample')} {words}: {output}",
-        *known.prefixed([f"slew rate of the homing: {slew.plain}"] if home else [] for slew in slews),
         *known.prefixed(errors),
     ]
-    return Result(fields, lines, warnings=warnings, good=not far and all(path.certified for path in paths))
+    return Result(fields, lines, warnings=warnings, good=not far)
 
 
 def _displacements(
-    known: AxesModel, paths: Sequence[HomedPath], clock: Mapping[str, Array], *, lag: bool
+    known: AxesModel, paths: Sequence[PathPlan], clock: Mapping[str, Array], *, lag: bool
 ) -> dict[str, Any]:
     """Return columns of the displacement [um] and, if a start is uncertain, of its bounds."""
 
@@ -130,7 +118,7 @@ def _displacements(
     if lag:
         moved = known.moved(late(known.targets(moved)))
     written = known.columns("displacement", 1e6 * moved, "expected")
-    if paths[0].homing is not None or all(path.left_open is None for path in paths):
+    if all(path.left_open is None for path in paths):
         return written
     low, high = (late(np.column_stack([getattr(path.error, end) for path in paths])) for end in ("lowest", "highest"))
     if known.stage is not None:

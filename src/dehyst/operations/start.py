@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._io import COMPUTED
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import HomedPath, PossibleStart, StartError
+from dehyst.control import PathPlan, PossibleStart, StartError
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State
 from dehyst.model.states import state_after_loops
@@ -174,7 +174,7 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
     return f"({words.get(start.name, f'{other}, at ')}{voltage})"
 
 
-def homed_words(homed: HomedPath) -> str:
+def homed_words(homed: PathPlan) -> str:
     """Describe the homing before a path and the voltage at which it begins, in brackets."""
     begin = "" if homed.homing is None else f" from {homed.homing.turns[0]:.6g} V"
     seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
@@ -213,7 +213,7 @@ def start_fields(
     return {"start": start, "homing_samples": samples, "homing_s": seconds, "certified": certified}
 
 
-def path_start_fields(path: HomedPath) -> dict[str, Any]:
+def path_start_fields(path: PathPlan) -> dict[str, Any]:
     """Return the start of a path as JSON values."""
     homed: dict[str, Any] = (
         {} if path.homing is None else {"samples": path.first, "seconds": path.seconds, "certified": path.certified}
@@ -224,7 +224,7 @@ def path_start_fields(path: HomedPath) -> dict[str, Any]:
 def file_warnings(
     actuator: Actuator, first: float, start: PossibleStart, state: State | None, slew: float | None
 ) -> list[str]:
-    """Warn that the file does not contain the ramp to its first voltage, earlier creep and the delay.
+    """Warn that the file does not contain the ramp to its first voltage, and earlier creep.
 
     `state`: at which the actuator stands before the file; None if that is not known.
     """
@@ -246,7 +246,7 @@ def file_warnings(
             f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
             "(dehyst excite homing --model) and use --start homed"
         )
-    return [*warnings, *delay_warnings(actuator)]
+    return warnings
 
 
 def delay_warnings(actuator: Actuator) -> list[str]:
@@ -259,9 +259,7 @@ def delay_warnings(actuator: Actuator) -> list[str]:
     ]
 
 
-def path_warnings(
-    actuator: Actuator, path: HomedPath, limits: Limits, slew: float | None, *, stands: bool
-) -> list[str]:
+def path_warnings(actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, *, stands: bool) -> list[str]:
     """Return warnings about the part of a file before its path: the homing, the way, or their absence.
 
     `stands`: whether it is known where the actuator stands before it.
@@ -278,17 +276,17 @@ def path_warnings(
             *path.warnings,
             *file_warnings(actuator, first, path.start, begin if stands else None, slew),
         ]
-    warnings, without = [*path.warnings, *delay_warnings(actuator)], path.unhomed
+    warnings, without = [*path.warnings], path.unhomed
     if without is not None and path.seconds is not None and path.seconds >= _LONG:
         warnings.append(
-            f"the homing takes {path.seconds:.4g} s; without it (--no-home) the unknown start leaves "
+            f"without the homing of {path.seconds:.4g} s (--no-home) the unknown start leaves "
             f"{without.percent(without.largest):.2g} % of the stroke open. If the last played voltages are in a file, "
             "--start FILE needs no homing"
         )
     return warnings
 
 
-def clock_columns(path: HomedPath, time: Mapping[str, Array]) -> dict[str, Any]:
+def clock_columns(path: PathPlan, time: Mapping[str, Array]) -> dict[str, Any]:
     """Return the columns time_s, if there is a `time`, and phase, if something comes before the path."""
     if path.homing is None and not path.first:
         return dict(time)

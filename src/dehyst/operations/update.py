@@ -9,7 +9,7 @@ from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import read
-from dehyst.trust import Update, update_stage
+from dehyst.trust import Update
 from dehyst.trust import update as update_one
 
 
@@ -45,7 +45,7 @@ def update(
         found.actuator.save(output)
         fields, updates, good = found.as_dict(), [found], found.good
     else:
-        stage = update_stage(known.stage, measured, goal=goal)
+        stage = update_one(known.stage, measured, goal=goal)
         stage.stage.save(output)
         fields, updates, good = stage.as_dict(), [*stage.updates], stage.good
         coupling = stage.coupling_changes
@@ -58,6 +58,6 @@ def _lines(update: Update) -> Iterator[str]:
     """Yield the result, the promise, and the changes."""
     yield update.sentence
     if update.promise is not None:
-        yield update.promise.sentence(update.stroke)
+        yield from update.promise.lines
     yield from update.sentences()
     yield from (f"  - {remark}" for remark in update.recheck.remarks)

@@ -14,20 +14,19 @@ from dehyst.operations.declaration import Input, Kind, Only, Output, Parameter, 
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
-from dehyst.waveforms.named import OPTIONS, SCANS, scan_of
+from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 
 EXCITATIONS: dict[str, Callable[..., Excitation]] = {
+    "recommended": standard.recommended,
     "raised-cosine": standard.raised_cosine,
     "descending-tops": standard.descending_tops,
-    "reversal-curves": standard.reversal_curves,
-    "minor-loop": standard.minor_loop,
     "staircase": standard.staircase,
     "stage": stage_excitation,
     "homing": standard.homing,
 }
 # Cycles a second [Hz] that are tried, the longest time [s] that a recording may take, and the pace of a model's homing.
 _FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-_LONGEST, _HARDLY = 120.0, 1.25
+_LONGEST, _RECOMMENDED, _HARDLY = 120.0, 240.0, 1.25
 _HOMING = 0.1
 _WHY = (
     "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
@@ -35,22 +34,17 @@ _WHY = (
 )
 _of_homing = Only(lambda given: given["kind"] == "homing", "on another kind than homing")
 _not_homing = Only(lambda given: given["kind"] != "homing", "on a homing")
-_paced = Only(
-    lambda given: given["kind"] not in ("staircase", "homing") or "model" in given,
-    "on steps, which are equal, and on a homing without --model",
-)
 _holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "without a staircase or a --model")
 
 
 @operation(
     Sampling,
-    take=("shape",),
     more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
-    rare=("shape", "pace", "ramp", "seed", "lowest", "count", "temperatures"),
+    rare=("seed", "temperatures"),
 )
 def excite(
     run: Run,
-    kind: Literal["raised-cosine", "descending-tops", "reversal-curves", "minor-loop", "staircase", "stage", "homing"],
+    kind: Literal["recommended", "raised-cosine", "descending-tops", "staircase", "stage", "homing"],
     volts: tuple[float, ...] = (),
     *,
     output: Output,
@@ -60,7 +54,6 @@ def excite(
     present: float | None = None,
     limits: tuple[float, float] | None = None,
     slew_rate: float | None = None,
-    pace: Annotated[Literal["frequency", "rate"], _paced] = "frequency",
     hold: Annotated[float | None, _holds] = None,
     model: Annotated[Input | None, _of_homing] = None,
     axes: Annotated[str | None, Only(lambda given: given["kind"] == "stage", "without a stage")] = None,
@@ -71,10 +64,10 @@ def excite(
 
     KIND, with its VOLTS:
 
+    recommended HIGHEST: all that identification needs, in one run of three minutes: major loops, falling tops, random
+    turns at three speeds, two holds.
     raised-cosine PEAKS: cycles from the base to each of the peaks and back.
     descending-tops HIGHEST: cycles to tops that fall in equal steps; they determine all stiffnesses that loops can.
-    reversal-curves HIGHEST: from the highest voltage down to ever lower ones, and back up.
-    minor-loop LOW HIGH: a minor loop with its approach, after major cycles to --highest.
     staircase HIGHEST: steps up and down again with holds, which show creep.
     stage HIGHEST of each axis: one axis after the other, then all together.
     homing HIGHEST: up and back; with --model the shortest certified way to a known state.
@@ -84,7 +77,8 @@ def excite(
     output
         Write time and voltage here (CSV).
     frequency
-        Cycles per second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes.
+        Cycles per second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes, or four
+        if it is the recommended one.
     hold
         Staircase: time at each voltage [s]; default 60. Homing of a model that creeps: time at either limit; default:
         as long as needed.
@@ -94,8 +88,6 @@ def excite(
         Names of the axes of a stage, as x,y.
     temperatures
         Lowest and highest temperature in use [degC]; the answer says at which temperatures to record.
-    pace
-        frequency: every leg takes half a cycle; rate: only the highest leg does.
     """
     sampled: dict[str, Any] = {
         "sample_rate": sample_rate,
@@ -104,23 +96,19 @@ def excite(
         "limits": limits,
         "slew_rate": slew_rate,
     }
-    sampled |= {"pace": pace, "shape": options.pop("shape", "cosine")}
     if hold is not None:
         options["hold"] = hold
     if model is not None:
         if volts:
             raise ModelError(argument="homing", need="either a highest voltage or --model, not both")
         return _home(run, model, output, hold, _HOMING if frequency is None else frequency, sampled)
-    needed = {"descending-tops": 1, "reversal-curves": 1, "minor-loop": 2, "staircase": 1, "homing": 1}.get(kind)
-    if not volts or needed not in (None, len(volts)):
-        words = {None: "one for each peak or axis", 1: "one voltage", 2: "its lowest and its highest voltage"}[needed]
+    several = kind in ("raised-cosine", "stage")
+    if not volts or not (several or len(volts) == 1):
+        words = "one for each peak or axis" if several else "one voltage"
         raise RecordError(argument="volts", got=f"{len(volts)} for {kind}", need=words)
-    if kind == "minor-loop" and "highest" not in options:
-        need = f"the top of the major cycles, {max(volts):g} V or more"
-        raise RecordError(argument="highest", got="none", need=need)
     if kind == "stage":
         options["axes"] = None if axes is None else axes.split(",")
-    given = [volts] if kind in ("raised-cosine", "stage") else volts
+    given = [volts] if several else volts
 
     def make(hertz: float) -> Excitation:
         return EXCITATIONS[kind](*given, drive=Sampling(hertz, **sampled), **options)
@@ -128,7 +116,7 @@ def excite(
     warmth = temperatures_to_record(None, temperatures)
     if frequency is not None:
         return _written(make(frequency), output, temperatures=warmth)
-    longest = _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
+    longest = _RECOMMENDED if kind == "recommended" else _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
     found, hertz = _slow_enough(make, longest)
     why = () if kind == "stage" else (_WHY,)
     return _written(found, output, f"{hertz:g} Hz by default", why, temperatures=warmth)
@@ -146,26 +134,20 @@ def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[E
 def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float, sampled: dict[str, Any]) -> Result:
     """Write the shortest homing of a model."""
     actuator = read_model(run, model)
-    if hold is not None and not actuator.needs_time:
-        raise ModelError("has no effect with a model that does not creep", argument="hold", hint="leave it out")
     sampled["limits"] = sampled["limits"] or actuator.limits
     if sampled["limits"] is not None and not sampled["base"]:
         low, high = sampled["limits"]
         sampled["base"] = min(max(0.0, low), high)
     drive = Sampling(frequency, **sampled)
     ends = {"present": drive.start, "end": drive.base}
-    way = shortest_homing(actuator, limits=drive.limits, **ends, stiff_only=True, drive=drive, hold=hold)
-    remarks = () if way.certified and way.played is None else way.remarks
+    way = shortest_homing(actuator, limits=drive.limits, **ends, drive=drive, hold=hold)
+    remarks = way.remarks
     if len(way.turns) < 2:
         words = "homing: the state is already known; nothing to play, nothing written"
         return Result({"kind": "homing", "samples": 0, "warnings": list(remarks)}, [words], warnings=remarks)
-    if way.played is None:
-        remark = "certified to end in a known state" if way.certified else "NOT certified: the state stays unknown"
-        excitation = standard.homing(turns=way.turns, drive=drive)
-    else:
-        excitation, certificate = way.played, "certified" if way.certified else "NOT certified"
-        remark = f"{certificate}: the displacement is known to {way.error * 1e6:.3g} um after it"
-    return _written(excitation, output, remark, warnings=remarks, good=way.certified)
+    certificate = "certified" if way.certified else "NOT certified"
+    remark = f"{certificate}: the displacement is known to {way.spread * 1e6:.3g} um after it"
+    return _written(way.played, output, remark, warnings=remarks, good=way.certified)
 
 
 def _written(
@@ -251,7 +233,6 @@ class Numbers(tuple[float, ...]):
 
 def _scan_options() -> list[Parameter]:
     """Return the options of all named scans; each option affects only its own scan."""
-    types: dict[Any, Any] = {"pair": tuple[int, int], "numbers": Numbers}
     found = []
     for name, option in OPTIONS.items():
         takes = [one for one, scan in SCANS.items() if name in scan.takes]
@@ -259,15 +240,15 @@ def _scan_options() -> list[Parameter]:
         choices = isinstance(option.kind, tuple)
         default = option.default or (option.kind[0] if isinstance(option.kind, tuple) else "")
         text = f"{option.help}{f' [{option.unit}]' if option.unit else ''}{default and f'; default: {default}'}."
-        kind = Literal[option.kind] if choices else types.get(option.kind, option.kind)
+        kind = Literal[option.kind] if choices else Numbers if option.kind == "numbers" else option.kind
         found.append(Parameter(name, Kind.of(kind), None, text, conditions=(condition,)))
     return found
 
 
-@operation(more=_scan_options(), rare=("rounding", "rising", "back", "constant", "shape", "slow", "phase", "edge"))
+@operation(more=_scan_options(), rare=("rising", "edge"))
 def scan(
     run: Run,
-    kind: Literal["triangle", "raster", "spiral", "lissajous", "steps"],
+    kind: Literal["triangle", "raster", "steps"],
     *,
     output: Output,
     sample_rate: float | None = None,
@@ -276,8 +257,7 @@ def scan(
 ) -> Result:
     """Write the path of a scan: time and displacement of each axis.
 
-    KIND: triangle or steps of one axis; raster, spiral or lissajous of two. compensate computes the voltages for this
-    path.
+    KIND: triangle or steps of one axis; raster of two. compensate computes the voltages for this path.
 
     Parameters
     ----------
@@ -290,9 +270,7 @@ def scan(
     """
     made = scan_of(kind, options, sample_rate)
     refuse_cycles(made, cycles)
-    paths = {axis: made.path(axis) for axis in made.axes}
-    if cycles != 1 or made.periodic:
-        paths = {axis: path.repeated(cycles) for axis, path in paths.items()}
+    paths = {axis: made.path(axis).repeated(cycles) for axis in made.axes}
     time = next(iter(paths.values())).time
     names = {axis: "displacement_um" if len(paths) == 1 else f"{axis}_um" for axis in paths}
     declared = {"kind": kind, **options, "sample_rate": sample_rate, "cycles": cycles}

@@ -1,23 +1,23 @@
-"""Sections on a fit: verdict, errors by record, structure, assumptions, and charts of its records."""
+"""Sections on a fit: verdict, errors by record, candidates, checks, and charts of its records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import cycle
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
-from dehyst.identification import Fit, Readiness, RecordErrors, Trace, label
+from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.model import APART
 from dehyst.records import largest, white_noise
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
-from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
+from dehyst.report.html import Charts, Row, escape, length, length_unit, number, words
 
 Indices: TypeAlias = NDArray[np.intp]
 
@@ -26,7 +26,7 @@ _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_U
 
 def verdict(fit: Fit) -> str:
     """Return the verdict in the colour of its readiness: its number first, then the outcome of the identification."""
-    expected = fit.expectation
+    expected = fit.promise
     if expected is None:
         word = Readiness.NOT_USABLE.value.capitalize()
         return f'<p class="outcome red" role="status"><strong>{word}</strong> {words(fit.outcome.value)}</p>'
@@ -78,55 +78,20 @@ def errors_table(errors: Sequence[RecordErrors]) -> str:
     )
 
 
-def structures(fit: Fit) -> list[Part]:
-    """Return the structures that were tried: error against size, and a table, best first."""
+def candidates(fit: Fit) -> str:
+    """Return the candidates of the search and their held-out errors, best first."""
     if not fit.trials:
-        return []
-    best = min(fit.trials, key=lambda trial: trial.structure.as_dict() != fit.options.get("structure"))
-    first = fit.trials[0]
+        return ""
+    chosen = fit.options.get("structure")
     rows: list[Row] = [
         (
-            label(trial.structure, fit.trials) + (" (chosen)" if trial is best else ""),
-            str(trial.structure.parameters),
+            trial.words + (" (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""),
             length(trial.held_out),
-            length(trial.training),
         )
         for trial in sorted(fit.trials, key=lambda trial: trial.held_out)
     ]
-    head = ("Structure", "Coefficients", "RMS error of held-out cycles", "RMS error of the records themselves")
-    why = "A part is added if it lowers the error of cycles held out in turn (cross-validation) by at least 3 %."
-    if best is not first and first.structure.is_maxwell_slip:
-        times = number(first.held_out / best.held_out)
-        why += (
-            f" The plain structure that was tried first, {first.structure.words}, has {times} times the error of the "
-            "chosen one."
-        )
-    return [
-        Charts("Choice of the structure", why, [_by_size(fit, best)]),
-        html.folded("The structures that were tried", {"": html.table(head, rows, texts=1)}),
-    ]
-
-
-def _by_size(fit: Fit, best: Any) -> Chart:
-    """Return the errors of the structures against their number of coefficients."""
-    factor, unit = length_unit(max(trial.held_out for trial in fit.trials))
-    sizes, held_out, training = (
-        np.array(values, dtype=np.float64)
-        for values in zip(
-            *((one.structure.parameters, factor * one.held_out, factor * one.training) for one in fit.trials),
-            strict=True,
-        )
-    )
-    names = tuple(label(trial.structure, fit.trials) for trial in fit.trials)
-    k = fit.trials.index(best)
-    chosen = (f"chosen: {names[k]}",)
-    series = [
-        Series("held-out cycles", sizes, held_out, "measured", "points", 7, 0.8, names=names),
-        Series("the records themselves", sizes, training, "without", "points", 5, 0.7, names=names),
-        Series("chosen", sizes[[k]], held_out[[k]], "simulated", "points", 11, names=chosen),
-    ]
-    top = 1.1 * float(np.max(held_out, where=np.isfinite(held_out), initial=0.0)) or 1.0
-    return Chart("", Axis("number of coefficients"), Axis("RMS error", unit, (0.0, top)), series)
+    head = ("Candidate", "RMS error on held-out parts of the records")
+    return html.folded("Candidates that were tried", {"": html.table(head, rows, texts=1)})
 
 
 _CAUSES = {
@@ -156,8 +121,8 @@ def remaining_error(fit: Fit) -> str:
     )
 
 
-def assumptions(fit: Fit) -> str:
-    """Return the checks of a model's assumptions, with their floors."""
+def checks(fit: Fit) -> str:
+    """Return the checks of the model and of its residuals, with their floors."""
     if not fit.checks:
         return ""
     rows: list[Row] = [
@@ -167,12 +132,11 @@ def assumptions(fit: Fit) -> str:
         )
         for check in fit.checks
     ]
-    head = ("Assumption", "Verdict", "Finding", "Value", "Floor")
+    head = ("Check", "Verdict", "Finding", "Value", "Floor")
     return (
-        "<h2>Assumptions</h2>\n"
-        '<p class="muted">The assumptions of the model, tested on the records and on its residuals. Floor: with 95 % '
-        "probability noise alone gives no more; of a slope it is the least that was allowed. A value below 0.1 % of "
-        f"the range passes in any case.</p>\n{html.table(head, rows, texts=3)}"
+        '<h2>Checks</h2>\n<p class="muted">Slopes and elements of the model, and patterns of its residuals. Floor: '
+        "with 95 % probability noise alone gives no more; of a slope it is the least that the fit allowed. A pattern "
+        f"below 0.1 % of the stroke passes in any case.</p>\n{html.table(head, rows, texts=3)}"
     )
 
 

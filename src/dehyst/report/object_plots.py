@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from dehyst._errors import DehystError, MissingExtraError, ModelError, RecordError
 from dehyst._validation import choice
-from dehyst.identification import Fit
+from dehyst.identification import Fit, Trace
 from dehyst.model import Actuator, slow_motion
 from dehyst.records import Record
 from dehyst.report import fit_section, trust_section
@@ -18,15 +18,12 @@ from dehyst.report.charts import Axis, Chart, Series
 from dehyst.report.html import length_unit
 from dehyst.report.pages import loop_chart, time_charts
 from dehyst.report.plots import MEASURED, draw_chart, plain
-from dehyst.trust import Insight
+from dehyst.trust import Insight, Recheck
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Kinds: TypeAlias = "Mapping[str, Callable[[], Chart]]"
-_VOLTAGE = "#999999"
-# Of the loops of an actuator: their tops as parts of the largest one, and samples of a leg.
-_TOPS, _LEG = (0.8, 0.6, 0.4, 0.2), 200
 
 
 def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
@@ -57,21 +54,29 @@ def fit(found: Fit, kind: str | None, ax: Axes | None) -> Axes:
     traces = [trace for trace in found.traces if trace.time.size]
     if not traces:
         raise ModelError(f"plot: got a fit without traces, need an identified one; it ended so: {found.outcome.value}")
-    stroke = fit_section.stroke_of(found)
-    kinds = {
+    kinds = _of_traces(traces, fit_section.stroke_of(found))
+    return _drawn(kinds, kind, ax, ", ".join(trace.record for trace in traces[:3]), ModelError)
+
+
+def recheck(found: Recheck, kind: str | None, ax: Axes | None) -> Axes:
+    """Draw a check; `kind` as in `Recheck.plot`."""
+    return _drawn(_of_traces([found.trace], found.stroke), kind or "hysteresis", ax, found.record, ModelError)
+
+
+def _of_traces(traces: Sequence[Trace], stroke: float) -> Kinds:
+    return {
         "loops": lambda: fit_section.loops_chart(traces),
         "hysteresis": lambda: fit_section.hysteresis_chart(traces),
         "residuals": lambda: fit_section.residual_over_displacement(traces, stroke),
         "residuals in time": lambda: fit_section.residual_in_time(traces, stroke),
     }
-    return _drawn(kinds, kind, ax, ", ".join(trace.record for trace in traces[:3]), ModelError)
 
 
 def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an assessment; `kind` as in `Insight.plot`."""
     kinds = {"directions": lambda: trust_section.directions_chart(found.identifiability)}
-    if (band := found.band) is not None:
-        kinds["band"] = lambda: trust_section.band_chart(band, found.evidence.stroke)
+    if (plan := found.plan) is not None:
+        kinds["band"] = lambda: trust_section.band_chart(plan)
     return _drawn(kinds, kind or list(kinds)[-1], ax, found.actuator.name, ModelError)
 
 
@@ -91,9 +96,8 @@ def _new_axes() -> Axes:
         from matplotlib import pyplot
     except ImportError as error:
         raise MissingExtraError.of("matplotlib", "plot", "Drawing") from error
-    axes: Axes = pyplot.subplots(layout="constrained")[1]
+    axes: Axes = pyplot.subplots(layout="constrained", subplot_kw={"axisbelow": True})[1]
     axes.grid(color="#ECECEC", lw=0.5)
-    axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     return axes
 
@@ -101,8 +105,7 @@ def _new_axes() -> Axes:
 def _voltage_behind(ax: Axes, found: Record) -> None:
     """Draw the voltage behind the displacement, on an axis of its own."""
     right: Any = ax.twinx()
-    line = time_charts(found)[0].series[0]
-    right.plot(line.x, line.y, color=_VOLTAGE, lw=0.9)
+    right.plot(found.time, found.voltage, color="#999999", lw=0.9)
     right.set_ylabel("voltage (V)", color="#666666")
     right.grid(visible=False)
     right.spines["right"].set_visible(True)
@@ -115,14 +118,11 @@ def _actuator_loops(found: Actuator) -> Chart:
     """Return the major loop and inner loops of an actuator, as slow motion draws them."""
     factor, unit = length_unit(float(np.ptp(found.spring.displacement)))
     low, high = found.voltage_range
-    peaks = low + np.array([1.0, *_TOPS]) * (high - low)
-    loops = [np.concatenate([np.linspace(low, peak, _LEG), np.linspace(peak, low, _LEG)]) for peak in peaks]
+    peaks = low + np.array([1.0, 0.8, 0.6, 0.4, 0.2]) * (high - low)
+    loops = [np.concatenate([np.linspace(low, peak, 200), np.linspace(peak, low, 200)]) for peak in peaks]
     rest = found.turned(float(found.spring.displacement[-1]), extrapolate=True)
     motion = slow_motion(found, np.concatenate([[high, low], *loops]), rest)
-    series: list[Series] = []
-    for voltage, y in zip(loops, np.split(motion.displacement[2:] * factor, len(loops)), strict=True):
-        if not series:
-            series.append(Series("major loop", voltage, y, "measured", width=1.9))
-        else:
-            series.append(Series("inner loops", voltage, y, "falling", width=1.1))
+    parts = list(zip(loops, np.split(motion.displacement[2:] * factor, len(loops)), strict=True))
+    series = [Series("major loop", *parts[0], "measured", width=1.9)]
+    series += [Series("inner loops", *part, "falling", width=1.1) for part in parts[1:]]
     return Chart(found.name, Axis("voltage", "V"), Axis("displacement", unit), series)

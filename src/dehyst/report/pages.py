@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
-from dehyst.identification import AxisTraces, StageFit
+from dehyst.identification import StageFit
 from dehyst.records import Record
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Series, thinned
@@ -62,8 +62,7 @@ def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record],
         f"<p>{words(fit.verdict)}.</p>",
         _coupling(fit),
         _stage_errors(fit),
-        *([] if fit.stage is None else _axes(fit, records)),
-        bullets("Remarks", map(words, fit.remarks)),
+        *_axes(fit, records),
         bullets("Axes", (words(f"{a}: {one}") for a, one in zip(fit.axes, fit.fits, strict=True))),
         html.reproduction(command),
     ]
@@ -72,28 +71,14 @@ def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record],
 
 def _coupling(fit: StageFit) -> str:
     matrix: list[Row] = []
-    left: list[Row] = []
-    talk = fit.cross_talk
     for i, axis in enumerate(fit.axes):
-        entries = []
-        for j, other in enumerate(fit.axes):
-            entries.append("1" if i == j else f"{fit.coupling[i, j]:+.5f} ± {fit.uncertainty[i, j]:.5f}")
-            if i != j:
-                size, certainty = f"{100 * talk.size[i, j]:.3f}", f"{talk.certainty[i, j]:.1f}"
-                left.append((axis, other, size, certainty, "yes" if talk.beyond[i, j] else "no"))
-        matrix.append((axis, *entries))
-    shares = ", ".join(f"{axis} {share:.5f}" for axis, share in zip(fit.axes, fit.rank_one_share, strict=True))
+        entries = [f"{own:+.5f} ± {error:.5f}" for own, error in zip(fit.coupling[i], fit.uncertainty[i], strict=True)]
+        matrix.append((axis, *entries[:i], "1", *entries[i + 1 :]))
     caption = (
         f"Displacement of each axis (row) for each metre that an actuator (column) moves, with its standard error. "
-        f"Condition {fit.condition:.4g}. Rank-one share of what each voltage moves: {shares}. "
-        f"{'Coupling is a matrix' if fit.is_matrix else 'Coupling is NOT a matrix'}."
+        f"Condition {fit.condition:.4g}."
     )
-    head = ("axis", "by the voltage of", "left, % of the stroke (RMS)", "over its scatter", "more than a matrix")
-    return (
-        f"<h2>Coupling</h2><p>{html.escape(caption)}</p>{html.table(('axis', *fit.axes), matrix, 1)}"
-        f"<p>What the voltage of another axis predicts beyond the matrix, on time that was held out:</p>"
-        f"{html.table(head, left, 2)}"
-    )
+    return f"<h2>Coupling</h2><p>{html.escape(caption)}</p>{html.table(('axis', *fit.axes), matrix, 1)}"
 
 
 def _stage_errors(fit: StageFit) -> str:
@@ -114,13 +99,12 @@ def _axes(fit: StageFit, records: Sequence[Record]) -> list[Part]:
         "Measured displacement over the axis' own voltage, then the model's residual over the voltage of each other "
         "axis: a shape in the residual is coupling that the matrix does not describe."
     )
-    left = [AxisTraces.of(record, fit.fits, k, fit.coupling).residual(fit.coupling) for k, record in enumerate(records)]
     parts: list[Part] = []
     for i, axis in enumerate(fit.axes):
         charts = []
         # Its own voltage first.
         for j in sorted(range(len(fit.axes)), key=lambda k: k != i):
-            shown = [one.displacement * 1e6 for one in records] if j == i else [one * 1e9 for one in left]
+            shown = [one.displacement * 1e6 for one in records] if j == i else [one * 1e9 for one in fit.residuals]
             y = Axis(f"displacement {axis}", "µm") if j == i else Axis(f"residual of {axis}", "nm")
             lines = [
                 Series(record.name, *thinned(record.time, record.voltage[:, j], values[:, i]), "measured", width=1)

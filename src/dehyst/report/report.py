@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 NONE: Mapping[str, TrackedPath] = {}
 _LABELS = {
     "program": "Program",
-    "norm": "Norm",
-    "elements": "Slip elements requested",
-    "slope_floor": "Floor of the slope (part of the mean)",
     "sensor_lag": "Sensor's lag (s)",
     "shared_datum": "Sensor zero shared by all records",
     "drift": "Drift of a record removed",
@@ -101,9 +98,9 @@ def render(
         of_fit.residuals(fit),
         of_fit.remaining_error(fit),
         *trust,
-        *of_fit.structures(fit),
+        of_fit.candidates(fit),
         of_fit.errors_table(fit.errors),
-        of_fit.assumptions(fit),
+        of_fit.checks(fit),
         bullets("What was repaired or left out", map(words, fit.repairs), "Nothing was repaired or left out."),
         bullets("Remarks", map(words, fit.remarks), "No remarks."),
         *(made_of(actuator) if actuator else []),
@@ -129,9 +126,6 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
     delay = options.pop("delay_s", actuator.delay if actuator else None)
     stroke = options.pop("stroke_m", None)
     structure = options.pop("structure", None)
-    if isinstance(structure, Mapping):
-        # A structure contains its number of elements.
-        options.pop("elements", None)
     entries = {_LABELS.get(str(key), str(key)): _value(value) for key, value in options.items()}
     if isinstance(structure, Mapping):
         chosen = Structure(**structure)
@@ -140,7 +134,6 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
         entries["Delay of the displacement"] = f"{number(1e3 * delay, 4)} ms"
     if isinstance(stroke, int | float):
         entries["Stroke"] = length(stroke)
-    entries |= {"Solver": fit.status or "not known", "Duality gap, relative": number(fit.gap)}
     listed = "\n".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in entries.items())
     shown = f"<pre>{escape(command)}</pre>\n" if command else ""
     rows = [

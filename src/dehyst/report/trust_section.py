@@ -8,13 +8,22 @@ import numpy as np
 
 from dehyst._io import PathLike, write_atomically
 from dehyst._types import Array
-from dehyst.control import Homing
+from dehyst.control import PathPlan
 from dehyst.identification import Identifiability
+from dehyst.model import Promise
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
 from dehyst.report.html import Charts, Part, Row, escape, length, length_unit, number, words
-from dehyst.trust import ERRORS, Insight, PredictionBand, StageInsight, Turn, TurnPlane
+from dehyst.trust import Insight, StageInsight, Turn, TurnPlane
 
+# What each part of a promise comes from.
+_PARTS = {
+    "model": "the model",
+    "lag": "a lag of the actuator or the sensor",
+    "temperature": "a temperature that was not tested, or is not known",
+    "start": "the unknown start",
+    "clamped": "voltages that are not allowed",
+}
 # Singular values below this are rounding; drawn at the foot of the scale.
 _FOOT = 1e-5
 
@@ -64,13 +73,13 @@ def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
 
     `plane`: plane of the records' turning points, shown if given.
     """
-    band = found.band
+    plan = found.plan
+    path = () if plan is None else (plan.voltage[plan.first :], None if plan.time is None else plan.time[plan.first :])
     return [
         _verdict(found),
         *_trajectory(found),
-        *turned(plane, () if plane is None or band is None else plane.path(band.voltage, band.time)),
+        *turned(plane, () if plane is None or not path else plane.path(*path)),
         _next(found),
-        _state(found),
         "<details>\n<summary>What the turning points determine</summary>",
         _directions(found),
         "</details>",
@@ -79,51 +88,47 @@ def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
 
 def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
-    stroke, warnings = found.evidence.stroke, found.warnings()
-    promised, path = found.judgement.words(stroke), "any path" if found.band is None else "this path"
-    expected = f"Expect {path} {promised}." if promised else "The error to expect is not known."
-    untested = found.judgement.untested
-    expected = " ".join([expected, *untested])
+    promise, warnings = found.promise, found.warnings()
+    expected = "The error to expect is not known." if promise is None else " ".join(promise.lines)
     # Of a path that nobody has asked for it is said, and no more.
-    new = bool(untested) and found.band is not None
+    new = promise is not None and bool(promise.untested) and found.plan is not None
     title = "Warning" if warnings else "In part not tested" if new else "No warnings"
-    share = number(100 * found.misfit / stroke)
-    lines = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
+    items = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
     return (
         f'<div class="outcome {"amber" if warnings or new else "green"}" role="status">'
         f"<strong>{title}</strong>"
-        f'<p class="first">{words(expected)}</p><p>The largest error of the model on these records is {share} % of '
-        f"the stroke.</p>{f'<ul>{lines}</ul>' if lines else ''}</div>"
+        f'<p class="first">{words(expected)}</p>{f"<ul>{items}</ul>" if items else ""}</div>'
     )
 
 
 def _trajectory(found: Insight) -> list[Part]:
     """Return the promise along a path; empty without one."""
-    band, stroke = found.band, found.evidence.stroke
-    if band is None:
+    plan, promise = found.plan, found.promise
+    if plan is None or promise is None:
         return []
     rows: list[Row] = [
-        (ERRORS[key], f"{number(100 * error / stroke)} %", length(error))
-        for key, error in band.errors().items()
-        if error or key != "clamped"
+        (_PARTS[key], f"{number(100 * error / promise.stroke)} %", length(error))
+        for key, error in promise.parts.items()
     ]
-    beside = f"<div><h3>Causes of the error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
+    beside = f"<div><h3>Causes of the largest error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
     caption = "The promise: how far the displacement may be from the wanted path if the compensating voltage is played."
-    factor, unit = length_unit(float(np.ptp(band.displacement)))
-    axis, x = _clock(band)
+    wanted, expected = plan.displacement[plan.first :], plan.expected[plan.first :]
+    factor, unit = length_unit(float(np.ptp(expected)))
+    axis, x = _clock(plan)
+    edges = (expected - promise.half) * factor, (expected + promise.half) * factor
     path = [
-        _area("may be reached", x, (band.lowest * factor, band.highest * factor), "measured", 0.25),
-        Series("wanted", x, band.wanted * factor, "ink", width=1.8),
+        _area("may be reached", x, edges, "measured", 0.25),
+        Series("wanted", x, wanted * factor, "ink", width=1.8),
     ]
-    charts = Chart("Path", axis, Axis("displacement", unit), path), band_chart(band, stroke)
+    charts = Chart("Path", axis, Axis("displacement", unit), path), band_chart(plan)
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
 
 
-def _clock(band: PredictionBand) -> tuple[Axis, Array]:
+def _clock(plan: PathPlan) -> tuple[Axis, Array]:
     """Return time, or the number of the sample where no time was given."""
-    if band.time is None:
-        return Axis("sample"), np.arange(band.wanted.size, dtype=np.float64)
-    return Axis("time", "s"), band.time
+    if plan.time is None:
+        return Axis("sample"), np.arange(plan.voltage.size - plan.first, dtype=np.float64)
+    return Axis("time", "s"), plan.time[plan.first :] - plan.time[plan.first]
 
 
 def _area(name: str, x: Array, edges: Sequence[Array], colour: Colour, opacity: float) -> Series:
@@ -131,11 +136,15 @@ def _area(name: str, x: Array, edges: Sequence[Array], colour: Colour, opacity: 
     return Series(name, x, low, colour, "area", opacity=opacity, top=high)
 
 
-def band_chart(band: PredictionBand, stroke: float) -> Chart:
-    """Return the error to expect along a path [% of a stroke in m]."""
-    axis, x = _clock(band)
-    edges = [100 * (edge - band.wanted) / stroke for edge in (band.lowest, band.highest)]
-    series = [_area("promise", x, edges, "measured", 0.3)]
+def band_chart(plan: PathPlan) -> Chart:
+    """Return the error to expect along a planned path [% of the stroke]; none without a promise."""
+    axis, x = _clock(plan)
+    promise: Promise | None = plan.promise
+    missed = (plan.expected - plan.displacement)[plan.first :]
+    series = []
+    if promise is not None:
+        edges = [100 * (missed + sign * promise.half) / promise.stroke for sign in (-1, 1)]
+        series = [_area("promise", x, edges, "measured", 0.3)]
     return Chart("Error", axis, Axis("error", "% of stroke"), series, zero=True)
 
 
@@ -190,47 +199,10 @@ def _dots(name: str, turns: Sequence[Turn], colour: Colour, width: float) -> lis
 
 
 def _next(found: Insight) -> str:
-    title, directions = "<h2>What to record next</h2>", found.identifiability
-    if not found.advice:
-        if directions.determined < directions.of:
-            return ""
-        return f'{title}\n<p class="muted">Nothing: no loop determines more directions.</p>'
-    rows: list[Row] = [
-        ((one.words, one.command), f"{one.determined} of {one.of}", number(one.weakest, 2), f"{one.seconds:.4g} s")
-        for one in found.advice[:6]
-    ]
-    return f"{title}\n{html.table(('Excitation', 'Known with it', 'Weakest (V/V)', 'Time'), rows, texts=1)}"
-
-
-def _state(found: Insight) -> str:
-    """Return a table of when the state becomes known, and the homing."""
-
-    def moment(seconds: float | None) -> str:
-        return "never" if seconds is None else f"{number(seconds)} s"
-
-    rows: list[Row] = [
-        (known.record, moment(known.by_displacement), moment(known.by_voltage) if known.judged else "not judged")
-        for known in found.knowledge
-    ]
-    head = ("Record", "from the measured displacement", "from the voltage alone")
-    homing = "" if found.homing is None else _homing(found.homing, creeps=found.actuator.creep_times.size > 0)
-    return f"<h2>When the state becomes known</h2>\n{html.table(head, rows, texts=1)}\n{homing}"
-
-
-def _homing(homing: Homing, *, creeps: bool) -> str:
-    turns = ", ".join(number(v, 6) for v in homing.turns)
-    word = "certified" if homing.certified else "not certified"
-    if homing.played is None:
-        ends = f"{word}: every state at rest ends in one" if homing.certified else word
-        remarks = " ".join(f"{words(one[:1].upper() + one[1:])}." for one in homing.remarks)
-        return f"<p>Shortest homing: {escape(turns)} V ({ends}). {remarks}</p>"
-    held = ", with holds at both limits" if creeps else ""
-    sentence = (
-        f"Homing: {turns} V in {number(homing.played.duration)} s{held} ({word}): after any history within the limits, "
-        f"it makes the displacement known to {length(homing.error)}."
-    )
-    items = "\n".join(f"<li>{words(remark)}</li>" for remark in homing.remarks)
-    return f"<p>{escape(sentence)}</p>\n<ul>\n{items}\n</ul>"
+    commands = "\n".join(found.record_next)
+    if not commands:
+        return ""
+    return f"<h2>What to record next</h2>\n<pre><code>{escape(commands)}</code></pre>"
 
 
 def _directions(found: Insight) -> Charts:

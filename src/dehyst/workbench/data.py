@@ -21,7 +21,7 @@ from dehyst.operations.registry import find
 from dehyst.operations.run import Run
 from dehyst.records import read, read_table, table_of, write_columns
 from dehyst.records.tables import ColumnsError
-from dehyst.waveforms.named import scan_of
+from dehyst.waveforms.scans import scan_of
 
 _MICRO = 1e6
 # Samples of a path that is written, and of one that a page draws.

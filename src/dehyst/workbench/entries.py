@@ -79,8 +79,7 @@ class ModelEntry:
     `origin`: a sentence on where an updated model comes from, which has no `seconds`. `check`: the last check by a new
     record. `table`: one entry for each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for
     each of several coupled axes: name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and
-    its verdict is the verdict of the worst axis. `coupling`: the matrix, whether it describes the coupling completely,
-    and each verdict.
+    its verdict is the verdict of the worst axis. `coupling`: the matrix, and each verdict.
     """
 
     id: str
@@ -129,9 +128,6 @@ class ModelEntry:
             return
         several = "fits" in fit
         fits, sentence = (fit["fits"], "verdict") if several else ({"": fit}, "sentence")
-        if any(one.get("verdict") is None for one in fits.values()):
-            self.status, self.error = "failed", str(fit[sentence])
-            return
         verdicts = {axis: _shown(one["verdict"]) for axis, one in fits.items()}
         remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
         remarks = [in_page(one) for one in remarks]
@@ -139,8 +135,7 @@ class ModelEntry:
         self.status, self.error = "ready", None
         self.verdict = {**verdict, "remarks": remarks}
         if several:
-            self.coupling = {"matrix": fit["coupling"], "is_matrix": fit["is_matrix"], "verdicts": verdicts}
-            self.verdict["remarks"] = [*map(in_page, fit["remarks"]), *remarks]
+            self.coupling = {"matrix": fit["coupling"], "verdicts": verdicts}
             self.verdict["why"] = [fit["verdict"]]
             if not fit["good"]:
                 self.verdict["readiness"] = "NOT_USABLE"
@@ -222,10 +217,7 @@ class VoltageEntry:
 
         self.axes = list(result["lowest_V"]) if several else []
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
-        self.largest_um = [
-            None if one["largest_m"] is None else (one["largest_m"] + one["start_m"]) * _MICRO
-            for one in each("judgement")
-        ]
+        self.largest_um = [None if one is None else one["largest_m"] * _MICRO for one in each("promise")]
         self.words = [in_page(str(one)) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))

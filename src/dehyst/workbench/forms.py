@@ -6,12 +6,11 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from dehyst.waveforms.named import OPTIONS, SCANS
+from dehyst.waveforms.scans import OPTIONS, SCANS
 
 Field = dict[str, Any]
 Form = dict[str, Field]
 
-_NORMS = {"l1": "Sum of absolute errors (robust)", "l2": "Sum of squares"}
 _STRUCTURES = {
     "auto": "Automatic: select the parts by cross-validation",
     "maxwell_slip": "Maxwell-slip: slip elements and a spring (seconds)",
@@ -73,7 +72,6 @@ FORMS: dict[str, Form] = {
             "optional": True,
             "hint": "Time constant of its filter; 0 if it has none.",
         },
-        "norm": {"label": "Norm of the error", "choices": [*_NORMS.items()], "value": "l1"},
         "name": {"label": "Name of the model", "placeholder": "of the first record", "text": True},
     },
     "path": {
@@ -94,11 +92,8 @@ EXPORTS = {
 }
 # Of scans: units as they are shown, options of several numbers with their hints, and first values.
 _UNITS = {"um": "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", "share": ""}
-_MANY = {
-    "levels": "with spaces or semicolons between them; it returns to the first",
-    "ratio": "two whole numbers, e.g. 3 2",
-}
-_FIRST = {"lines": "16", "revolutions": "5", "ratio": "3 2", "dwell": "0.2"}
+_MANY = {"levels": "with spaces or semicolons between them; it returns to the first"}
+_FIRST = {"lines": "16", "dwell": "0.2"}
 
 
 def scan_form() -> Form:
@@ -127,9 +122,8 @@ def scan_kinds() -> dict[str, dict[str, list[str]]]:
     """Return, for each named scan, the fields that it needs, and those that it may have."""
     kinds = {}
     for name, scan in SCANS.items():
-        needs = [*scan.needs, *(["ratio"] if "ratio" in scan.may else [])]
         played = ["axis"] * ("y_low" in scan.may) + ["cycles"] * (name != "steps")
-        kinds[name] = {"needs": needs, "may": [one for one in (*played, *scan.may) if one not in needs]}
+        kinds[name] = {"needs": [*scan.needs], "may": [*played, *scan.may]}
     return kinds
 
 

@@ -35,7 +35,7 @@ _NO_RECORD = (
     "the model in a terminal (dehyst check, dehyst compensate)"
 )
 # Options of an identification that the page may give.
-_IDENTIFY = ("structure", "norm", "goal", "time_limit", "sensor_lag")
+_IDENTIFY = ("structure", "goal", "time_limit", "sensor_lag")
 
 
 class SessionError(DehystError, ValueError):

@@ -142,7 +142,7 @@ function adopt(model) {
   if (model.coupling && view.source === "scan") view.source = "points";
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
-  form.values.slew = model.slew_v_per_s ? plain(model.slew_v_per_s, 6) : "";
+  form.values.slew = "";
   // Ten thousand samples at most, so that a path is planned while its points are dragged.
   form.values.rate = plain(Math.min(1000, 10_000 * frequency(drawnAxis())), 6);
   scans.suggest(model.range_um, pace(model));
@@ -253,9 +253,7 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach,
   const { steepest, clamps } = planned;
   const [light] = lightOf(known);
   let speed = "";
-  const free = form.values.slew.trim() === "";
-  if (!recorded && free) speed = " (not limited: the speed of the model's records is unknown)";
-  else if (recorded && steepest > recorded * 1.001) {
+  if (recorded && steepest > recorded * 1.001) {
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
   const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, turned });

@@ -5,7 +5,7 @@ import { Form, fold } from "./forms.js";
 import { plain, roundDown } from "./numbers.js";
 
 // The largest speed of the scan that is suggested, in its widths a cycle.
-const SPEEDS = { triangle: 2.11, raster: 2.11, spiral: 17.6, lissajous: 9.43 };
+const SPEEDS = { triangle: 2.11, raster: 2.11 };
 const SUGGESTED = [0.2, 0.8]; // of the reachable range
 const STEEPEST = 0.5 * 1.875; // widths of a change of level, times its duration
 

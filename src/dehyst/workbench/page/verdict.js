@@ -39,17 +39,16 @@ export function verdictBlock({ verdict }) {
 // Of a model of several axes: what to expect of each, and how far the voltage of one moves another.
 export function axesBlock({ axes, coupling }) {
   if (!coupling) return null;
-  const { matrix, is_matrix: whole, verdicts } = coupling;
+  const { matrix, verdicts } = coupling;
   const rows = axes.map(({ name, range_v: volts, range_um: reach }) => {
     return [name, ...verdictCells(verdicts[name]), range(volts, "V"), range(reach, "\u00b5m")];
   });
   const heads = ["Axis", ...VERDICT_HEADS, "Known for", "Reaches"];
   const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
   const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
-  const rest = whole ? "This matrix describes all coupling, and is compensated." : "Coupling is more than this matrix.";
   return h("section", { "aria-label": "Axes", key: "axes" },
     table("Verdict of each axis", heads, rows),
-    h("p.muted", `Coupling: ${pairs.join(", ")}. ${rest}`),
+    h("p.muted", `Coupling: ${pairs.join(", ")}. It is compensated.`),
   );
 }
 

@@ -1,0 +1,75 @@
+"""Records of one plain actuator, with known numbers of what lies between its path and what is measured."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import plain_records
+import structured_records as wide
+
+from dehyst import DisplacementCreep, Dynamics, Record, Thermal
+from dehyst.identification.preparation import prepare
+
+STROKE, STEP = plain_records.STROKE, 1 / wide.RATE
+STRUCTURE = wide.STRUCTURES["plain"]
+CREEP = DisplacementCreep([0.05, 0.5, 5.0], [0.01, 0.02, 0.015])
+THERMAL = Thermal(-2.5e-3, 4e-9, 30.0)
+DYNAMICS = Dynamics(25.0, 0.04)
+
+
+@cache
+def plant(samples=40, hold=0):
+    """The actuator, taken along random legs of so many samples with holds between them."""
+    return wide.plant(STRUCTURE, path=wide.wandering(40, samples=samples, hold=hold))
+
+
+def still(noise=0.0, **path):
+    """What nothing moves."""
+    return plant(**path).record(noise=noise)
+
+
+def seen(record, displacement, noise=0.0, seed=1, **changes):
+    """A record with another displacement."""
+    noisy = displacement + noise * np.random.default_rng(seed).normal(size=len(record))
+    return replace(record, displacement=noisy, **changes)
+
+
+def delayed(samples, noise=0.0):
+    """The displacement so many samples late."""
+    one = still()
+    return seen(one, np.interp(one.time - samples * STEP, one.time, one.displacement), noise)
+
+
+def drifting(rate, noise=0.0):
+    """The displacement with a drift [parts of the stroke a unit of the drift curve]."""
+    one = still()
+    return seen(one, one.displacement + rate * STROKE * prepare(one).drift_curve(one), noise)
+
+
+def creeping(begun=(0.0, 0.0, 0.0), noise=0.0):
+    """The displacement with creep whose strains [m] at the first sample are `begun`."""
+    one = still(hold=20)
+    return seen(one, CREEP.added(one.time, one.displacement, np.array(begun))[0], noise)
+
+
+def swinging(noise=0.0, dynamics=DYNAMICS):
+    """The displacement behind a resonance."""
+    moved, one = replace(plant().actuator, dynamics=dynamics), still()
+    first = float(one.displacement[0])
+    state = replace(moved.turned(first), motion=[first, 0.0])
+    played = moved.simulate(one.voltage, time=one.time, state=state, extrapolate=True)
+    return seen(one, played.displacement, noise)
+
+
+def warmed(first, last, noise=0.0, seed=1):
+    """The displacement while the temperature goes from `first` to `last` [degC]."""
+    one = still()
+    temperature = np.linspace(first, last, len(one))
+    y = THERMAL.warmed(one.displacement, temperature)
+    return seen(one, y, noise, seed, others={"temperature_C": temperature}, name=f"{first:g}")
+
+
+def shifted(datum):
+    """Two records of which the second has another zero."""
+    one = still()
+    return [one, Record(one.time, one.voltage, one.displacement - datum, "shifted")[400:]]
