@@ -57,8 +57,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/paper.py
 	$(BIN)/python benchmarks/promise.py
 	$(BIN)/python benchmarks/temperature.py
-	$(BIN)/python benchmarks/update.py
-	$(BIN)/python benchmarks/solver.py
+	$(BIN)/python benchmarks/ageing.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
 	$(BIN)/python benchmarks/wasm.py
@@ -66,7 +65,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/saturation.py
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/faults.py
-	$(BIN)/python benchmarks/loop.py
+	$(BIN)/python benchmarks/learning.py
 	$(BIN)/python benchmarks/workbench.py
 	$(BIN)/python benchmarks/figures.py
 	$(BIN)/python benchmarks/pages.py

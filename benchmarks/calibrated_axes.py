@@ -1,8 +1,7 @@
 """Three coupled axes calibrated over a socket: an emulated controller around virtual stages, mechanisms and seeds.
 
 The actuators are no instances of any model. The path is followed by all axes together; its error on each axis is that
-which the sensors measured. One stage has coupling with hysteresis of its own, which must be found out. Writes
-`calibrated_axes.json`.
+which the sensors measured. Writes `calibrated_axes.json`.
 """
 
 import argparse
@@ -19,7 +18,6 @@ from strangers import truths
 from dehyst.calibration import calibrate
 from dehyst.instruments import open_rig
 from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
-from dehyst.virtual.stage import spread_coupling
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from emulator import Controller, Server
@@ -31,13 +29,12 @@ SPEED, RATE = 20.0, 400.0
 GOAL = 0.3
 
 
-# Name: mechanisms of the axes, seed, and the largest share of hysteretic coupling.
+# Name: mechanisms of the axes, and seed.
 CASES = {
-    "plays, Preisach, relays": ([PlayActuator, PreisachActuator, truths.Relays], 1, 0.0),
-    "domains, slips, relays (set aside)": ([truths.Domains, truths.StribeckSlip, truths.Relays], 2, 0.0),
-    "Preisach, plays, Preisach": ([PreisachActuator, PlayActuator, PreisachActuator], 3, 0.0),
-    "with a Bouc-Wen actuator": ([PlayActuator, BoucWenActuator, PreisachActuator], 4, 0.0),
-    "hysteretic coupling": ([PlayActuator, PreisachActuator, PlayActuator], 5, 0.04),
+    "plays, Preisach, relays": ([PlayActuator, PreisachActuator, truths.Relays], 1),
+    "domains, slips, relays (set aside)": ([truths.Domains, truths.StribeckSlip, truths.Relays], 2),
+    "Preisach, plays, Preisach": ([PreisachActuator, PlayActuator, PreisachActuator], 3),
+    "with a Bouc-Wen actuator": ([PlayActuator, BoucWenActuator, PreisachActuator], 4),
 }
 
 
@@ -48,13 +45,12 @@ def actuator(kind, j):
 
 
 def measure(name):
-    kinds, seed, hysteretic = CASES[name]
+    kinds, seed = CASES[name]
     rng = np.random.default_rng([18, seed])
     coupling = np.where(np.eye(3, dtype=bool), 1.0, rng.uniform(0.02, 0.06, (3, 3)) * rng.choice([-1, 1], (3, 3)))
     stage = VirtualStage(
         [actuator(kind, j) for j, kind in enumerate(kinds)],
         coupling,
-        hysteretic=spread_coupling(3, hysteretic),
         noise=NOISE,
         seed=seed,
     )
@@ -68,8 +64,7 @@ def measure(name):
         "largest_percent": list(result.compensated.largest_percent),
         "rms_percent": list(result.compensated.rms_percent),
         "nominal_percent": list(result.nominal.largest_percent),
-        "matrix_error": None if hysteretic else float(np.abs(result.fit.coupling - coupling).max()),
-        "is_matrix": result.fit.is_matrix,
+        "matrix_error": float(np.abs(result.fit.coupling - coupling).max()),
         "verdict": result.fit.verdict,
         "voltages_at_end": ends,
         "seconds": time.monotonic() - began,
@@ -77,8 +72,7 @@ def measure(name):
     print(
         f"{name:36s} largest {', '.join(f'{e:.3f}' for e in row['largest_percent'])} %  RMS "
         f"{max(row['rms_percent']):.3f} %  without a model {max(row['nominal_percent']):.1f} %  matrix "
-        f"{'with hysteresis' if hysteretic else format(row['matrix_error'], '.5f')}; found "
-        f"{'a matrix' if row['is_matrix'] else 'more than a matrix'}",
+        f"{row['matrix_error']:.5f}",
         flush=True,
     )
     return row

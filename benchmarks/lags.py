@@ -206,10 +206,10 @@ def identified(case: Case, **options: float) -> tuple[Fit, Actuator, dict[str, f
 def parts(fit: Fit, actuator: Actuator) -> str:
     """Return what moves in time, and what is promised, as words."""
     drift = max(abs(error.drifted_percent) for error in fit.errors)
-    expected = fit.expectation
+    expected = fit.promise
     promise = f"{expected.largest_percent:.2f}/{100 * expected.rms / expected.stroke:.3f}"
     both = f" delay {1e3 * actuator.delay:.1f} lag {1e3 * actuator.lag:.1f} ms"
-    return f"{both}, creep {actuator.creep is not None}, drift {drift:.2f} %, promised {promise}"
+    return f"{both}, creep {actuator.displacement_creep is not None}, drift {drift:.2f} %, promised {promise}"
 
 
 def readme() -> Iterator[tuple[bool, str]]:
@@ -239,7 +239,7 @@ def filters() -> Iterator[tuple[bool, str]]:
                 named = any("low-pass" in words for words in (*fit.repairs, *fit.remarks))
                 sensed = f"{reached['sensed_largest']:.2f}/{reached['sensed_rms']:.3f}"
                 words = f"{truth.name} {protocol}, {1e3 * truth.period / share:.0f} ms:{parts(fit, actuator)}"
-                yield named and actuator.creep is None, f"{words}, sensed {sensed}, named {named}"
+                yield named and actuator.displacement_creep is None, f"{words}, sensed {sensed}, named {named}"
 
 
 def creep() -> Iterator[tuple[bool, str]]:
@@ -248,7 +248,7 @@ def creep() -> Iterator[tuple[bool, str]]:
         for j, name in enumerate(("drift", "walk", "white-0.3", "white-1")):
             protocol = ("tops", "curves", "random", "decaying")[(j + k) % 4]
             fit, actuator, _ = identified(Case(truth, PROTOCOLS[protocol], DISTURBANCES[name], 5))
-            yield actuator.creep is None, f"{truth.name} {protocol} {name}:{parts(fit, actuator)}"
+            yield actuator.displacement_creep is None, f"{truth.name} {protocol} {name}:{parts(fit, actuator)}"
 
 
 def main() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification import prepare
-from dehyst.model import AbstractModel, Actuator, Motion, Validity, promise, timed
+from dehyst.model import AbstractModel, Actuator, Motion, Validity, timed
+from dehyst.model.promise import promise
 from dehyst.records import Record, percent
 from dehyst.trust.comparison import RecordScore
 

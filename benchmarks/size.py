@@ -1,7 +1,7 @@
-"""How long a record may be: seconds, memory and duality gap of `dehyst.identify` for 1e5, 1e6 and 1e7 samples.
+"""How long a record may be: seconds and memory of `dehyst.identify` for 1e5, 1e6 and 1e7 samples.
 
-Maxwell-slip, plain, and a wider model: 20 elements, a transformer of 10 segments and 8 branches of creep. Each size
-runs in a process of its own, whose peak memory counts above what the imports took: the record is in it.
+Maxwell-slip, and the dictionary for an actuator with a transformer and creep. Each size runs in a process of its own,
+whose peak memory counts above what the imports took: the record is in it.
 
 And the instructions of the steps of an exported compensator of ten elements, plain and with all parts, on a Cortex-M4F
 that QEMU emulates. `size.py firmware` measures that alone.
@@ -28,16 +28,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 import compiled_exports
 
 import dehyst
-from dehyst.identification import Structure
 from dehyst.model import GradedSlip, MaxwellSlip, Spring, Transformer
 
 SIZES = (100_000, 1_000_000, 10_000_000)
 OUTPUT = Path(__file__).parent / "size.json"
 STROKE, NOISE = 10e-6, 2e-9
-
-
-# Neighbouring stiffnesses of the actuator below are unlike: little smoothing.
-WIDE = Structure(elements=20, knots=21, transformer=10, creep=8, smoothing=1e-3)
 
 
 def actuator(wide: bool) -> dehyst.Actuator:
@@ -81,27 +76,24 @@ def peak() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def measure(samples: int, norm: str, structure: str) -> dict[str, object]:
+def measure(samples: int, structure: str) -> dict[str, object]:
     """Identify once; memory includes the record itself."""
-    before, wide = peak(), structure == "wide"
-    made = record(samples, wide)
+    before = peak()
+    made = record(samples, structure == "auto")
     begun, used = time.perf_counter(), time.process_time()
 
     def tell(words: str) -> None:
         seconds = round(time.perf_counter() - begun, 1)
         print(words, seconds, f"{peak() - before:.0f} MiB", file=sys.stderr, flush=True)
 
-    fit = dehyst.identify(made, norm=norm, structure=WIDE if wide else "maxwell_slip", progress=tell)  # type: ignore[arg-type]
+    fit = dehyst.identify(made, structure=structure, progress=tell)  # type: ignore[arg-type]
     error = fit.errors[0]
     return {
         "samples": len(made),
         "structure": structure,
-        "norm": norm,
         "seconds": round(time.perf_counter() - begun, 1),
         "cpu_seconds": round(time.process_time() - used, 1),
         "peak_MiB": round(peak() - before),
-        "gap": fit.gap,
-        "status": fit.status,
         "largest_percent": error.largest_percent,
         "rms_percent": 100 * error.rms / error.stroke,
     }
@@ -121,7 +113,7 @@ def small(wide: bool) -> dehyst.Compensator:
         spring,
         transformer=Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100)),
         creep=dehyst.Creep(np.geomspace(0.01, 10, 4), np.full(4, 2e5)),
-        dynamics=dehyst.Dynamics(6e3, 0.05, 2e6),
+        dynamics=dehyst.Dynamics(955.0, 0.05, 2e6),
         smooth=dehyst.SmoothSlip(STROKE * np.array([0.05, 0.2]), np.array([0.5, 0.8]), np.array([1e6, 5e5])),
     )
     return dehyst.Compensator(made, (0, 100), period=1e-4)
@@ -152,20 +144,19 @@ def keep(section: str, found: object) -> None:
 
 
 def main() -> None:
-    """Measure all, or the firmware alone, or the one given as an argument with its norm and structure."""
-    if len(sys.argv) == 4:
-        print(json.dumps(measure(int(sys.argv[1]), sys.argv[2], sys.argv[3])))
+    """Measure all, or the firmware alone, or the one given as an argument with its structure."""
+    if len(sys.argv) == 3:
+        print(json.dumps(measure(int(sys.argv[1]), sys.argv[2])))
         return
     keep("instructions", steps())
     if sys.argv[1:] == ["firmware"]:
         return
     found = []
-    for structure in ("maxwell_slip", "wide"):
+    for structure in ("maxwell_slip", "auto"):
         for samples in SIZES:
-            for norm in ("l1", "l2"):
-                command = [sys.executable, __file__, str(samples), norm, structure]
-                found.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
-                print(found[-1], flush=True)
+            command = [sys.executable, __file__, str(samples), structure]
+            found.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+            print(found[-1], flush=True)
     keep("identification", found)
 
 

@@ -86,7 +86,7 @@ def wider() -> dict[str, Actuator]:
         "10, transformer": replace(plain, transformer=transformer()),
         "20 x 8 graded": Actuator(graded, spring),
         "20 x 8 graded, transformer, 8 creep": Actuator(graded, spring, transformer=transformer(), creep=creep()),
-        "10, mass": replace(plain, dynamics=Dynamics(2e3, 0.1, 0.2)),
+        "10, mass": replace(plain, dynamics=Dynamics(318.0, 0.1, 0.2)),
     }
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 import dehyst
 from dehyst import Record
-from dehyst.model import promise
+from dehyst.model.promise import promise
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from strangers.protocols import through
@@ -84,8 +84,8 @@ def case(name: str, *, curved: bool) -> dict[str, object]:
         found[f"without, {degrees:g}"] = missed(unknown.actuator, new)
         found[f"unknown, {degrees:g}"] = missed(known.actuator, new)
         found["promised unknown"] = promised(known.actuator, new)
-    found["promised with"] = known.expectation.largest_percent
-    found["promised without"] = unknown.expectation.largest_percent
+    found["promised with"] = known.promise.largest_percent
+    found["promised without"] = unknown.promise.largest_percent
     found["gain"] = None if known.actuator.thermal is None else known.actuator.thermal.gain
     return found
 

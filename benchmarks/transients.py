@@ -223,7 +223,7 @@ def run(name: str, kind: str, samples: int = SAMPLES, seed: int = 1) -> Result:
 def row(name: str, kind: str, samples: int = SAMPLES) -> dict:
     """Return the JSON values of one case."""
     found = run(name, kind, samples)
-    expected, error = found.fit.expectation, found.fit.errors[0]
+    expected, error = found.fit.promise, found.fit.errors[0]
     record, _, _ = record_of(name, kind, samples)
     named = transients(record)
     return {

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dehyst import Compensator, Record
+from dehyst import Record, plan_path
 from dehyst.model import AbstractModel, Actuator, simulated
 from dehyst.model.states import timed
 from strangers.disturbances import DISTURBANCES, QUIET, Disturbance, Raw, Scale
@@ -153,8 +153,8 @@ class Experiment:
     def _voltages(self, model: AbstractModel, path: Array, time: Array, state: object) -> tuple[Array, float]:
         truth = self.case.truth
         if isinstance(model, Actuator):
-            command = Compensator(model, model.limits).trajectory(path, time=time, state=state)
-            return command.voltage, float(np.mean(command.clamped))
+            plan = plan_path(model, path, time=time, start=state, home=False, on_time=False)
+            return plan.voltage[plan.first :], float(np.mean(plan.clamped))
         voltage = model.compensate(path, state=state, **timed(model, time)).voltage
         allowed = np.clip(voltage, truth.low, truth.high)
         return allowed, float(np.mean(allowed != voltage))

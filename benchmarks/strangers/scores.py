@@ -107,7 +107,7 @@ def claims(fit: Fit, experiment: Experiment) -> dict[str, Any]:
     """Return what a fit claims: errors [% of the stroke], outcome, warnings and parts."""
     training = [error for error in fit.errors if error.role == "training"]
     stroke = training[0].stroke
-    expected = fit.expectation
+    expected = fit.promise
     claimed = max(error.rms_percent for error in training) if expected is None else 100 * expected.rms / stroke
     total = sum(error.samples + error.left_out for error in training)
     return {
@@ -140,7 +140,7 @@ def parts(actuator: Actuator) -> str:
         words.append("smooth")
     if actuator.dynamics is not None:
         found = actuator.dynamics
-        words.append(f"resonance ({found.frequency / 6.283185307:.4g} Hz, zeta {found.damping:.3g})")
+        words.append(f"resonance ({found.frequency:.4g} Hz, zeta {found.damping:.3g})")
     if actuator.delay:
         words.append(f"delay ({actuator.delay:.3g} s)")
     return ", ".join(words)
@@ -177,7 +177,7 @@ def _figure(row: dict[str, Any], key: str) -> float:
 
 def false_parts(actuator: Actuator, case: Case, delay: float) -> list[str]:
     """Return the parts that move in time and that neither the truth nor the disturbance has."""
-    creep = actuator.creep is not None and bool((actuator.creep.stiffness > 0).any())
+    creep = actuator.creep is not None or actuator.displacement_creep is not None
     present = {"resonance": actuator.dynamics is not None, "delay": delay > SHORTEST_DELAY, "creep": creep}
     return [part for part, there in present.items() if there and part not in case.parts]
 

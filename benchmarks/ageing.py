@@ -1,0 +1,166 @@
+"""Stages that have aged, checked and updated by a later record: `python benchmarks/ageing.py` writes `ageing.json`.
+
+Each, of a mechanism that no model has, is identified when it is new. Then one to three of gain, loop width, lag, zero
+and creep change. A change is false if stated beyond twice its error from the truth; one of over 2 % of the stroke is
+missed if named neither alone nor together with others.
+"""
+
+import json
+import warnings
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from strangers.protocols import leg_samples, random_turns, through
+from strangers.truths import Domains
+
+import dehyst
+from dehyst.trust.changes import SLOW
+from dehyst.waveforms.excitation import Excitation, Sampling
+from dehyst.waveforms.standard import descending_tops, raised_cosine
+
+# Range of voltages [V], stroke [m], period of a loop [s], sample rate [Hz], noise [of the stroke]; numbers of stages.
+VOLTS, STROKE, PERIOD, RATE, NOISE, SEED, CHECKS, UPDATES = 100.0, 12e-6, 10.0, 40.0, 5e-4, 11, 60, 6
+SINES, TRIANGLES = (Sampling(1 / PERIOD, RATE, shape=shape) for shape in ("cosine", "triangle"))
+EXCITATION = descending_tops(VOLTS, steps=5, random=14, drive=SINES)
+LATER = {f"{n} {name}": raised_cosine(VOLTS, cycles=n, drive=drive) for n in (1, 2, 4)
+         for name, drive in (("sines", SINES), ("triangles", TRIANGLES))} | {"excitation": EXCITATION}  # fmt: skip
+TURNS = [0.0, 1.0, 0.0, 1.0, 0.0, *random_turns(np.random.default_rng(5), 24, 0.03, 0.96), 0.0]
+PATH = Excitation("path", VOLTS * through(TURNS, leg_samples(TURNS, 400)), RATE)
+# Changes: parts of gain and width, lag [s], zero and creep of a decade [of the stroke].
+SIZES = {"gain": (0.01, 0.08), "width": (0.1, 0.5), "delay": (0.02, 0.15)}
+SIZES |= {"offset": (0.005, 0.05), "creep": (0.003, 0.015)}
+
+
+def relays(rng):
+    """Return Preisach's relays of an asymmetric density, with steep edges: from u (n,) to displacements (n,)."""
+    edge, reversible, bend = 0.01 * rng.uniform(0.5, 1.5), rng.uniform(0.4, 0.7), rng.uniform(-0.15, 0.15)
+    centre = np.where(rng.random(1500) < 0.6, rng.normal(0.35, 0.2, 1500), rng.normal(0.7, 0.15, 1500))
+    half = rng.gamma(2.0, rng.uniform(0.04, 0.07), 1500)
+
+    def play(u, width):
+        x, share = np.zeros(centre.size), np.empty(u.size)
+        up, down = (np.clip((u[:, None] - centre - sign * width * half) / edge, 0, 1) for sign in (1, -1))
+        for t in range(u.size):
+            share[t] = np.clip(x, up[t], down[t], out=x).mean()
+        return reversible * (u + bend * u * (1 - u)) + (1 - reversible) * share
+
+    return play
+
+
+def walls(rng):
+    """Return populations of domain walls with pinnings of their own."""
+    pinning = np.array(Domains.pinning) * rng.uniform(0.5, 1.1, 3)
+
+    def play(u, width):
+        domains = Domains()
+        domains.pinning = tuple(width * pinning)
+        return domains.play(u, u)
+
+    return play
+
+
+class Stage:
+    """A stage of a mechanism, new or aged."""
+
+    def __init__(self, name, seed):
+        self.mechanism, self.scale = {"relays": relays, "walls": walls}[name](np.random.default_rng(seed)), 1.0
+        self.scale = STROKE / np.ptp(self.still(LATER["2 sines"].voltage))
+
+    def still(self, voltage, aged=None):
+        """Return the displacement [m] after two loops, without lag and slow change."""
+        aged, loops = aged or dict.fromkeys(SIZES, 0.0), LATER["2 sines"].voltage
+        u = np.append(loops, voltage) / VOLTS
+        y = self.scale * self.mechanism(u, 1 + aged["width"])[loops.size :]
+        return (1 + aged["gain"]) * y + aged["offset"] * STROKE
+
+    def record(self, excitation, aged=None, seed=0):
+        """Return a record, and the slow change within it (n,) [m]."""
+        rng, time, aged = np.random.default_rng(seed), excitation.time, aged or dict.fromkeys(SIZES, 0.0)
+        acting = np.interp(time - aged["delay"], time, excitation.voltage)
+        slow = aged["creep"] * STROKE * np.log10(1 + time / (PERIOD * rng.uniform(0.05, 0.3)))
+        y = self.still(acting, aged) + slow + rng.normal(0, NOISE * STROKE, time.size)
+        return dehyst.Record(time, excitation.voltage, y, name="later"), slow
+
+
+@cache
+def identified(name, seed):
+    """Return a stage and its model when it is new."""
+    stage = Stage(name, seed)
+    return stage, dehyst.identify(stage.record(EXCITATION, seed=seed)[0]).actuator
+
+
+def truth(stage, aged, excitation, slow):
+    """Return what has changed, and its largest effect [m], by names, along a path without noise."""
+    voltage, time, half = excitation.voltage, excitation.time, round(RATE * PERIOD / 2)
+    new, old = stage.still(voltage, aged), stage.still(voltage)
+    gain = np.ptp(new[half:]) / np.ptp(old[half:])
+    areas = [abs(np.sum(np.diff(voltage) * (y[1:] + y[:-1]) / 2)) for y in (new, old)]
+    found = {"gain": gain - 1, "width": areas[0] / areas[1] / gain - 1, "delay": aged["delay"]}
+    for name, curve in (("drift", time / time[-1]), ("creep", np.log10(1 + time / (0.1 * PERIOD)))):
+        rest, found[name] = np.linalg.lstsq(np.column_stack([np.ones(curve.size), curve]), slow, rcond=None)[0].tolist()
+        found[f"offset beside {name}"] = new[-1] - old[-1] + rest
+    bins, rising = np.round(voltage / 2).astype(int), np.gradient(voltage) > 0
+    between = [np.ptp(new[bins == k]) if np.any(rising[bins == k]) else 0.0 for k in range(2, 49)]
+    effects = {"gain": found["gain"] * np.ptp(new), "width": found["width"] * max(between) / 2,
+               "delay": aged["delay"] * np.abs(np.gradient(new, time)).max(), "offset": found["offset beside creep"],
+               "creep": found["creep"] * curve[-1]}  # fmt: skip
+    return found, {name: abs(effect) for name, effect in effects.items()}
+
+
+def checked(name, own, aged, kind, seed):
+    """Return what a check states: rows of (name, kind, value, error, truth, whether stated), and what it misses."""
+    (stage, model), excitation = identified(name, own), LATER[kind]
+    record, slow = stage.record(excitation, aged, seed)
+    changes, (true, most) = dehyst.check(model, record).changes, truth(stage, aged, excitation, slow)
+    slower, rows = next((one.name for one in changes if one.name in SLOW), "creep"), []
+    for one in changes:
+        together = min(one.value, sum(most["creep" if part == "drift" else part] for part in one.parts))
+        right = true.get(f"offset beside {slower}" if one.name == "offset" else one.name, together)
+        rows.append((one.name, kind, one.value, one.error, right, one.counts))
+    named = {"creep" if part == "drift" else part for one in changes if one.counts for part in one.parts}
+    large = [part for part, effect in most.items() if effect > 0.02 * STROKE]
+    return rows, large, [(part, kind, aged) for part in large if part not in named]
+
+
+def updated(name, own, aged, kind, seed):
+    """Return largest and RMS errors [% of the stroke] on a random path: of the old model, updated, identified anew."""
+    (stage, old), changed = identified(name, own), {"gain": aged["gain"] or 0.05, "width": aged["width"] or 0.2}
+    aged = dict.fromkeys(SIZES, 0.0) | changed
+    made = dehyst.update(old, stage.record(LATER[kind], aged, seed)[0]).actuator
+    anew = dehyst.identify(stage.record(EXCITATION, aged, seed + 1)[0]).actuator
+    errors = (dehyst.check(model, stage.record(PATH, aged, seed + 2)[0]) for model in (old, made, anew))
+    return [kind, *([100 * one.largest / STROKE, 100 * one.rms / STROKE] for one in errors)]
+
+
+def main() -> None:
+    """Check and update aged stages, and write the table."""
+    warnings.simplefilter("ignore")
+    rng, cases = np.random.default_rng(SEED), []
+    for number in range(CHECKS):
+        count = 0 if rng.random() < 0.125 else rng.integers(1, 4)
+        some = rng.choice([*SIZES], count, replace=False, p=[0.3, 0.3, 0.15, 0.15, 0.1])
+        signs = {name: 1 if name == "delay" else rng.choice([-1, 1]) for name in SIZES}
+        aged = {name: float(rng.uniform(*SIZES[name]) * signs[name] * (name in some)) for name in SIZES}
+        of = ("relays", "walls")[number % 2], SEED + number // 2 % 3, aged
+        cases.append((*of, str(rng.choice([*LATER])), int(rng.integers(1 << 30))))
+    found = [checked(*case) for case in cases]
+    rows = [row for one, _, _ in found for row in one]
+    beyond = [abs(value - true) > 2 * error for _, _, value, error, true, _ in rows]
+    kept = {name: [not far for far, row in zip(beyond, rows, strict=True) if row[0] == name] for name in SIZES}
+    table = {
+        "truths": len(found), "stated": sum(row[-1] for row in rows),
+        "false": [row for far, row in zip(beyond, rows, strict=True) if far and row[-1]],
+        "within two errors": {name: [sum(some), len(some)] for name, some in kept.items()},
+        "over 2 %": sum(len(large) for _, large, _ in found), "missed": [one for *_, missed in found for one in missed],
+    }  # fmt: skip
+    kinds = "2 sines", "4 triangles", "excitation"
+    table["updates"] = [updated(*case[:3], kinds[k % 3], case[4]) for k, case in enumerate(cases[:UPDATES])]
+    for kind in kinds:
+        ratio = [np.divide(made, anew) for k, _, made, anew in table["updates"] if k == kind]
+        table[f"update to anew, {kind}"] = np.median(ratio, axis=0).tolist(), np.max(ratio, axis=0).tolist()
+    Path(__file__).with_suffix(".json").write_text(json.dumps(table, indent=1, default=float) + "\n")
+
+
+if __name__ == "__main__":
+    main()
