@@ -27,7 +27,7 @@ voltage = np.concatenate([slow.voltage, fast.voltage, stairs.voltage])
 time = np.arange(voltage.size) / rate
 record = dehyst.Record(time, voltage, stage.play(voltage, time=time), name="run")
 fit = dehyst.identify(record)
-line = next(line for line in fit.summary(full=True).splitlines() if line.strip().startswith("Creep:"))
+line = next(line for line in fit.summary(full=True).splitlines() if line.strip().startswith("Creep"))
 print(fill(line, 85))
 
 # %%
@@ -57,7 +57,8 @@ later = time[-1] + (1 + np.arange(clock.size)) / rate
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
 for name, actuator in ("plain", plain.actuator), ("with creep", fit.actuator):
     state, _ = state_after(actuator, record)
-    sent = dehyst.Compensator(actuator, (0, 200), period=1 / rate).trajectory(wanted, state=state).voltage
+    plan = dehyst.plan_path(actuator, wanted, time=clock, limits=(0, 200), start=state)
+    sent = plan.voltage[plan.first :]
     stage.relax()
     stage.play(voltage, time=time)
     error = stage.play(sent, time=later, measured=False) - wanted

@@ -19,7 +19,7 @@ from dehyst.waveforms import Sampling, descending_tops
 stage = PlayActuator()
 tops = descending_tops(200, drive=Sampling(sample_rate=4))
 record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="loops")
-models = {n: dehyst.identify(record, structure="maxwell_slip", elements=n).actuator for n in (5, 10, 20, 40)}
+models = {n: dehyst.identify(record, structure=dehyst.Structure(elements=n)).actuator for n in (5, 10, 20, 40)}
 
 # %%
 # A folder with the core, the numbers of the model, and a check.

@@ -28,13 +28,13 @@ compensator = dehyst.Compensator(fit.actuator, units="um", period=1e-3)
 low, high = compensator.reach
 print(f"from {low:.2f} to {high:.2f} um")
 wanted = np.linspace(high, 0.5 * (low + high), 500)
-command = compensator.trajectory(wanted)
-print(command.units, command.displacement[-1], command.missed)
+plan = dehyst.plan_path(compensator, wanted, home=False)
+print(plan.units, plan.displacement[-1], plan.missed)
 
 # %%
 # Plots are in micrometres in any case.
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
 record.plot("loop", ax=left)
-right.plot(command.displacement, command.voltage)
+right.plot(plan.displacement, plan.voltage)
 right.set(xlabel="wanted displacement (µm)", ylabel="voltage to send (V)")
 plt.show()

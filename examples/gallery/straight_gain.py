@@ -29,7 +29,7 @@ wanted = stage.stroke * (0.02 + 0.95 * np.interp(place, np.arange(corners.size),
 homing = np.concatenate([np.linspace(0, 200, 400), np.linspace(200, 0, 400)])
 homed = fit.actuator.simulate(homing).state
 zero = fit.actuator.displacement(homed)
-voltage = dehyst.Compensator(fit.actuator, (0, 200)).trajectory(zero + wanted, state=homed).voltage
+voltage = dehyst.plan_path(fit.actuator, zero + wanted, limits=(0, 200), start=homed).voltage
 
 stage.play(homing)
 compensated = stage.play(voltage, measured=False)

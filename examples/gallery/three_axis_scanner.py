@@ -31,13 +31,13 @@ record = play(tops.time, tops.voltage)
 
 # %%
 # The matrix, and three Maxwell-slip actuators, which are fitted fast.
-fit = dehyst.identify_stage(record, structure="maxwell_slip")
+fit = dehyst.identify(record, structure="maxwell_slip")
 print(np.round(fit.coupling, 4))
 print(f"largest error of an entry: {np.abs(fit.coupling - coupling).max():.4f}; {fit.verdict}")
 
 # %%
 # What the voltage of y leaves on x: of a model of x alone, and of the stage.
-alone = dehyst.identify(record.axis(0), structure="maxwell_slip", throw=False).traces[0]
+alone = dehyst.identify(record.axis(0), structure="maxwell_slip").traces[0]
 whole = fit.fits[0].traces[0]
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), sharey=True)
 for axes, trace, title in (left, alone, "x as a single axis"), (right, whole, "x in the stage"):

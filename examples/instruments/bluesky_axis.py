@@ -58,10 +58,7 @@ class CompensatedAxis(StandardReadable, Movable[float], Triggerable):
         self._compensator = None
         bounds = self._rig.limits.low, self._rig.limits.high
         homing = shortest_homing(self._actuator, limits=bounds, present=self._rig.read().voltage)
-        if homing.played is not None:
-            self._rig.play(homing.played)
-        for voltage in homing.turns:
-            self._rig.set_voltage(voltage)
+        self._rig.play(homing.played)
         self._compensator = Compensator(self._actuator, bounds, period=PERIOD, state=homing.state)
         self._since = time.monotonic()
 
