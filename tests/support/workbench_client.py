@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import httpx
 from command_line import DEHYST, TIMEOUT
@@ -108,3 +109,33 @@ def done(client, answer):
     key = answer.json()["job"]
     state = until(client, lambda state: entry(state, "jobs", key)["status"] != "running")
     return entry(state, "jobs", key), state
+
+
+def workers(folder):
+    """Return the numbers of the processes that run an operation in a folder."""
+    listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
+    numbers = [int(line.split()[0]) for line in listed.splitlines() if "dehyst.workbench.worker" in line]
+    return [number for number in numbers if _folder_of(number) == folder.resolve()]
+
+
+def _folder_of(number):
+    try:
+        return Path(f"/proc/{number}/cwd").readlink()
+    except OSError:
+        return None
+
+
+@contextmanager
+def held(folder):
+    """Hold the worker of a folder still, as soon as it exists."""
+    deadline = time.monotonic() + TIMEOUT
+    while not (numbers := workers(folder)):
+        assert time.monotonic() < deadline, "no worker was started"
+        time.sleep(_LOOK)
+    for number in numbers:
+        os.kill(number, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for number in workers(folder):
+            os.kill(number, signal.SIGCONT)

@@ -13,7 +13,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 from command_line import DEHYST
-from workbench_client import done, entry, served, until, upload
+from workbench_client import done, entry, held, served, until, upload, workers
 
 from dehyst import Actuator, read
 from dehyst.records import read_table
@@ -234,25 +234,14 @@ def test_a_workbench_that_ends_leaves_no_command_behind(tmp_path, loops):
         with served(folder) as running, running.client() as client:
             record = upload(client, loops)
             key = client.post("/api/models", json={"train": [record["id"]]}).json()["id"]
-            until(client, lambda state: entry(state, "models", key)["provisional"])  # noqa: B023
+            with held(folder):
+                assert entry(client.get("/api/state").json(), "models", key)["status"] == "identifying"
             running.process.send_signal(number)
             running.process.wait(20)
         deadline = time.monotonic() + 20
         while workers(folder) and time.monotonic() < deadline:
             time.sleep(0.1)
         assert workers(folder) == []
-
-
-def workers(folder):
-    """Return the processes that run a command in a folder."""
-    listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
-    pids = [line.split()[0] for line in listed.splitlines() if "dehyst.workbench.worker" in line]
-    return [pid for pid in pids if works_in(pid, folder)]
-
-
-def works_in(pid, folder):
-    ended = subprocess.run(["readlink", f"/proc/{pid}/cwd"], check=False, capture_output=True, text=True)
-    return ended.stdout.strip() == str(folder.resolve())
 
 
 @pytest.mark.nightly

@@ -8,7 +8,7 @@ import places
 import pytest
 from coupled_stage import excited
 from matplotlib.image import imread
-from workbench_client import served
+from workbench_client import held, served
 from workbench_page import CHROMIUM, chromium, visit
 from workbench_tour import PICTURES, played
 
@@ -105,12 +105,13 @@ def test_a_dropped_record_is_drawn_and_understood(person, loops):
     assert colours(person.page.locator("#records .stage")) > 3
 
 
-def test_an_identification_shows_its_progress_and_can_be_cancelled(person, loops):
+def test_an_identification_shows_its_progress_and_can_be_cancelled(person, bench, loops):
     person.drop(loops)
     person.sees("3.000 in", within="#records")
     person.click("button", "Identify a model")
-    person.sees("a first model exists", within="#running")
-    person.click("button", "Cancel", within="#running")
+    with held(bench.folder):
+        person.sees("elapsed", within="#running")
+        person.click("button", "Cancel", within="#running")
     person.sees("Cancelled", within="#running")
     assert person.page.locator("#model-body").is_hidden()
 
