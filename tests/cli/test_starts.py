@@ -78,7 +78,7 @@ def test_compensate_promises_what_the_records_tested_of_the_path(folder):
     assert judged["rms_m"] > found.rms
     assert judged["untested"] == [one.as_dict() for one in found.untested]
     assert 100 * judged["parts"]["start_m"] == pytest.approx(
-        got["start"]["largest_difference_percent"] * np.ptp(Actuator.load(folder / "model.json").reach)
+        got["start"]["largest_difference_percent"] * Actuator.load(folder / "model.json").stroke
     )
 
 
@@ -113,7 +113,7 @@ def test_a_simulation_from_an_unknown_start_is_bounded(folder):
         known = column(folder, "known.csv", "expected_um")
         assert np.all((low - slack <= known) & (known <= high + slack)), start
         assert "lowest_um" not in read_table(folder / "known.csv").names
-    stroke = 1e6 * np.ptp(actuator.reach)
+    stroke = 1e6 * actuator.stroke
     assert got["start"]["largest_difference_percent"] == pytest.approx(100 * (high - low).max() / stroke)
     assert got["start"]["first_difference_percent"] == pytest.approx(100 * (high - low)[0] / stroke)
     settled = got["start"]["settled_sample"]

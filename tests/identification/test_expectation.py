@@ -89,12 +89,10 @@ def test_what_the_sensor_adds_is_not_of_the_path():
     assert seen(loud, noise=5e-8, held_out=held).rms == pytest.approx((16e-16 + 25e-18) ** 0.5)
 
 
-def test_a_lag_of_unknown_cause_is_in_the_promise():
+def test_a_lag_of_unknown_cause_is_a_number_of_its_own():
     known, open_ = expected(ERRORS), expected(ERRORS, lag=1e-3)
-    # The fastest leg takes a tenth of a second for all of the stroke.
-    assert open_.largest == pytest.approx(known.largest + 1.15 * 0.01 * STROKE)
-    assert open_.promise.if_actuator_lags == (known.rms, known.largest)
-    assert known.promise.if_actuator_lags is None
+    assert (open_.rms, open_.largest) == (known.rms, known.largest)
+    assert (open_.promise.delay, known.promise.delay) == (1e-3, 0.0)
 
 
 def test_held_out_legs_are_new_by_their_turning_points():
@@ -135,7 +133,11 @@ def test_a_smaller_error_is_never_judged_worse(largest, share, noise):
     order = [Readiness.READY, Readiness.USABLE, Readiness.NOT_USABLE]
     worse, better = (
         Expectation(
-            Promise("", size / 3, size, {}, np.full(1, size), STROKE, 0.0), size / 3, noise, 1.0, "training records"
+            Promise("", size / 3, size, {"model": size}, np.full(1, size), STROKE, 0.0),
+            size / 3,
+            noise,
+            1.0,
+            "training records",
         )
         for size in (largest, share * largest)
     )

@@ -148,7 +148,7 @@ def test_who_lags_is_stated_or_left_open(lag_of):
     lag = fit.actuator.delay + fit.actuator.lag
     assert lag == pytest.approx(0.02, abs=0.001) == fit.options["delay_s"]
     assert fit.actuator.identification.lag_of == (lag_of or "")
-    assert (fit.promise.promise.if_actuator_lags is None) == (lag_of is not None)
+    assert (fit.promise.promise.delay > 0) == (lag_of is None)
     assert Actuator.from_dict(fit.actuator.as_dict()).identification.lag_of == (lag_of or "")
 
 

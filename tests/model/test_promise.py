@@ -78,13 +78,13 @@ def test_records_of_loops_that_only_shrink_do_not_test_what_follows_a_closed_one
     assert (found.rms, found.largest) == pytest.approx((1.5 * other.rms, 1.5 * other.largest))
 
 
-def test_an_open_lag_is_in_the_promise_by_the_speed_of_the_path():
-    lagging = known(0, 100, 0, 80, 0, lag=0.01)
-    time, voltage = motion(0, 100, 0)
-    slow, fast = promise(lagging, voltage, 2 * time), promise(lagging, voltage, time)
-    assert fast.parts["lag"] == pytest.approx(1.15 * 0.01 * STROKE) == pytest.approx(2 * slow.parts["lag"])
-    assert fast.delay == 0.01
-    assert fast.if_actuator_lags[1] == pytest.approx(fast.largest - 1.15 * 0.01 * STROKE)
+def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
+    time, voltage = motion(0, 100, 0, 50, 10)
+    found = [promise(TOPS, voltage, time / times) for times in (1, 1.1, 2, 5, 10)]
+    assert np.all(np.diff([(one.largest, one.rms) for one in found], axis=0) > 0)
+    assert found[1].largest < 1.1 * found[0].largest and found[-1].largest > 2 * found[0].largest
+    asked = [[one.command for one in each.untested if one.what == "speed"] for each in found]
+    assert [len(commands) for commands in asked] == [0, 0, 1, 1, 1] and all(all(commands) for commands in asked)
 
 
 @given(st.lists(st.floats(0, 100), min_size=2, max_size=12), st.floats(0, 1e-7), st.floats(0, 1e-7))

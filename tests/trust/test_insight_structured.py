@@ -81,11 +81,11 @@ def test_a_look_at_a_wider_model(name):
     assert "records determine" in render(fit, insight=found)
 
 
-def test_another_actuators_record_is_told():
+@pytest.mark.parametrize(("gain", "told"), [(1.0, False), (0.8, True), (0.2, True)])
+def test_records_that_are_not_the_models_are_told(gain, told):
     _, fit, record = looked("plain")
-    other = Record(record.time, record.voltage, 0.8 * record.displacement, "other")
-    found = insight(fit.actuator, other)
-    assert "another actuator" in found.warnings()[0]
+    found = insight(fit.actuator, Record(record.time, record.voltage, gain * record.displacement, "other"))
+    assert bool(found._of_others()) == told
 
 
 def test_limits_beyond_the_records_are_told():

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from dataclasses import replace
 
 import coupled_stage
 import numpy as np
@@ -76,7 +77,9 @@ def test_five_commands_promise_the_same(name, tmp_path):
     assert there["path"] in ("this path from a homed start", "this path from an unknown start")
     assert there["largest_m"] == pytest.approx(sum(there["parts"].values()))
     # The path of the record, from its fitted start.
-    fitted = answer("check", "m.json", "r.csv", cwd=tmp_path)["promise"]
+    checked = answer("check", "m.json", "r.csv", cwd=tmp_path)
+    fitted = checked["promise"]
+    assert checked["stroke_m"] == fitted["stroke_m"] == own["stroke_m"] == there["stroke_m"]
     assert fitted["path"] == "this path from its fitted start"
     assert fitted["largest_m"] == promised(model, made.voltage, made.time).largest
     # Any path like the records, of the model after the update.
@@ -91,6 +94,21 @@ def test_commands_promise_the_same_of_coupled_axes(tmp_path):
     seen = answer("insight", "m.json", "r.csv", cwd=tmp_path)["insights"]
     for axis, one in seen.items():
         assert one["promise"] == found["axes"][axis]["verdict"]["promise"]
+
+
+def test_a_model_that_is_not_usable_is_remarked_and_not_good(tmp_path):
+    made = raised_cosine([TOP], cycles=3, drive=Sampling(0.1, sample_rate=8.0))
+    record = Record(made.time, made.voltage, PlayActuator(highest=TOP, plays=40).play(made.voltage), "r")
+    write_record(tmp_path / "r.csv", record)
+    fit = identify(record)
+    write_columns(tmp_path / "path.csv", {"time_s": np.arange(4.0), "displacement_um": np.array([6.0, 8, 10, 7])})
+    for rms, status, remarks in ((1e-9, 0, 0), (1e-6, 1, 1)):
+        validity = replace(fit.actuator.identification.validity, rms=rms, disagreement=rms)
+        fit.actuator.with_identification(validity=validity).save(tmp_path / "m.json")
+        found = run("compensate", "m.json", "path.csv", "-o", "v.csv", "--force", "--json", cwd=tmp_path)
+        assert found[0] == status
+        assert sum("not usable" in warning for warning in json.loads(found[1])["warnings"]) == remarks
+        assert run("insight", "m.json", "r.csv", cwd=tmp_path)[0] == 1
 
 
 def test_no_number_without_what_the_records_tested():

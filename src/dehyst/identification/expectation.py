@@ -15,7 +15,7 @@ from dehyst._views.lines import percent
 from dehyst.identification.remaining import RemainingError
 from dehyst.identification.results import Check, RecordErrors, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import APART, Outcome, Promise, Validity, distances, legs, temperature_range
+from dehyst.model import Outcome, Promise, Validity, distances, legs, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
 # The subtracted noise is known to this part.
@@ -94,7 +94,7 @@ class Expectation:
     @property
     def readiness(self) -> Readiness:
         """The verdict."""
-        if self.largest_percent > RULES.useless:
+        if self.promise.useless:
             return Readiness.NOT_USABLE
         return Readiness.USABLE if self.why_not_ready else Readiness.READY
 
@@ -122,7 +122,7 @@ class Expectation:
         """The verdict, with the largest and the RMS error to expect."""
         return (
             f"{self.readiness.value.capitalize()}: expect an error of {self._both(self.largest)} at most on a path, "
-            f"{self._both(self.rms)} RMS, {APART}"
+            f"{self._both(self.rms)} RMS, {self.promise.apart}"
         )
 
     @property
@@ -134,12 +134,8 @@ class Expectation:
 
     @property
     def origin(self) -> str:
-        """Origin of the expected errors, and their values if the sensor lags instead of the actuator."""
-        text = f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
-        if self.promise.if_actuator_lags is None:
-            return text
-        rms, largest = map(self._part, self.promise.if_actuator_lags)
-        return f"{text} If the actuator lags, and not the sensor, expect {largest} at most and {rms} RMS."
+        """Origin of the expected errors."""
+        return f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
 
     @property
     def reservations(self) -> tuple[str, ...]:
@@ -151,11 +147,9 @@ class Expectation:
         """The verdict in one line, with its numbers and reasons."""
         text = (
             f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
-            f"{self._both(self.largest)} at most, {APART} (from {self.basis}; goal {self.goal:g} %). {self._missed}"
+            f"{self._both(self.largest)} at most, {self.promise.apart} (from {self.basis}; "
+            f"goal {self.goal:g} %). {self._missed}"
         )
-        if self.promise.if_actuator_lags is not None:
-            rms, largest = map(self._part, self.promise.if_actuator_lags)
-            text += f" That holds if the sensor lags; if the actuator does, expect {rms} RMS and {largest} at most."
         words = "; ".join(self.why_not_ready)
         return f"{text} {words[0].upper()}{words[1:]}." if words else text
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from dehyst.model import USELESS
+
 
 def _rule(value: float, unit: str, reason: str) -> Any:
     return field(default=value, metadata={"unit": unit, "reason": reason})
@@ -72,7 +74,7 @@ class DecisionRules:
         "Gain and offset by temperature must lower the error at held-out temperatures to this part.",
     )
     loud: float = _rule(0.002, "part of the range", "More noise drags elements back and forth: their loops get narrow.")
-    useless: float = _rule(5.0, "% of the stroke", "A model with a larger expected error is not usable.")
+    useless: float = _rule(USELESS, "% of the stroke", "A model with a larger expected error is not usable.")
     most_set_aside: float = _rule(0.1, "part of the samples", "If more was set aside, the model is usable with care.")
     widest_gap: float = _rule(
         2.0, "ratio of errors", "Validation records missed this many times as far: the model is usable with care."

@@ -19,8 +19,8 @@ from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome
 from dehyst.model.physical import Physical
 from dehyst.model.promise import (
-    APART,
     CELLS,
+    USELESS,
     Promise,
     Untested,
     Validity,
@@ -31,6 +31,7 @@ from dehyst.model.promise import (
     speeds_of,
     tested_loops,
     untested,
+    unusable,
 )
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
 from dehyst.model.states import (

@@ -1,9 +1,11 @@
 """The promise: a bound of the error on a path, from what the records of an identification tested.
 
-A promise is a bound that nine of ten paths should keep (theory sections 18 and 29), for the error less its mean: no
-record determines where the zero of the sensor will be later. It is proportional to one length that the records show:
+A promise is a bound that nine of ten paths should keep (theory sections 18 and 29), for the error less its mean, as no
+record determines where the zero of the sensor will be later, and less a constant delay where the records leave open who
+lags. It is proportional to one length that the records show:
 the cube root of the error on held-out parts times the square of the distance of other models that explain the records.
-It grows with the distance of the path's branches from those of the records, and depends on the kind of the path. Its
+It grows with the distance of the path's branches from those of the records, with its speed beyond theirs, and depends
+on the kind of the path. Its
 numbers were found on virtual actuators whose mechanisms are not instances of the model, and are tested on others:
 `benchmarks/promise.py`.
 """
@@ -30,8 +32,6 @@ from dehyst.waveforms import FASTER, STEEPEST
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
-# What the promised errors leave out, in words.
-APART = "apart from a constant offset"
 # A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
 _BAND = 0.02
 # Cells of the plane of turning points on each side, and how many around a passed one are tested: 5 % of the range.
@@ -51,8 +51,6 @@ _MOST = 600
 _NEW = 0.02
 # Speeds and holds count as tested up to this ratio, and voltages within this part of the range.
 _ALIKE, _BEYOND = 1.5, 0.02
-# A lag is known to this factor, and a curved loop moves faster in places than its voltage does.
-_LAG_KNOWN = 1.15
 # Records of which fewer legs than this part close the loop that they began, and what errors then are of those promised.
 _CLOSING, _OPEN = 0.2, 1.5
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
@@ -70,6 +68,10 @@ _OFFSET = 0.4
 _LEAST, _AGREES = 1e-4, 0.3
 # The bound grows by this power of e with the newness of a path, a part of the range, up to a largest one.
 _GROWS, _NEWEST = 2.6, 0.3
+# A model with a larger error is not usable [% of the stroke].
+USELESS = 5.0
+# The bound grows by this power of the ratio of the path's fastest branch to that of the records, if it is faster.
+_FASTER = 0.4
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
@@ -322,8 +324,7 @@ class Promise:
     rms, largest : float
         RMS and largest error of the path without its mean error [m].
     parts : mapping of str to float
-        What `largest` is the sum of [m]: "model"; and, where they add something, "lag", "temperature", "start" and
-        "clamped".
+        What `largest` is the sum of [m]: "model"; and, where they add something, "temperature", "start" and "clamped".
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -331,11 +332,10 @@ class Promise:
     offset : float
         Largest mean error [m] if the sensor is zeroed at the first sample; `rms` and `largest` leave it out.
     delay : float
-        Time [s] by which the path may be late, as the records leave open whether the sensor lags; else 0.
+        Time [s] by which the path may be late, as the records leave open whether the sensor lags; else 0. The errors
+        leave it out.
     untested : tuple of Untested
         What the records do not test; for such a part the promise does not hold.
-    if_actuator_lags : (float, float) or None
-        RMS and largest error [m] if the lag in the records is the actuator's; None unless that is open.
     """
 
     path: str
@@ -347,19 +347,28 @@ class Promise:
     offset: float
     delay: float = 0.0
     untested: tuple[Untested, ...] = ()
-    if_actuator_lags: tuple[float, float] | None = None
 
     def __repr__(self) -> str:
         largest, rms_ = (100 * error / self.stroke for error in (self.largest, self.rms))
         return f"<Promise of {self.path}: {largest:.2g} % at most, {rms_:.2g} % RMS of {self.stroke * 1e6:.4g} um>"
 
     @property
+    def apart(self) -> str:
+        """What the errors leave out, in words."""
+        late = f" and a delay of up to {1e3 * self.delay:.3g} ms: the records leave open who lags" if self.delay else ""
+        return f"apart from a constant offset{late}"
+
+    @property
+    def useless(self) -> bool:
+        """Whether the model's part of the largest error exceeds 5 % of the stroke."""
+        return self.parts["model"] > 0.01 * USELESS * self.stroke
+
+    @property
     def sentence(self) -> str:
         """The promise in words, errors in percent of the stroke."""
         rms_, largest = (100 * error / self.stroke for error in (self.rms, self.largest))
-        return (
-            f"Expect {self.path} to be missed by {largest:.2g} % of the stroke at most and {rms_:.2g} % RMS, {APART}."
-        )
+        missed = f"{largest:.2g} % of the stroke at most and {rms_:.2g} % RMS"
+        return f"Expect {self.path} to be missed by {missed}, {self.apart}."
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -371,8 +380,7 @@ class Promise:
         keys = "path rms_m=rms largest_m=largest offset_m=offset stroke_m=stroke delay_s=delay sentence untested"
         percents = {"largest_percent": 100 * self.largest / self.stroke, "rms_percent": 100 * self.rms / self.stroke}
         parts = {f"{name}_m": error for name, error in self.parts.items()}
-        lagging = json_values(self, "if_actuator_lags_m=if_actuator_lags")
-        return {**json_values(self, keys), **percents, "parts": parts, **lagging}
+        return {**json_values(self, keys), **percents, "parts": parts}
 
 
 def promise(
@@ -421,7 +429,6 @@ def promise(
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
-    moved = _moved_in_lag(validity, v, clock) if validity.lag else np.zeros(1)
     # Half of a range bounds the standard deviation in it.
     added = {
         "temperature": (0.5 * cost.largest, cost.largest, cost.along),
@@ -433,10 +440,6 @@ def promise(
         if most:
             rms_ = rms_ + spread if name == "temperature" else float(np.hypot(rms_, spread))
             parts[name], largest, half = most, largest + most, half + along
-    lagging = (rms_, largest) if validity.lag else None
-    if validity.lag:
-        parts["lag"], half = float(moved.max()), half + float(moved.max())
-        rms_, largest = float(np.hypot(rms_, rms(moved))), largest + parts["lag"]
     untested = [] if voltage is None else [*_untested(validity, v, clock, at, waits, opens=opens)]
     if voltage is None:
         untested += _not_recorded(validity)
@@ -445,7 +448,7 @@ def promise(
     words = f"this path{_BEGINS.get(begins, f' from the start {begins}')}"
     words = "any path like the records" if voltage is None else words
     offset = _OFFSET * parts["model"]
-    return Promise(words, rms_, largest, parts, half, validity.stroke, offset, validity.lag, tuple(untested), lagging)
+    return Promise(words, rms_, largest, parts, half, validity.stroke, offset, validity.lag, tuple(untested))
 
 
 def promised(
@@ -471,14 +474,27 @@ def promised(
 
 
 def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:
-    """Return sentences on what the records of an `actuator` do not test of a path with a promise.
+    """Return sentences on what the records of an `actuator` do not test of a path, and whether it is usable for it.
 
     Without a promise they are those on its `temperature`.
     """
     if found is not None:
-        return tuple(one.sentence for one in found.untested)
-    sentence = TemperatureCost(actuator.thermal, None, float(np.ptp(actuator.reach)), temperature).sentence
+        useless = unusable(actuator, found)
+        return *([useless] if useless else []), *(one.sentence for one in found.untested)
+    sentence = TemperatureCost(actuator.thermal, None, actuator.stroke, temperature).sentence
     return (sentence,) if sentence else ()
+
+
+def unusable(actuator: Actuator, found: Promise | None) -> str:
+    """Return a sentence if an `actuator` is not usable for a path with a promise, or for any path; else nothing."""
+    useless = next((one for one in (found, promised(actuator)) if one is not None and one.useless), None)
+    if useless is None:
+        return ""
+    share = 100 * useless.parts["model"] / useless.stroke
+    return (
+        f"The model is not usable: it may miss {useless.path} by {share:.2g} % of the stroke, more than {USELESS:g} %. "
+        "Record the recommended excitation, and identify again."
+    )
 
 
 def _anywhere(validity: Validity) -> Array:
@@ -537,7 +553,7 @@ def _grown(new: Array) -> Array:
 
 
 def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> float:
-    """Return the factor of the kind of a path: how many places its branches (k, 2) are at, and how long it holds."""
+    """Return the factor of the kind of a path: at how many places its branches (k, 2) are, its speed and its holds."""
     if not len(at):
         return 1.0
     range_, height = float(np.ptp(voltage)), float(np.abs(np.diff(voltage[at], axis=1)).mean())
@@ -547,15 +563,9 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
     seconds, speed = np.diff(time), np.abs(np.diff(voltage) / np.diff(time))
     resting = float(seconds[speed < _RESTS * speed.max()].sum() / seconds.sum())
     longer = longest_hold(time, voltage, validity.span) / validity.hold if validity.hold else 1.0
+    if validity.speeds[1]:
+        factor *= max(float(speeds_of(time, voltage, at).max()) / validity.speeds[1], 1.0) ** _FASTER
     return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
-
-
-def _moved_in_lag(validity: Validity, voltage: Array, time: Array | None) -> Array:
-    """Return the displacement (n,) [m] of a path within the lag."""
-    speed = np.array([validity.speeds[1]])
-    if time is not None and time.size > 1:
-        speed = np.abs(np.diff(voltage) / np.diff(time))
-    return np.asarray(_LAG_KNOWN * speed * validity.lag * validity.stroke / validity.span)
 
 
 def _excite(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:

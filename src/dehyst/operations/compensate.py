@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, WaveTable, plan_path, wave_table
 from dehyst.control.planning.homing import present_voltage
 from dehyst.control.planning.path import MOST_ROWS, needed_slew_rate, speed_remark
-from dehyst.model import Actuator, promised, untested
+from dehyst.model import Actuator, promised, untested, unusable
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Present, Slew, is_stage, limits_of, numbers_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
@@ -101,9 +101,9 @@ def compensate(
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
     Without --start the state before the path is unknown: a homing comes first if the start matters, and the error due
-    to the start is reported. The status is 1 if clamped voltages miss the path by more than the promise, or if
-    the error due to the start after --home exceeds the model's error; with --table if a voltage was clamped, the cycle
-    is not settled, or the homing is not certified.
+    to the start is reported. The status is 1 if the model is not usable, if clamped voltages miss the path by more than
+    the promise, or if the error due to the start after --home exceeds the model's error; with --table if a voltage was
+    clamped, the cycle is not settled, or the homing is not certified.
 
     Parameters
     ----------
@@ -310,7 +310,8 @@ def _follow(
         *known.prefixed([] if path.promise is None else [path.promise.sentence] for path in paths),
     ]
     certified = all(path.certified for path in paths)
-    good = all(path.followed for path in paths) and (certified or not how["home"])
+    usable = not any(unusable(one.actuator, path.promise) for one, path in zip(axes, paths, strict=True))
+    good = usable and all(path.followed for path in paths) and (certified or not how["home"])
     return Result(fields, lines, warnings=remarks, good=good)
 
 
@@ -413,7 +414,7 @@ def _tabulate(
         *starts.error_lines(start.name, left, homed=homes),
         *([] if promise is None else [promise.sentence]),
     ]
-    good = table.settled and table.certified and not table.clamped
+    good = table.settled and table.certified and not table.clamped and not unusable(actuator, promise)
     return Result(fields, lines, warnings=warnings, good=good)
 
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, RecordErrors, Trace
-from dehyst.model import APART
 from dehyst.records import largest, white_noise
 from dehyst.report import html
 from dehyst.report.charts import Axis, Chart, Colour, Series
@@ -33,7 +32,8 @@ def verdict(fit: Fit) -> str:
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
     said = (
-        f"is the largest error to expect on any path within these voltages, {APART}, RMS {rms} (from {expected.basis}; "
+        f"is the largest error to expect on any path within these voltages, {expected.promise.apart}, "
+        f"RMS {rms} (from {expected.basis}; "
         f"the goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{fit.outcome.value}"
     )

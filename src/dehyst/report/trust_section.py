@@ -19,7 +19,6 @@ from dehyst.trust import Insight, StageInsight, Turn, TurnPlane
 # What each part of a promise comes from.
 _PARTS = {
     "model": "the model",
-    "lag": "a lag of the actuator or the sensor",
     "temperature": "a temperature that was not tested, or is not known",
     "start": "the unknown start",
     "clamped": "voltages that are not allowed",

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from dehyst._errors import ModelError
 from dehyst._text import counted, escaped
 from dehyst._threads import one_thread
@@ -26,18 +24,19 @@ from dehyst.model import (
     promised,
     temperature_range,
     tested_temperatures,
+    unusable,
     words_of,
 )
 from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
+from dehyst.trust.recheck import ANOTHER
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# A model that misses records by more than this part of their range [%] is no model of them.
-_MISSED = 5.0
-# Nor is one that misses them by more than this [%] and this many times as far as those it was identified from.
+# Records are not those of a model that misses them by more than this [% of their range], and more than this many times
+# as far as those that it was identified from.
 _WORTH, _TIMES = 0.5, 3.0
 # Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
 _WIDER = 0.01
@@ -205,28 +204,26 @@ class Insight:
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
         remarks = [
-            self._of_another(),
+            unusable(self.actuator, self.promise),
+            self._of_others(),
             self._open(),
             self._beyond(),
             self.temperatures.sentence if self.temperatures.missing else "",
         ]
         return tuple(remark for remark in remarks if remark)
 
-    def _of_another(self) -> str:
-        """Return a warning if the records seem to belong to another actuator."""
-        range_, stroke, misfit = (
-            float(np.ptp(self.actuator.spring.displacement)),
-            self.evidence.stroke,
-            self.evidence.misfit,
-        )
-        missed, known = 100 * misfit / stroke, self.actuator.identification
-        own = np.inf if known is None or known.largest_error is None else known.largest_error
-        if missed <= _MISSED and not (missed > _WORTH and misfit > _TIMES * own):
+    def _of_others(self) -> str:
+        """Return a warning if the records are not those that the model was identified from."""
+        missed, known = 100 * self.evidence.misfit / self.evidence.stroke, self.actuator.identification
+        own = None if known is None else known.largest_error
+        if own is None or missed <= _WORTH or self.evidence.misfit <= _TIMES * own:
             return ""
+        far = f"{missed:.3g} % of their range"
+        if missed > ANOTHER:
+            return f"The model misses these records by up to {far}: they are of another actuator or in other units."
         return (
-            f"The model misses these records by up to {missed:.3g} % of their range, {stroke * 1e6:.4g} um (its own is "
-            f"{range_ * 1e6:.4g} um): they belong to another actuator or are in other units. Nothing below holds for "
-            "them."
+            f"The model misses these records by up to {far}, {self.evidence.misfit / own:.2g} times as far as those it "
+            "was identified from: give those, or see by dehyst check what has changed."
         )
 
     def _open(self) -> str:

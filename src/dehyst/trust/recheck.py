@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
-# Parts of the gain and of the stroke beyond which a record is not of the model's actuator, or in other units.
-_ANOTHER = 0.5
+# Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
+ANOTHER = 50.0
 # Changes that the error sets aside.
 _SET_ASIDE = ("offset", *SLOW)
 
@@ -164,16 +164,16 @@ class Recheck:
         """A sentence on why the record clearly belongs to another actuator; empty if it may belong to the model's."""
         gain = next((one.value for one in self.changed if one.name == "gain"), 0.0)
         reasons = []
-        if abs(gain) > _ANOTHER:
+        if 100 * abs(gain) > ANOTHER:
             reasons.append(f"the gain differs by {100 * gain:+.3g} %")
-        if self.without_noise > _ANOTHER * self.stroke:
+        if percent(self.without_noise, self.stroke) > ANOTHER:
             reasons.append(f"the largest error is {self._percent(self.without_noise)} of the stroke")
         found = " and ".join(reasons)
         if not found:
             return ""
         return (
             f"{self.record}: is plainly not a record of the model's actuator, or in other units: {found}, "
-            f"more than {100 * _ANOTHER:g} %; check that model and record belong together, and the scales"
+            f"more than {ANOTHER:g} %; check that model and record belong together, and the scales"
         )
 
     @property
@@ -388,7 +388,7 @@ def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> R
     with one_thread():
         prepared = prepare_for(actuator, record)
         prepared.span()
-        stroke = float(np.ptp(actuator.reach))
+        stroke = actuator.stroke
         compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
     slow, cycle = origin.drift and prepared.can_drift, cleaning.cycle_time(prepared.record)
@@ -495,7 +495,7 @@ def _doubt(actuator: Actuator, record: Record) -> float:
 def _warmth(actuator: Actuator, record: Record) -> list[str]:
     """Return a remark if the record has no temperature on which the model depends, or one that was not tested."""
     if record.temperature is not None:
-        stroke, tested = float(np.ptp(actuator.reach)), tested_temperatures(actuator)
+        stroke, tested = actuator.stroke, tested_temperatures(actuator)
         sentence = TemperatureCost(actuator.thermal, tested, stroke, record.temperature).sentence
         return [f"{record.name}: {sentence}"] if sentence else []
     if actuator.thermal is None:

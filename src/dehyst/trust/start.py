@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from dehyst._errors import ModelError
 from dehyst.control import PossibleStart, model_error, outside_identified
 from dehyst.identification import initial_state, state_after
@@ -48,7 +46,7 @@ def start_of(
     low, high = actuator.voltage_range
     share = abs(offset) / (high - low)
     remarks = [*outside.warnings]
-    if share * float(np.ptp(actuator.reach)) > model_error(actuator):
+    if share * actuator.stroke > model_error(actuator):
         remarks.append(
             f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {100 * share:.2g} % of the range: "
             "expect displacements to be off the sensor's by as much"

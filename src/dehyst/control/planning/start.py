@@ -204,7 +204,7 @@ class StartError:
             y = actuator.simulate(v, time=when, state=state, extrapolate=True).displacement[first:]
             np.minimum(lowest, y, out=lowest)
             np.maximum(highest, y, out=highest)
-        stroke = float(np.ptp(actuator.reach))
+        stroke = actuator.stroke
         kept = None if time is None else vector(time, "time")[first:]
         return cls(lowest, highest, stroke, model_error(actuator), kept)
 
@@ -259,7 +259,7 @@ class StartError:
 
 def model_error(actuator: Actuator) -> float:
     """Return the largest error [m] of the model on its training records; a thousandth of the stroke if not known."""
-    known, stroke = actuator.identification, float(np.ptp(actuator.reach))
+    known, stroke = actuator.identification, actuator.stroke
     if known is None or known.largest_error is None:
         return _MODEL_ERROR * stroke
     return max(known.largest_error, _LEAST * stroke)
