@@ -67,17 +67,6 @@ def test_speeds_holds_and_voltages_beyond_the_records_are_named():
     assert len(promise(TOPS, voltage, time).untested) == 2
 
 
-def test_records_of_loops_that_only_shrink_do_not_test_what_follows_a_closed_one():
-    shrinking, closing = known(0, 100, 5, 95, 10, 90, 15, 85, 20, 80, 25, 75), known(0, 100, 5, 100, 5, 95, 10, 95)
-    assert shrinking.closing == 0
-    assert closing.closing > 0.2
-    inner, growing = motion(40, 60, 43, 57, 46, 54)[1], motion(50, 60, 50, 70, 40, 80, 30)[1]
-    assert not any(one.what == "loops" for one in promise(shrinking, inner).untested)
-    found, other = promise(shrinking, growing), promise(replace(shrinking, closing=1.0), growing)
-    assert len(found.untested) == len(other.untested) + 1
-    assert (found.rms, found.largest) == pytest.approx((1.5 * other.rms, 1.5 * other.largest))
-
-
 def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
     time, voltage = motion(0, 100, 0, 50, 10)
     found = [promise(TOPS, voltage, time / times) for times in (1, 1.1, 2, 5, 10)]

@@ -56,12 +56,13 @@ def test_a_lone_loop_is_something_to_beware_of():
     plant = truth("graded, transformer")
     short = structured_records.wandering(legs=0, samples=200)
     lone, whole = replace(plant, path=short).record(noise=NOISE), plant.record(noise=NOISE)
-    model = replace(plant.actuator, limits=(0.0, plain_records.VOLTS))
+    model = replace(plant.actuator, limits=(0.0, plain_records.VOLTS)).with_identification(validity=None)
     found = insight(model, lone)
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
     assert (found.identifiability.determined, found.identifiability.of) == (5, 9)
     assert not found.trustworthy
     assert "4 of 9 directions" in found.warnings()[0]
+    assert len(found.record_next) == 1
     assert insight(model, whole).trustworthy
 
 

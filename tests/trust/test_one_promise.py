@@ -11,7 +11,8 @@ from command_line import run
 from scipy.ndimage import shift
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, identify
-from dehyst.model import promised
+from dehyst.model import Validity, promised
+from dehyst.model.promise import promise
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.trust import insight
 from dehyst.virtual import PlayActuator
@@ -135,3 +136,25 @@ def test_a_command_that_was_played_is_not_asked_for_again(tmp_path):
     longer = promised(model, [0.0, 90.0, 40.0, 40.0], clock).untested
     assert [one.what for one in longer][-1] == "hold"
     assert run(*shlex.split(longer[-1].command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1, *map(at_night, range(2, 12))])
+def test_whatever_is_not_tested_has_a_command_that_tests_it(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    turns = TOP * rng.uniform(0, 1, rng.integers(3, 12))
+    time = np.cumsum(rng.uniform(0.5, 5, turns.size))
+    clock = np.arange(time[0], time[-1], 0.01)
+    records = [(clock, np.interp(clock, time, turns))]
+    path = np.repeat(1.2 * TOP * rng.uniform(0, 1, 8), 2)
+    when = np.cumsum(rng.uniform(0.02, 2, path.size) * rng.choice([0.01, 1, 20]))
+    played, errors = set(), {"rms": 1e-8, "largest": 2e-8, "disagreement": 1e-8, "stroke": 1e-5}
+    for _ in range(3):
+        asked = promise(Validity.by_records(records, new=(0.1, 0.1), **errors), path, when).untested
+        assert all(one.command for one in asked)
+        assert played.isdisjoint(one.command for one in asked)
+        for command in dict.fromkeys(one.command for one in asked):
+            assert run(*shlex.split(command)[1:], "--force", cwd=tmp_path)[0] == 0
+            table = read_table(tmp_path / "excitation.csv")
+            records.append((table.column("time"), table.column("voltage")))
+            played.add(command)
+    assert asked == ()

@@ -59,10 +59,10 @@ def test_the_rise_from_an_unknown_start_is_no_turn():
 def test_speed_hold_and_number_of_turns_are_counted():
     found = plane(*[0, 100] * 5, 0, speed=20.0, hold=3.0)
     assert sorted(turn.times for turn in found.turns) == [5, 5]
-    assert found.longest_hold_at_turn == pytest.approx(3.0, abs=0.2)
+    assert max(turn.held for turn in found.turns) == pytest.approx(3.0, abs=0.2)
     assert found.speeds == pytest.approx((20.0, 20.0), rel=1e-3)
     assert all("5 times" in turn.words for turn in found.turns)
-    assert plane(0, 100, 0, 100).longest_hold_at_turn == 0
+    assert not any(turn.held for turn in plane(0, 100, 0, 100).turns)
 
 
 def test_a_path_has_the_speeds_of_the_promise():
@@ -94,4 +94,4 @@ def test_a_long_record_is_looked_at_in_steps():
     time = np.linspace(0, 10, 1_000_000)
     found = turn_plane([("long", time, 50 - 50 * np.cos(2 * np.pi * time))])
     assert {round(turn.end, 1) for turn in found.turns} == {0.0, 100.0}
-    assert found.longest_hold_at_turn == 0
+    assert max(turn.held for turn in found.turns) == 0

@@ -26,6 +26,7 @@ from dehyst.model.promise import (
     Validity,
     are_tested,
     distances,
+    excite_command,
     legs,
     promised,
     speeds_of,

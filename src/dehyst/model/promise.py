@@ -51,8 +51,6 @@ _MOST = 600
 _NEW = 0.02
 # Speeds and holds count as tested up to this ratio, and voltages within this part of the range.
 _ALIKE, _BEYOND = 1.5, 0.02
-# Records of which fewer legs than this part close the loop that they began, and what errors then are of those promised.
-_CLOSING, _OPEN = 0.2, 1.5
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
 _AT_REST = 0.1
 # Turning points of a path of which nothing is known but its range.
@@ -161,8 +159,6 @@ class Validity:
         Voltages between which the records went [V].
     new : (float, float)
         RMS distance of held-out rises, and of held-out falls, from all others, as a part of the voltage range.
-    closing : float
-        Share of legs that reach the beginning of the leg before, and so close a loop; 1 if it is not known.
     speeds : (float, float)
         Lowest and highest mean speed of a leg [V/s].
     hold : float
@@ -183,13 +179,12 @@ class Validity:
     speeds: tuple[float, float] = (0.0, 0.0)
     hold: float = 0.0
     lag: float = 0.0
-    closing: float = 1.0
     temperatures: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         kept = np.array(self.legs, dtype=np.float64).reshape(-1, 2)
         numbers = {name: number(getattr(self, name), name) for name in ("rms", "largest", "disagreement", "stroke")}
-        numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag", "closing")}
+        numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag")}
         pairs = {name: tuple(number(one, name) for one in getattr(self, name)) for name in ("limits", "new", "speeds")}
         warmth = None if self.temperatures is None else tuple(number(one, "temperatures") for one in self.temperatures)
         wrong = [name for name, value in numbers.items() if not 0 <= value < np.inf]
@@ -208,19 +203,17 @@ class Validity:
         given = list(records)
         ends = [float(end) for _, voltage in given for end in (voltage.min(), voltage.max())]
         limits = min(ends), max(ends)
-        span, pairs, speeds, closed, hold = limits[1] - limits[0], [], [], [], 0.0
+        span, pairs, speeds, hold = limits[1] - limits[0], [], [], 0.0
         for time, voltage in given:
             at = legs(voltage, span)
             pairs.append(voltage[at])
             speeds.append(speeds_of(time, voltage, at))
-            closed.append(_closed(voltage[at], span))
             hold = max(hold, longest_hold(time, voltage, span))
         speed = np.concatenate(speeds)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * _BAND * span)), axis=0) * (0.25 * _BAND * span)
         kept = kept[:: 1 + len(kept) // _MOST]
         fastest = (float(speed.min()), float(speed.max())) if speed.size else (0.0, 0.0)
-        closing = float(np.concatenate(closed).mean()) if any(one.size for one in closed) else 1.0
-        return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, closing=closing, **numbers)
+        return cls(limits=limits, legs=kept, speeds=fastest, hold=hold, **numbers)
 
     def with_record(self, record: Record, *, rms: float, largest: float) -> Validity:
         """Return the validity after an update by one more `record`; its errors replace smaller ones.
@@ -242,7 +235,6 @@ class Validity:
             legs=np.concatenate([self.legs, by_it.legs]),
             speeds=(min(low for low, _ in pairs), max(high for _, high in pairs)),
             hold=max(self.hold, by_it.hold),
-            closing=max(self.closing, by_it.closing),
             temperatures=warmth,
         )
 
@@ -277,7 +269,6 @@ class Validity:
             **{name: list(pair) for name, pair in pairs.items()},
             "hold_s": self.hold,
             "lag_s": self.lag,
-            "closing": self.closing,
             "temperatures_degC": None if self.temperatures is None else list(self.temperatures),
             "legs_V": self.legs.tolist(),
         }
@@ -287,7 +278,7 @@ class Validity:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
         names = {"hold_s": "hold", "lag_s": "lag", "limits_V": "limits", "legs_V": "legs", "speeds_V_per_s": "speeds"}
         names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")}
-        names |= {"new": "new", "closing": "closing", "temperatures_degC": "temperatures"}
+        names |= {"new": "new", "temperatures_degC": "temperatures"}
         if not isinstance(data, Mapping) or set(data) != set(names):
             raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
         try:
@@ -300,8 +291,8 @@ class Validity:
 class Untested:
     """A property of a path that the records do not test.
 
-    `what`: "voltages", "turns", "speed", "hold", "loops" or "temperature". `sentence`: in words. `command`: the
-    `dehyst excite` command that tests it; empty where the excitation of the records does, or nothing but the path.
+    `what`: "voltages", "turns", "speed", "hold" or "temperature". `sentence`: in words. `command`: the `dehyst excite`
+    command that tests it; empty for a temperature, at which the excitation of the records does.
     """
 
     what: str
@@ -422,8 +413,7 @@ def promise(
     v = np.asarray(_anywhere(validity) if voltage is None else voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
     at, beyond, whole = newness(validity, v)
-    opens = validity.closing < _CLOSING <= float(np.mean([0.0, *_closed(v[at], validity.span)]))
-    shown = validity.shown * (_OPEN if opens else 1.0) * _kind(validity, v, clock, at)
+    shown = validity.shown * _kind(validity, v, clock, at)
     rms_, largest = (factor * shown * float(_grown(np.array([whole]))[0]) for factor in (RMS, LARGEST))
     largest = max(largest, validity.largest)
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
@@ -440,9 +430,7 @@ def promise(
         if most:
             rms_ = rms_ + spread if name == "temperature" else float(np.hypot(rms_, spread))
             parts[name], largest, half = most, largest + most, half + along
-    untested = [] if voltage is None else [*_untested(validity, v, clock, at, waits, opens=opens)]
-    if voltage is None:
-        untested += _not_recorded(validity)
+    untested = [*(_not_recorded(validity) if voltage is None else _untested(validity, v, clock, at, waits))]
     if cost.sentence:
         untested.append(Untested("temperature", cost.sentence))
     words = f"this path{_BEGINS.get(begins, f' from the start {begins}')}"
@@ -541,12 +529,6 @@ def speeds_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     return np.asarray(height / np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300))
 
 
-def _closed(legs_: Array, span: float) -> NDArray[np.bool_]:
-    """Return for all legs (k, 2) [V] but the first whether they reach the beginning of the leg before."""
-    heights = np.abs(np.diff(legs_, axis=1)[:, 0])
-    return np.asarray(heights[1:] >= heights[:-1] - _BAND * span)
-
-
 def _grown(new: Array) -> Array:
     """Return how many times the bound is larger of legs with a newness (k,), a part of the range."""
     return np.asarray(np.exp(_GROWS * np.clip(new, 0.0, _NEWEST)))
@@ -568,14 +550,14 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
     return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
 
 
-def _excite(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
+def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
     """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
     top, base = (float(f"{one:.3g}") for one in (highest, lowest if abs(lowest) > 1e-3 * highest else 0.0))
     return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o excitation.csv"
 
 
 def _untested(
-    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float, *, opens: bool
+    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float
 ) -> Iterator[Untested]:
     """Yield what the records do not test of a path."""
     low, high = validity.limits
@@ -583,16 +565,15 @@ def _untested(
     if over > _BEYOND * validity.span:
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
-        yield Untested("voltages", words, _excite(*ends))
+        yield Untested("voltages", words, excite_command(*ends))
     path = voltage[at]
     edges = np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.legs, edges), edges)))
-    if outside:
-        words = f"{outside} of {len(path)} branches begin where no record turned."
-        yield Untested("turns", words, "" if validity.turns_anywhere else _excite(high, low))
-    if opens:
-        words = "Its loops close, but those of the records do not: motion after a closed loop was not tested."
-        yield Untested("loops", words, _excite(high, low))
+    # Random turns are a test of those between them.
+    if outside and not validity.turns_anywhere:
+        yield Untested(
+            "turns", f"{outside} of {len(path)} branches begin where no record turned.", excite_command(high, low)
+        )
     if time is None or time.size < 2:
         return
     speed = speeds_of(time, voltage, at)
@@ -604,11 +585,11 @@ def _untested(
             # The fastest turns of the recommended excitation are to be as fast as the path, and not faster.
             faster = FASTER if which == "fastest" else 1.0
             option = f"--frequency {0.5 * found / faster / validity.span:.2g} --slew-rate {STEEPEST * found:.3g} "
-            yield Untested("speed", words, _excite(high, low, option))
+            yield Untested("speed", words, excite_command(high, low, option))
     hold = max(waits, longest_hold(time, voltage, validity.span))
     if hold > _ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, _excite(high, low, f"--hold {hold:.2g} ", "staircase"))
+        yield Untested("hold", words, excite_command(high, low, f"--hold {hold:.2g} ", "staircase"))
 
 
 def _not_recorded(validity: Validity) -> Iterator[Untested]:
@@ -616,8 +597,8 @@ def _not_recorded(validity: Validity) -> Iterator[Untested]:
     low, high = validity.limits
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
-        yield Untested("turns", words, _excite(high, low))
+        yield Untested("turns", words, excite_command(high, low))
     leg = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if leg and validity.hold < leg:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, _excite(high, low, f"--hold {max(10.0, 2 * leg):.2g} ", "staircase"))
+        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * leg):.2g} ", "staircase"))

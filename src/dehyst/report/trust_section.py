@@ -148,7 +148,7 @@ def band_chart(plan: PathPlan) -> Chart:
 
 
 def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
-    """Return where the records turned, how fast and how long they held, and the same of a path."""
+    """Return where the records turned and how fast, and the same of a path."""
     if plane is None:
         return []
     caption = (
@@ -159,11 +159,11 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
     turns = [*plane.turns, *path]
     for name in dict.fromkeys(turn.record for turn in turns):
         own = [turn for turn in turns if turn.record == name]
-        speeds, held = [turn.speed for turn in own], max(turn.held for turn in own)
+        speeds = [turn.speed for turn in own]
         speed = f"{number(min(speeds))} to {number(max(speeds))}" if np.isfinite(speeds).all() else "not known"
-        rows.append((name, str(sum(turn.times for turn in own)), speed, number(held) if held else "none"))
-    head = ("Record", "Branches", "Speed (V/s)", "Hold (s)")
-    beside = f"<div><h3>How fast, and how long they held</h3>\n{html.table(head, rows, 1)}</div>"
+        rows.append((name, str(sum(turn.times for turn in own)), speed))
+    head = ("Record", "Branches", "Speed (V/s)")
+    beside = f"<div><h3>How fast</h3>\n{html.table(head, rows, 1)}</div>"
     return [Charts("Where the records turned", caption, [_turns_chart(plane, path)], beside=(beside,))]
 
 
@@ -180,8 +180,7 @@ def _turns_chart(plane: TurnPlane, path: Sequence[Turn]) -> Chart:
     shown = float(ends[0]) - edge, float(ends[1]) + edge
     x, y = (Axis(f"{which} turning point", "V", shown) for which in ("lower", "upper"))
     notes = [("tested, paler: one branch of the loop only", "tested")]
-    about = {"fastest": plane.speeds[1], "held": plane.longest_hold_at_turn}
-    return Chart("Turning points", x, y, series, notes=notes, about=about)
+    return Chart("Turning points", x, y, series, notes=notes, about={"fastest": plane.speeds[1]})
 
 
 def _dots(name: str, turns: Sequence[Turn], colour: Colour, width: float) -> list[Series]:

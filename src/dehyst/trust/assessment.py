@@ -21,6 +21,7 @@ from dehyst.model import (
     Promise,
     Stage,
     TemperatureCover,
+    excite_command,
     promised,
     temperature_range,
     tested_temperatures,
@@ -198,8 +199,10 @@ class Insight:
     @property
     def record_next(self) -> tuple[str, ...]:
         """Commands that write what to record next; empty if no excitation tests more."""
-        found = () if self.promise is None else self.promise.untested
-        return tuple(dict.fromkeys(one.command for one in found if one.command))
+        if self.promise is None:
+            low, high = self.actuator.voltage_range
+            return (excite_command(high, low),) if self._open() else ()
+        return tuple(dict.fromkeys(one.command for one in self.promise.untested if one.command))
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
@@ -227,9 +230,10 @@ class Insight:
         )
 
     def _open(self) -> str:
-        """Return a warning if the records leave combinations of stiffnesses open."""
-        found = self.identifiability
-        if self.trustworthy:
+        """Return a warning if the records leave combinations of stiffnesses open that the turns of the path need."""
+        found, promise = self.identifiability, self.promise
+        turned = promise is not None and all(one.what != "turns" for one in promise.untested)
+        if self.trustworthy or turned:
             return ""
         return (
             f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "

@@ -79,11 +79,6 @@ class TurnPlane:
         speeds = [turn.speed for turn in self.turns]
         return min(speeds), max(speeds)
 
-    @property
-    def longest_hold_at_turn(self) -> float:
-        """Longest hold at a turning point [s]."""
-        return max(turn.held for turn in self.turns)
-
     def path(self, voltage: Array, time: Array | None = None, name: str = "this path") -> tuple[Turn, ...]:
         """Return the rises and falls of a path by its voltage (n,) [V] and time (n,) [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
@@ -108,7 +103,6 @@ class TurnPlane:
             "upper_V": [max(turn.begin, turn.end) for turn in self.turns],
             "names": [turn.words for turn in self.turns],
             "speeds_V_per_s": list(self.speeds),
-            "longest_hold_at_turn_s": self.longest_hold_at_turn,
         }
 
 
