@@ -160,7 +160,7 @@ def held(stage, actuator, last):
     wanted = np.append(rise, np.full(round(HOLD / PERIOD), rise[-1]))
     clock = PERIOD * np.arange(wanted.size + 1)
     wanted = np.append(begin, wanted)
-    path = actuator.compensate(wanted, time=clock if actuator.needs_time else None, state=start, extrapolate=True)
+    path = actuator.compensate(wanted, time=clock, state=start, extrapolate=True)
     voltage = np.clip(path.voltage[1:], 0.0, HIGHEST)
     constant = np.where(np.arange(voltage.size) < s.size, voltage, voltage[s.size - 1])
     kept, followed = (copy.deepcopy(stage).play(clock[1:], one)[s.size - 1 :] for one in (constant, voltage))

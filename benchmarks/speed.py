@@ -93,7 +93,7 @@ def wider() -> dict[str, Actuator]:
 def measure_wider(path: np.ndarray) -> dict[str, dict[str, float]]:
     jobs: dict[str, Callable[[], object]] = {"interp": lambda: np.interp(path, KNOTS, VOLTAGES)}
     for name, model in wider().items():
-        along = {"time": TIME} if model.needs_time else {}
+        along = {"time": TIME}
         voltage = actuator(10).compensate(path).voltage if model.dynamics else model.compensate(path, **along).voltage
         if not model.dynamics:
             jobs[f"compensate {name}"] = lambda model=model, along=along: model.compensate(path, **along)

@@ -48,7 +48,7 @@ def record(truth, first: float, last: float, seed: int, *, channel: bool = True,
 def missed(actuator: dehyst.Actuator, measured: Record, temperature=None) -> float:
     """Return the largest error [% of the stroke] after the first two loops, its mean aside."""
     options = {"temperature": temperature} if temperature is not None else {}
-    options |= {"time": measured.time} if actuator.needs_time else {}
+    options |= {"time": measured.time}
     error = (measured.displacement - actuator.simulate(measured.voltage, **options).displacement)[800:]
     return float(100 * np.abs(error - error.mean()).max() / measured.stroke)
 

@@ -212,7 +212,7 @@ def run(name: str, kind: str, samples: int = SAMPLES, seed: int = 1) -> Result:
     both = np.append(record.voltage, path)
     times = np.arange(both.size) / RATE
     acting = np.interp(times - fit.actuator.delay, times, both)
-    clock = times if fit.actuator.needs_time else None
+    clock = times
     moved = fit.actuator.simulate(acting, time=clock, extrapolate=True).displacement[record.voltage.size :]
     # The first cycle leads both into the same loops; a constant is the sensor's zero.
     error = 100 * (moved - reached)[round(RATE) :] / fit.errors[0].stroke

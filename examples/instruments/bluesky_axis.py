@@ -11,6 +11,7 @@ The rig keeps limits and slew rate, and brings the voltage back after an error; 
 
 import asyncio
 import time
+from dataclasses import replace
 
 from bluesky.plan_stubs import wait_for
 from bluesky.protocols import Movable, Triggerable
@@ -31,7 +32,7 @@ class CompensatedAxis(StandardReadable, Movable[float], Triggerable):
     """
 
     def __init__(self, rig, actuator, name=""):
-        self._rig, self._actuator = rig, actuator.quasistatic()
+        self._rig, self._actuator = rig, replace(actuator, dynamics=None, lag=0.0, state=None)
         self._compensator, self._since = None, 0.0
         with self.add_children_as_readables():
             self.wanted, self._set_wanted = soft_signal_r_and_setter(float, units="um")
@@ -67,7 +68,7 @@ class CompensatedAxis(StandardReadable, Movable[float], Triggerable):
         if memory is None:
             raise RigError(f"{self.name}: the state of its actuator is not known; home it first")
         # The model creeps for as long as the last voltage was held.
-        for _ in range(int((time.monotonic() - self._since) / PERIOD) if self._actuator.needs_time else 0):
+        for _ in range(int((time.monotonic() - self._since) / PERIOD)):
             memory.hold()
         low, high = memory.reach
         if not low <= 1e-6 * value <= high:

@@ -10,7 +10,7 @@ from command_line import run
 
 import dehyst
 from dehyst.control import PossibleStart, plan_path
-from dehyst.model import Identification, Validity
+from dehyst.model import Identification, Validity, with_identification
 from dehyst.records import read_table, write_columns
 
 COLD = replace(plain_records.plant(6), limits=(0.0, 200.0))
@@ -168,7 +168,7 @@ def test_a_column_is_used_by_all_of_several_axes(folder):
 
 def test_a_planned_path_warns_as_the_command_does(folder):
     """Of speeds and temperatures that the records do not have, where the command says so."""
-    actuator = replace(dehyst.Actuator.load(folder / "model.json"), recorded_slew_rate=50.0)
+    actuator = with_identification(dehyst.Actuator.load(folder / "model.json"), slew_rate=50.0)
     actuator.save(folder / "fast.json")
     result, _ = follow(folder, "fast.json", "path.csv", "--temperature", "50", "--slew-rate", "none")
     start = PossibleStart.named(actuator, "bottom")

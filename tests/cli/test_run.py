@@ -8,6 +8,7 @@ import pytest
 from command_line import run
 
 import dehyst
+from dehyst.model import slew_rate_of_records
 from dehyst.records import read_table, write_columns
 from dehyst.virtual import PlayActuator
 
@@ -110,7 +111,7 @@ def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given
         # By default the whole range in 0.1 s.
         assert found["slew_V_per_s"] == (1e9 if "1e9" in given else pytest.approx(10 * found["limits_V"][1]))
         notes[given] = [line for line in err.splitlines() if "limits" in line or "slew rate" in line]
-    recorded = dehyst.Actuator.load(folder / "model.json").recorded_slew_rate
+    recorded = slew_rate_of_records(dehyst.Actuator.load(folder / "model.json"))
     for given, rate in (((), 2000), (("--slew-rate", "1e9"), 1e9), (("--limits", "0", "190"), 1900)):
         (note,) = notes[given]
         assert f"{rate / recorded:.3g} times" in note

@@ -10,6 +10,7 @@ from command_line import WRITTEN, rare, refused, result, run
 
 from dehyst import Actuator, Creep
 from dehyst._io import SCAN
+from dehyst.model import evaluator_of
 from dehyst.records import read_table
 
 TRIANGLE = ("triangle", "--low", 2, "--high", 12, "--frequency", 10)
@@ -62,7 +63,7 @@ def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folde
     np.testing.assert_allclose(wanted[-400:], table[1], rtol=WRITTEN)
     actuator = Actuator.load(folder / model)
     # It begins elsewhere than the file takes for granted: the homing is there for that.
-    state = actuator.turned(actuator.core.spring_inverse(20.0), rising=False)
+    state = actuator.turned(evaluator_of(actuator).core.spring_inverse(20.0), rising=False)
     made = actuator.simulate(voltage, time=time if model == "creep.json" else None, state=state).displacement * 1e6
     assert np.abs(made - wanted)[-400:].max() <= (1e-7 if model == "creep.json" else 1e-9)
 

@@ -9,12 +9,12 @@ import pytest
 from command_line import run
 
 import dehyst
-from dehyst.model import Identification, Stage
+from dehyst.model import Identification, Stage, slew_rate_of_records, with_identification
 from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
 
 SPEED = 50.0
-PLAIN = replace(plain_records.plant(6), limits=(0.0, 200.0), recorded_slew_rate=SPEED)
+PLAIN = with_identification(replace(plain_records.plant(6), limits=(0.0, 200.0)), slew_rate=SPEED)
 SCAN = ("triangle", "--low", 3, "--high", 9, "--sample-rate", 100)
 
 
@@ -23,8 +23,8 @@ def folder(tmp_path_factory):
     """Models that know the speed of their records and not, a stage, and paths of 30 and 240 V/s, about."""
     target = tmp_path_factory.mktemp("slew")
     PLAIN.save(target / "model.json")
-    replace(PLAIN, recorded_slew_rate=None).save(target / "old.json")
-    Stage((PLAIN, replace(PLAIN, recorded_slew_rate=2 * SPEED)), np.eye(2), ("x", "y")).save(target / "stage.json")
+    with_identification(PLAIN, slew_rate=None).save(target / "old.json")
+    Stage((PLAIN, with_identification(PLAIN, slew_rate=2 * SPEED)), np.eye(2), ("x", "y")).save(target / "stage.json")
     time = np.arange(400) * 0.01
     for name, frequency in (("slow", 0.1), ("fast", 0.8)):
         wanted = 6 - 3 * np.cos(2 * np.pi * frequency * time)
@@ -183,4 +183,4 @@ def test_an_identification_stores_the_speed_of_its_records():
     truth = plain_records.plant(6).turned(0.0, rising=False)
     record = dehyst.Record(time, voltage, plain_records.plant(6).simulate(voltage, state=truth).displacement)
     fit = dehyst.identify(record, structure="maxwell_slip")
-    assert fit.actuator.recorded_slew_rate == pytest.approx(1.05 * 20, rel=0.02)
+    assert slew_rate_of_records(fit.actuator) == pytest.approx(1.05 * 20, rel=0.02)

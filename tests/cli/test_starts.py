@@ -9,6 +9,7 @@ from command_line import WRITTEN, run
 
 import dehyst
 from dehyst import Actuator, Record
+from dehyst.model import needs_time, with_identification
 from dehyst.model.promise import promise
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.virtual import PlayActuator
@@ -59,7 +60,7 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
     np.testing.assert_allclose(followed, wanted, rtol=WRITTEN)
     # From wherever the actuator comes, the voltages lead it along the path.
     actuator = Actuator.load(folder / model)
-    when = time if actuator.needs_time else None
+    when = time
     for state in (actuator.relaxed(), actuator.turned(actuator.reach[1]), actuator.turned(0.0, rising=False)):
         y = actuator.simulate(column(folder, "v.csv", "voltage_V"), time=when, state=state).displacement
         error = np.abs(1e6 * y[got["homing_samples"] :] - wanted).max() / (1e6 * np.ptp(actuator.reach))
@@ -93,7 +94,7 @@ def test_without_a_homing_the_error_is_reported(folder):
 
 
 def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
-    actuator = Actuator.load(folder / "model.json").with_identification(largest_error=1e-3)
+    actuator = with_identification(Actuator.load(folder / "model.json"), largest_error=1e-3)
     actuator.save(folder / "coarse.json")
     _, got = answer("compensate", "coarse.json", "path.csv", "-o", "v.csv", cwd=folder)
     assert got["homing_samples"] == 0
@@ -126,7 +127,7 @@ def test_a_record_is_a_start(folder, model):
     actuator = Actuator.load(folder / model)
     voltage = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 0, 200), np.linspace(0, 120, 150)])
     time = np.arange(550) * 0.05
-    y = actuator.simulate(voltage, time=time if actuator.needs_time else None).displacement
+    y = actuator.simulate(voltage, time=time).displacement
     write_record(folder / "first.csv", dehyst.Record(time[:480], voltage[:480], y[:480]))
     write_columns(folder / "next.csv", {"time_s": time[479:], "voltage_V": voltage[479:]})
     status, out, _ = run("simulate", model, "next.csv", "-o", "s.csv", "--start", "first.csv", cwd=folder)
@@ -142,7 +143,7 @@ def test_a_record_is_a_start_as_it_began(folder, model):
     before = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 50, 200), np.linspace(50, 120, 150)])
     ends = [120, 20, 180, 20, 180, 60, 120]
     voltage = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(ends)])
-    timed = actuator.needs_time
+    timed = needs_time(actuator)
     lead = actuator.simulate(before, time=np.arange(550) * 0.05 if timed else None).state
     time = np.arange(600) * 0.05
     y = actuator.simulate(voltage, time=time if timed else None, state=lead).displacement

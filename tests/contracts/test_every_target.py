@@ -50,7 +50,7 @@ PLAIN = Actuator(
     name="plain",
 )
 # Fields of an actuator that every target has, or that have no effect on the voltages of a compensator.
-COMMON = ("slip", "spring", "state", "limits", "delay", "name", "provenance", "identification", "recorded_slew_rate")
+COMMON = ("slip", "spring", "state", "limits", "delay", "name", "provenance", "identification")
 # The other fields, with a part for each; a field without one makes this an error, so that no part goes untested.
 PARTS = {
     "transformer": Transformer([0, 30, 80], [0, 35, 80]),

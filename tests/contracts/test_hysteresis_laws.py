@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring, State
 from dehyst._native import slip_elongations
+from dehyst.model import Physical
 
 EXACT = 1e-12
 KM, T, KE = 1.4e6, 0.042, 8.82e4
@@ -70,7 +71,7 @@ def test_force_balance(motion, seed):
 
 
 def in_newtons(actuator):
-    return actuator.physical(transformer_ratio=T, mechanical_stiffness=KM, electrical_stiffness=KE)
+    return Physical.of(actuator, transformer_ratio=T, mechanical_stiffness=KM, electrical_stiffness=KE)
 
 
 @given(SOME, our.SEEDS)

@@ -9,9 +9,10 @@ from rest_states import PLANT, equilibrium
 
 from dehyst import Actuator, Creep, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.control import Compensator, shortest_homing
+from dehyst.model import with_identification
 from dehyst.waveforms import Sampling
 
-CREEPING = replace(PLANT, creep=Creep([20.0], [2e5]), limits=(0.0, 260.0), recorded_slew_rate=200.0)
+CREEPING = with_identification(replace(PLANT, creep=Creep([20.0], [2e5]), limits=(0.0, 260.0)), slew_rate=200.0)
 
 
 def most_spread(actuator, homing, count, seed=0):

@@ -42,7 +42,7 @@ def past(actuator, seed, present):
     still = replace(actuator, dynamics=None, lag=0.0)
     turns = rng.uniform(*LIMITS, 12)
     turns[rng.integers(0, 12, 4)] = rng.choice(LIMITS, 4)
-    time = np.cumsum(rng.choice([0.1, 5.0, 1e4], 13)) if still.needs_time else None
+    time = np.cumsum(rng.choice([0.1, 5.0, 1e4], 13))
     start = still.turned(float(rng.uniform(0, plain_records.STROKE)), rising=bool(rng.integers(2)))
     # The long first rest lets creep forget what no voltage led to.
     voltage = np.concatenate([turns[:1], turns[:-1], [present]])
@@ -87,11 +87,11 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     actuator = TIMED[name]
     found = _timed(name)
     start = past(actuator, seed, 0.0)
-    time = found.played.time if actuator.needs_time else None
+    time = found.played.time
     reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
     assert abs(reached.deformation - found.state.deformation) <= found.spread + 1e-12 * plain_records.STROKE
     further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
-    time = further.time if actuator.needs_time else None
+    time = further.time
     paths = [
         actuator.simulate(further.voltage, time=time, state=one, extrapolate=True).displacement
         for one in (reached, found.state)

@@ -6,6 +6,7 @@ from summaries import NEEDING_TIME, PARTS, STROKE, anatomy
 
 from dehyst import Compensator, DehystError, ModelError, plan_path
 from dehyst.control.following import follow
+from dehyst.model import major_loop
 
 PERIOD = 1e-3
 N = 50
@@ -119,5 +120,5 @@ def test_short_paths_answer_or_are_refused(kind):
 @pytest.mark.parametrize("kind", PARTS)
 def test_what_takes_its_own_time_needs_none(kind):
     actuator = anatomy(kind)
-    low, high = actuator.major_loop((10.0, 190.0))
+    low, high = major_loop(actuator, (10.0, 190.0))
     assert low < high == pytest.approx(Compensator(actuator, (10.0, 190.0)).reach[1])

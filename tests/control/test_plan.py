@@ -7,12 +7,12 @@ import plain_records
 import pytest
 
 from dehyst import Actuator, Compensator, ModelError, Stage, StageCompensator, plan_path
-from dehyst.model import Identification
+from dehyst.model import Identification, with_identification
 
 STEP, DELAY = 5e-3, 0.0172
 TIME = STEP * np.arange(600)
 WANTED = plain_records.STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * TIME / 1.5))
-PLANT = replace(plain_records.plant(6), limits=(-40.0, 260.0), recorded_slew_rate=200.0)
+PLANT = with_identification(replace(plain_records.plant(6), limits=(-40.0, 260.0)), slew_rate=200.0)
 LATE = replace(PLANT, delay=DELAY, identification=Identification(lag_of="actuator"))
 
 

@@ -24,7 +24,7 @@ from dehyst import (
 from dehyst.control import PossibleStart, StartError, plan_path, wave_table
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.planning.start import model_error
-from dehyst.model import Identification, Validity, apply, standing
+from dehyst.model import Identification, Validity, apply, needs_time, standing, with_identification
 from dehyst.waveforms import Triangle
 
 LIMITS = -40.0, 260.0
@@ -45,7 +45,7 @@ def history(actuator, rng, present):
     """Return a state that voltages within the limits may have led to, the last one the present voltage."""
     turns = np.append(rng.uniform(*LIMITS, 9), present)
     turns[rng.integers(0, 9, 3)] = rng.choice(LIMITS, 3)
-    time = np.cumsum(rng.choice([0.5, 5.0, 1e4], turns.size)) if actuator.needs_time else None
+    time = np.cumsum(rng.choice([0.5, 5.0, 1e4], turns.size))
     still = replace(actuator, dynamics=None, state=None)
     # The long first rest lets creep forget what no voltage led to.
     state = still.simulate(turns, time=time, state=still.turned(0.5 * STROKE)).state
@@ -79,7 +79,7 @@ def test_the_possible_states_bound_every_history(name):
     error = StartError.along(actuator, states, voltage, time=time)
     for _ in range(30):
         state = history(actuator, rng, float(voltage[0]))
-        when = time if actuator.needs_time else None
+        when = time
         y = actuator.simulate(voltage, time=when, state=state).displacement
         # The order is that of the electrical side: a mass rings a little about it.
         slack = (1e-9 if actuator.dynamics is None else 1e-6) * STROKE
@@ -105,7 +105,7 @@ def test_after_the_homing_the_path_is_followed_from_any_history(name, present):
     assert homed.voltage.min() >= LIMITS[0] and homed.voltage.max() <= LIMITS[1]
     for _ in range(10):
         state = history(actuator, rng, float(homed.voltage[0]))
-        when = homed.time if actuator.needs_time else None
+        when = homed.time
         y = actuator.simulate(homed.voltage, time=when, state=state).displacement[first:]
         assert np.abs(y - wanted).max() <= model_error(actuator)
 
@@ -160,7 +160,7 @@ def test_without_a_homing_a_path_begins_at_the_present_voltage_if_one_is_given()
     wanted = STROKE * (0.5 - 0.3 * np.cos(time))
     for home in (False, None):
         # A model whose error is larger than what the start leaves open is not homed by default either.
-        coarse = PLAIN if home is False else PLAIN.with_identification(largest_error=STROKE)
+        coarse = PLAIN if home is False else with_identification(PLAIN, largest_error=STROKE)
         led = plan_path(Compensator(coarse, slew_rate=100.0), wanted, time=time, home=home, present=20.0)
         assert led.homing is None and led.voltage[0] == 20.0 and set(led.phase) == {1, 2} and not led.clamped.any()
         assert np.abs(np.diff(led.voltage) / np.diff(led.time)).max() <= 100.0 * (1 + 1e-9)
@@ -263,7 +263,7 @@ def test_a_history_of_voltages_closes_what_it_homes():
 
 def test_the_error_of_a_model_is_that_of_its_identification():
     assert model_error(PLAIN) == pytest.approx(1e-3 * np.ptp(PLAIN.reach))
-    assert model_error(PLAIN.with_identification(largest_error=5e-8)) == 5e-8
+    assert model_error(with_identification(PLAIN, largest_error=5e-8)) == 5e-8
 
 
 def test_a_path_is_homed_where_its_start_matters():
@@ -303,7 +303,7 @@ def test_a_planned_path_has_the_gain_and_the_offset_of_its_compensator(name, kno
     np.testing.assert_allclose(planned.error.lowest, offset + gain * expected.error.lowest, atol=1e-12)
     np.testing.assert_allclose(planned.error.difference, gain * expected.error.difference, atol=1e-12)
     # No time passes before the first sample of a path ahead, and a mass moves with it.
-    if known and not actuator.needs_time:
+    if known and not needs_time(actuator):
         stepped = Compensator(actuator, period=0.01, state=start.state)
         stepped.scale(gain, offset)
         np.testing.assert_allclose(planned.voltage[planned.first :], stepped.run(offset + gain * wanted), atol=1e-9)

@@ -13,7 +13,7 @@ from dehyst import Creep, DisplacementCreep, Dynamics, GradedSlip, RecordError, 
 from dehyst.control import Compensator, wave_table
 from dehyst.control.following import follow
 from dehyst.control.planning.wave_table import approach_to, steady_state, timed
-from dehyst.model import standing
+from dehyst.model import needs_time, standing
 from dehyst.waveforms import MotionLimits, Raster, Triangle
 from examples import at_night
 
@@ -42,7 +42,7 @@ SCANS = {
 def simulated(actuator, played, state=None):
     """What the actuator does with all that is played, by default after slow loops."""
     start = standing(actuator, float(played.voltage[0]), actuator.voltage_range) if state is None else state
-    time = played.time if actuator.needs_time else None
+    time = played.time
     return actuator.simulate(played.voltage, time=time, state=start).displacement
 
 
@@ -71,7 +71,7 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     stroke, size = strokes(SCANS[scan]), len(table.cycle)
     assert (table.homing is not None) == homed
     assert table.clamped == 0 and table.error <= 1e-4 * stroke
-    played = table.played(80 if actuator.needs_time or actuator.smooth else 3)
+    played = table.played(80 if needs_time(actuator) or actuator.smooth else 3)
     made = simulated(actuator, played, state)
     miss = np.abs(made - played.displacement)
     assert miss[-size:].max() <= 1e-9 * stroke

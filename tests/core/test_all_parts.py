@@ -10,6 +10,7 @@ import strategies as our
 
 from dehyst import Dynamics, SmoothSlip
 from dehyst._native import StepCoefficients
+from dehyst.model import evaluator_of
 from examples import at_night
 
 SOURCES = plain_records.CORE_SOURCES
@@ -117,7 +118,7 @@ def bench(kind, seed):
         actuator = replace(actuator, smooth=smooth)
     if "mass" in kind:
         actuator = replace(actuator, dynamics=Dynamics(4.8, 0.3, slope))
-    model = actuator.model
+    model = evaluator_of(actuator)
     state = model.complete_state(our.make_state(plain, seed, "arbitrary"))
     kinds = ("break points", "decay", "jumps", "noisy ramp", "walk")
     path = np.concatenate([our.make_path(plain, state.deformation, seed, k, 200) for k in kinds])

@@ -5,6 +5,7 @@ import pytest
 from strategies import make_actuator, make_state, span_of, volts_of
 
 from dehyst import Actuator, Creep
+from dehyst.model import evaluator_of
 
 
 def random_path(actuator, seed, n=300):
@@ -59,7 +60,7 @@ def test_creep_on_a_turning_path():
 
 
 def _ran(actuator, function, values, start, *, stack):
-    model = actuator.model
+    model = evaluator_of(actuator)
     pace = model.step_coefficients(np.array([0, values.size]), np.zeros(1))
     out, reached = getattr(model.core, function)(values, pace, model.core_state(start), stack=stack)
     return out, model.state_of(reached)

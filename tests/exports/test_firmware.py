@@ -144,7 +144,7 @@ def test_the_actuator_of_the_trace_is_the_virtual_one(kind):
     actuator, state = compensator.actuator, compensator.state
     voltages = np.array([actuator.voltage(state), *(row.given[0] for row in rows)])
     time = np.arange(voltages.size) * (compensator.period or 1.0)
-    motion = actuator.simulate(voltages, time=time if actuator.needs_time else None, state=state)
+    motion = actuator.simulate(voltages, time=time, state=state)
     got = np.array([row.answer[0] for row in rows])
     np.testing.assert_allclose(got, motion.displacement[1:], rtol=0, atol=1e-12 * plain_records.STROKE)
 

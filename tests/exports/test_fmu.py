@@ -29,6 +29,7 @@ from fmu_runner import (
 import dehyst
 from dehyst import Compensator
 from dehyst.exports import export_fmu
+from dehyst.model import evaluator_of
 from examples import spanning
 
 FMICallException = fmpy.fmi1.FMICallException
@@ -106,7 +107,7 @@ def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
     start = fresh.state.motion[0], fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
     if kind == "actuator":  # it has no limits to be brought within
-        asked = fresh.actuator.model.complete_state(fresh._initial_state)
+        asked = evaluator_of(fresh.actuator).complete_state(fresh._initial_state)
         start = asked.motion[0], fresh.actuator.voltage(asked)
     with Slave(fmus("mass", kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])

@@ -25,6 +25,7 @@ import strategies
 
 from dehyst import Compensator, DehystError, Snapshot
 from dehyst.control.following import follow
+from dehyst.model import needs_time
 
 HOSTILE = (np.nan, np.inf, -np.inf, 1e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30, -1e16, 5e-324, -1e-310, -0.0)
 # Of the spring's range.
@@ -231,7 +232,7 @@ class Life:
         if self.kind in ("lag", "dynamics", "all") or not self.sent:
             return
         voltage, time = np.array(self.sent), {}
-        if self.actuator.needs_time:
+        if needs_time(self.actuator):
             voltage = np.append(self.actuator.voltage(self.start), voltage)
             time = {"time": np.arange(voltage.size) * self.compensator.period}
         reached = self.actuator.simulate(voltage, state=self.start, extrapolate=True, **time).state

@@ -103,7 +103,7 @@ def numbers_of(fit: dehyst.Fit) -> Iterator[tuple[str, Any]]:
     yield "errors", np.array([[one.rms, one.largest] for one in fit.errors])
     volts = np.linspace(*actuator.limits, 50)
     path = np.concatenate([volts, volts[::-1], volts[:30], volts[30:10:-1]])
-    clock = np.arange(path.size) * 0.05 if actuator.needs_time else None
+    clock = np.arange(path.size) * 0.05
     yield "simulated", actuator.simulate(path, time=clock).displacement
     yield "delay", np.array([actuator.delay, actuator.lag])
     yield "summary", fit.summary(full=True)

@@ -138,7 +138,7 @@ class Trial:
 
     @property
     def course(self):
-        return {"time": self.time} if self.actuator.needs_time else {}
+        return {"time": self.time}
 
     @property
     def path(self):

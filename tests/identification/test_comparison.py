@@ -140,7 +140,7 @@ def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
     assert offset == pytest.approx(shift, abs=1e-6 * plain_records.VOLTS)
     rest = shifted[half:]
     voltage = without_offset(plant.actuator, rest.voltage, offset)
-    time = rest.time if plant.actuator.needs_time else None
+    time = rest.time
     again = plant.actuator.simulate(voltage, time=time, state=state).displacement
     assert np.abs(again - rest.displacement).max() < 1e-4 * plain_records.STROKE
 
@@ -153,7 +153,7 @@ def test_a_record_follows_from_the_state_in_which_it_began(name):
     rest = record[len(record) // 3 :]
     state, offset = initial_state(plant.actuator, rest, plain_records.STROKE)
     voltage = without_offset(plant.actuator, rest.voltage, offset)
-    time = rest.time if plant.actuator.needs_time else None
+    time = rest.time
     again = plant.actuator.simulate(voltage, time=time, state=state).displacement
     assert np.abs(again - rest.displacement).max() < 1e-2 * plain_records.STROKE
 

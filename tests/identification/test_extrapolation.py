@@ -26,7 +26,7 @@ def two_speeds(actuator):
     parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 200) for a, b in itertools.pairwise(corners)]
     voltage = np.concatenate([corners[:1], *parts, np.full(round(20 * RATE), corners[-1])])
     time = np.arange(voltage.size) / RATE
-    given = {"time": time} if actuator.needs_time else {}
+    given = {"time": time}
     return time, voltage, actuator.simulate(voltage, state=actuator.relaxed(), **given).displacement
 
 

@@ -12,6 +12,7 @@ import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.instruments import Samples
 from dehyst.instruments.samples import admitted
+from dehyst.model import evaluator_of
 from dehyst.waveforms import standard
 
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.
@@ -57,8 +58,8 @@ def test_micrometres_given_for_metres_are_refused():
 @pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
 def test_extrapolation_that_is_asked_for_gives_the_core_s_numbers(actuator):
     y = np.array([2.0, 12.0, -3.0])
-    core, start = actuator.core, actuator.model.core_state(actuator.state)
-    pace = actuator.model.step_coefficients(np.array([0, y.size]), np.zeros(1))
+    core, start = evaluator_of(actuator).core, evaluator_of(actuator).core_state(actuator.state)
+    pace = evaluator_of(actuator).step_coefficients(np.array([0, y.size]), np.zeros(1))
     expected, _ = core.compensate(y, pace, start)
     np.testing.assert_array_equal(FREE.compensate(y, extrapolate=True).voltage, expected)
     v = np.array([0.0, 1e4, -1e4])

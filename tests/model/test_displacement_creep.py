@@ -19,6 +19,7 @@ from dehyst import (
 )
 from dehyst.control import shortest_homing
 from dehyst.control.following import follow
+from dehyst.model import at_rest, knots_of
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -88,9 +89,9 @@ def test_derivatives_that_are_given_are_those_of_the_displacement():
 
 
 def test_a_held_voltage_ends_at_the_displacement_at_rest():
-    assert CREEPING.at_rest == pytest.approx(1.09)
+    assert at_rest(CREEPING) == pytest.approx(1.09)
     np.testing.assert_allclose(CREEPING.reach, 1.09 * np.array(PLANT.reach), rtol=1e-12, atol=1e-18)
-    np.testing.assert_allclose(CREEPING.knots, 1.09 * PLANT.spring.displacement[[0, -1]], rtol=1e-12)
+    np.testing.assert_allclose(knots_of(CREEPING), 1.09 * PLANT.spring.displacement[[0, -1]], rtol=1e-12)
     top = CREEPING.turned(5e-6)
     assert CREEPING.displacement(top) == pytest.approx(5e-6, rel=1e-14)
     held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
@@ -237,6 +238,8 @@ def test_a_cycle_repeats_from_its_steady_strains():
 
 
 def test_homing_waits_for_creep_in_displacement():
-    homing = shortest_homing(CREEPING, limits=CREEPING.voltage_range, tolerance=0.01 * float(np.ptp(CREEPING.knots)))
+    homing = shortest_homing(
+        CREEPING, limits=CREEPING.voltage_range, tolerance=0.01 * float(np.ptp(knots_of(CREEPING)))
+    )
     assert homing.certified
     assert np.ptp(homing.played.time) > PART.time_constants[-1]

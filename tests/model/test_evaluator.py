@@ -9,6 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
+from dehyst.model import Physical
 from examples import examples
 
 EXACT = 1e-12
@@ -208,9 +209,9 @@ def test_branches_that_fall_are_refused_and_no_others(seed, size):
         lambda: Actuator(SLIP, SPRING).simulate([0.0, 1], time=[1, 0]),
         lambda: Actuator(SLIP, SPRING, creep=CREEP).simulate([0.0, 1], time=[0, np.nan]),
         lambda: State(0, [0], motion=[1]),
-        lambda: Actuator(GRADED, SPRING).physical(**CONSTANTS),
-        lambda: Actuator(SLIP, SPRING, transformer=TAU).physical(**CONSTANTS),
-        lambda: Actuator(SLIP, SPRING).physical(**{**CONSTANTS, "transformer_ratio": 0}),
+        lambda: Physical.of(Actuator(GRADED, SPRING), **CONSTANTS),
+        lambda: Physical.of(Actuator(SLIP, SPRING, transformer=TAU), **CONSTANTS),
+        lambda: Physical.of(Actuator(SLIP, SPRING), **{**CONSTANTS, "transformer_ratio": 0}),
     ],
 )
 def test_impossible_parts_are_refused(make):
@@ -223,7 +224,7 @@ def test_charge_balances_power(motion):
     """The work v dq at the terminals is F dx on the elements and the spring: T v dx."""
     actuator, state, path = motion
     assume(path.size > 1)
-    paper, v = actuator.physical(**CONSTANTS), actuator.compensate(path, state=state, extrapolate=True).voltage
+    paper, v = Physical.of(actuator, **CONSTANTS), actuator.compensate(path, state=state, extrapolate=True).voltage
     q = paper.charge(path)
     x = np.diff(path) * 1.4e6 / paper.equivalent_stiffness
     mean = 0.5 * (v[1:] + v[:-1])

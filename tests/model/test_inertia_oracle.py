@@ -6,6 +6,7 @@ from electromechanical_oracle import moving
 from paper_stacks import CONSTANTS, KE, KM, T, actuator_of, paper_stack
 
 from dehyst import Dynamics, State
+from dehyst.model import Physical
 
 STACK = paper_stack()
 OMEGA = 2 * np.pi * 1000
@@ -41,7 +42,7 @@ def test_motion_and_charge_are_the_circuits_at_second_order_in_the_step(damping,
     for finer in (1, 2, 4, 8):
         time = END * np.arange(finer * COARSE + 1) / (finer * COARSE)
         got = actuator.simulate(voltage(time), time=time, load=load(time), state=REST)
-        charge = actuator.physical(**CONSTANTS).charge([got.state.deformation])[0]
+        charge = Physical.of(actuator, **CONSTANTS).charge([got.state.deformation])[0]
         errors.append(
             [np.abs(got.displacement[::finer] - y).max() / np.ptp(y), np.abs(charge - q[-1]).max() / np.ptp(q)]
         )

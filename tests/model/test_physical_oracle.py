@@ -6,6 +6,7 @@ from electromechanical_oracle import charge_driven, legs, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, actuator_of, assert_proportional, paper_stack
 
 from dehyst import Dynamics, State
+from dehyst.model import Physical
 from examples import at_night
 
 STACK = paper_stack()
@@ -31,14 +32,14 @@ def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(re
         # The circuit starts in balance: its first voltage is the actuator's of that state.
         assert actuator.voltage(start) == pytest.approx(0.0, abs=1e-9)
         got = actuator.simulate(voltage(time), state=start).displacement
-        charge = actuator.physical(**CONSTANTS).charge(got)
+        charge = Physical.of(actuator, **CONSTANTS).charge(got)
         errors.append([np.abs(got - y).max() / np.ptp(y), np.abs(charge - q).max() / np.ptp(q)])
     for kind in np.transpose(errors):
         assert_vanishes(kind)
 
 
 def test_the_papers_numbers_come_back():
-    paper = actuator_of(STACK).physical(**CONSTANTS)
+    paper = Physical.of(actuator_of(STACK), **CONSTANTS)
     np.testing.assert_allclose(paper.stiffness, STACK.stiffness, rtol=1e-12)
     np.testing.assert_allclose(paper.friction, STACK.friction, rtol=1e-12)
     np.testing.assert_allclose(paper.deformation, STACK.x, rtol=1e-12, atol=1e-18)
@@ -90,7 +91,7 @@ def test_a_slow_load_under_a_voltage_moves_the_charge_too():
     errors = []
     for resistance in RESISTANCES:
         q, y = quasi_static(STACK, time, voltage, resistance, load=load)
-        charge = actuator.physical(**CONSTANTS).charge(got - load(time) / (KM + KE))
+        charge = Physical.of(actuator, **CONSTANTS).charge(got - load(time) / (KM + KE))
         errors.append(max(np.abs(got - y).max() / np.ptp(y), np.abs(charge - q).max() / np.ptp(q)))
     assert_vanishes(errors)
     # Far more than what a plain F / kc leaves out.

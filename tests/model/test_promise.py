@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, ModelError
-from dehyst.model import MaxwellSlip, Spring, Thermal, Validity
+from dehyst.model import MaxwellSlip, Spring, Thermal, Validity, with_identification
 from dehyst.model.promise import distances, legs, promise
 from dehyst.model.temperatures import temperatures_to_record
 
@@ -86,7 +86,8 @@ def test_a_promise_never_falls_with_the_errors_and_is_never_nothing(turns, rms, 
 
 
 def test_a_model_file_keeps_it():
-    model = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, STROKE], [0.0, 100.0])).with_identification(validity=TOPS)
+    plain = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, STROKE], [0.0, 100.0]))
+    model = with_identification(plain, validity=TOPS)
     again = Actuator.from_dict(model.as_dict())
     assert again.identification.validity.as_dict() == TOPS.as_dict()
     warm = replace(TOPS, temperatures=(15.0, 45.0))

@@ -27,6 +27,8 @@ from dehyst.model import (
     State,
     Thermal,
     Transformer,
+    slew_rate_of_records,
+    with_identification,
 )
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
@@ -160,13 +162,12 @@ def test_wider_parts_come_back_exactly(tmp_path):
 @pytest.mark.parametrize("speed", [None, 100 / 3])
 def test_the_speed_of_the_records_comes_back(tmp_path, limits, speed):
     plain = made()
-    actuator = Actuator(plain.slip, plain.spring, limits=limits, recorded_slew_rate=speed)
+    actuator = with_identification(Actuator(plain.slip, plain.spring, limits=limits), slew_rate=speed)
     back = through_a_file(actuator, tmp_path / "a.json")
-    assert (back.limits, back.recorded_slew_rate) == (limits, speed)
-    assert ("recorded_slew_rate_V_per_s" in (back.as_dict()["limits"] or {})) == (speed is not None)
+    assert (back.limits, slew_rate_of_records(back)) == (limits, speed)
     for wrong in (0.0, -1.0, np.inf, "fast"):
-        with pytest.raises(ModelError, match="recorded_slew_rate"):
-            Actuator(plain.slip, plain.spring, recorded_slew_rate=wrong)
+        with pytest.raises(ModelError, match="slew_rate"):
+            Identification(slew_rate=wrong)
 
 
 def objects(data, place=()):
@@ -243,9 +244,9 @@ def test_every_value_is_of_its_kind(wrong):
         ("state.deformation_m", 2e-5),
         ("dynamics.damping", -1.0),
         ("load_stiffness_N_per_m", 0.0),
-        ("limits.voltage_V", [100.0, 0.0]),
-        ("limits.voltage_V", [5.0, 5.0]),
-        ("limits.voltage_V", [0.0, 1.0, 2.0]),
+        ("limits_V", [100.0, 0.0]),
+        ("limits_V", [5.0, 5.0]),
+        ("limits_V", [0.0, 1.0, 2.0]),
         ("identification.goal_percent", -1.0),
         ("identification.outcome", "FINE"),
     ],
@@ -265,7 +266,7 @@ def test_impossible_numbers_are_refused(where, value):
         ("smooth.stiffness_V_per_m", [1.0, 1e21]),
         ("dynamics.series_V_per_m", 1e30),
         ("load_stiffness_N_per_m", 1e29),
-        ("limits", {"voltage_V": [0.0, 100.0], "recorded_slew_rate_V_per_s": 1e12}),
+        ("identification", Identification(slew_rate=1e12).as_dict()),
         ("thermal", {"gain_per_K": 1e9, "offset_m_per_K": 0.0, "reference_degC": 20.0}),
         ("thermal", {"gain_per_K": 1e-3, "offset_m_per_K": -1.0, "reference_degC": 20.0}),
         ("thermal", {"gain_per_K": 1e-3, "offset_m_per_K": 0.0, "reference_degC": 3e5}),

@@ -23,6 +23,7 @@ from dehyst import (
     Transformer,
 )
 from dehyst._native import CoreState, StepCoefficients
+from dehyst.model import evaluator_of
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -231,7 +232,7 @@ def test_the_equation_holds_to_its_rounding(seed):
 
 
 def test_a_sample_that_is_not_a_number_moves_nothing():
-    core, held = ACTUATOR.model.core, ACTUATOR.model.core_state(ACTUATOR.state)
+    core, held = evaluator_of(ACTUATOR).core, evaluator_of(ACTUATOR).core_state(ACTUATOR.state)
 
     def pace(samples):
         return StepCoefficients(np.array([0, samples]), *np.empty((3, 1, 0)))
@@ -270,8 +271,8 @@ def test_after_a_long_motion_they_are_as_long_as_they_get():
         lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[1e-6]), smooth=SMOOTH),
         lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[0.0])),
         lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
-        lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.zeros(1), NONE)),
-        lambda: ACTUATOR.model.core.voltage(CoreState(0.0, np.zeros(2), np.ones(2), NONE)),
+        lambda: evaluator_of(ACTUATOR).core.voltage(CoreState(0.0, np.zeros(2), np.zeros(1), NONE)),
+        lambda: evaluator_of(ACTUATOR).core.voltage(CoreState(0.0, np.zeros(2), np.ones(2), NONE)),
     ],
 )
 def test_refusals(make):

@@ -13,6 +13,7 @@ from summaries import PARTS, VOLTS, anatomy
 import dehyst
 from dehyst import DisplacementCreep, MissingExtraError, ModelError, RecordError, Structure
 from dehyst.control import plan_path
+from dehyst.model import creep_times, major_loop
 from dehyst.report.report import render
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -132,8 +133,8 @@ OPTIONAL = (
 def test_every_combination_of_parts_is_drawn_and_reported(things, chosen):
     parts = [part for part, taken in zip(OPTIONAL, chosen, strict=True) if taken]
     actuator = replace(anatomy("plain"), **{name: value for part in parts for name, value in part.items()})
-    low, high = actuator.major_loop((0.0, VOLTS))
-    for kind in [*KINDS["actuator"], *(["creep"] if actuator.creep_times.size else [])]:
+    low, high = major_loop(actuator, (0.0, VOLTS))
+    for kind in [*KINDS["actuator"], *(["creep"] if creep_times(actuator).size else [])]:
         ax = actuator.plot(kind, ax=axes())
         ax.figure.canvas.draw()
         if kind == "loop":

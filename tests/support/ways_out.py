@@ -21,7 +21,7 @@ from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, wave_table
 from dehyst.control.following import follow
 from dehyst.instruments.base import TICK
-from dehyst.model import Creep, Dynamics, Stage
+from dehyst.model import Creep, Dynamics, Stage, with_identification
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of
 
@@ -292,7 +292,7 @@ class Life:
 
     def file(self):
         """What `dehyst compensate` writes."""
-        known = replace(self.actuator, recorded_slew_rate=self.slew)
+        known = with_identification(self.actuator, slew_rate=self.slew)
         if self.kind == "creep":
             return
         with tempfile.TemporaryDirectory() as folder:

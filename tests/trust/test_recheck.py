@@ -10,7 +10,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
-from dehyst.model import MaxwellSlip, Spring
+from dehyst.model import MaxwellSlip, Spring, with_identification
 from dehyst.trust.recheck import Standing
 
 STROKE = 16.152e-6
@@ -156,7 +156,7 @@ def test_the_goal_is_that_of_the_identification():
     model = loops.model()
     assert model.identification.goal == 1.0
     assert dehyst.check(model, loops.later()).goal == 1.0
-    assert dehyst.check(model.with_identification(goal=2.5), loops.later()).goal == 2.5
+    assert dehyst.check(with_identification(model, goal=2.5), loops.later()).goal == 2.5
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "transformer", "creep", "smooth", "all"])

@@ -5,6 +5,7 @@ from electromechanical_oracle import legs, moving, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, assert_proportional, paper_stack
 
 from dehyst import Record
+from dehyst.model import Physical
 from dehyst_rivals import GoldfarbCelanovic
 
 STACK = paper_stack(linear=True)
@@ -34,7 +35,7 @@ def identified(record):
 def test_stiffnesses_and_break_forces_come_back_as_the_friction_becomes_dry():
     errors = []
     for resistance in RESISTANCES:
-        paper = identified(recorded(resistance)[0]).actuator.physical(**CONSTANTS)
+        paper = Physical.of(identified(recorded(resistance)[0]).actuator, **CONSTANTS)
         k = np.abs(paper.stiffness - STACK.stiffness).max() / STACK.stiffness.max()
         f = np.abs(paper.friction - STACK.friction).max() / STACK.friction.max()
         linear = np.abs(np.diff(paper.nonlinear)).max() / paper.parallel[-1]
@@ -51,7 +52,7 @@ def test_it_is_their_recipe():
     rise = slice(0, top + 1)
     places = np.concatenate([[0.0], REACH, [q[top] / T]])
     slopes = np.diff(np.interp(places, q[rise] / T, T * record.voltage[rise])) / np.diff(places)
-    paper = identified(record).actuator.physical(**CONSTANTS)
+    paper = Physical.of(identified(record).actuator, **CONSTANTS)
     np.testing.assert_allclose(paper.stiffness, -np.diff(slopes), rtol=1e-9)
     np.testing.assert_allclose(paper.friction, -np.diff(slopes) * REACH, rtol=1e-9)
     np.testing.assert_allclose(np.diff(paper.parallel) / np.diff(paper.deformation), slopes[-1], rtol=1e-9)
@@ -82,7 +83,7 @@ def test_the_slower_a_mass_is_moved_the_less_it_matters():
             return 100 * np.pi * speed * np.sin(np.pi * speed * t)
 
         _, y = moving(STACK, mass, 0.1 * omega * mass, time, lambda t, speed=speed: shape(speed * t), rate)
-        paper = identified(Record(time, shape(speed * time), y)).actuator.physical(**CONSTANTS)
+        paper = Physical.of(identified(Record(time, shape(speed * time), y)).actuator, **CONSTANTS)
         errors.append(np.abs(paper.stiffness - STACK.stiffness).max() / STACK.stiffness.max())
     assert np.all(np.diff(errors) < 0)
     assert errors[-1] < 0.01

@@ -18,7 +18,7 @@ from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification import Fit, StageFit, identify, write_traces
 from dehyst.instruments import AbstractRig
-from dehyst.model import Actuator, Stage
+from dehyst.model import Actuator, Stage, at_reference
 from dehyst.records import Record, cleaned
 from dehyst.trust import Insight, insight
 from dehyst.waveforms import Excitation
@@ -249,7 +249,7 @@ class _Run:
             held_out,
             excitations.homing(),
             excitations.leg,
-            ends=_ends(fit.actuator.at_reference(loops)),
+            ends=_ends(at_reference(fit.actuator, loops)),
             insight=assessment,
             creep=creep,
         )

@@ -28,6 +28,8 @@ from dehyst.model import (
     Actuator,
     State,
     demand_thermal,
+    evaluator_of,
+    major_loop,
     state_within_limits,
 )
 
@@ -286,7 +288,7 @@ class Compensator(ReadOnly):
     @property
     def state(self) -> State:
         """State of the actuator after all voltages sent."""
-        return self.actuator.model.state_of(CoreState(*self._loop.state())) if self._running else self._start
+        return evaluator_of(self.actuator).state_of(CoreState(*self._loop.state())) if self._running else self._start
 
     @property
     def clamps(self) -> Clamps:
@@ -308,7 +310,7 @@ class Compensator(ReadOnly):
     @cached_property
     def _reach(self) -> tuple[float, float]:
         """The `reach` of the model, without gain and offset."""
-        low, high = self.actuator.major_loop(self.limits)
+        low, high = major_loop(self.actuator, self.limits)
         return low * self._per_metre, high * self._per_metre
 
     def reset(self, state: State | None = None) -> None:
@@ -429,7 +431,7 @@ class Compensator(ReadOnly):
 
     def _core_start(self) -> CoreState:
         """Return the state at the construction or the last reset, as numbers of the C core."""
-        return self.actuator.model.core_state(self._start)
+        return evaluator_of(self.actuator).core_state(self._start)
 
     @property
     def _running(self) -> bool:

@@ -17,7 +17,7 @@ from dehyst._validation import vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits
 from dehyst.control.stage_compensator import to_release
-from dehyst.model import Actuator, Motion, PathData, Stage, State, apply, dot, reachable
+from dehyst.model import Actuator, Motion, PathData, Stage, State, apply, dot, evaluator_of, needs_time, reachable
 
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
@@ -144,7 +144,7 @@ def _follow(
     path, state = _Path(actuator, wanted, time, *rates), start
     # Raises if the time is missing or does not fit. Of few runs of equal steps, and no part that still responds to
     # voltages before, what comes after a clamped sample is stepped through.
-    steps_on = path.clock[1].size <= _FEW and not actuator.model.has_dynamics
+    steps_on = path.clock[1].size <= _FEW and not evaluator_of(actuator).has_dynamics
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
@@ -169,7 +169,7 @@ def _follow(
             # After a clamped sample others follow soon: sample by sample, then, to the end.
             voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
             break
-    if actuator.model.has_dynamics:
+    if evaluator_of(actuator).has_dynamics:
         motion = actuator.simulate(voltage, time=time, state=start, extrapolate=True)
         reached, state = motion.displacement, motion.state
     return Followed(voltage, reached, clamped, state)
@@ -188,21 +188,21 @@ class _Path:
     @cached_property
     def clock(self) -> tuple[NDArray[np.int64], Array]:
         """Runs of equal steps, see `Evaluator.clock`."""
-        return self.actuator.model.clock(self.time, self.wanted.size, TIME_NEEDED)
+        return evaluator_of(self.actuator).clock(self.time, self.wanted.size, TIME_NEEDED)
 
     @cached_property
     def data(self) -> dict[str, Array]:
         """The given values of time and derivatives that have an effect, one for each sample."""
-        columns = {"time": self.time} if self.actuator.needs_time else {}
+        columns = {"time": self.time}
         if self.actuator.dynamics is not None:
             data = PathData(self.time, None, self.velocity, self.acceleration)
-            columns["velocity"], columns["acceleration"] = self.actuator.model.derivatives(self.wanted, data)
+            columns["velocity"], columns["acceleration"] = evaluator_of(self.actuator).derivatives(self.wanted, data)
         return {name: vector(values, name) for name, values in columns.items() if values is not None}
 
     @cached_property
     def lead(self) -> Array:
         """The difference w - y (n,) [m]."""
-        return self.actuator.model.lead(self.wanted, PathData(**self.data))
+        return evaluator_of(self.actuator).lead(self.wanted, PathData(**self.data))
 
     def compensate(self, i: int, stop: int, start: State) -> tuple[Array, State]:
         """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the final state."""
@@ -216,7 +216,7 @@ class _Path:
     def _piece(self, i: int, stop: int, start: State) -> Motion:
         first, path = self._first(i), self.wanted[self._first(i) : stop]
         if first < i:
-            model, m = self.actuator.model, start.deformation - self.lead[first]
+            model, m = evaluator_of(self.actuator), start.deformation - self.lead[first]
             here = model.displacement(replace(start, deformation=m), of_mass=False)
             path = np.concatenate([[here], path[1:]])
         data: dict[str, Any] = {name: values[first:stop] for name, values in self.data.items()}
@@ -224,7 +224,7 @@ class _Path:
 
     def _first(self, i: int) -> int:
         """Return the first sample of a piece that starts at sample i."""
-        return max(i - 1, 0) if self.actuator.needs_time else i
+        return max(i - 1, 0) if needs_time(self.actuator) else i
 
     def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
         """Return displacement and state after the voltage of sample i."""
@@ -235,7 +235,7 @@ class _Path:
 
     def step(self, first: int, before: float, start: State, limits: VoltageLimits) -> tuple[Array, Array, Mask, State]:
         """Step through the samples from `first`; return voltages, displacements, clamped samples and the state."""
-        model, n, state = self.actuator.model, self.wanted.size, start
+        model, n, state = evaluator_of(self.actuator), self.wanted.size, start
         bounds, durations = self.clock
         voltage, reached_by, offers = np.empty(n), np.empty(n), np.empty(n)
         w = self.wanted + self.lead

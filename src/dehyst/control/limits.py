@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DehystError, ModelError
 from dehyst._types import Array
 from dehyst._validation import interval, keep, number, untimely, vector
-from dehyst.model import Actuator, Range, voltage_error
+from dehyst.model import Actuator, Range, major_loop, voltage_error
 
 # The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
@@ -282,7 +282,7 @@ def stray_sentence(
     if not sentence or (limits.low, limits.high) == actuator.limits:
         return sentence
     try:
-        return actuator._implausibility(displacement, load, actuator.major_loop((limits.low, limits.high)))
+        return actuator._implausibility(displacement, load, major_loop(actuator, (limits.low, limits.high)))
     except ModelError:
         return sentence
 

@@ -15,7 +15,7 @@ from dehyst._native import CoreState, Loop, StepCoefficients, checked
 from dehyst._types import Array
 from dehyst._validation import keep, vector
 from dehyst.control.limits import VoltageLimits, warn_of_sample
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, evaluator_of
 from dehyst.model import serialization as files
 
 FORMAT = "dehyst-loop"
@@ -41,7 +41,7 @@ def step_numbers(
 
     Raise `ModelError` if a period is missing, too long for a resonance, or too short for the slew rate.
     """
-    model, slew = actuator.model, limits.slew_rate
+    model, slew = evaluator_of(actuator), limits.slew_rate
     if period is None and (model.needs_time or slew is not None):
         raise ModelError(
             "creep, inertia, a lag or a slew rate need the time between steps",
@@ -76,7 +76,8 @@ def make_loop(
         guess = before if assumed and before == begin else None
         warn_of_sample(actuator, limits, slewed, displacement, voltage, guess)
 
-    loop = actuator.model.core.loop(coefficients, taps, np.array(numbers), warn if warns else lambda *_: None, start)
+    core = evaluator_of(actuator).core
+    loop = core.loop(coefficients, taps, np.array(numbers), warn if warns else lambda *_: None, start)
     begin = loop.sent()
     return loop
 
@@ -144,7 +145,8 @@ class Snapshot(files.JsonFile):
                 argument="snapshot",
                 hint="make the compensator as it was",
             )
-        state, size = actuator.model.core_state(actuator.model.complete_state(self.state)), loop.rest().size
+        model, size = evaluator_of(actuator), loop.rest().size
+        state = model.core_state(model.complete_state(self.state))
         if self.rest.size != size:
             raise ModelError(argument="snapshot", got=f"{self.rest.size} numbers beside the state", need=str(size))
         if not limits.low <= self.rest[0] <= limits.high:

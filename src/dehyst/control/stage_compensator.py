@@ -16,7 +16,7 @@ from dehyst._validation import for_each, interval, keep, plain, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
 from dehyst.control.loop import ReadOnly, Snapshot
-from dehyst.model import Stage, State, apply, dot, reachable, state_after_loops
+from dehyst.model import Stage, State, apply, dot, evaluator_of, reachable, state_after_loops
 
 
 class StageCompensator(ReadOnly):
@@ -120,7 +120,7 @@ class StageCompensator(ReadOnly):
         moved = []
         for one, state in zip(self.compensators, self.states, strict=True):
             gain, offset = one._scaling
-            moved.append(offset + gain * one.actuator.model.displacement(state, of_mass=False))
+            moved.append(offset + gain * evaluator_of(one.actuator).displacement(state, of_mass=False))
         return np.asarray(apply(self.stage.coupling, np.array([moved]))[0])
 
     def step(self, displacement: ArrayLike, temperature: ArrayLike | None = None) -> Array:

@@ -12,6 +12,7 @@ from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.model_header import ExportedStart, demand_compensator
 from dehyst.exports.naming import shipped, shipped_bytes
+from dehyst.model import evaluator_of
 
 _MAGIC = b"\0asm\1\0\0\0"
 _PLAIN_NAME = re.compile(r"[\w.-]+")
@@ -72,7 +73,7 @@ def wasm_module(compensator: Compensator) -> bytes:
         "limits": list(compensator.limits),
         "slewRate": compensator.slew_rate,
         "period": compensator.period,
-        "needsPeriod": actuator.model.needs_time or compensator._previews,
+        "needsPeriod": evaluator_of(actuator).needs_time or compensator._previews,
         "samplesAhead": compensator.samples_ahead,
         "reach": list(compensator._clone("m").reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},

@@ -22,7 +22,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, State
+from dehyst.model import Actuator, Identification, State, at_reference, at_rest, needs_time
 from dehyst.records import Record, counting, largest, rms, turning_points
 
 # Rows at most: of a longer record some of its samples, evenly.
@@ -131,9 +131,9 @@ class RecordComparison:
         state = state.shifted(self.datum)
         for start, stop, counted in _runs(piece, first, last):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
-            again = int(actuator.needs_time and start > first)
+            again = int(needs_time(actuator) and start > first)
             run, own = slice(start - again, stop), slice(start, stop)
-            time = piece.time[run] if model.needs_time else None
+            time = piece.time[run]
             measured = piece.displacement[run] + self.datum
             if counted:
                 voltage = without_offset(actuator, piece.voltage[run], offset)
@@ -378,7 +378,7 @@ def _datum(compared: RecordComparison, actuator: Actuator) -> float:
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
     """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor."""
     known = actuator.identification or Identification()
-    return prepare(actuator.at_reference(record), ringing=known.ringing).without_lag(known.sensor_lag)
+    return prepare(at_reference(actuator, record), ringing=known.ringing).without_lag(known.sensor_lag)
 
 
 def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[RecordComparison, ...], float]:
@@ -501,7 +501,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         rms_with_drift=rms(drifting),
         stroke=compared.stroke,
         offset=float(np.median(list(compared.found.offsets.values()))) - compared.base,
-        datum=actuator.at_rest * compared.datum,
+        datum=at_rest(actuator) * compared.datum,
         drift=compared.drift,
         decades=float(np.ptp(curve)),
         steady=record.steady,

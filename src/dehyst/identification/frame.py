@@ -245,7 +245,7 @@ class Frame:
         model = replace(actuator._before_creep, lag=0.0, thermal=None)
         voltage = without_offset(model, (path.voltage if late is None else late)[own], offset)
         time = path.time[own]
-        played = model.simulate(voltage, time=time if model.needs_time else None, state=state, extrapolate=True)
+        played = model.simulate(voltage, time=time, state=state, extrapolate=True)
         measured = path.displacement if actuator.dynamics is None else self._measured(q, k)
         return time, measured[own] - played.displacement
 

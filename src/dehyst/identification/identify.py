@@ -32,7 +32,7 @@ from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
 from dehyst.identification.temperature import temperatures_of
-from dehyst.model import Actuator, Identification, Outcome, Thermal
+from dehyst.model import Actuator, Identification, Outcome, Thermal, with_identification
 from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms, thinned
 
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
@@ -203,7 +203,7 @@ class _Run:
             self.frame = search.with_datums(self.frame)
         if self.first_model is not None:
             made = search.fitted(self.frame, PLAIN, search.FEW)
-            self.first_model(self.named(made.actuator).with_identification(provisional=True))
+            self.first_model(with_identification(self.named(made.actuator), provisional=True))
         plain = settings.structure == "maxwell_slip"
         names = self._moving(plain=plain)
         made = self._static(names, plain=plain)
@@ -283,6 +283,7 @@ class _Run:
     def recorded(self, structure: Structure | None = None) -> dict[str, Any]:
         """Return voltages, slew rate and identification of the used records as arguments of `Actuator`."""
         settings = self.settings
+        pieces = [(piece.time, piece.voltage) for item in self.training for piece in item.pieces]
         known = Identification(
             lag_of=settings.lags or "",
             slope_floor=settings.slope_floor,
@@ -291,11 +292,10 @@ class _Run:
             sensor_lag=settings.sensor_lag or 0.0,
             ringing=self.ringing,
             smoothing=None if structure is None else structure.smoothing,
+            slew_rate=recorded_slew_rate(pieces),
         )
-        pieces = [(piece.time, piece.voltage) for item in self.training for piece in item.pieces]
         return {
             "limits": self.limits,
-            "recorded_slew_rate": recorded_slew_rate(pieces),
             "identification": known,
             "provenance": self.provenance(structure),
         }
@@ -391,7 +391,8 @@ class _Run:
         given_records = [item.record for item in records]
         validity = validity_of(given_records, errors, remaining, held_out, noise, lag, validated=validated)
         expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
-        actuator = actuator.with_identification(
+        actuator = with_identification(
+            actuator,
             outcome=outcome,
             largest_error=max(error.largest for error in trained),
             goal=self.goal,

@@ -355,7 +355,7 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
     time = np.arange(voltage.size) * frame.times[0]
 
     def played(one: Actuator) -> Array:
-        path = one.simulate(voltage, time=time if one.needs_time else None, extrapolate=True).displacement
+        path = one.simulate(voltage, time=time, extrapolate=True).displacement
         return path[4 * _LEG :]
 
     mine, squares, weights = played(actuator), [], []

@@ -1,9 +1,20 @@
 """The model: an actuator, its parts and its state."""
 
 from dehyst.model import serialization
-from dehyst.model.actuator import Actuator
+from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import Range, slow_motion, voltage_error
+from dehyst.model.checks import (
+    Range,
+    at_reference,
+    at_rest,
+    creep_times,
+    knots_of,
+    major_loop,
+    needs_time,
+    quasistatic,
+    slow_motion,
+    voltage_error,
+)
 from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
@@ -16,7 +27,7 @@ from dehyst.model.elements import (
     segment_of,
 )
 from dehyst.model.evaluator import PathData
-from dehyst.model.identification import Identification, Outcome
+from dehyst.model.identification import Identification, Outcome, slew_rate_of_records, with_identification
 from dehyst.model.physical import Physical
 from dehyst.model.promise import (
     CELLS,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import EMPTY, Core
+from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
 from dehyst._views.pictures import plotted
@@ -22,9 +22,7 @@ from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, f
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
-from dehyst.model.physical import Physical
 from dehyst.model.serialization import JsonFile
-from dehyst.records import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,8 +70,6 @@ class Actuator(JsonFile, AbstractModel):
         + ke. Without dynamics it is the effective stiffness under the driver in use.
     smooth : SmoothSlip, optional
         Elements that yield gradually, in parallel with the others.
-    recorded_slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] of the records that the numbers come from, with a margin of 5 %; default: not known.
     displacement_creep : DisplacementCreep, optional
         Creep in displacement, applied after elements and mass: with it `simulate` and `compensate` need `time`.
     thermal : Thermal, optional
@@ -101,7 +97,6 @@ class Actuator(JsonFile, AbstractModel):
     lag: float = 0.0
     load_stiffness: float | None = None
     smooth: SmoothSlip | None = None
-    recorded_slew_rate: float | None = None
     displacement_creep: DisplacementCreep | None = None
     thermal: Thermal | None = None
 
@@ -109,9 +104,9 @@ class Actuator(JsonFile, AbstractModel):
         keep(self, **checks.checked_parts(self))
         least_slope(self.slip, self.spring)
         if self.state is None:
-            keep(self, state=self.turned(self.knots[1], extrapolate=True))
+            keep(self, state=self.turned(checks.knots_of(self)[1], extrapolate=True))
         self._start(self.state)
-        _ = self.core  # refuses what a part alone cannot check
+        _ = self._evaluator.core  # refuses what a part alone cannot check
         if self.limits is not None:
             keep(self, limits=interval(self.limits))
 
@@ -166,41 +161,19 @@ class Actuator(JsonFile, AbstractModel):
         further = (self.transformer, *creeping, self.smooth, self.dynamics, self.load_stiffness, self.thermal)
         return isinstance(self.slip, GradedSlip) or self.lag != 0 or any(part is not None for part in further)
 
-    @property
-    def needs_time(self) -> bool:
-        """Whether `simulate` and `compensate` need the time of each sample."""
-        return self.model.needs_time
-
     @cached_property
     def reach(self) -> tuple[float, float]:
         """Displacements [m] at the lower and the upper limit of slow major loops, with creep at rest.
 
         Without limits: the first and the last knot of the spring.
         """
-        return self.knots if self.limits is None else self.major_loop(self.limits)
+        return checks.knots_of(self) if self.limits is None else checks.major_loop(self, self.limits)
 
     @property
     def stroke(self) -> float:
         """The full stroke [m]: the range of the widest loop of its records, or of `reach` if it is not known."""
         tested = None if self.identification is None else self.identification.validity
         return float(np.ptp(self.reach)) if tested is None else tested.stroke
-
-    @property
-    def knots(self) -> tuple[float, float]:
-        """Displacements [m] at the first and the last knot of the spring, creep at rest."""
-        first, last = self.spring.displacement[[0, -1]].tolist()
-        return self.at_rest * first, self.at_rest * last
-
-    @property
-    def creep_times(self) -> Array:
-        """Time constants [s] of creep as a force and in displacement; empty without creep."""
-        parts = (part for part in (self.creep, self.displacement_creep) if part is not None)
-        return np.concatenate([EMPTY, *(part.time_constants for part in parts)])
-
-    @property
-    def at_rest(self) -> float:
-        """Ratio of the displacement after creep in displacement has come to rest to the displacement without it."""
-        return 1.0 if self.displacement_creep is None else self.displacement_creep.at_rest
 
     @cached_property
     def _before_creep(self) -> Actuator:
@@ -209,23 +182,18 @@ class Actuator(JsonFile, AbstractModel):
             return self
         return replace(self, displacement_creep=None, state=replace(self.state, displacement_creep=EMPTY))
 
-    def major_loop(self, limits: tuple[float, float]) -> tuple[float, float]:
-        """Return the displacements [m] of slow loops at both `limits` [V], with creep at rest."""
-        low, high = checks.slow_loops(self, limits).displacement[-2:].tolist()
-        return low, high
-
     @cached_property
     def voltage_range(self) -> tuple[float, float]:
         """The limits [V]; without limits, the voltage range of the largest loop within the spring's knots."""
         if self.limits is not None:
             return self.limits
-        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(self.knots))
+        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(checks.knots_of(self)))
         return self.voltage(low), self.voltage(high)
 
     @cached_property
     def _plausible(self) -> Range:
         """Range of displacements [m] over `reach` and the spring's knots; the knots alone if the reach is not known."""
-        knots = Range(*self.knots)
+        knots = Range(*checks.knots_of(self))
         try:
             low, high = self.reach
         except ModelError:
@@ -236,13 +204,8 @@ class Actuator(JsonFile, AbstractModel):
     def _voltages(self) -> Range:
         return Range(*self.voltage_range)
 
-    @property
-    def core(self) -> Core:
-        """The parts as an object of the C core."""
-        return self.model.core
-
     @cached_property
-    def model(self) -> Evaluator:
+    def _evaluator(self) -> Evaluator:
         """The evaluator of all parts."""
         return Evaluator(**{part.name: getattr(self, part.name) for part in fields(Evaluator)})
 
@@ -293,7 +256,7 @@ class Actuator(JsonFile, AbstractModel):
         (v, low, high), start = spanned(voltage, "voltage"), self._start(state)
         if not extrapolate:
             self._refuse_voltages(low, high)
-        y, reached = self.model.simulate(v, PathData(time, load, temperature=temperature), start, stack)
+        y, reached = self._evaluator.simulate(v, PathData(time, load, temperature=temperature), start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
     def compensate(
@@ -340,7 +303,7 @@ class Actuator(JsonFile, AbstractModel):
         if not extrapolate and self._plausible.is_far(low, high):
             self._refuse_displacements(y, load)
         path = PathData(time, load, velocity, acceleration, temperature)
-        v, reached = self.model.compensate(y, path, start, stack)
+        v, reached = self._evaluator.compensate(y, path, start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
@@ -352,7 +315,7 @@ class Actuator(JsonFile, AbstractModel):
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
             self._refuse_voltages(v, v)
-        y = self.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
+        y = self._evaluator.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
     def turned(self, displacement: float, *, rising: bool = True, extrapolate: bool = False) -> State:
@@ -363,28 +326,25 @@ class Actuator(JsonFile, AbstractModel):
         than one stroke outside of `reach` and the knots of the spring, unless `extrapolate`.
         """
         y = number(displacement, "displacement")
-        if not extrapolate and not self.knots[0] <= y <= self.knots[1]:
+        low, high = checks.knots_of(self)
+        if not extrapolate and not low <= y <= high:
             self._refuse_displacements(np.array([y]))
         side = 1 if rising else -1
         smooth = () if self.smooth is None else side * self.smooth.length
-        w = y / self.at_rest
+        w = y / checks.at_rest(self)
         return State(w, w - side * self.slip.breakaway, smooth=smooth)
-
-    def quasistatic(self) -> Actuator:
-        """Return the actuator without inertia and amplifier lag, which slow motions do not excite."""
-        return replace(self, dynamics=None, lag=0.0, state=replace(self.state, motion=EMPTY))
 
     def voltage(self, state: State | None = None) -> float:
         """Return the voltage [V] that holds the actuator in `state`, by default ``self.state``."""
         start = self._start(state)
-        v = self.core.voltage(self.model.core_state(start))
+        v = self._evaluator.core.voltage(self._evaluator.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
         # What rounding leaves of 0 V.
         return 0.0 if abs(v) < _ROUNDING * float(np.ptp(self.spring.voltage)) else v
 
     def displacement(self, state: State | None = None) -> float:
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
-        return self.model.displacement(self._start(state))
+        return self._evaluator.displacement(self._start(state))
 
     def margins(self, period: float, margin_db: float = 6.0, *, preview: bool = False) -> tuple[float, float]:
         """Return the gain of a feedback around the compensator, and the bandwidth that it has.
@@ -422,19 +382,6 @@ class Actuator(JsonFile, AbstractModel):
         factor = 10 ** (margin_db / 20)
         return feedback_margins(self.dynamics, period, factor, preview=preview)
 
-    def physical(
-        self, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
-    ) -> Physical:
-        """Convert to the paper's symbols (Table 1).
-
-        With c = keq/km: k_i = kappa_i T c, r_i = rho_i / c, f_i = k_i r_i, h = T eta, g = h - keq x. Data of (v, y)
-        determine x up to x(0): here x = 0 is where the spring alone holds 0 V.
-
-        `transformer_ratio`: T [N/V]. `mechanical_stiffness`, `electrical_stiffness`: km and ke = T^2 / C [N/m]. Raise
-        `ModelError` if one of them is not a positive number, elements are graded, or there is a transformer curve.
-        """
-        return Physical.of(self, transformer_ratio, mechanical_stiffness, electrical_stiffness)
-
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
         return serialization.as_dict(self)
@@ -446,19 +393,6 @@ class Actuator(JsonFile, AbstractModel):
         Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
         """
         return cls(**serialization.parts(data))
-
-    def at_reference(self, record: Record) -> Record:
-        """Return a `record` of one axis as it would have been at the reference of `thermal`.
-
-        Without that part, or if the record has no temperature, it is returned as it is.
-        """
-        if self.thermal is None or record.temperature is None:
-            return record
-        return replace(record, displacement=self.thermal.at_reference(record.displacement, record.temperature))
-
-    def with_identification(self, **entries: Any) -> Actuator:
-        """Return a copy whose identification holds `entries`, fields of `Identification`."""
-        return replace(self, identification=replace(self.identification or Identification(), **entries))
 
     def _implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
         """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.
@@ -484,4 +418,12 @@ class Actuator(JsonFile, AbstractModel):
             raise ModelError(f"{reason}; {checks.ANYWAY}")
 
     def _start(self, state: State | None) -> State:
-        return self.model.complete_state(self.state if state is None else state)
+        return self._evaluator.complete_state(self.state if state is None else state)
+
+
+def evaluator_of(actuator: Actuator) -> Evaluator:
+    """Return the evaluator of all parts of an actuator, with their object of the C core as `core`.
+
+    It is what loops, exports and planners use; a user calls the methods of the `Actuator`.
+    """
+    return actuator._evaluator

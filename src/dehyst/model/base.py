@@ -65,7 +65,7 @@ class State:
             raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
 
     @classmethod
-    def unchecked(
+    def _unchecked(
         cls, deformation: float, carts: Array, creep: Array, motion: Array, smooth: Array, displacement_creep: Array
     ) -> State:
         """Return a state of arrays that a computation made from a valid state; they are not copied.

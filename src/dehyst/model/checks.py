@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dehyst._errors import ModelError
+from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import demand_divisors, demand_magnitudes, number
 from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.records import Record
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
@@ -32,7 +34,6 @@ _NUMBERS = (
     ("delay", "s", "0 or more: a displacement does not lead its voltage", False, False),
     ("lag", "s", "0 s or more", False, True),
     ("load_stiffness", "N/m", "a positive number of N/m", True, True),
-    ("recorded_slew_rate", "V/s", "a positive number of volts a second, or None", True, False),
 )
 # Largest magnitude over that of the range from which on a displacement is more likely in another unit.
 _UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
@@ -44,7 +45,7 @@ _VISITS = 60
 
 
 def checked_parts(actuator: Actuator) -> dict[str, float]:
-    """Return delay, lag, load stiffness and slew rate as floats if they are given.
+    """Return delay, lag and load stiffness as floats if they are given.
 
     Raise `ModelError` if a part is not of its class, or a number is impossible.
     """
@@ -90,6 +91,49 @@ class Range:
         return (low, high) if self.is_far(low, high) else None
 
 
+def needs_time(actuator: Actuator) -> bool:
+    """Return whether the answers of an actuator depend on the time of each sample."""
+    return actuator._evaluator.needs_time
+
+
+def creep_times(actuator: Actuator) -> Array:
+    """Return the time constants [s] of creep as a force and in displacement; empty without creep."""
+    parts = (part for part in (actuator.creep, actuator.displacement_creep) if part is not None)
+    return np.concatenate([EMPTY, *(part.time_constants for part in parts)])
+
+
+def at_rest(actuator: Actuator) -> float:
+    """Return the ratio of the displacement after creep in displacement has come to rest to that without it."""
+    return 1.0 if actuator.displacement_creep is None else actuator.displacement_creep.at_rest
+
+
+def knots_of(actuator: Actuator) -> tuple[float, float]:
+    """Return the displacements [m] at the first and the last knot of the spring, creep at rest."""
+    first, last = actuator.spring.displacement[[0, -1]].tolist()
+    return at_rest(actuator) * first, at_rest(actuator) * last
+
+
+def quasistatic(actuator: Actuator) -> Actuator:
+    """Return an actuator without inertia and amplifier lag, which slow motions do not excite."""
+    return replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=EMPTY))
+
+
+def major_loop(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
+    """Return the displacements [m] of slow loops at both `limits` [V], with creep at rest."""
+    low, high = slow_loops(actuator, limits).displacement[-2:].tolist()
+    return low, high
+
+
+def at_reference(actuator: Actuator, record: Record) -> Record:
+    """Return a `record` of one axis as it would have been at the reference of `thermal`.
+
+    Without that part, or if the record has no temperature, it is returned as it is.
+    """
+    if actuator.thermal is None or record.temperature is None:
+        return record
+    return replace(record, displacement=actuator.thermal.at_reference(record.displacement, record.temperature))
+
+
 def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
     """Return the motion of slow loops between limits [V] that ends at the second one; creep is at rest at both."""
     return slow_motion(actuator, np.tile(limits, _VISITS))
@@ -100,10 +144,9 @@ def slow_motion(actuator: Actuator, voltage: Array, state: State | None = None) 
 
     `state`: before the first voltage, without motion; default: the actuator's own.
     """
-    slow = actuator.quasistatic()
-    rest = _REST * float(actuator.creep_times.max(initial=0.0)) or 1.0
-    time = np.arange(voltage.size) * rest if slow.needs_time else None
-    return slow.simulate(voltage, time=time, state=state, extrapolate=True)
+    rest = _REST * float(creep_times(actuator).max(initial=0.0)) or 1.0
+    time = np.arange(voltage.size) * rest
+    return quasistatic(actuator).simulate(voltage, time=time, state=state, extrapolate=True)
 
 
 def displacement_error(got: tuple[float, float], displacements: Range) -> str:

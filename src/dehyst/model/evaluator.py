@@ -187,7 +187,7 @@ class Evaluator:
         creep, smooth = core.strains[:branches], core.strains[branches:end]
         behind = core.strains[end:] if crept is None else crept
         if self.dynamics is None:
-            return State.unchecked(core.w, core.carts, creep, core.motion, smooth, behind)
+            return State._unchecked(core.w, core.carts, creep, core.motion, smooth, behind)
         return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.omega]), smooth, behind)
 
     def complete_state(self, start: State) -> State:
@@ -237,7 +237,7 @@ class Evaluator:
                     f"elongation {rho[worst]:.3g} m"
                 )
             carts = np.clip(carts, w - rho, w + rho)
-        return State.unchecked(w, carts, creep, motion, smooth, crept)
+        return State._unchecked(w, carts, creep, motion, smooth, crept)
 
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from math import inf
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import ModelError
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_value
 from dehyst.model.promise import Validity
+
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
 
 
 class Outcome(Enum):
@@ -56,6 +59,13 @@ def _size(value: object, where: str) -> float:
 
 def _size_or_none(value: object, where: str) -> float | None:
     return None if value is None else _size(value, where)
+
+
+def _rate_or_none(value: object, where: str) -> float | None:
+    rate = _size_or_none(value, where)
+    if rate == 0:
+        raise ModelError(argument=where, got=rate, need="a positive number of volts a second, or None")
+    return rate
 
 
 def _outcome(value: object, where: str) -> Outcome | None:
@@ -107,6 +117,8 @@ class Identification:
         Allowed largest error of a path [% of the stroke].
     validated : bool
         Whether the errors in `validity` come from validation records.
+    slew_rate : float or None
+        Largest abs(dv/dt) [V/s] of the records, with a margin of 5 %.
     validity : Validity or None
         What the records tested; it determines the promised error of a path.
 
@@ -128,6 +140,7 @@ class Identification:
     largest_error: float | None = _entry(None, _size_or_none, "largest_error_m")
     goal: float | None = _entry(None, _size_or_none, "goal_percent")
     validated: bool = _entry(False, _flag, "tested")
+    slew_rate: float | None = _entry(None, _rate_or_none, "slew_rate_V_per_s")
     validity: Validity | None = _entry(None, _validity)  # noqa: RUF009
 
     def __post_init__(self) -> None:
@@ -146,3 +159,13 @@ class Identification:
     def from_dict(cls, data: Mapping[str, Any]) -> Identification:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
         return cls(**{name: data[key] for key, name in cls.keys().items()})
+
+
+def with_identification(actuator: Actuator, **entries: Any) -> Actuator:
+    """Return an actuator whose identification holds `entries`, fields of `Identification`."""
+    return replace(actuator, identification=replace(actuator.identification or Identification(), **entries))
+
+
+def slew_rate_of_records(actuator: Actuator) -> float | None:
+    """Return the largest abs(dv/dt) [V/s] of the records of an `actuator`; None if it is not known."""
+    return None if actuator.identification is None else actuator.identification.slew_rate

@@ -44,8 +44,23 @@ class Physical:
     __repr__ = brief
 
     @classmethod
-    def of(cls, actuator: Actuator, ratio: float, km: float, ke: float) -> Physical:
-        """Convert the numbers of an `actuator`, see `Actuator.physical`: `ratio` T [N/V], `km` and `ke` [N/m]."""
+    def of(
+        cls,
+        actuator: Actuator,
+        *,
+        transformer_ratio: float,
+        mechanical_stiffness: float,
+        electrical_stiffness: float,
+    ) -> Physical:
+        """Convert the numbers of an `actuator` to the paper's symbols (Table 1).
+
+        With c = keq/km: k_i = kappa_i T c, r_i = rho_i / c, f_i = k_i r_i, h = T eta, g = h - keq x. Data of (v, y)
+        determine x up to x(0): here x = 0 is where the spring alone holds 0 V.
+
+        `transformer_ratio`: T [N/V]. `mechanical_stiffness`, `electrical_stiffness`: km and ke = T^2 / C [N/m]. Raise
+        `ModelError` if one of them is not a positive number, elements are graded, or there is a transformer curve.
+        """
+        ratio, km, ke = transformer_ratio, mechanical_stiffness, electrical_stiffness
         slip, spring = actuator.slip, actuator.spring
         if not isinstance(slip, MaxwellSlip):
             raise ModelError("no physical units: graded elements have no single stiffness k_i")
@@ -55,7 +70,7 @@ class Physical:
         for value, name in zip((ratio, km, ke), names, strict=True):
             if number(value, name) <= 0:
                 raise ModelError(argument=name, got=value, need="a positive number")
-        rest, equivalent = actuator.core.spring_inverse(0.0), ke * km / (ke + km)
+        rest, equivalent = actuator._evaluator.core.spring_inverse(0.0), ke * km / (ke + km)
         c, h = equivalent / km, ratio * spring.voltage
         x = (spring.displacement - rest) / c
         elements = slip.stiffness * ratio * c, slip.friction * ratio, slip.breakaway / c

@@ -35,7 +35,7 @@ _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
 }
 # Entries of a model file that are not the actuator's: two files of one actuator may differ in them.
 DESCRIPTION = {"format", "version", "name", "provenance", "identification"}
-_NUMBERS = {"slip", "state", "limits", "delay_s", "lag_s", "load_stiffness_N_per_m"}
+_NUMBERS = {"slip", "state", "limits_V", "delay_s", "lag_s", "load_stiffness_N_per_m"}
 _KEYS = DESCRIPTION | _PARTS.keys() | _NUMBERS
 # Largest magnitudes in a file, far beyond those of any piezo actuator: a larger one was edited or damaged.
 _LARGEST = {
@@ -45,10 +45,8 @@ _LARGEST = {
     "gain_per_K": 1.0,
     "offset_m_per_K": 1e-3,
     "reference_degC": 1e3,
-    "recorded_slew_rate_V_per_s": 1e11,
+    "slew_rate_V_per_s": 1e11,
 }
-# Of the limits; one of them may be missing.
-_LIMITS = ("voltage_V", "recorded_slew_rate_V_per_s")
 
 
 class JsonFile(ABC):
@@ -93,9 +91,8 @@ class JsonFile(ABC):
 
 def as_dict(actuator: Actuator) -> dict[str, Any]:
     """Return the JSON values of an actuator in SI units; missing parts are null."""
-    slip, slew_rate = actuator.slip, actuator.recorded_slew_rate
+    slip = actuator.slip
     knots = {"knots_m": slip.knots.tolist()} if isinstance(slip, GradedSlip) else {}
-    limits = zip(_LIMITS, (json_value(actuator.limits), slew_rate), strict=True)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -105,7 +102,7 @@ def as_dict(actuator: Actuator) -> dict[str, Any]:
         "load_stiffness_N_per_m": actuator.load_stiffness,
         "lag_s": actuator.lag,
         "state": state_dict(actuator.state),
-        "limits": {key: value for key, value in limits if value is not None} or None,
+        "limits_V": json_value(actuator.limits),
         "delay_s": actuator.delay,
         "identification": json_value(actuator.identification),
         "provenance": dict(actuator.provenance),
@@ -152,13 +149,9 @@ def parts(data: Mapping[str, Any]) -> dict[str, Any]:
     if data["identification"] is not None:
         entries = _part(data, "identification", set(Identification.keys()))
         found["identification"] = Identification.from_dict(entries)
-    if data["limits"] is not None:
-        known = set(_LIMITS) & set(data["limits"]) if isinstance(data["limits"], Mapping) else set()
-        limits = _part(data, "limits", known or set(_LIMITS[:1]))
-        found["limits"] = _or_none(_pair, limits.get(_LIMITS[0]), f"limits.{_LIMITS[0]}")
-        found["recorded_slew_rate"] = _or_none(number, limits.get(_LIMITS[1]), _LIMITS[1])
+    found["limits"] = _or_none(_pair, data["limits_V"], "limits_V")
     found |= {"delay": number(data["delay_s"], "delay_s"), "state": state(data)}
-    for where in ("", "limits", *_PARTS, "slip"):
+    for where in ("", "identification", *_PARTS, "slip"):
         _demand_plausible(where, data.get(where) if where else data)
     return found
 

@@ -263,7 +263,7 @@ class Stage(JsonFile):
             raise ModelError(f"states: got {len(states)}, need {count}, one an axis")
         columns = given.T, self.temperatures(temperature, len(given)), states or [None] * count
         for axis, one, column, degrees, state in zip(self.axes, self.actuators, *columns, strict=True):
-            options = {"time": time if one.needs_time else None, "temperature": degrees, "state": state}
+            options = {"time": time, "temperature": degrees, "state": state}
             try:
                 motions.append(getattr(one, call)(column, **options, extrapolate=extrapolate))
             except ModelError as error:

@@ -10,9 +10,9 @@ import numpy as np
 
 from dehyst._native import EMPTY
 from dehyst._types import Array
-from dehyst.model.actuator import Actuator
+from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import slow_loops
+from dehyst.model.checks import creep_times, quasistatic, slow_loops
 
 _ROUNDING = 1e-12
 # Of the limits' range: a state whose voltage lies outside by less is that of the limit, but for the model's error.
@@ -24,15 +24,14 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
 
     Raise `ModelError` if it is not a state of this actuator.
     """
-    start = actuator.model.complete_state(state)
+    start = evaluator_of(actuator).complete_state(state)
     held = actuator.voltage(start)
     nearest = min(max(held, limits[0]), limits[1])
     if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
         return start
-    slow = actuator.quasistatic()
-    time = np.zeros(1) if slow.needs_time else None
-    reached = slow.simulate([nearest], time=time, state=replace(start, motion=EMPTY), extrapolate=True).state
-    return actuator.model.complete_state(reached)
+    slow = quasistatic(actuator)
+    reached = slow.simulate([nearest], time=np.zeros(1), state=replace(start, motion=EMPTY), extrapolate=True).state
+    return evaluator_of(actuator).complete_state(reached)
 
 
 def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
@@ -50,7 +49,7 @@ def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> 
     """Return the state after slow major loops between limits [V], at the upper one if `rising`, with creep at rest."""
     reached = slow_loops(actuator, limits if rising else (limits[1], limits[0])).state
     # The state of a slow motion has none of a mass.
-    return actuator.model.complete_state(replace(reached, motion=EMPTY))
+    return evaluator_of(actuator).complete_state(replace(reached, motion=EMPTY))
 
 
 def standing(actuator: Actuator, voltage: float, limits: tuple[float, float]) -> State:
@@ -68,11 +67,10 @@ def state_at(actuator: Actuator, state: State, displacement: float) -> State:
 
     Raise `ModelError` if it is not a state of this actuator.
     """
-    slow, start = actuator.quasistatic(), actuator.model.complete_state(state)
-    time = np.zeros(1) if slow.needs_time else None
+    slow, start = quasistatic(actuator), evaluator_of(actuator).complete_state(state)
     still = replace(start, motion=EMPTY)
-    return actuator.model.complete_state(
-        slow.compensate([displacement], time=time, state=still, extrapolate=True).state
+    return evaluator_of(actuator).complete_state(
+        slow.compensate([displacement], time=np.zeros(1), state=still, extrapolate=True).state
     )
 
 
@@ -90,7 +88,7 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
     """
     if not isinstance(model, Actuator) or not voltage.size:
         return None
-    if model.creep_times.size:
+    if creep_times(model).size:
         return model.relaxed(float(voltage[0]), extrapolate=True)
     low, high = (float(end) for end in model.spring.displacement[[0, -1]])
     ends = [model.turned(high), model.turned(low, rising=False)]

@@ -13,6 +13,7 @@ from dehyst._types import Array
 from dehyst._views import html
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
+from dehyst.model.checks import creep_times, quasistatic
 from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
 
@@ -105,12 +106,12 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     time, displacement : (n,) array
         Time since the end of the rise [s], and further displacement as a part of the displacement of the rise.
     """
-    times = actuator.creep_times
+    times = creep_times(actuator)
     if not times.size:
         return np.zeros(1), np.zeros(1)
     low, high = actuator.voltage_range
     begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
-    slow = actuator.quasistatic()
+    slow = quasistatic(actuator)
     shortest, longest = float(times.min()), float(times.max())
     since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)
     # Rest at the lower limit takes as long as creep lasts.

@@ -11,6 +11,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import PathPlan, plan_path
+from dehyst.model import needs_time
 from dehyst.operations.axes import AxesModel, is_stage
 from dehyst.operations.check_log import append_checks, read_log
 from dehyst.operations.declaration import Continued, Input, Only, Output, Values, operation
@@ -108,7 +109,7 @@ def _planned(
     # The displacement in --columns is that of the records here.
     path = table.column("displacement", columns.wanted)
     time = clock_of(table, AS_FOUND).get("time_s")
-    if actuator.needs_time and time is None:
+    if needs_time(actuator) and time is None:
         raise ModelError(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
         )

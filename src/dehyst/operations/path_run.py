@@ -10,6 +10,7 @@ from dehyst.calibration import TrackedPath
 from dehyst.calibration.plan import even_rate
 from dehyst.control import Compensator, PathPlan, VoltageLimits, plan_path
 from dehyst.instruments import AbstractRig, open_rig, played_rate
+from dehyst.model import slew_rate_of_records
 from dehyst.operations.axes import AxesModel, Slew, is_stage
 from dehyst.operations.declaration import Input, Output, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, values_of, write_table
@@ -83,7 +84,7 @@ def run_path(
             run.note(f"the path has {rate:.6g} Hz, and is played at {played:.6g} Hz, as {instrument.name} can")
         asked_slew = None if slew_rate is None else Slew("", slew_rate)
         remarks = bounds_remarks(limits, asked_slew, bounds, "device and model allow no more")
-        slew = PathSlew(bounds.slew_rate, "option", actuator.recorded_slew_rate)
+        slew = PathSlew(bounds.slew_rate, "option", slew_rate_of_records(actuator))
         if slew_rate is not None or slew.times > 1:
             remarks.append(slew.words)
         for remark in [*remarks, *reach_remarks(actuator, wanted, (bounds.low, bounds.high), zero, warmth)]:

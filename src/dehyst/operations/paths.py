@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import Actuator, demand_thermal, tested_temperatures
+from dehyst.model import Actuator, demand_thermal, evaluator_of, slew_rate_of_records, tested_temperatures
 from dehyst.operations.axes import AxesModel, Slew
 from dehyst.operations.files import Columns, warmth_of
 from dehyst.operations.start import Limits
@@ -62,8 +62,8 @@ class PathSlew(NamedTuple):
     def chosen(cls, actuator: Actuator, given: Slew | None) -> PathSlew:
         """Return the given slew rate of a path; by default it is not limited."""
         if given is None:
-            return cls(None, "default", actuator.recorded_slew_rate)
-        return cls(given.number, "none" if given.number is None else "option", actuator.recorded_slew_rate)
+            return cls(None, "default", slew_rate_of_records(actuator))
+        return cls(given.number, "none" if given.number is None else "option", slew_rate_of_records(actuator))
 
     @property
     def times(self) -> float:
@@ -165,7 +165,7 @@ def zero_of_path(
     if zero.name == "first":
         rest = min(max(present or 0.0, compensator.limits[0]), compensator.limits[1])
         begin = start or PossibleStart.unknown(actuator, rest, compensator.limits)
-        return actuator.model.displacement(begin.state, of_mass=False)
+        return evaluator_of(actuator).displacement(begin.state, of_mass=False)
     return low if zero.name == "bottom" else 0.5 * (low + high)
 
 

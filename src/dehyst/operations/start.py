@@ -15,7 +15,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart, StartError
 from dehyst.control.planning.start import NAMES
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, creep_times, needs_time
 from dehyst.model.states import state_after_loops
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns
@@ -105,7 +105,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
 
     def read(axis: int, actuator: Actuator, limits: Limits) -> PossibleStart:
         voltage = voltages[axis]
-        time = table.column("time") if actuator.needs_time or measured else None
+        time = table.column("time") if needs_time(actuator) or measured else None
         if time is not None and measured:
             targets = model.targets(np.column_stack(values("displacement")))
             record = Record(time, voltage, targets[:, axis], name)
@@ -239,8 +239,8 @@ def file_warnings(
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
             f"ramp there {within} before you play the file{hint}"
         )
-    if actuator.creep_times.size and start.name in ("top", "bottom", "relaxed"):
-        longest = float(actuator.creep_times.max())
+    if creep_times(actuator).size and start.name in ("top", "bottom", "relaxed"):
+        longest = float(creep_times(actuator).max())
         warnings.append(
             f"this model creeps, and --start {start.name} assumes that the actuator has rested there for much longer "
             f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "

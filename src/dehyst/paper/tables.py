@@ -84,7 +84,7 @@ def limits(found: Experiment) -> list[dict[str, Any]]:
 
 def physical(found: Experiment, key: str) -> Physical:
     """Return a trial's model in the paper's symbols, with the paper's constants."""
-    return found.trials[key].actuator.physical(**CONSTANTS)
+    return Physical.of(found.trials[key].actuator, **CONSTANTS)
 
 
 def table1(found: Experiment) -> dict[str, Array]:

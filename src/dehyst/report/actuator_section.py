@@ -17,6 +17,7 @@ from dehyst.model import (
     Spring,
     Transformer,
     bend,
+    creep_times,
     parts_of,
     step_response,
 )
@@ -49,7 +50,7 @@ def made_of(actuator: Actuator) -> list[Part]:
         charts += [_graded(actuator.slip), slopes_chart(actuator)]
     if actuator.transformer is not None:
         charts += _transformer(actuator.transformer)
-    if actuator.creep_times.size:
+    if creep_times(actuator).size:
         charts.append(creep_chart(actuator))
     if (creep := actuator.creep) is not None:
         total = float(creep.stiffness.sum()) or 1.0

@@ -10,7 +10,7 @@ import numpy as np
 from dehyst._errors import DehystError, MissingExtraError, ModelError, RecordError
 from dehyst._validation import choice
 from dehyst.identification import Fit, Trace
-from dehyst.model import Actuator, slow_motion
+from dehyst.model import Actuator, creep_times, slow_motion
 from dehyst.records import Record
 from dehyst.report import fit_section, trust_section
 from dehyst.report.actuator_section import creep_chart, element_charts, slopes_chart, spring_charts
@@ -37,7 +37,7 @@ def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
 
 def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an actuator; `kind` as in `Actuator.plot`."""
-    if kind == "creep" and not found.creep_times.size:
+    if kind == "creep" and not creep_times(found).size:
         raise ModelError(argument="kind", got="'creep' of an actuator without creep", need="'loop' or another part")
     kinds = {
         "loop": lambda: _actuator_loops(found),

@@ -33,6 +33,7 @@ from dehyst.model import (
     Stage,
     TemperatureCost,
     by_axis,
+    major_loop,
     promised,
     tested_temperatures,
 )
@@ -462,7 +463,7 @@ def _telling(actuator: Actuator, cycle: float) -> str:
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     """Return the shift [m] to the model's axis for which the voltages need no offset."""
     (low, high), measured = actuator.voltage_range, record.record.displacement
-    expected = actuator.major_loop(record.record.voltage_range)
+    expected = major_loop(actuator, record.record.voltage_range)
     # The middle of the loop first: a sensor may have its zero far away.
     datum = 0.5 * (sum(expected) - float(measured.min()) - float(measured.max()))
     for _ in range(_STEPS):

@@ -25,7 +25,7 @@ from dehyst.identification import (
     part_of,
     prepare_for,
 )
-from dehyst.model import Actuator, Creep, Promise, SmoothSlip, Stage, Validity, by_axis, promised
+from dehyst.model import Actuator, Creep, Promise, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
 from dehyst.trust.changes import IDENTIFY, Change
 from dehyst.trust.recheck import Recheck, check
@@ -247,7 +247,7 @@ class _Refit:
             made = self.given
             after, held_out, own = before, before, self.recheck.before or before[0]
         known: dict[str, Any] = {"validity": self._validity(after[0], held_out[1]), "validated": False}
-        made = made.with_identification(largest_error=own, **known)
+        made = with_identification(made, largest_error=own, **known)
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
     def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:

@@ -148,7 +148,7 @@ def wasm(file: Path, period: float | None) -> bytes:
     A model that depends on temperature is at its reference.
     """
     actuator = replace(Actuator.load(file), thermal=None)
-    return wasm_module(Compensator(actuator, period=period if actuator.needs_time else None))
+    return wasm_module(Compensator(actuator, period=period))
 
 
 def record_columns(file: Path, axis: str = "") -> tuple[Array, ...]:

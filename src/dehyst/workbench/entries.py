@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dehyst.model import Actuator, Stage
+from dehyst.model import Actuator, Stage, slew_rate_of_records
 from dehyst.operations.files import is_model
 from dehyst.workbench.data import voltage_columns
 from dehyst.workbench.forms import in_page
@@ -154,7 +154,7 @@ class ModelEntry:
                 "name": axis,
                 "range_v": list(one.voltage_range),
                 "range_um": [end * _MICRO for end in one.reach],
-                "slew_v_per_s": one.recorded_slew_rate,
+                "slew_v_per_s": slew_rate_of_records(one),
             }
             for axis, one in zip(("",) if stage is None else stage.axes, actuators, strict=True)
         ]

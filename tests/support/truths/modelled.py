@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, needs_time
 from dehyst.model.serialization import DESCRIPTION
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
 from dehyst.virtual.plays import PlayActuator
@@ -36,7 +36,7 @@ class ModelledActuator(VirtualActuator):
         if not self.highest > 0:
             raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")
         swing = np.array([0.0, self.highest, 0.0, self.highest, 0.0])
-        slowly = 1e3 * np.arange(swing.size) if actuator.needs_time else None
+        slowly = 1e3 * np.arange(swing.size)
         y = actuator.simulate(swing, time=slowly, state=actuator.relaxed(), extrapolate=True).displacement
         self.stroke, self._sensor = float(y[3] - y[4]), Sensor(0.0, 0)
         self.relax()
@@ -59,7 +59,7 @@ class ModelledActuator(VirtualActuator):
     def _moved(self, v: Array, time: ArrayLike | None) -> Array:
         """Move; only an actuator that moves in time needs the `time`."""
         path, at = v, None
-        if self.actuator.needs_time:
+        if needs_time(self.actuator):
             self._clock.steps(time, v.size, "moves in time")
             path, at = np.concatenate([[self._voltage], v]), self._clock.times
         motion = self.actuator.simulate(path, time=at, state=self._state, extrapolate=True)

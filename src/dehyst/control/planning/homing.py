@@ -20,7 +20,7 @@ from dehyst._validation import number
 from dehyst.control.compensator import Compensator, allowed_limits
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.states import keeps_order, middle_of, possible_states, time_dependence
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, State, creep_times, slew_rate_of_records
 from dehyst.waveforms import Excitation, Leg, Sampling, volts
 
 # Least duration of a leg of a homing [s].
@@ -182,7 +182,7 @@ class _TimedHoming:
         self.tolerance = tolerance
         self.states = possible_states(actuator, ends[0], allowed, sampling.half)
         # The longest time constant of creep [s].
-        self.longest = float(actuator.creep_times.max(initial=0.0))
+        self.longest = float(creep_times(actuator).max(initial=0.0))
         self._cycle = self._few(self.sampling.legs(_way_through(limits, ends[1], ends[1], 2)))
 
     def homing(self, hold: float | None, within: float | None) -> Homing:
@@ -312,7 +312,7 @@ class _TimedHoming:
         return np.concatenate(voltage), np.concatenate(time)
 
     def _played(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
-        when = time if self.actuator.needs_time else None
+        when = time
         motion = self.actuator.simulate(voltage, time=when, state=state, extrapolate=True)
         return motion.displacement, motion.state
 
@@ -335,7 +335,7 @@ def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequenc
 
     It is long enough for an amplifier's lag and a resonance to follow.
     """
-    times = actuator.creep_times
+    times = creep_times(actuator)
     seconds = _LEG * float(times.max()) if times.size else otherwise
     if actuator.dynamics is not None:
         seconds = max(seconds, _PERIODS / actuator.dynamics.frequency)
@@ -420,7 +420,7 @@ def played_homing(
 
 def pace(compensator: Compensator) -> float | None:
     """Return the largest slew rate [V/s] of jumps, homings and ways: no more than the records of the model have."""
-    rates = (compensator.slew_rate, compensator.actuator.recorded_slew_rate)
+    rates = (compensator.slew_rate, slew_rate_of_records(compensator.actuator))
     return min((rate for rate in rates if rate is not None), default=None)
 
 

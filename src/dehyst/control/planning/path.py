@@ -35,7 +35,11 @@ from dehyst.model import (
     Stage,
     State,
     apply,
+    evaluator_of,
+    major_loop,
+    needs_time,
     promised,
+    slew_rate_of_records,
     standing,
     state_at,
     temperature_columns,
@@ -276,7 +280,7 @@ class _Task:
 
         def nearest(j: int, target: float) -> float | None:
             one = self.loops[j]
-            low, high = (offsets[j] + gains[j] * end for end in one.actuator.major_loop(one.limits))
+            low, high = (offsets[j] + gains[j] * end for end in major_loop(one.actuator, one.limits))
             return None if low <= target <= high else min(max(target, low), high)
 
         # Axes within reach are corrected by what the others miss, as in each step.
@@ -372,7 +376,7 @@ class _Task:
         # An actuator stands at the first sample, or is brought there slowly.
         states = [
             state_at(one.actuator, begin.state, y)
-            if begin.volts is None or one.actuator.model.has_dynamics
+            if begin.volts is None or evaluator_of(one.actuator).has_dynamics
             else begin.state
             for one, begin, y in zip(self.loops, begins, self.firsts, strict=True)
         ]
@@ -396,7 +400,7 @@ class _Task:
         ways = self.ways(begins, home)
         # A mass moves with the path from its first sample on.
         states = [
-            state_at(one.actuator, way.state, y) if one.actuator.model.has_dynamics else way.state
+            state_at(one.actuator, way.state, y) if evaluator_of(one.actuator).has_dynamics else way.state
             for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
         found = self.follow(states, [way.last for way in ways], ways[0].step)
@@ -498,14 +502,14 @@ class _Task:
         low, high = drive.limits or (-np.inf, np.inf)
         still = replace(actuator, creep=None, displacement_creep=None, state=None)  # type: ignore[arg-type]
         begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
-        for _ in range(_ROUNDS if actuator.needs_time else 1):
+        for _ in range(_ROUNDS if needs_time(actuator) else 1):
             end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))
             end = min(max(end, low), high)
             if end == begin:
                 return EMPTY, end, state
             seconds = max(drive.half * abs(end - begin) / (high - low), leg_seconds(still, 0.0))
             voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
-            time = np.arange(voltage.size) / drive.rate if actuator.needs_time else None
+            time = np.arange(voltage.size) / drive.rate
             reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
             ramp = voltage[:-1]
         return ramp, end, reached
@@ -526,7 +530,7 @@ class _Task:
         time = self.time_of(ways[0], len(after))
         moved, states = [], []
         for one, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
-            voltage, clock = np.concatenate([way.voltage, volts]), time if one.actuator.needs_time else None
+            voltage, clock = np.concatenate([way.voltage, volts]), time
             motion = one.actuator.simulate(voltage, time=clock, state=way.start.state, extrapolate=True)
             gain, offset = one._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
             moved.append(offset + gain * motion.displacement)
@@ -658,7 +662,7 @@ def needed_slew_rate(
 
 def speed_remark(actuator: Actuator, needed: float, slew_rate: float | None = None) -> tuple[str, ...]:
     """Return a remark if a path needs more V/s than its `slew_rate`, or than the records of its model have; or none."""
-    recorded, words = actuator.recorded_slew_rate, f"the path needs up to {needed:.4g} V/s"
+    recorded, words = slew_rate_of_records(actuator), f"the path needs up to {needed:.4g} V/s"
     held = slew_rate is not None and needed > slew_rate
     if recorded is not None and needed > recorded:
         margin = f"with a margin of 5 % ({recorded:.4g} V/s)"

@@ -16,7 +16,7 @@ from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.homing import shortest_homing
 from dehyst.control.planning.states import middle_of, possible_states
-from dehyst.model import Actuator, State, state_within_limits
+from dehyst.model import Actuator, State, knots_of, state_within_limits
 from dehyst.waveforms import Sampling
 
 StartName = Literal["top", "bottom", "relaxed", "homed"]
@@ -97,7 +97,7 @@ class PossibleStart:
             end = min(max(0.0, low), high)
             return cls(name, (shortest_homing(actuator, present=end, drive=Sampling()).state,))
         rising = name == "top"
-        return cls(name, (actuator.turned(actuator.knots[rising], rising=rising, extrapolate=True),))
+        return cls(name, (actuator.turned(knots_of(actuator)[rising], rising=rising, extrapolate=True),))
 
     @classmethod
     def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:
@@ -143,7 +143,7 @@ class PossibleStart:
         outside = outside_identified(actuator, v, limits, name=name)
         if not v.size:
             raise ModelError(argument="voltage", got="no samples", need="those that were played before")
-        when = time if actuator.needs_time else None
+        when = time
         before = possible_states(actuator, float(v[0]), limits)
         reached = tuple(actuator.simulate(v, time=when, state=state, extrapolate=True).state for state in before)
         return cls(name, reached, outside.warnings)
@@ -198,7 +198,7 @@ class StartError:
         the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a state does not fit.
         """
         v = vector(voltage, "voltage")
-        when = time if actuator.needs_time else None
+        when = time
         lowest, highest = np.full(v.size - first, np.inf), np.full(v.size - first, -np.inf)
         for state in states:
             y = actuator.simulate(v, time=when, state=state, extrapolate=True).displacement[first:]

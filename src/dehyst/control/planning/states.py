@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._types import Array
 from dehyst._validation import interval, number
-from dehyst.model import Actuator, GradedSlip, State, on_curve
+from dehyst.model import Actuator, GradedSlip, State, creep_times, evaluator_of, on_curve, quasistatic
 from dehyst.waveforms import Sampling
 
 _ROUNDING = 1e-12
@@ -38,7 +38,7 @@ def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> float:
     held = 0.0 if smooth is None else float(smooth.stiffness @ smooth.length)
     internal = voltage if actuator.transformer is None else float(actuator.transformer(voltage))
     if not isinstance(slip, GradedSlip):
-        return actuator.core.spring_inverse(internal - side * (held + float(slip.friction.sum())))
+        return evaluator_of(actuator).core.spring_inverse(internal - side * (held + float(slip.friction.sum())))
     # The bends of the branch, and a point beyond either end; bends that differ by rounding are merged.
     knots = (spring.displacement, slip.knots, (slip.knots[:, None] + side * slip.breakaway).ravel())
     y = np.unique(np.concatenate(knots))
@@ -62,7 +62,7 @@ def middle_of(states: Sequence[State]) -> State:
 def time_dependence(actuator: Actuator) -> str:
     """Return as text why the order of voltages does not determine the state; empty if it does."""
     parts = {
-        "creeps": actuator.creep_times.size > 0,
+        "creeps": creep_times(actuator).size > 0,
         "has inertia": actuator.dynamics is not None,
         "lags": actuator.lag > 0,
         "has smooth elements": actuator.smooth is not None,
@@ -97,16 +97,16 @@ def possible_states(
         return tuple(State(y, y - side * rho) for side, y in ends)
     low, high = actuator.voltage_range if limits is None else interval(limits)
     low, high = min(low, v), max(high, v)
-    still = actuator.quasistatic()
+    still = quasistatic(actuator)
 
     def played(state: State, voltages: ArrayLike, seconds: Array) -> State:
-        time = seconds if still.needs_time else None
+        time = seconds
         reached: State = still.simulate(voltages, time=time, state=state, extrapolate=True).state
         return reached
 
     # After resting for ever at either limit.
     rested = [
-        still.model.complete_state(State(y, y - side * rho, smooth=share * length))
+        evaluator_of(still).complete_state(State(y, y - side * rho, smooth=share * length))
         for side, y in ((1, _on_major_loop(actuator, low, 1)), (-1, _on_major_loop(actuator, high, -1)))
         for share in ((1.0, 0.0, -1.0) if length.size else (1.0,))
     ]

@@ -20,7 +20,7 @@ from dehyst.control.following import Followed, follow
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.homing import FASTEST_LEG, played_homing, rows_of
 from dehyst.control.planning.plan import shortfall
-from dehyst.model import Actuator, DisplacementCreep, PathData, State, standing
+from dehyst.model import Actuator, DisplacementCreep, PathData, State, creep_times, evaluator_of, standing
 from dehyst.waveforms import (
     Bridge,
     Excitation,
@@ -75,7 +75,7 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     if actuator.displacement_creep is not None:
         return _steady_behind(actuator, actuator.displacement_creep, cycle, state)
     if actuator.creep is not None:
-        w = cycle.displacement + actuator.model.lead(cycle.displacement, PathData(**timed(cycle)))
+        w = cycle.displacement + evaluator_of(actuator).lead(cycle.displacement, PathData(**timed(cycle)))
         gained = actuator.creep.strains(cycle.time, w)[-1]
         state = replace(state, creep=gained / -np.expm1(-float(cycle.time[-1]) / actuator.creep.time_constants))
     return state if actuator.smooth is None else replace(state, smooth=_elongations(actuator, cycle, state))
@@ -308,14 +308,14 @@ class SteadyCycle:
     def _moved(self, voltage: Array, state: State) -> Array:
         """Return the displacement (n,) [m] that follows a state."""
         actuator = self.compensator.actuator
-        time = np.arange(voltage.size) / self.path.sample_rate if actuator.needs_time else None
+        time = np.arange(voltage.size) / self.path.sample_rate
         return actuator.simulate(voltage, time=time, state=state, extrapolate=True).displacement
 
     def _not_settled(self, count: int, error: float) -> tuple[str, ...]:
         """Return the warning if the steady cycle begins too early."""
         if error <= self.tolerance:
             return ()
-        warning, times = self._deviation(count, error), self.compensator.actuator.creep_times
+        warning, times = self._deviation(count, error), creep_times(self.compensator.actuator)
         if not times.size:
             return (f"{warning}; give a start-up of more cycles",)
         period = len(self.path) / self.path.sample_rate
@@ -442,7 +442,7 @@ class WaveTable:
         if self.homing is not None:
             rows = self.homing_rows
             v, actuator = self.homing.voltage, self.actuator
-            when = self.homing.time if actuator.needs_time else None
+            when = self.homing.time
             begin = standing(actuator, float(v[0]), actuator.voltage_range)
             y = actuator.simulate(v, time=when, state=begin, extrapolate=True).displacement[rows]
             voltage, wanted, expected = [v[rows], *voltage], [y, *wanted], [y, *expected]
