@@ -114,7 +114,7 @@ def small(wide: bool) -> dehyst.Compensator:
         transformer=Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100)),
         creep=dehyst.Creep(np.geomspace(0.01, 10, 4), np.full(4, 2e5)),
         dynamics=dehyst.Dynamics(955.0, 0.05, 2e6),
-        smooth=dehyst.SmoothSlip(STROKE * np.array([0.05, 0.2]), np.array([0.5, 0.8]), np.array([1e6, 5e5])),
+        smooth=dehyst.model.SmoothSlip(STROKE * np.array([0.05, 0.2]), np.array([0.5, 0.8]), np.array([1e6, 5e5])),
     )
     return dehyst.Compensator(made, (0, 100), period=1e-4)
 

@@ -18,7 +18,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, Spring
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 SAMPLES = 1_000_000
 REPEATS = 15

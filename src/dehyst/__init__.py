@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         DehystError,
         FileFormatError,
         IdentifyError,
-        MissingExtraError,
         ModelError,
         RecordError,
         RigError,
@@ -44,9 +43,6 @@ if TYPE_CHECKING:
     # A function has the name of its module, which mypy takes for another definition; of `update` too.
     from dehyst.identification import (  # type: ignore[no-redef]
         Fit,
-        Outcome,
-        RecordErrors,
-        StageFit,
         Structure,
         identify,
     )
@@ -55,16 +51,11 @@ if TYPE_CHECKING:
         Creep,
         DisplacementCreep,
         Dynamics,
-        GradedSlip,
         MaxwellSlip,
-        Motion,
-        Physical,
-        SmoothSlip,
         Spring,
         Stage,
         State,
         Thermal,
-        Transformer,
     )
     from dehyst.records import Columns, Record, read, write_record
     from dehyst.trust import check, compare, insight, update  # type: ignore[no-redef]
@@ -73,14 +64,13 @@ if TYPE_CHECKING:
 _ROOM_OF = {
     name: room
     for room, names in {
-        "_errors": "DehystError FileFormatError IdentifyError MissingExtraError ModelError RecordError RigError",
+        "_errors": "DehystError FileFormatError IdentifyError ModelError RecordError RigError",
         "control": "Bank ClampWarning Compensator Feedback PathPlan Repetition Snapshot StageCompensator VoltageLimits "
         "plan_path wave_table",
         "exports": "export export_fmu export_wasm",
-        "identification": "Fit Outcome RecordErrors StageFit Structure identify",
+        "identification": "Fit Structure identify",
         "calibration": "calibrate",
-        "model": "Actuator Creep DisplacementCreep Dynamics GradedSlip MaxwellSlip Motion Physical SmoothSlip "
-        "Spring Stage State Thermal Transformer",
+        "model": "Actuator Creep DisplacementCreep Dynamics MaxwellSlip Spring Stage State Thermal",
         "records": "Columns Record read write_record",
         "trust": "check compare insight update",
     }.items()
@@ -89,13 +79,12 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper", "report", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "Creep", "DehystError", "DisplacementCreep"]
-__all__ += ["Dynamics", "Feedback", "FileFormatError", "Fit", "GradedSlip", "IdentifyError", "MaxwellSlip"]
-__all__ += ["MissingExtraError", "ModelError", "Motion", "Outcome", "PathPlan", "Physical", "Record", "RecordError"]
-__all__ += ["RecordErrors", "Repetition", "RigError", "SmoothSlip", "Snapshot", "Spring", "Stage", "StageCompensator"]
-__all__ += ["StageFit", "State", "Structure", "Thermal", "Transformer", "VoltageLimits", "__version__", "calibrate"]
-__all__ += ["check", "compare", "export", "export_fmu", "export_wasm", "identify", "insight", "plan_path", "read"]
-__all__ += ["update", "wave_table", "write_record"]
+__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "Creep", "DehystError"]
+__all__ += ["DisplacementCreep", "Dynamics", "Feedback", "FileFormatError", "Fit", "IdentifyError", "MaxwellSlip"]
+__all__ += ["ModelError", "PathPlan", "Record", "RecordError", "Repetition", "RigError", "Snapshot", "Spring"]
+__all__ += ["Stage", "StageCompensator", "State", "Structure", "Thermal", "VoltageLimits", "__version__"]
+__all__ += ["calibrate", "check", "compare", "export", "export_fmu", "export_wasm", "identify", "insight"]
+__all__ += ["plan_path", "read", "update", "wave_table", "write_record"]
 
 
 def __getattr__(name: str) -> object:

@@ -85,9 +85,7 @@ def test_a_given_slew_rate_holds_and_only_a_miss_beyond_the_promise_is_a_failure
     assert (status, said[0].startswith("CLAMPED")) == (int(loud), loud)
 
 
-@pytest.mark.parametrize(
-    "change", [{"delay_s": 50.0}, {"limits": {"voltage_V": [0, 1e9]}}, {"limits": {"voltage_V": [210, 215]}}]
-)
+@pytest.mark.parametrize("change", [{"delay_s": 50.0}, {"limits_V": [0, 1e9]}, {"limits_V": [210, 215]}])
 def test_what_no_record_has_shown_is_remarked(folder, change):
     tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0), speeds=(1.0, SPEED))
     replace(PLAIN, identification=Identification(validity=tested)).save(folder / "tested.json")

@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 from model_contract import ModelCandidate, ModelContract
 
-from dehyst import (
-    Actuator,
-    Creep,
-    DisplacementCreep,
-    GradedSlip,
-    MaxwellSlip,
-    SmoothSlip,
-    Spring,
-    Transformer,
-)
+from dehyst import Actuator, Creep, DisplacementCreep, MaxwellSlip, Spring
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 from dehyst.trust.baselines import Linear
 
 VOLTS = 100.0

@@ -18,13 +18,11 @@ from dehyst import (
     Creep,
     DisplacementCreep,
     Dynamics,
-    GradedSlip,
     MaxwellSlip,
     ModelError,
-    SmoothSlip,
     Spring,
-    Transformer,
 )
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 from examples import examples
 
 PERIOD = 1e-3

@@ -11,9 +11,10 @@ import structured_records
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, SmoothSlip, Spring
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, Spring
 from dehyst.control import shortest_homing
 from dehyst.control.planning.states import possible_states
+from dehyst.model import SmoothSlip
 from dehyst.waveforms import Sampling
 from examples import examples
 

@@ -10,21 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
-from dehyst import (
-    Compensator,
-    Creep,
-    Dynamics,
-    ModelError,
-    RecordError,
-    SmoothSlip,
-    Stage,
-    StageCompensator,
-    Thermal,
-)
+from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, Stage, StageCompensator, Thermal
 from dehyst.control import PossibleStart, StartError, plan_path, wave_table
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.planning.start import model_error
-from dehyst.model import Identification, Validity, apply, needs_time, standing, with_identification
+from dehyst.model import Identification, SmoothSlip, Validity, apply, needs_time, standing, with_identification
 from dehyst.waveforms import Triangle
 
 LIMITS = -40.0, 260.0

@@ -12,8 +12,7 @@ import tracking_trials
 from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
-from dehyst import Outcome
-from dehyst.identification import Structure
+from dehyst.identification import Outcome, Structure
 from dehyst.virtual import PlayActuator
 from examples import NIGHTLY
 

@@ -9,11 +9,11 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Creep, DisplacementCreep, Dynamics, GradedSlip, RecordError, SmoothSlip, Transformer
+from dehyst import Creep, DisplacementCreep, Dynamics, RecordError
 from dehyst.control import Compensator, wave_table
 from dehyst.control.following import follow
 from dehyst.control.planning.wave_table import approach_to, steady_state, timed
-from dehyst.model import needs_time, standing
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing
 from dehyst.waveforms import MotionLimits, Raster, Triangle
 from examples import at_night
 

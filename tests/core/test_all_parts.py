@@ -8,9 +8,9 @@ import plain_records
 import pytest
 import strategies as our
 
-from dehyst import Dynamics, SmoothSlip
+from dehyst import Dynamics
 from dehyst._native import StepCoefficients
-from dehyst.model import evaluator_of
+from dehyst.model import SmoothSlip, evaluator_of
 from examples import at_night
 
 SOURCES = plain_records.CORE_SOURCES

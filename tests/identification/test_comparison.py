@@ -9,7 +9,8 @@ import structured_records as wide
 import tracking_trials
 
 import dehyst
-from dehyst import Creep, Dynamics, Outcome, Record
+from dehyst import Creep, Dynamics, Record
+from dehyst.identification import Outcome
 from dehyst.identification.comparison import compare, errors_of, initial_state, state_after, without_offset
 from dehyst.identification.preparation import prepare
 

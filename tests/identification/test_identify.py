@@ -11,8 +11,8 @@ import pytest
 import structured_records as wide
 
 import dehyst
-from dehyst import Actuator, IdentifyError, Outcome, Record, RecordError
-from dehyst.identification import Deadline, Structure
+from dehyst import Actuator, IdentifyError, Record, RecordError
+from dehyst.identification import Deadline, Outcome, Structure
 
 PLANT, STROKE = plain_records.plant(10), plain_records.STROKE
 TEN = Structure(elements=10, knots=11, smoothing=0.0)

@@ -13,7 +13,8 @@ pytest.importorskip("softioc", reason="softioc is not installed: there is no EPI
 pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel Access client")
 from ioc_process import IocProcess
 
-from dehyst import ClampWarning, MissingExtraError, RecordError
+from dehyst import ClampWarning, RecordError
+from dehyst._errors import MissingExtraError
 from dehyst.instruments import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.channel_access import ChannelAccess
 from dehyst.instruments.epics import EpicsRig, PvNames

@@ -11,20 +11,9 @@ import numpy as np
 import pytest
 import strategies
 
-from dehyst import (
-    Actuator,
-    Compensator,
-    Creep,
-    Dynamics,
-    GradedSlip,
-    MaxwellSlip,
-    ModelError,
-    SmoothSlip,
-    Snapshot,
-    Spring,
-    Transformer,
-)
+from dehyst import Actuator, Compensator, Creep, Dynamics, MaxwellSlip, ModelError, Snapshot, Spring
 from dehyst._validation import FARTHEST, LEAST, MOST
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 

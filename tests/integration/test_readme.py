@@ -41,7 +41,7 @@ def test_its_code_runs(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("kind", PARTS)
 def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, monkeypatch, capsys):
-    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.Outcome.IDENTIFIED, errors=())
+    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.identification.Outcome.IDENTIFIED, errors=())
     monkeypatch.setattr(dehyst, "read", lambda path: None)
     monkeypatch.setattr(dehyst, "identify", lambda record: fit)
     names = {}

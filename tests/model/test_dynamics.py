@@ -7,7 +7,8 @@ import strategies as our
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, Spring, State
+from dehyst.model import GradedSlip, Transformer
 
 HERTZ, OMEGA = 1000.0, 2 * np.pi * 1000
 RHO = 0.5e-6 * np.arange(1, 11)

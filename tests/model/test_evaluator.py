@@ -8,8 +8,8 @@ import strategies as our
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, ModelError, Spring, State, Transformer
-from dehyst.model import Physical
+from dehyst import Actuator, Creep, MaxwellSlip, ModelError, Spring, State
+from dehyst.model import GradedSlip, Physical, Transformer
 from examples import examples
 
 EXACT = 1e-12

@@ -11,19 +11,9 @@ import strategies as our
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import (
-    Actuator,
-    Creep,
-    GradedSlip,
-    MaxwellSlip,
-    ModelError,
-    SmoothSlip,
-    Spring,
-    State,
-    Transformer,
-)
+from dehyst import Actuator, Creep, MaxwellSlip, ModelError, Spring, State
 from dehyst._native import CoreState, StepCoefficients
-from dehyst.model import evaluator_of
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, evaluator_of
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])

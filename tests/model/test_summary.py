@@ -5,7 +5,8 @@ import plain_records
 import pytest
 import structured_records
 
-from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, Spring
+from dehyst.model import GradedSlip, Transformer
 from dehyst.model.summary import Slopes, bend, parts_of, resonance, step_response
 
 EVERYTHING = structured_records.STRUCTURES["all"]

@@ -13,7 +13,7 @@ import places
 import pytest
 
 import dehyst
-from dehyst import Outcome
+from dehyst.identification import Outcome
 
 DATA = places.DATA
 

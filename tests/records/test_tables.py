@@ -5,7 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from dehyst import FileFormatError, MissingExtraError, Record, RecordError
+from dehyst import FileFormatError, Record, RecordError
+from dehyst._errors import MissingExtraError
 from dehyst._units import per_metre
 from dehyst.records import Table
 from dehyst.records.formats.columns import Column

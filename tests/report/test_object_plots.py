@@ -11,7 +11,8 @@ import pytest
 from summaries import PARTS, VOLTS, anatomy
 
 import dehyst
-from dehyst import DisplacementCreep, MissingExtraError, ModelError, RecordError, Structure
+from dehyst import DisplacementCreep, ModelError, RecordError, Structure
+from dehyst._errors import MissingExtraError
 from dehyst.control import plan_path
 from dehyst.model import creep_times, major_loop
 from dehyst.report.report import render

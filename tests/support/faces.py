@@ -5,10 +5,10 @@ FACES = {
     for name, text in {
         "dehyst": """
             Actuator Bank ClampWarning Columns Compensator Creep DehystError DisplacementCreep
-            Dynamics Feedback FileFormatError Fit GradedSlip IdentifyError MaxwellSlip MissingExtraError ModelError
-            Motion Outcome PathPlan Physical Record RecordError RecordErrors Repetition RigError SmoothSlip Snapshot
+            Dynamics Feedback FileFormatError Fit IdentifyError MaxwellSlip ModelError
+            PathPlan Record RecordError Repetition RigError Snapshot
             Spring Stage
-            StageCompensator StageFit State Structure Thermal Transformer VoltageLimits __version__ calibrate
+            StageCompensator State Structure Thermal VoltageLimits __version__ calibrate
             check compare export export_fmu export_wasm identify insight plan_path read update
             wave_table write_record
         """,
@@ -30,7 +30,7 @@ FACES = {
             FleetTable identify_fleet
         """,
         "identification": """
-            Check Deadline Fit Outcome Readiness RecordErrors StageFit Structure Trace Verdict identify
+            Check Deadline Fit Outcome RecordErrors StageFit Structure Trace Verdict identify
             initial_state state_after
         """,
         "instruments": """
@@ -39,10 +39,10 @@ FACES = {
         """,
         "model": """
             AbstractModel Actuator Creep DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
-            Physical Promise SmoothSlip Spring Stage State Thermal Transformer Untested Validity promised simulated
+            Physical Promise SmoothSlip Spring Stage State Thermal Transformer promised simulated
         """,
         "records": """
-            Columns Record read write_columns write_record
+            Columns Record read write_record
         """,
         "report": """
             write_calibration write_comparison write_insight write_record_page write_report

@@ -7,7 +7,8 @@ and lets an example shrink to few elements, few knots and a short path of a name
 import numpy as np
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Spring, State, Transformer
+from dehyst import Actuator, Creep, MaxwellSlip, Spring, State
+from dehyst.model import GradedSlip, Transformer
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_KINDS = ("relaxed", "turned up", "turned down", "reached", "arbitrary", "extreme")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import plain_records
 
-from dehyst import Actuator, Creep, GradedSlip, MaxwellSlip, Record, Spring, State, Transformer
+from dehyst import Actuator, Creep, MaxwellSlip, Record, Spring, State
 from dehyst.identification import Structure
 from dehyst.identification.frame import Frame
 from dehyst.identification.motion import Motion
@@ -17,7 +17,7 @@ from dehyst.identification.preparation import prepare
 from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.structure import Grid
-from dehyst.model import SmoothSlip
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 SLOPE = plain_records.VOLTS / plain_records.STROKE
 FLOOR = 0.1 * SLOPE

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from dehyst import Actuator, Creep, Dynamics, GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, Spring
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 STROKE, VOLTS = 16e-6, 200.0
 _RHO = STROKE / 20 * np.arange(1, 6)

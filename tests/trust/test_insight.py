@@ -7,9 +7,10 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst import Outcome, Record
+from dehyst import Record
 from dehyst._io import finite
 from dehyst.control import Compensator, plan_path
+from dehyst.identification import Outcome
 from dehyst.identification.identifiability import identifiability
 from dehyst.identification.structure import Grid, Structure
 from dehyst.trust import insight

@@ -33,7 +33,6 @@ __all__ = [
     "Deadline",
     "Fit",
     "Outcome",
-    "Readiness",
     "RecordErrors",
     "StageFit",
     "Structure",

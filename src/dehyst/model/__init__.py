@@ -33,7 +33,6 @@ from dehyst.model.promise import (
     CELLS,
     USELESS,
     Promise,
-    Untested,
     Validity,
     are_tested,
     distances,
@@ -87,8 +86,6 @@ __all__ = [
     "State",
     "Thermal",
     "Transformer",
-    "Untested",
-    "Validity",
     "promised",
     "simulated",
 ]

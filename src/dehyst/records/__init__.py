@@ -25,4 +25,4 @@ from dehyst.records.signals import (
 )
 from dehyst.records.tables import Table
 
-__all__ = ["Columns", "Record", "read", "write_columns", "write_record"]
+__all__ = ["Columns", "Record", "read", "write_record"]
