@@ -12,6 +12,17 @@ if TYPE_CHECKING:
 _ROOM = "dehyst.report.object_plots"
 
 
-def plotted(function: str, thing: object, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw an object with a function of ``dehyst.report.object_plots``; return the axes."""
-    return cast("Axes", getattr(import_module(_ROOM), function)(thing, kind, ax))
+class Plotted:
+    """An object that a function of ``dehyst.report.object_plots`` draws: the one of its class in small letters."""
+
+    __slots__ = ()
+
+    def plot(self, kind: str | None = None, *, ax: Axes | None = None) -> Axes:
+        """Draw the object on `ax`, by default new axes of matplotlib, and return them.
+
+        `kind`: "loop" or "time" of a record; "loop", "elements", "spring", "slopes" or "creep" of an actuator; "loops",
+        "hysteresis" (off the straight line), "residuals" or "residuals in time" of a fit and a check; "directions" or
+        "band" of an insight. Raise `ModelError` or `RecordError` if the object has no such picture, `MissingExtraError`
+        if matplotlib is not installed.
+        """
+        return cast("Axes", getattr(import_module(_ROOM), type(self).__name__.lower())(self, kind, ax))

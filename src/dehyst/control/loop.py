@@ -70,13 +70,12 @@ def make_loop(
     assumed: bool = False,
 ) -> Loop:
     """Return a loop that starts in a state, which may be only `assumed`; raise `ModelError` as `step_numbers`."""
-    coefficients, numbers = step_numbers(actuator, limits, period)
+    core, (coefficients, numbers) = evaluator_of(actuator).core, step_numbers(actuator, limits, period)
 
     def warn(slewed: bool, displacement: float, voltage: float, before: float) -> None:
         guess = before if assumed and before == begin else None
         warn_of_sample(actuator, limits, slewed, displacement, voltage, guess)
 
-    core = evaluator_of(actuator).core
     loop = core.loop(coefficients, taps, np.array(numbers), warn if warns else lambda *_: None, start)
     begin = loop.sent()
     return loop
@@ -145,8 +144,7 @@ class Snapshot(files.JsonFile):
                 argument="snapshot",
                 hint="make the compensator as it was",
             )
-        model, size = evaluator_of(actuator), loop.rest().size
-        state = model.core_state(model.complete_state(self.state))
+        start, size = evaluator_of(actuator).complete_state(self.state), loop.rest().size
         if self.rest.size != size:
             raise ModelError(argument="snapshot", got=f"{self.rest.size} numbers beside the state", need=str(size))
         if not limits.low <= self.rest[0] <= limits.high:
@@ -155,7 +153,7 @@ class Snapshot(files.JsonFile):
             )
         before = memory_of(loop)
         try:
-            checked(set_memory, loop, state, self.rest, self.counts)
+            checked(set_memory, loop, evaluator_of(actuator).core_state(start), self.rest, self.counts)
         except ModelError:
             set_memory(loop, *before)
             raise

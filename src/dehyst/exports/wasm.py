@@ -39,8 +39,7 @@ def export_wasm(compensator: Compensator, path: PathLike) -> None:
     FileFormatError
         If the files cannot be written, or the name does not end in .wasm.
     """
-    module = wasm_module(compensator)
-    files = wasm_files(path)
+    module, files = wasm_module(compensator), wasm_files(path)
     # The module comes last: when it is there, all are.
     for file, (suffix, template) in zip(files[1:], _WRAPPER.items(), strict=True):
         text = shipped(template)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -12,7 +12,7 @@ from dehyst._text import escaped, to_know
 from dehyst._views import html, tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
-from dehyst._views.pictures import plotted
+from dehyst._views.pictures import Plotted
 from dehyst.identification.expectation import Expectation, Readiness
 from dehyst.identification.remaining import RemainingError
 from dehyst.identification.results import Check, RecordErrors, Trace
@@ -20,12 +20,11 @@ from dehyst.model import Actuator, Motion, Outcome, parts_of
 from dehyst.records import Record
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Plotted):
     """The result of an identification.
 
     Attributes
@@ -114,36 +113,6 @@ class Fit:
         columns = {name: [getattr(error, name) for error in self.errors] for name in names}
         columns |= {f"{name}_nm": [getattr(error, name) * 1e9 for error in self.errors] for name in ("largest", "rms")}
         return tables.frame({**columns, "drifted_percent": [error.drifted_percent for error in self.errors]})
-
-    def plot(
-        self,
-        kind: Literal["loops", "hysteresis", "residuals", "residuals in time"] = "loops",
-        *,
-        ax: Axes | None = None,
-    ) -> Axes:
-        """Draw the fit: all records, measured and simulated.
-
-        Parameters
-        ----------
-        kind : str
-            "loops": displacement over voltage. "hysteresis": loops minus the straight line through the measured loops,
-            which enlarges hysteresis and misfit. "residuals": measured minus simulated over displacement, rising and
-            falling branches apart. "residuals in time".
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; default: the axes of a new figure.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-
-        Raises
-        ------
-        ModelError
-            If there is no such kind, or nothing to draw: an identification that failed.
-        MissingExtraError
-            If matplotlib is not installed.
-        """
-        return plotted("fit", self, kind, ax)
 
     @property
     def good(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
-from dehyst._views.pictures import plotted
+from dehyst._views.pictures import Plotted
 from dehyst.model import checks, serialization
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import Range
@@ -24,15 +24,12 @@ from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
 from dehyst.model.serialization import JsonFile
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 # The voltage of a state is a sum: it has an error of at most this part of the spring's range.
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, eq=False)
-class Actuator(JsonFile, AbstractModel):
+class Actuator(Plotted, JsonFile, AbstractModel):
     """A piezoelectric actuator (Eqs. 1-3, in terminal coordinates).
 
     With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, where s_i is the
@@ -125,34 +122,6 @@ class Actuator(JsonFile, AbstractModel):
         from dehyst.model.summary import lines
 
         return "\n".join(lines(self))
-
-    def plot(
-        self, kind: Literal["loop", "elements", "spring", "slopes", "creep"] = "loop", *, ax: Axes | None = None
-    ) -> Axes:
-        """Draw the actuator.
-
-        Parameters
-        ----------
-        kind : str
-            "loop": displacement over voltage, a major loop and inner loops with descending tops, played slowly.
-            "elements": stiffness of each slip element over its breakaway elongation. "spring": voltage of the parallel
-            spring over displacement. "slopes": slope of the voltage just after a turn, rising and falling. "creep":
-            displacement after a sudden rise through all voltages.
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; default: the axes of a new figure.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-
-        Raises
-        ------
-        ModelError
-            If there is no such kind, or the actuator has no creep.
-        MissingExtraError
-            If matplotlib is not installed.
-        """
-        return plotted("actuator", self, kind, ax)
 
     @property
     def _wide(self) -> bool:

@@ -18,14 +18,13 @@ from dehyst._types import Array, Mask
 from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
 from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
 from dehyst._views import html, tables
-from dehyst._views.pictures import plotted
+from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
 from dehyst.records.formats.columns import Column
 from dehyst.records.signals import white_noise
 from dehyst.records.tables import Table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
@@ -94,7 +93,7 @@ class Channel(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
-class Record:
+class Record(Plotted):
     """One measurement of an actuator, or of several that move together. Wrong input is an error at construction.
 
     A record of one axis has one-dimensional arrays; a record of several axes has one column for each axis. The latter
@@ -341,14 +340,6 @@ class Record:
         """
         others = [one.column for one in self.others]
         return tables.frame(columns_of(self), name=self.name, **({"others": others} if others else {}))
-
-    def plot(self, kind: Literal["loop", "time"] = "loop", *, ax: Axes | None = None) -> Axes:
-        """Draw the record: displacement over voltage ("loop"), or both over time ("time").
-
-        `kind`: which picture. `ax`: where to draw; default: the axes of a new figure. Return the axes. Raise
-        `MissingExtraError` if matplotlib is not installed.
-        """
-        return plotted("record", of_one_axis(self), kind, ax)
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -11,7 +11,7 @@ from dehyst._errors import DehystError, MissingExtraError, ModelError, RecordErr
 from dehyst._validation import choice
 from dehyst.identification import Fit, Trace
 from dehyst.model import Actuator, creep_times, slow_motion
-from dehyst.records import Record
+from dehyst.records import Record, of_one_axis
 from dehyst.report import fit_section, trust_section
 from dehyst.report.actuator_section import creep_chart, element_charts, slopes_chart, spring_charts
 from dehyst.report.charts import Axis, Chart, Series
@@ -27,7 +27,8 @@ Kinds: TypeAlias = "Mapping[str, Callable[[], Chart]]"
 
 
 def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw a record; `kind` is "loop" or "time"."""
+    """Draw a record of one axis; `kind` is "loop" or "time"."""
+    of_one_axis(found)
     kinds = {"loop": lambda: loop_chart(found), "time": lambda: time_charts(found)[1]}
     axes = _drawn(kinds, kind, ax, found.name, RecordError)
     if kind == "time":
@@ -36,7 +37,7 @@ def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
 
 
 def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw an actuator; `kind` as in `Actuator.plot`."""
+    """Draw an actuator; see `Plotted`."""
     if kind == "creep" and not creep_times(found).size:
         raise ModelError(argument="kind", got="'creep' of an actuator without creep", need="'loop' or another part")
     kinds = {
@@ -50,7 +51,7 @@ def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
 
 
 def fit(found: Fit, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw a fit; `kind` as in `Fit.plot`."""
+    """Draw a fit; see `Plotted`."""
     traces = [trace for trace in found.traces if trace.time.size]
     if not traces:
         raise ModelError(f"plot: got a fit without traces, need an identified one; it ended so: {found.outcome.value}")
@@ -59,7 +60,7 @@ def fit(found: Fit, kind: str | None, ax: Axes | None) -> Axes:
 
 
 def recheck(found: Recheck, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw a check; `kind` as in `Recheck.plot`."""
+    """Draw a check; see `Plotted`."""
     return _drawn(_of_traces([found.trace], found.stroke), kind or "hysteresis", ax, found.record, ModelError)
 
 
@@ -73,7 +74,7 @@ def _of_traces(traces: Sequence[Trace], stroke: float) -> Kinds:
 
 
 def insight(found: Insight, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw an assessment; `kind` as in `Insight.plot`."""
+    """Draw an assessment; see `Plotted`."""
     kinds = {"directions": lambda: trust_section.directions_chart(found.identifiability)}
     if (plan := found.plan) is not None:
         kinds["band"] = lambda: trust_section.band_chart(plan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 from dehyst._errors import ModelError
 from dehyst._text import counted, escaped
@@ -13,7 +13,7 @@ from dehyst._types import Progress
 from dehyst._validation import interval
 from dehyst._views import html
 from dehyst._views.fields import json_values
-from dehyst._views.pictures import plotted
+from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
 from dehyst.identification import Identifiability
 from dehyst.model import (
@@ -32,9 +32,6 @@ from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
 from dehyst.trust.recheck import ANOTHER
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Records are not those of a model that misses them by more than this [% of their range], and more than this many times
 # as far as those that it was identified from.
@@ -105,7 +102,7 @@ def insight(
 
 
 @dataclass(frozen=True, eq=False)
-class Insight:
+class Insight(Plotted):
     """How far a model can be trusted, and what to record next.
 
     Attributes
@@ -161,35 +158,6 @@ class Insight:
         With `full`, return what `--all` prints: also the directions.
         """
         return "\n".join(escaped(line) for line in lines(self, full=full))
-
-    def plot(
-        self,
-        kind: Literal["directions", "band"] | None = None,
-        *,
-        ax: Axes | None = None,
-    ) -> Axes:
-        """Draw what the records determine.
-
-        Parameters
-        ----------
-        kind : str, optional
-            "directions": singular values of the stiffness directions, determined or open. "band": where the
-            displacement of the path may be, minus the wanted path. Default: "band", if there is a path.
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; default: the axes of a new figure.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-
-        Raises
-        ------
-        ModelError
-            If there is no such kind, or no numbers for it.
-        MissingExtraError
-            If matplotlib is not installed.
-        """
-        return plotted("insight", self, kind, ax)
 
     @property
     def trustworthy(self) -> bool:

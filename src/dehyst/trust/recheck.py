@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
 from dehyst._views.fields import json_values
-from dehyst._views.pictures import plotted
+from dehyst._views.pictures import Plotted
 from dehyst.identification import (
     SEPARATE,
     Plays,
@@ -41,9 +41,6 @@ from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, turning_po
 from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, find_changes
 from dehyst.waveforms import Sampling
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
 # Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
@@ -64,7 +61,7 @@ class Standing(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Recheck:
+class Recheck(Plotted):
     """The result of a check: a model compared with a new record.
 
     Attributes
@@ -233,35 +230,6 @@ class Recheck:
         """
         changed = () if self.mismatch else self.changed
         return tuple(change.sentence(self.stroke, lasting=lasting, tells=self.tells) for change in changed)
-
-    def plot(
-        self,
-        kind: Literal["hysteresis", "loops", "residuals", "residuals in time"] | None = None,
-        *,
-        ax: Axes | None = None,
-    ) -> Axes:
-        """Draw the loop as it is now, and as it was: measured, and simulated by the model.
-
-        Parameters
-        ----------
-        kind : str, optional
-            "hysteresis" (default): the loops off their best straight line, "loops", "residuals" over the displacement,
-            or "residuals in time".
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; by default a new figure.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-
-        Raises
-        ------
-        MissingExtraError
-            If matplotlib is not installed.
-        ModelError
-            If `kind` is unknown.
-        """
-        return plotted("recheck", self, kind, ax)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
@@ -463,9 +431,8 @@ def _telling(actuator: Actuator, cycle: float) -> str:
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     """Return the shift [m] to the model's axis for which the voltages need no offset."""
     (low, high), measured = actuator.voltage_range, record.record.displacement
-    expected = major_loop(actuator, record.record.voltage_range)
     # The middle of the loop first: a sensor may have its zero far away.
-    datum = 0.5 * (sum(expected) - float(measured.min()) - float(measured.max()))
+    datum = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
     for _ in range(_STEPS):
         offset = compare(actuator, record, stroke, datum=datum).last_offsets()[-1]
         step = offset * stroke / (high - low)

@@ -312,8 +312,7 @@ class _TimedHoming:
         return np.concatenate(voltage), np.concatenate(time)
 
     def _played(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
-        when = time
-        motion = self.actuator.simulate(voltage, time=when, state=state, extrapolate=True)
+        motion = self.actuator.simulate(voltage, time=time, state=state, extrapolate=True)
         return motion.displacement, motion.state
 
 

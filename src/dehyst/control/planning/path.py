@@ -37,7 +37,6 @@ from dehyst.model import (
     apply,
     evaluator_of,
     major_loop,
-    needs_time,
     promised,
     slew_rate_of_records,
     standing,
@@ -502,7 +501,7 @@ class _Task:
         low, high = drive.limits or (-np.inf, np.inf)
         still = replace(actuator, creep=None, displacement_creep=None, state=None)  # type: ignore[arg-type]
         begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
-        for _ in range(_ROUNDS if needs_time(actuator) else 1):
+        for _ in range(_ROUNDS):
             end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))
             end = min(max(end, low), high)
             if end == begin:
@@ -530,8 +529,8 @@ class _Task:
         time = self.time_of(ways[0], len(after))
         moved, states = [], []
         for one, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
-            voltage, clock = np.concatenate([way.voltage, volts]), time
-            motion = one.actuator.simulate(voltage, time=clock, state=way.start.state, extrapolate=True)
+            voltage = np.concatenate([way.voltage, volts])
+            motion = one.actuator.simulate(voltage, time=time, state=way.start.state, extrapolate=True)
             gain, offset = one._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
             moved.append(offset + gain * motion.displacement)
             states.append(motion.state)

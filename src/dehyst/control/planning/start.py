@@ -143,9 +143,8 @@ class PossibleStart:
         outside = outside_identified(actuator, v, limits, name=name)
         if not v.size:
             raise ModelError(argument="voltage", got="no samples", need="those that were played before")
-        when = time
         before = possible_states(actuator, float(v[0]), limits)
-        reached = tuple(actuator.simulate(v, time=when, state=state, extrapolate=True).state for state in before)
+        reached = tuple(actuator.simulate(v, time=time, state=state, extrapolate=True).state for state in before)
         return cls(name, reached, outside.warnings)
 
 
@@ -198,10 +197,9 @@ class StartError:
         the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a state does not fit.
         """
         v = vector(voltage, "voltage")
-        when = time
         lowest, highest = np.full(v.size - first, np.inf), np.full(v.size - first, -np.inf)
         for state in states:
-            y = actuator.simulate(v, time=when, state=state, extrapolate=True).displacement[first:]
+            y = actuator.simulate(v, time=time, state=state, extrapolate=True).displacement[first:]
             np.minimum(lowest, y, out=lowest)
             np.maximum(highest, y, out=highest)
         stroke = actuator.stroke

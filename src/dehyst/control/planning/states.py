@@ -100,8 +100,7 @@ def possible_states(
     still = quasistatic(actuator)
 
     def played(state: State, voltages: ArrayLike, seconds: Array) -> State:
-        time = seconds
-        reached: State = still.simulate(voltages, time=time, state=state, extrapolate=True).state
+        reached: State = still.simulate(voltages, time=seconds, state=state, extrapolate=True).state
         return reached
 
     # After resting for ever at either limit.

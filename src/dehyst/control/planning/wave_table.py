@@ -442,9 +442,8 @@ class WaveTable:
         if self.homing is not None:
             rows = self.homing_rows
             v, actuator = self.homing.voltage, self.actuator
-            when = self.homing.time
             begin = standing(actuator, float(v[0]), actuator.voltage_range)
-            y = actuator.simulate(v, time=when, state=begin, extrapolate=True).displacement[rows]
+            y = actuator.simulate(v, time=self.homing.time, state=begin, extrapolate=True).displacement[rows]
             voltage, wanted, expected = [v[rows], *voltage], [y, *wanted], [y, *expected]
             phase = [np.full(rows.size, HOMING), *phase]
             time = np.concatenate([rows / self.homing.sample_rate, self.homing.duration + time])
