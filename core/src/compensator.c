@@ -38,8 +38,8 @@ dehyst_status dehyst_output_tabulate(dehyst_output *output)
     output->at_rest = output->at_once = 1;
     for (k = 0; k < output->branches; k++) {
         const dehyst_real gain = output->gain[k], decay = output->decay[k], rise = output->rise[k];
-        if (!is_finite(gain) || !is_finite(decay) || !is_finite(rise)) return DEHYST_ERR_FINITE;
-        if (gain < 0 || decay < 0 || decay > 1 || rise < 0 || rise > 1) return DEHYST_ERR_SIGN;
+        if (!is_finite(gain) || !is_finite(decay) || !is_finite(rise)) { return DEHYST_ERR_FINITE; }
+        if ((gain < 0) || (decay < 0) || (decay > 1) || (rise < 0) || (rise > 1)) { return DEHYST_ERR_SIGN; }
         output->at_rest += gain;
         output->at_once += gain * (1 - rise);
     }
@@ -50,20 +50,21 @@ dehyst_status dehyst_model_tabulate(dehyst_model *model)
 {
     const dehyst_model *c = model;
     int m;
-    if (c->taps < 1 || c->tap == NULL) return DEHYST_ERR_SIZE;
-    for (m = 0; m < c->taps; m++)
-        if (!is_finite(c->tap[m])) return DEHYST_ERR_FINITE;
-    if (!is_finite(c->low) || !is_finite(c->high) || !is_finite(c->lag)) return DEHYST_ERR_FINITE;
-    if (!(c->high > c->low)) return DEHYST_ERR_ORDER;
-    if (!(c->change > 0) || c->lag < 0) return DEHYST_ERR_SIGN;
+    if ((c->taps < 1) || (c->tap == NULL)) { return DEHYST_ERR_SIZE; }
+    for (m = 0; m < c->taps; m++) {
+        if (!is_finite(c->tap[m])) { return DEHYST_ERR_FINITE; }
+    }
+    if (!is_finite(c->low) || !is_finite(c->high) || !is_finite(c->lag)) { return DEHYST_ERR_FINITE; }
+    if (!(c->high > c->low)) { return DEHYST_ERR_ORDER; }
+    if (!(c->change > 0) || (c->lag < 0)) { return DEHYST_ERR_SIGN; }
     model->stiffness = dehyst_step_stiffness(&c->actuator, &c->step);
     return is_finite(model->stiffness) ? dehyst_output_tabulate(&model->output) : DEHYST_ERR_FINITE;
 }
 
 static dehyst_real nearest_allowed(const dehyst_model *model, dehyst_real v)
 {
-    v = v < model->low ? model->low : v;
-    return v > model->high ? model->high : v;
+    v = (v < model->low) ? model->low : v;
+    return (v > model->high) ? model->high : v;
 }
 
 unsigned long dehyst_memory_size(const dehyst_model *model)
@@ -82,7 +83,7 @@ static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop,
     dehyst_state state;
     state.memory.y = loop->w;
     state.memory.cart = memory + (loop->half ? n : 0);
-    state.strain = memory + 2 * n;
+    state.strain = memory + (2 * n);
     state.elongation = state.strain + model->actuator.branches;
     state.y = loop->y;
     state.rate = loop->rate;
@@ -103,13 +104,10 @@ static void keep_state(dehyst_loop *loop, const dehyst_state *state, const dehys
 
 /* Return the displacement of the model before creep behind the elements. */
 static dehyst_real before_creep(const dehyst_model *model, const dehyst_loop *loop)
-{
-    return model->actuator.inertia ? loop->y : loop->w;
-}
+{ return model->actuator.inertia ? loop->y : loop->w; }
 
 /* Put the start of the model into a loop and its memory. */
-static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory,
-                                dehyst_real **inputs)
+static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real **inputs)
 {
     const dehyst_actuator *a = &model->actuator;
     const dehyst_start *start = &model->start;
@@ -119,13 +117,13 @@ static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, de
     loop->w = start->w;
     loop->y = a->inertia ? start->y : 0;
     loop->rate = a->inertia ? start->rate : 0;
-    loop->input = a->inertia ? start->w - a->share * start->y : 0;
+    loop->input = a->inertia ? (start->w - (a->share * start->y)) : 0;
     loop->half = 0;
-    for (i = 0; i < n; i++) memory[i] = memory[n + i] = start->cart[i];
+    for (i = 0; i < n; i++) { memory[i] = memory[n + i] = start->cart[i]; }
     state = state_of(model, loop, memory, inputs);
-    for (i = 0; i < a->branches; i++) state.strain[i] = start->strain[i];
-    for (i = 0; i < a->smooth.size; i++) state.elongation[i] = start->elongation[i];
-    for (i = 0; i < model->output.branches; i++) (*inputs)[i - model->output.branches] = start->crept[i];
+    for (i = 0; i < a->branches; i++) { state.strain[i] = start->strain[i]; }
+    for (i = 0; i < a->smooth.size; i++) { state.elongation[i] = start->elongation[i]; }
+    for (i = 0; i < model->output.branches; i++) { (*inputs)[i - model->output.branches] = start->crept[i]; }
     loop->gain = 1;
     loop->offset = 0;
     loop->driven = before_creep(model, loop);
@@ -135,8 +133,9 @@ static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, de
 dehyst_status dehyst_start_check(const dehyst_model *model)
 {
     int k;
-    for (k = 0; k < model->output.branches; k++)
-        if (!within_reach(model->start.crept[k])) return DEHYST_ERR_FINITE;
+    for (k = 0; k < model->output.branches; k++) {
+        if (!within_reach(model->start.crept[k])) { return DEHYST_ERR_FINITE; }
+    }
     return DEHYST_OK;
 }
 
@@ -146,12 +145,12 @@ dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, de
     const dehyst_state state = start_state(model, loop, memory, &inputs);
     dehyst_status status = dehyst_check(&model->actuator, &state);
     int m;
-    if (status == DEHYST_OK) status = dehyst_start_check(model);
-    if (status != DEHYST_OK) return status;
+    if (status == DEHYST_OK) { status = dehyst_start_check(model); }
+    if (status != DEHYST_OK) { return status; }
     v = dehyst_voltage(&model->actuator, &state);
-    if (!is_finite(v)) return DEHYST_ERR_FINITE;
+    if (!is_finite(v)) { return DEHYST_ERR_FINITE; }
     loop->wanted = loop->driven;
-    for (m = 0; m < model->taps; m++) inputs[m] = loop->wanted;
+    for (m = 0; m < model->taps; m++) { inputs[m] = loop->wanted; }
     loop->sent = nearest_allowed(model, v);
     loop->acting = loop->intended[0] = loop->intended[1] = loop->candidate = loop->voltage = loop->sent;
     loop->target = loop->w;
@@ -163,22 +162,21 @@ dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, de
 
 /* Return whether the displacement is another one than that of the elements or the mass. */
 static int has_output(const dehyst_model *model, const dehyst_loop *loop)
-{
-    return model->output.branches > 0 || loop->gain != 1 || loop->offset != 0;
-}
+{ return (model->output.branches > 0) || (loop->gain != 1) || (loop->offset != 0); }
 
 dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
     dehyst_real m = before_creep(model, loop);
-    if (model->output.branches > 0)
+    if (model->output.branches > 0) {
         m = crept(&model->output, memory + dehyst_memory_size(model) - model->taps - model->output.branches, m);
-    return has_output(model, loop) ? loop->offset + loop->gain * m : m;
+    }
+    return has_output(model, loop) ? (loop->offset + (loop->gain * m)) : m;
 }
 
 dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset)
 {
-    if (!within_reach(gain) || !within_reach(offset)) return DEHYST_ERR_FINITE;
-    if (!(gain > 0)) return DEHYST_ERR_SIGN;
+    if (!within_reach(gain) || !within_reach(offset)) { return DEHYST_ERR_FINITE; }
+    if (!(gain > 0)) { return DEHYST_ERR_SIGN; }
     loop->gain = gain;
     loop->offset = offset;
     loop->offer = DEHYST_NOTHING;
@@ -205,7 +203,7 @@ int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real exp
 {
     dehyst_sensor *s = sensor;
     dehyst_real dm, dy;
-    if (!is_finite(reading)) return 0;
+    if (!is_finite(reading)) { return 0; }
     if (!(magnitude(reading - expected) <= bound)) {
         s->far_count++;
         return 0;
@@ -224,23 +222,24 @@ int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real exp
 dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor)
 {
     const dehyst_sensor *s = sensor;
-    if (s->near_count + s->far_count < LEAST_READINGS) return DEHYST_BELIEVED;
-    if (s->far_count > s->near_count) return DEHYST_FAR;
-    if (s->seen < STUCK * s->moved) return DEHYST_STUCK;
-    if (s->seen < TOO_LITTLE * s->moved || s->seen > TOO_MUCH * s->moved) return DEHYST_SCALED;
-    if (!(s->common > 0 && s->common * s->common > CORRELATED * CORRELATED * s->moved * s->seen))
+    if ((s->near_count + s->far_count) < LEAST_READINGS) { return DEHYST_BELIEVED; }
+    if (s->far_count > s->near_count) { return DEHYST_FAR; }
+    if (s->seen < (STUCK * s->moved)) { return DEHYST_STUCK; }
+    if ((s->seen < (TOO_LITTLE * s->moved)) || (s->seen > (TOO_MUCH * s->moved))) { return DEHYST_SCALED; }
+    if (!((s->common > 0) && ((s->common * s->common) > (CORRELATED * CORRELATED * s->moved * s->seen)))) {
         return DEHYST_CONTRADICTS;
+    }
     return DEHYST_BELIEVED;
 }
 
-/* Return the displacement that a sensor without delay should show now. With preview, that is the newest wanted one; where
- * limits or slew rate kept the elements from it, by as much less. */
+/* Return the displacement that a sensor without delay should show now. With preview, that is the newest wanted one;
+ * where limits or slew rate kept the elements from it, by as much less. */
 static dehyst_real meant(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
     const dehyst_real *inputs = memory + dehyst_memory_size(model) - model->taps;
-    if (model->taps == 1) return dehyst_loop_displacement(model, loop, memory);
-    return loop->offset + loop->gain * (crept(&model->output, inputs - model->output.branches, inputs[0]) +
-                                        (loop->w - loop->target));
+    if (model->taps == 1) { return dehyst_loop_displacement(model, loop, memory); }
+    return loop->offset + (loop->gain * (crept(&model->output, inputs - model->output.branches, inputs[0]) +
+                                         (loop->w - loop->target)));
 }
 
 dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
@@ -249,15 +248,15 @@ dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop
     const dehyst_plain *plain = &model->actuator.plain;
     const dehyst_real range = plain->spring.knot[plain->spring.size - 1] - plain->spring.knot[0];
     int k;
-    if (!is_finite(gain) || !within_reach(bound)) return DEHYST_ERR_FINITE;
-    if (!(gain >= 0) || gain > 1 || bound < 0) return DEHYST_ERR_SIGN;
-    if (late < 0 || late > DEHYST_FEEDBACK_LATE) return DEHYST_ERR_SIZE;
+    if (!is_finite(gain) || !within_reach(bound)) { return DEHYST_ERR_FINITE; }
+    if (!(gain >= 0) || (gain > 1) || (bound < 0)) { return DEHYST_ERR_SIGN; }
+    if ((late < 0) || (late > DEHYST_FEEDBACK_LATE)) { return DEHYST_ERR_SIZE; }
     feedback->gain = gain;
     feedback->bound = bound;
     feedback->least = LEAST_MOTION * range;
     feedback->correction = feedback->back = feedback->travelled = 0;
     feedback->low = feedback->high = feedback->last = meant(model, loop, memory);
-    for (k = 0; k <= late; k++) feedback->past[k] = feedback->last;
+    for (k = 0; k <= late; k++) { feedback->past[k] = feedback->last; }
     feedback->late = late;
     feedback->at = 0;
     feedback->samples = 0;
@@ -272,10 +271,10 @@ static void judge_cycle(dehyst_feedback *f, dehyst_real expected)
     f->samples++;
     f->travelled += magnitude(expected - f->last);
     f->last = expected;
-    f->low = expected < f->low ? expected : f->low;
-    f->high = expected > f->high ? expected : f->high;
-    if (f->high - f->low < f->least || f->travelled < 2 * (f->high - f->low)) return;
-    if (f->sensor.near_count + f->sensor.far_count < LEAST_READINGS) return;
+    f->low = (expected < f->low) ? expected : f->low;
+    f->high = (expected > f->high) ? expected : f->high;
+    if (((f->high - f->low) < f->least) || (f->travelled < (2 * (f->high - f->low)))) { return; }
+    if ((f->sensor.near_count + f->sensor.far_count) < LEAST_READINGS) { return; }
     f->fault = dehyst_sensor_judge(&f->sensor);
     /* Taken back within a quarter of the cycle, so that nothing jumps. */
     f->back = 4 * magnitude(f->correction) / (dehyst_real)f->samples;
@@ -291,16 +290,17 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
     dehyst_feedback *f = feedback;
     dehyst_real expected;
     f->past[f->at] = meant(model, loop, memory);
-    f->at = f->at < f->late ? f->at + 1 : 0;
+    f->at = (f->at < f->late) ? (f->at + 1) : 0;
     expected = f->past[f->at];
     if (f->fault != DEHYST_BELIEVED) {
         const dehyst_real left = magnitude(f->correction) - f->back;
-        f->correction = left > 0 ? (f->correction > 0 ? left : -left) : 0;
+        f->correction = (left > 0) ? ((f->correction > 0) ? left : -left) : 0;
         return f->correction;
     }
     /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
-    if (dehyst_sensor_read(&f->sensor, f->bound, expected, measured))
+    if (dehyst_sensor_read(&f->sensor, f->bound, expected, measured)) {
         f->correction -= f->gain * (measured - expected + f->correction);
+    }
     judge_cycle(f, expected);
     return f->correction;
 }
@@ -325,7 +325,7 @@ static dehyst_real filtered(const dehyst_model *model, const dehyst_real *inputs
 {
     dehyst_real w = model->tap[0] * u;
     int m;
-    for (m = 1; m < model->taps; m++) w += model->tap[m] * inputs[m - 1];
+    for (m = 1; m < model->taps; m++) { w += model->tap[m] * inputs[m - 1]; }
     return w;
 }
 
@@ -333,8 +333,8 @@ static dehyst_real filtered(const dehyst_model *model, const dehyst_real *inputs
  * through the last two. */
 static dehyst_real ahead_of_lag(const dehyst_model *model, const dehyst_loop *loop, dehyst_real acting)
 {
-    const dehyst_real three = 3 * acting - 4 * loop->intended[0] + loop->intended[1];
-    return acting + model->lag * (three / 2);
+    const dehyst_real three = (3 * acting) - (4 * loop->intended[0]) + loop->intended[1];
+    return acting + (model->lag * (three / 2));
 }
 
 /* Return v within slew rate and limits. Limits come last: the slew rate must not push a voltage out of them. */
@@ -343,9 +343,9 @@ static dehyst_real allowed(const dehyst_model *model, dehyst_loop *loop, dehyst_
     const dehyst_model *c = model;
     if (magnitude(v - loop->sent) > c->change) {
         loop->offer = DEHYST_SLEWED;
-        v = v > loop->sent ? loop->sent + c->change : loop->sent - c->change;
+        v = (v > loop->sent) ? (loop->sent + c->change) : (loop->sent - c->change);
     }
-    if (nearest_allowed(c, v) != v) loop->offer = DEHYST_LIMITED;
+    if (nearest_allowed(c, v) != v) { loop->offer = DEHYST_LIMITED; }
     return nearest_allowed(c, v);
 }
 
@@ -354,20 +354,20 @@ dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehy
     dehyst_real *inputs, v;
     const dehyst_state state = state_of(model, loop, memory, &inputs);
     dehyst_candidate candidate;
-    if (has_output(model, loop)) u = without_output(model, loop, inputs, u);
-    candidate.w = model->taps > 1 ? filtered(model, inputs, u) : u;
+    if (has_output(model, loop)) { u = without_output(model, loop, inputs, u); }
+    candidate.w = (model->taps > 1) ? filtered(model, inputs, u) : u;
     loop->wanted = u;
     loop->target = candidate.w;
     loop->voltage = nearest_allowed(model, loop->sent);
     loop->offer = DEHYST_REFUSED;
-    if (!is_finite(candidate.w)) return loop->voltage;
+    if (!is_finite(candidate.w)) { return loop->voltage; }
     candidate.cart = memory + (loop->half ? 0 : model->actuator.plain.slip.size);
     candidate.hint = loop->segment;
     dehyst_evaluate(&model->actuator, &model->step, &state, model->stiffness, &candidate);
     loop->candidate = candidate.v;
     loop->segment = candidate.hint;
-    v = model->lag > 0 ? ahead_of_lag(model, loop, candidate.v) : candidate.v;
-    if (!is_finite(v)) return loop->voltage;
+    v = (model->lag > 0) ? ahead_of_lag(model, loop, candidate.v) : candidate.v;
+    if (!is_finite(v)) { return loop->voltage; }
     loop->offer = DEHYST_CANDIDATE;
     return loop->voltage = allowed(model, loop, v);
 }
@@ -388,13 +388,14 @@ static void follow(const dehyst_model *model, dehyst_loop *loop, dehyst_state *s
 {
     dehyst_real acts = v;
     if (model->lag > 0) {
-        acts = model->keep * loop->acting + model->from_old * loop->sent + model->from_new * v;
+        acts = (model->keep * loop->acting) + (model->from_old * loop->sent) + (model->from_new * v);
         loop->acting = acts;
         loop->intended[1] = loop->intended[0];
         loop->intended[0] = as_wanted ? loop->candidate : acts;
     }
-    if (!within_reach(dehyst_simulate_step(&model->actuator, &model->step, state, model->stiffness, acts)))
+    if (!within_reach(dehyst_simulate_step(&model->actuator, &model->step, state, model->stiffness, acts))) {
         loop->refused++;
+    }
 }
 
 OUT_OF_LINE static void move_output(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real m)
@@ -408,10 +409,11 @@ OUT_OF_LINE static void move_output(const dehyst_model *model, dehyst_loop *loop
 static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real v, int as_wanted)
 {
     int m;
-    for (m = model->taps - 1; m > 0; m--) inputs[m] = inputs[m - 1];
-    if (loop->offer != DEHYST_NOTHING && within_reach(loop->wanted)) inputs[0] = loop->wanted;
-    if (model->output.branches > 0)
+    for (m = model->taps - 1; m > 0; m--) { inputs[m] = inputs[m - 1]; }
+    if ((loop->offer != DEHYST_NOTHING) && within_reach(loop->wanted)) { inputs[0] = loop->wanted; }
+    if (model->output.branches > 0) {
         move_output(model, loop, inputs, as_wanted ? inputs[0] : before_creep(model, loop));
+    }
     loop->sent = v;
     loop->offer = DEHYST_NOTHING;
 }
@@ -419,13 +421,13 @@ static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real
 int dehyst_loop_accepts(const dehyst_model *model, dehyst_real v)
 {
     const dehyst_real range = model->high - model->low;
-    return is_finite(v) && v >= model->low - range && v <= model->high + range;
+    return is_finite(v) && (v >= (model->low - range)) && (v <= (model->high + range));
 }
 
 void dehyst_loop_commit(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real v)
 {
-    const int as_offered = loop->offer != DEHYST_NOTHING && v == loop->voltage;
-    const int as_wanted = as_offered && loop->offer == DEHYST_CANDIDATE && within_reach(loop->target);
+    const int as_offered = (loop->offer != DEHYST_NOTHING) && (v == loop->voltage);
+    const int as_wanted = as_offered && (loop->offer == DEHYST_CANDIDATE) && within_reach(loop->target);
     dehyst_real *inputs;
     dehyst_state state = state_of(model, loop, memory, &inputs);
     if (as_wanted && !(model->lag > 0)) {
@@ -450,7 +452,7 @@ void dehyst_loop_play(const dehyst_model *model, dehyst_loop *loop, dehyst_real 
     dehyst_real *inputs;
     dehyst_state state = state_of(model, loop, memory, &inputs);
     loop->offer = DEHYST_NOTHING;
-    if (!is_finite(v)) v = loop->sent;
+    if (!is_finite(v)) { v = loop->sent; }
     follow(model, loop, &state, v, 0);
     keep_state(loop, &state, memory);
     end_period(model, loop, inputs, v, 0);
@@ -467,5 +469,5 @@ void dehyst_loop_run(const dehyst_model *model, dehyst_loop *loop, dehyst_real *
                      dehyst_real *v, long n)
 {
     long t;
-    for (t = 0; t < n; t++) v[t] = dehyst_loop_step(model, loop, memory, u[t]);
+    for (t = 0; t < n; t++) { v[t] = dehyst_loop_step(model, loop, memory, u[t]); }
 }

@@ -3,23 +3,24 @@
 dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehyst_real *slope, dehyst_real *value)
 {
     int i, j;
-    if (n < 0 || m < 1 || knot == NULL || slope == NULL || value == NULL) return DEHYST_ERR_SIZE;
+    if ((n < 0) || (m < 1) || (knot == NULL) || (slope == NULL) || (value == NULL)) { return DEHYST_ERR_SIZE; }
     for (j = 0; j <= m; j++) {
-        if (!is_finite(knot[j])) return DEHYST_ERR_FINITE;
-        if (j > 0 && !(knot[j] > knot[j - 1])) return DEHYST_ERR_ORDER;
+        if (!is_finite(knot[j])) { return DEHYST_ERR_FINITE; }
+        if ((j > 0) && !(knot[j] > knot[j - 1])) { return DEHYST_ERR_ORDER; }
     }
-    for (j = 0; j < m; j++) slope[n * m + j] = 0;
-    for (i = 0; i < n; i++)
+    for (j = 0; j < m; j++) { slope[(n * m) + j] = 0; }
+    for (i = 0; i < n; i++) {
         for (j = 0; j < m; j++) {
-            if (!is_finite(slope[i * m + j])) return DEHYST_ERR_FINITE;
-            if (slope[i * m + j] < 0) return DEHYST_ERR_SIGN;
-            slope[n * m + j] += slope[i * m + j];
+            if (!is_finite(slope[(i * m) + j])) { return DEHYST_ERR_FINITE; }
+            if (slope[(i * m) + j] < 0) { return DEHYST_ERR_SIGN; }
+            slope[(n * m) + j] += slope[(i * m) + j];
         }
+    }
     for (i = 0; i <= n; i++) {
-        dehyst_real *row = value + i * (m + 1);
+        dehyst_real *row = value + (i * (m + 1));
         row[0] = 0;
-        for (j = 0; j < m; j++) row[j + 1] = row[j] + slope[i * m + j] * (knot[j + 1] - knot[j]);
-        if (!is_finite(row[m])) return DEHYST_ERR_FINITE;
+        for (j = 0; j < m; j++) { row[j + 1] = row[j] + (slope[(i * m) + j] * (knot[j + 1] - knot[j])); }
+        if (!is_finite(row[m])) { return DEHYST_ERR_FINITE; }
     }
     return DEHYST_OK;
 }
@@ -27,13 +28,12 @@ dehyst_status dehyst_grades_tabulate(int n, int m, const dehyst_real *knot, dehy
 /* Return psi_i at b, which lies in segment j; row N is the sum of all. */
 static dehyst_real psi(const dehyst_grades *grades, int i, int j, dehyst_real b)
 {
-    return grades->value[i * (grades->size + 1) + j] + grades->slope[i * grades->size + j] * (b - grades->knot[j]);
+    return grades->value[(i * (grades->size + 1)) + j] +
+           (grades->slope[(i * grades->size) + j] * (b - grades->knot[j]));
 }
 
 static int grade(const dehyst_grades *grades, dehyst_real b, int hint)
-{
-    return count_below(grades->knot + 1, grades->size - 1, b, hint);
-}
+{ return count_below(grades->knot + 1, grades->size - 1, b, hint); }
 
 /* Return the segment in which a cart slides in `direction`, `lead` behind y, and the y at which it meets the next knot.
  * The comparison is the one that makes the knot an event, so that no event is met twice. */
@@ -44,20 +44,20 @@ static int grade_ahead(const dehyst_grades *grades, dehyst_real y, dehyst_real l
     const int last = grades->size - 1;
     int j = grade(grades, y - lead, hint);
     if (direction > 0) {
-        while (j > 0 && y < knot[j] + lead) j--;
-        while (j < last && y >= knot[j + 1] + lead) j++;
-        *event = j < last ? knot[j + 1] + lead : DEHYST_LARGEST;
+        while ((j > 0) && (y < (knot[j] + lead))) { j--; }
+        while ((j < last) && (y >= (knot[j + 1] + lead))) { j++; }
+        *event = (j < last) ? (knot[j + 1] + lead) : DEHYST_LARGEST;
     } else {
-        while (j < last && y > knot[j + 1] + lead) j++;
-        while (j > 0 && y <= knot[j] + lead) j--;
-        *event = j > 0 ? knot[j] + lead : -DEHYST_LARGEST;
+        while ((j < last) && (y > (knot[j + 1] + lead))) { j++; }
+        while ((j > 0) && (y <= (knot[j] + lead))) { j--; }
+        *event = (j > 0) ? (knot[j] + lead) : -DEHYST_LARGEST;
     }
     return j;
 }
 
 static void nearer(branch_segment *ahead, dehyst_real direction, dehyst_real event)
 {
-    if (direction * (event - ahead->event) < 0) ahead->event = event;
+    if ((direction * (event - ahead->event)) < 0) { ahead->event = event; }
 }
 
 branch_segment dehyst_grades_look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *state, dehyst_real y,
@@ -69,26 +69,26 @@ branch_segment dehyst_grades_look_ahead(const dehyst_actuator *actuator, const d
     branch_segment ahead;
     dehyst_real event;
     int i, j = segment(spring, y, spring->size / 2), hint;
-    if (direction < 0 && j > 0 && y <= spring->knot[j]) j--;
+    if ((direction < 0) && (j > 0) && (y <= spring->knot[j])) { j--; }
     ahead.event = direction * DEHYST_LARGEST;
-    if (direction > 0 && j + 2 < spring->size) ahead.event = spring->knot[j + 1];
-    if (direction < 0 && j > 0) ahead.event = spring->knot[j];
+    if ((direction > 0) && ((j + 2) < spring->size)) { ahead.event = spring->knot[j + 1]; }
+    if ((direction < 0) && (j > 0)) { ahead.event = spring->knot[j]; }
     ahead.v = on_segment(spring, j, y);
     ahead.slope = spring->slope[j];
     hint = grade_ahead(grades, y, 0, direction, grades->size / 2, &event);
     nearer(&ahead, direction, event);
     ahead.v += psi(grades, slip->size, hint, y);
-    ahead.slope += grades->slope[slip->size * grades->size + hint];
+    ahead.slope += grades->slope[(slip->size * grades->size) + hint];
     for (i = 0; i < slip->size; i++) {
         dehyst_real lead = direction * slip->rho[i], breakaway = state->cart[i] + lead;
-        if (direction * (breakaway - y) > 0) {
+        if ((direction * (breakaway - y)) > 0) {
             hint = grade(grades, state->cart[i], hint);
             ahead.v -= psi(grades, i, hint, state->cart[i]);
             nearer(&ahead, direction, breakaway);
         } else {
             hint = grade_ahead(grades, y, lead, direction, hint, &event);
             ahead.v -= psi(grades, i, hint, y - lead);
-            ahead.slope -= grades->slope[i * grades->size + hint];
+            ahead.slope -= grades->slope[(i * grades->size) + hint];
             nearer(&ahead, direction, event);
         }
     }
@@ -100,7 +100,7 @@ dehyst_real dehyst_grades_stiffness(const dehyst_actuator *actuator, int i, dehy
     const dehyst_grades *grades = &actuator->grades;
     dehyst_real event;
     const int j = grade_ahead(grades, y, direction * actuator->plain.slip.rho[i], direction, grades->size / 2, &event);
-    return grades->slope[i * grades->size + j];
+    return grades->slope[(i * grades->size) + j];
 }
 
 dehyst_real dehyst_grades_voltage(const dehyst_actuator *actuator, const dehyst_plain_state *state)
@@ -131,11 +131,11 @@ void dehyst_grades_compensate(const dehyst_actuator *actuator, dehyst_plain_stat
     }
     for (t = 0; t < n; t++) {
         dehyst_real sum = 0;
-        if (is_finite(y[t])) present = y[t];
+        if (is_finite(y[t])) { present = y[t]; }
         for (i = 0; i < slip->size; i++) {
             dehyst_real low = present - slip->rho[i], high = present + slip->rho[i];
-            if (cart[i] < low || cart[i] > high) {
-                cart[i] = cart[i] < low ? low : high;
+            if ((cart[i] < low) || (cart[i] > high)) {
+                cart[i] = (cart[i] < low) ? low : high;
                 where[i] = grade(grades, cart[i], where[i]);
                 at_cart[i] = psi(grades, i, where[i], cart[i]);
             }

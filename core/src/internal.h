@@ -6,34 +6,35 @@
 
 #include <stddef.h>
 
-/* Such flags let the compiler assume that there is no NaN: is_finite would be folded to 1, and a NaN become a voltage. */
+/* Such flags let the compiler assume that there is no NaN: is_finite would then be 1, and a NaN become a voltage. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST)
 #error "dehyst: leave out -ffast-math, -Ofast, -ffinite-math-only, /fp:fast: with them a NaN is not refused"
 #endif
 
-static inline int is_finite(dehyst_real a) { return a - a == 0; }
+static inline int is_finite(dehyst_real a) { return (a - a) == 0; }
 
-static inline dehyst_real magnitude(dehyst_real a) { return a < 0 ? -a : a; }
+static inline dehyst_real magnitude(dehyst_real a) { return (a < 0) ? -a : a; }
 
 /* Return whether a displacement can be computed with: farther, products with stiffnesses overflow. NaN cannot. */
 #define DEHYST_FARTHEST (1 / DEHYST_EPSILON / DEHYST_EPSILON)
-static inline int within_reach(dehyst_real a) { return a >= -DEHYST_FARTHEST && a <= DEHYST_FARTHEST; }
+static inline int within_reach(dehyst_real a) { return (a >= -DEHYST_FARTHEST) && (a <= DEHYST_FARTHEST); }
 
 /* Return how many entries of the increasing a [n] are <= u; search near the hint first. A negative hint counts as n. */
 static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hint)
 {
-    int low = 0, high = n, i = (unsigned)hint < (unsigned)n ? hint : n, tries;
+    int low = 0, high = n, i = ((unsigned)hint < (unsigned)n) ? hint : n, tries;
     for (tries = 0; tries < 2; tries++) {
-        if (i < n && a[i] <= u)
+        if ((i < n) && (a[i] <= u)) {
             low = ++i;
-        else if (i > 0 && a[i - 1] > u)
+        } else if ((i > 0) && (a[i - 1] > u)) {
             high = --i;
-        else
+        } else {
             return i;
+        }
     }
     while (low < high) {
         /* On which side a far u lies cannot be predicted: no branch. */
-        const int middle = low + (high - low) / 2, below = -(a[middle] <= u);
+        const int middle = low + ((high - low) / 2), below = -(a[middle] <= u);
         low += below & (middle + 1 - low);
         high += ~below & (middle - high);
     }
@@ -42,14 +43,10 @@ static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hi
 
 /* Return the segment of the curve that holds x: knot_j <= x < knot_{j+1}; the end segments are unbounded. */
 static inline int segment(const dehyst_curve *curve, dehyst_real x, int hint)
-{
-    return count_below(curve->knot + 1, curve->size - 2, x, hint);
-}
+{ return count_below(curve->knot + 1, curve->size - 2, x, hint); }
 
 static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_real x)
-{
-    return curve->value[j] + curve->slope[j] * (x - curve->knot[j]);
-}
+{ return curve->value[j] + (curve->slope[j] * (x - curve->knot[j])); }
 
 /* The straight segment of a branch that a motion in one direction meets at y: voltage, slope, and where it ends. */
 typedef struct branch_segment {
@@ -73,16 +70,16 @@ dehyst_real dehyst_grades_stiffness(const dehyst_actuator *actuator, int i, dehy
 static inline branch_segment look_ahead(const dehyst_actuator *actuator, const dehyst_plain_state *memory,
                                         dehyst_real w, dehyst_real direction)
 {
-    return actuator->grades.size > 0 ? dehyst_grades_look_ahead(actuator, memory, w, direction)
-                                     : dehyst_plain_look_ahead(&actuator->plain, memory, w, direction);
+    return (actuator->grades.size > 0) ? dehyst_grades_look_ahead(actuator, memory, w, direction)
+                                       : dehyst_plain_look_ahead(&actuator->plain, memory, w, direction);
 }
 
 /* Return where a motion that ends at y leaves a cart at b. */
 static inline dehyst_real cart_after(dehyst_real b, dehyst_real y, dehyst_real rho)
 {
     const dehyst_real low = y - rho, high = y + rho;
-    b = b < low ? low : b;
-    return b > high ? high : b;
+    b = (b < low) ? low : b;
+    return (b > high) ? high : b;
 }
 
 /* Return the voltage after a motion that ends at y, and the carts after it. */
@@ -96,11 +93,12 @@ static inline dehyst_real voltage_after(const dehyst_plain *plain, const dehyst_
     int i = 0, k;
     /* An initialiser might call memset. */
     sum[0] = sum[1] = sum[2] = sum[3] = 0;
-    for (; i + 4 <= slip->size; i += 4)
+    for (; (i + 4) <= slip->size; i += 4) {
         for (k = 0; k < 4; k++) {
             after[i + k] = cart_after(cart[i + k], y, rho[i + k]);
             sum[k] += kappa[i + k] * (y - after[i + k]);
         }
+    }
     for (k = 0; i < slip->size; i++, k++) {
         after[i] = cart_after(cart[i], y, rho[i]);
         sum[k] += kappa[i] * (y - after[i]);
@@ -122,7 +120,7 @@ static inline dehyst_real crept(const dehyst_output *output, const dehyst_real *
 {
     dehyst_real y = output->at_rest * m;
     int k;
-    for (k = 0; k < output->branches; k++) y -= output->gain[k] * strain[k];
+    for (k = 0; k < output->branches; k++) { y -= output->gain[k] * strain[k]; }
     return y;
 }
 
@@ -131,8 +129,9 @@ static inline dehyst_real not_crept(const dehyst_output *output, const dehyst_re
                                     dehyst_real y)
 {
     int k;
-    for (k = 0; k < output->branches; k++)
-        y += output->gain[k] * (output->decay[k] * strain[k] - output->rise[k] * before);
+    for (k = 0; k < output->branches; k++) {
+        y += output->gain[k] * ((output->decay[k] * strain[k]) - (output->rise[k] * before));
+    }
     return y / output->at_once;
 }
 
@@ -140,7 +139,7 @@ static inline dehyst_real not_crept(const dehyst_output *output, const dehyst_re
 static inline void creep_on(const dehyst_output *output, dehyst_real *strain, dehyst_real by)
 {
     int k;
-    for (k = 0; k < output->branches; k++) strain[k] = output->decay[k] * strain[k] + output->rise[k] * by;
+    for (k = 0; k < output->branches; k++) { strain[k] = (output->decay[k] * strain[k]) + (output->rise[k] * by); }
 }
 
 /* Check the strains of creep behind the elements with which a loop begins. */
@@ -168,14 +167,15 @@ static inline dehyst_real creep_after(const dehyst_actuator *actuator, const deh
     dehyst_real sum[4];
     int j, i;
     sum[0] = sum[1] = sum[2] = sum[3] = 0;
-    for (j = 0; j + 4 <= actuator->branches; j += 4)
+    for (j = 0; (j + 4) <= actuator->branches; j += 4) {
         for (i = 0; i < 4; i++) {
             const dehyst_real once = step->decay[j + i] * strain[j + i];
-            sum[i] += actuator->creep_stiffness[j + i] * (steps > 1 ? step->decay[j + i] * once : once);
+            sum[i] += actuator->creep_stiffness[j + i] * ((steps > 1) ? (step->decay[j + i] * once) : once);
         }
+    }
     for (i = 0; j < actuator->branches; j++, i++) {
         const dehyst_real once = step->decay[j] * strain[j];
-        sum[i] += actuator->creep_stiffness[j] * (steps > 1 ? step->decay[j] * once : once);
+        sum[i] += actuator->creep_stiffness[j] * ((steps > 1) ? (step->decay[j] * once) : once);
     }
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
@@ -185,30 +185,29 @@ static inline void move_creep(const dehyst_actuator *actuator, const dehyst_step
                               dehyst_real by)
 {
     int j;
-    for (j = 0; j < actuator->branches; j++) strain[j] = step->decay[j] * strain[j] + step->gain[j] * by;
+    for (j = 0; j < actuator->branches; j++) { strain[j] = (step->decay[j] * strain[j]) + (step->gain[j] * by); }
 }
 
 /* At the end of a step y = offset + gain w: return the gain. */
 static inline dehyst_real gain_of(const dehyst_actuator *actuator, const dehyst_transition *to)
-{
-    return to->after[0] / (1 + actuator->share * to->after[0]);
-}
+{ return to->after[0] / (1 + (actuator->share * to->after[0])); }
 
 /* Return the offset of the same. */
 static inline dehyst_real offset_of(const dehyst_actuator *actuator, const dehyst_transition *to,
                                     const dehyst_state *state, dehyst_real load)
 {
-    return (to->phi[0] * state->y + to->phi[1] * state->rate + to->before[0] * state->input + to->after[0] * load) /
-           (1 + actuator->share * to->after[0]);
+    return ((to->phi[0] * state->y) + (to->phi[1] * state->rate) + (to->before[0] * state->input) +
+            (to->after[0] * load)) /
+           (1 + (actuator->share * to->after[0]));
 }
 
 /* Move a mass through a step that ends at w and y. */
 static inline void move_mass(const dehyst_actuator *actuator, const dehyst_transition *to, dehyst_state *state,
                              dehyst_real w, dehyst_real y, dehyst_real load)
 {
-    const dehyst_real input = w - actuator->share * y + load;
+    const dehyst_real input = w - (actuator->share * y) + load;
     state->rate =
-        to->phi[2] * state->y + to->phi[3] * state->rate + to->before[1] * state->input + to->after[1] * input;
+        (to->phi[2] * state->y) + (to->phi[3] * state->rate) + (to->before[1] * state->input) + (to->after[1] * input);
     state->input = input;
     state->y = y;
 }

@@ -4,57 +4,59 @@ dehyst_status dehyst_check(const dehyst_actuator *actuator, const dehyst_state *
 {
     dehyst_status status = dehyst_plain_check(&actuator->plain, &state->memory);
     int j;
-    if (status != DEHYST_OK) return status;
-    if (actuator->branches < 0) return DEHYST_ERR_SIZE;
-    if (actuator->branches > 0 && (actuator->creep_stiffness == NULL || state->strain == NULL)) return DEHYST_ERR_SIZE;
+    if (status != DEHYST_OK) { return status; }
+    if (actuator->branches < 0) { return DEHYST_ERR_SIZE; }
+    if ((actuator->branches > 0) && ((actuator->creep_stiffness == NULL) || (state->strain == NULL))) {
+        return DEHYST_ERR_SIZE;
+    }
     for (j = 0; j < actuator->branches; j++) {
-        if (!is_finite(actuator->creep_stiffness[j]) || !is_finite(state->strain[j])) return DEHYST_ERR_FINITE;
-        if (actuator->creep_stiffness[j] < 0) return DEHYST_ERR_SIGN;
+        if (!is_finite(actuator->creep_stiffness[j]) || !is_finite(state->strain[j])) { return DEHYST_ERR_FINITE; }
+        if (actuator->creep_stiffness[j] < 0) { return DEHYST_ERR_SIGN; }
     }
     status = dehyst_smooth_check(&actuator->smooth, state->elongation);
-    if (status != DEHYST_OK || !actuator->inertia) return status;
-    if (!is_finite(actuator->series) || !is_finite(actuator->share)) return DEHYST_ERR_FINITE;
-    if (!within_reach(state->y) || !within_reach(state->rate)) return DEHYST_ERR_FINITE;
-    return actuator->series < 0 || actuator->share < 0 || actuator->share > 1 ? DEHYST_ERR_SIGN : DEHYST_OK;
+    if ((status != DEHYST_OK) || !actuator->inertia) { return status; }
+    if (!is_finite(actuator->series) || !is_finite(actuator->share)) { return DEHYST_ERR_FINITE; }
+    if (!within_reach(state->y) || !within_reach(state->rate)) { return DEHYST_ERR_FINITE; }
+    return ((actuator->series < 0) || (actuator->share < 0) || (actuator->share > 1)) ? DEHYST_ERR_SIGN : DEHYST_OK;
 }
 
 dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *state)
 {
-    dehyst_real drive = actuator->grades.size > 0 ? dehyst_grades_voltage(actuator, &state->memory)
-                                                  : dehyst_plain_voltage(&actuator->plain, &state->memory);
+    dehyst_real drive = (actuator->grades.size > 0) ? dehyst_grades_voltage(actuator, &state->memory)
+                                                    : dehyst_plain_voltage(&actuator->plain, &state->memory);
     int j;
-    for (j = 0; j < actuator->branches; j++) drive += actuator->creep_stiffness[j] * state->strain[j];
+    for (j = 0; j < actuator->branches; j++) { drive += actuator->creep_stiffness[j] * state->strain[j]; }
     drive += dehyst_smooth_voltage(&actuator->smooth, state->elongation);
-    if (actuator->inertia) drive += actuator->series * (state->memory.y - state->y);
-    return actuator->inverse_transformer.size > 0 ? dehyst_curve_at(&actuator->inverse_transformer, drive) : drive;
+    if (actuator->inertia) { drive += actuator->series * (state->memory.y - state->y); }
+    return (actuator->inverse_transformer.size > 0) ? dehyst_curve_at(&actuator->inverse_transformer, drive) : drive;
 }
 
 dehyst_real dehyst_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive, dehyst_real stiffness,
                          dehyst_real *likely)
 {
     dehyst_plain_state *memory = &state->memory;
-    const int size = actuator->plain.slip.size, grades = actuator->grades.size > 0 ? actuator->grades.size : 1;
+    const int size = actuator->plain.slip.size, grades = (actuator->grades.size > 0) ? actuator->grades.size : 1;
     const dehyst_real start = memory->y;
     dehyst_real w = start, direction = *likely;
-    int changes = (size + 1) * grades + actuator->plain.spring.size;
+    int changes = ((size + 1) * grades) + actuator->plain.spring.size;
     branch_segment ahead;
-    if (actuator->smooth.size > 0) return dehyst_smooth_solve(actuator, state, drive, stiffness, likely);
-    if (!is_finite(drive)) return start;
+    if (actuator->smooth.size > 0) { return dehyst_smooth_solve(actuator, state, drive, stiffness, likely); }
+    if (!is_finite(drive)) { return start; }
     ahead = look_ahead(actuator, memory, w, direction);
-    if (direction * (drive - ahead.v) < 0) {
+    if ((direction * (drive - ahead.v)) < 0) {
         *likely = direction = -direction;
         ahead = look_ahead(actuator, memory, w, direction);
     }
     while (changes-- > 0) {
-        dehyst_real goal = w + (drive - ahead.v - stiffness * (w - start)) / (ahead.slope + stiffness);
-        if (direction * (goal - ahead.event) <= 0) {
+        dehyst_real goal = w + ((drive - ahead.v - (stiffness * (w - start))) / (ahead.slope + stiffness));
+        if ((direction * (goal - ahead.event)) <= 0) {
             w = goal;
             break;
         }
         w = ahead.event;
         ahead = look_ahead(actuator, memory, w, direction);
     }
-    if (!within_reach(w)) return w;
+    if (!within_reach(w)) { return w; }
     dehyst_slip_move(&actuator->plain.slip, memory->cart, w);
     memory->y = w;
     return w;
@@ -64,8 +66,8 @@ dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_
 {
     dehyst_real sum = 0;
     int j;
-    for (j = 0; j < actuator->branches; j++) sum += actuator->creep_stiffness[j] * step->gain[j];
-    return actuator->inertia ? sum + actuator->series * (1 - gain_of(actuator, &step->transition)) : sum;
+    for (j = 0; j < actuator->branches; j++) { sum += actuator->creep_stiffness[j] * step->gain[j]; }
+    return actuator->inertia ? (sum + (actuator->series * (1 - gain_of(actuator, &step->transition)))) : sum;
 }
 
 /* At the end of a step R(w) + known + stiffness (w - w_old) = tau(v): return `known`. */
@@ -73,9 +75,9 @@ static dehyst_real known_voltage(const dehyst_actuator *actuator, const dehyst_s
 {
     const dehyst_transition *to = &step->transition;
     const dehyst_real creep = creep_after(actuator, step, state->strain, 1);
-    if (!actuator->inertia) return creep;
+    if (!actuator->inertia) { return creep; }
     return creep +
-           actuator->series * ((1 - gain_of(actuator, to)) * state->memory.y - offset_of(actuator, to, state, 0));
+           (actuator->series * (((1 - gain_of(actuator, to)) * state->memory.y) - offset_of(actuator, to, state, 0)));
 }
 
 /* Move creep and a mass through a step that ends at w, and return the displacement y. */
@@ -84,8 +86,8 @@ static dehyst_real advance(const dehyst_actuator *actuator, const dehyst_step *s
 {
     const dehyst_transition *to = &step->transition;
     move_creep(actuator, step, state->strain, w - before);
-    if (!actuator->inertia) return w;
-    move_mass(actuator, to, state, w, offset_of(actuator, to, state, 0) + gain_of(actuator, to) * w, 0);
+    if (!actuator->inertia) { return w; }
+    move_mass(actuator, to, state, w, offset_of(actuator, to, state, 0) + (gain_of(actuator, to) * w), 0);
     return state->y;
 }
 
@@ -94,13 +96,15 @@ void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_step *step, c
 {
     const dehyst_plain_state *memory = &state->memory;
     const dehyst_real w = candidate->w, by = w - memory->y;
-    dehyst_real drive = actuator->grades.size > 0
-                            ? dehyst_grades_look_ahead(actuator, memory, w, by < 0 ? -1 : 1).v
+    dehyst_real drive = (actuator->grades.size > 0)
+                            ? dehyst_grades_look_ahead(actuator, memory, w, (by < 0) ? -1 : 1).v
                             : voltage_after(&actuator->plain, memory->cart, w, candidate->cart, &candidate->hint);
-    if (actuator->branches > 0 || actuator->inertia) drive += known_voltage(actuator, step, state) + stiffness * by;
-    if (actuator->smooth.size > 0) drive += dehyst_smooth_voltage_after(&actuator->smooth, state->elongation, by);
+    if ((actuator->branches > 0) || actuator->inertia) {
+        drive += known_voltage(actuator, step, state) + (stiffness * by);
+    }
+    if (actuator->smooth.size > 0) { drive += dehyst_smooth_voltage_after(&actuator->smooth, state->elongation, by); }
     candidate->v =
-        actuator->inverse_transformer.size > 0 ? dehyst_curve_at(&actuator->inverse_transformer, drive) : drive;
+        (actuator->inverse_transformer.size > 0) ? dehyst_curve_at(&actuator->inverse_transformer, drive) : drive;
 }
 
 dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
@@ -114,7 +118,7 @@ dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *st
         state->memory.cart = candidate->cart;
         candidate->cart = cart;
     }
-    if (actuator->smooth.size > 0) dehyst_smooth_move(&actuator->smooth, state->elongation, candidate->w - before);
+    if (actuator->smooth.size > 0) { dehyst_smooth_move(&actuator->smooth, state->elongation, candidate->w - before); }
     state->memory.y = candidate->w;
     return advance(actuator, step, state, before, candidate->w);
 }
@@ -124,7 +128,7 @@ dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_s
 {
     const dehyst_real before = state->memory.y, known = known_voltage(actuator, step, state);
     dehyst_real likely = 1, w, y;
-    if (actuator->transformer.size > 0) v = dehyst_curve_at(&actuator->transformer, v);
+    if (actuator->transformer.size > 0) { v = dehyst_curve_at(&actuator->transformer, v); }
     w = dehyst_solve(actuator, state, v - known, stiffness, &likely);
     y = advance(actuator, step, state, before, state->memory.y);
     return within_reach(w) ? y : w;
