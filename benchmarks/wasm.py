@@ -17,7 +17,7 @@ from latency import models, paths
 from playwright.sync_api import sync_playwright
 
 from dehyst import Compensator
-from dehyst.exports import export_wasm, wasm_module
+from dehyst.exports import export, wasm_module
 from dehyst.exports.naming import shipped, shipped_bytes
 
 OUTPUT = Path(__file__).parent / "wasm.json"
@@ -50,7 +50,7 @@ async function measure(Compensator, module, wanted) {
 def in_node(compensator: Compensator, path: np.ndarray) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        export_wasm(compensator, folder / "stage.wasm")
+        export(compensator, folder / "stage.wasm")
         program = (
             'import { Compensator, load } from "./stage.js";\n'
             f"{MEASURE}\nconst wanted = Float64Array.from({json.dumps(path.tolist())});\n"

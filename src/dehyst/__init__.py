@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         plan_path,
         wave_table,
     )
-    from dehyst.exports import export, export_fmu, export_wasm
+    from dehyst.exports import export
 
     # A function has the name of its module, which mypy takes for another definition; of `update` too.
     from dehyst.identification import (  # type: ignore[no-redef]
@@ -67,7 +67,7 @@ _ROOM_OF = {
         "_errors": "DehystError FileFormatError IdentifyError ModelError RecordError RigError",
         "control": "Bank ClampWarning Compensator Feedback PathPlan Repetition Snapshot StageCompensator VoltageLimits "
         "plan_path wave_table",
-        "exports": "export export_fmu export_wasm",
+        "exports": "export",
         "identification": "Fit Structure identify",
         "calibration": "calibrate",
         "model": "Actuator Creep DisplacementCreep Dynamics MaxwellSlip Spring Stage State Thermal",
@@ -83,7 +83,7 @@ __all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "Creep"
 __all__ += ["DisplacementCreep", "Dynamics", "Feedback", "FileFormatError", "Fit", "IdentifyError", "MaxwellSlip"]
 __all__ += ["ModelError", "PathPlan", "Record", "RecordError", "Repetition", "RigError", "Snapshot", "Spring"]
 __all__ += ["Stage", "StageCompensator", "State", "Structure", "Thermal", "VoltageLimits", "__version__"]
-__all__ += ["calibrate", "check", "compare", "export", "export_fmu", "export_wasm", "identify", "insight"]
+__all__ += ["calibrate", "check", "compare", "export", "identify", "insight"]
 __all__ += ["plan_path", "read", "update", "wave_table", "write_record"]
 
 

@@ -11,7 +11,8 @@ import pytest
 from command_line import run
 
 from dehyst.control import Compensator
-from dehyst.exports.targets import TARGETS
+from dehyst.exports.firmware import SOURCES
+from dehyst.exports.targets import TARGETS, export
 from dehyst.model import (
     Actuator,
     Creep,
@@ -83,14 +84,12 @@ BEGINNINGS = {
     "preview": {"actuator": MODELS["dynamics"], "preview": True},
     "both": {"slew_rate": 5e3, "state": PLAIN.simulate([80.0, 10.0, 30.0]).state},
 }
-OPTIONS = {"number": "double", "name": None, "force": False, "kind": None}
 
 
 def by_c(folder, wanted):
     compiled_exports.need("gcc")
     (folder / "run.c").write_text(PROGRAM)
-    sources = [path.name for path in folder.glob("*.c") if path.name != "check.c"]
-    command = ["gcc", "-O1", "-ffp-contract=off", "-o", "run", *sources, "-lm"]
+    command = ["gcc", "-O1", "-ffp-contract=off", "-o", "run", "run.c", *SOURCES]
     subprocess.run(command, cwd=folder, check=True)
     given = "\n".join(map(repr, wanted.tolist()))
     done = subprocess.run([folder / "run"], input=given, check=True, capture_output=True, text=True)
@@ -140,9 +139,9 @@ def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
     assert content(made[0][-1]) == content(made[1][-1]) != {}
     status, values, path = made[0]
     assert status == 0, values
-    assert str(path) in map(str, values.values())
-    files = TARGETS[suffix].files
-    assert {one for one in path.parent.iterdir() if one.name != "model.json"} == set(files(path) if files else [path])
+    assert values["path"] == str(path)
+    made = path.iterdir() if path.is_dir() else path.parent.iterdir()
+    assert set(values["files"]) == {str(one) for one in made if one.name != "model.json"}
     assert exported(path.parent, PLAIN, path.name, "--force")[0] == 0
 
 
@@ -181,7 +180,7 @@ def test_narrower_limits_hold(suffix, tmp_path):
 def compare(suffix, folder, **options):
     """Assert that an export, which leaves its compensator alone, has its voltages."""
     compensator, path = Compensator(**options, period=PERIOD), folder / f"stage{suffix}"
-    TARGETS[suffix].write(compensator, path, OPTIONS)
+    export(compensator, path)
     wanted = wanted_of(compensator)
     got = RUNS[suffix](path, wanted)
     assert np.array_equal(got, [compensator.step(y) for y in wanted.tolist()])

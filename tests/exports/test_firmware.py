@@ -263,7 +263,7 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("given", [compiled_exports.plain().actuator, None, 3, "model.json"])
+@pytest.mark.parametrize("given", [None, 3, "model.json"])
 def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
     for write in (export, lambda one, _: code(one)):
         with pytest.raises(ModelError, match="Compensator"):
@@ -411,7 +411,7 @@ def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard
     folder = written(tmp_path / "c", compensator, number)
     (folder / "told.cc").write_text(
         '#include <cstdio>\n#include "piezo.h"\nint main() '
-        '{ std::printf("%.17g %.17g %.17g", (double)MODEL_LOW, (double)MODEL_HIGH, (double)MODEL_PERIOD); }\n'
+        '{ std::printf("%.17g %.17g %.17g", (double)PIEZO_LOW, (double)PIEZO_HIGH, (double)PIEZO_PERIOD); }\n'
     )
     compiled_exports.must_run(
         ["g++", f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-pedantic", "told.cc", "-o", "t"], folder

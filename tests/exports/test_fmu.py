@@ -3,6 +3,7 @@
 import itertools
 import warnings
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import plain_records
@@ -28,7 +29,7 @@ from fmu_runner import (
 
 import dehyst
 from dehyst import Compensator
-from dehyst.exports import export_fmu
+from dehyst.exports import export
 from dehyst.model import evaluator_of
 from examples import spanning
 
@@ -279,7 +280,7 @@ def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
     assert (float(voltage.min), float(voltage.max)) == ALL["creep"].limits
     actuator = ALL["plain"].actuator
     low, high = narrow = 60.0, 61.0
-    export_fmu(Compensator(actuator, narrow, state=actuator.relaxed()), tmp_path / "x.fmu")
+    export(Compensator(actuator, narrow, state=actuator.relaxed()), tmp_path / "x.fmu")
     with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x"), begin=False) as slave:
         assert slave.read([OUTPUT]) == [low]
         slave.begin()
@@ -293,8 +294,7 @@ def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
 def test_the_actuator_knows_no_limits_of_the_compensator(tmp_path):
     actuator = ALL["plain"].actuator
     state = actuator.relaxed()
-    compensator = Compensator(actuator, (60, 61), state=state)
-    export_fmu(compensator, tmp_path / "x.fmu", "actuator")
+    export(replace(actuator, limits=(60, 61), state=state), tmp_path / "x.fmu")
     volts = np.array([0.0, 160.0, 20.0, 90.0])
     expected = actuator.simulate(np.append(actuator.voltage(state), volts), state=state).displacement[1:]
     with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:

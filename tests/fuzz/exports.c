@@ -36,7 +36,7 @@ static int from_outside;
 static int is_wrong(const piezo *p, double v, const char *call, long t)
 {
     const double change = v > before ? v - before : before - v;
-    const int leaves = !(v >= (double)MODEL_LOW && v <= (double)MODEL_HIGH);
+    const int leaves = !(v >= (double)PIEZO_LOW && v <= (double)PIEZO_HIGH);
     const double most = CHANGE * (1 + 8 * DEHYST_EPSILON) + 8 * DEHYST_EPSILON * fabs(before);
     const int jumps = !from_outside && !(change <= most);
     if (leaves || jumps || !isfinite((double)piezo_displacement(p)) || !isfinite((double)p->loop.w)) {
@@ -59,9 +59,9 @@ static int act(piezo *p, piezo *kept, long t)
         piezo_commit(p, (dehyst_real)v);
         return is_wrong(p, v, "offer", t);
     case 2:
-        piezo_commit(p, (dehyst_real)hostile((double)MODEL_HIGH - (double)MODEL_LOW));
+        piezo_commit(p, (dehyst_real)hostile((double)PIEZO_HIGH - (double)PIEZO_LOW));
         before = p->loop.sent;
-        from_outside = !(before >= (double)MODEL_LOW && before <= (double)MODEL_HIGH);
+        from_outside = !(before >= (double)PIEZO_LOW && before <= (double)PIEZO_HIGH);
         return !isfinite((double)piezo_displacement(p));
     case 3: piezo_hold(p); return !isfinite((double)piezo_displacement(p));
     case 4: *kept = *p; return 0;
@@ -86,7 +86,7 @@ int main(int count, char **word)
     before = loop.loop.sent;
     for (t = 0; t < steps; t++) {
         if (act(&loop, &kept, t)) return 1;
-        if (t % 10 == 0 && !isfinite((double)piezo_simulate(&actuator, (dehyst_real)hostile((double)MODEL_HIGH)))) {
+        if (t % 10 == 0 && !isfinite((double)piezo_simulate(&actuator, (dehyst_real)hostile((double)PIEZO_HIGH)))) {
             printf("simulate %ld: a displacement that is no number\n", t);
             return 1;
         }

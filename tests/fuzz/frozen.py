@@ -162,9 +162,9 @@ def exports() -> Iterator[tuple[str, Any]]:
             yield f"{kind} c check", f"{built.returncode}"
             trace = sorted(Path(folder, "c").rglob("*golden*")) + sorted(Path(folder, "c").rglob("*trace*"))
             yield f"{kind} c trace", _digest(b"".join(path.read_bytes() for path in trace if path.is_file()))
-            dehyst.export_wasm(compensator, Path(folder) / "w.wasm")
+            dehyst.export(compensator, Path(folder) / "w.wasm")
             yield f"{kind} wasm", _digest(Path(folder, "w.wasm").read_bytes())
-            dehyst.export_fmu(compensator, Path(folder) / "m.fmu")
+            dehyst.export(compensator, Path(folder) / "m.fmu")
             with zipfile.ZipFile(Path(folder) / "m.fmu") as fmu:
                 yield f"{kind} fmu", " ".join(sorted(fmu.namelist()))
 

@@ -14,6 +14,7 @@ import structured_records
 
 from dehyst import Compensator, DisplacementCreep, Dynamics
 from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.naming import shipped
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
 CORTEX_M4 = ("-O2", "-mcpu=cortex-m4", "-mthumb")
@@ -59,39 +60,7 @@ int main(void)
 }
 """
 
-# What a Cortex-M4 needs before newlib's own start, and where QEMU's board has its memory.
-START = """
-.syntax unified
-.thumb
-.section .vectors, "a"
-.word stack_top, reset, fault, fault
-.text
-.thumb_func
-fault: b fault
-.thumb_func
-reset: ldr r0, =0xE000ED88 /* the floating-point unit on */
-ldr r1, [r0]
-orr r1, r1, #0xF00000
-str r1, [r0]
-dsb
-isb
-b _mainCRTStartup
-"""
-BOARD = """
-ENTRY(_mainCRTStartup)
-MEMORY { code (rwx) : ORIGIN = 0, LENGTH = 4M  data (rwx) : ORIGIN = 0x20000000, LENGTH = 4M }
-stack_top = ORIGIN(data) + LENGTH(data);
-SECTIONS {
-  .text : { KEEP(*(.vectors)) *(.text*) *(.rodata*) KEEP(*(.init)) KEEP(*(.fini)) *(.eh_frame*) } > code
-  .ARM.exidx : { __exidx_start = .; *(.ARM.extab*) *(.ARM.exidx*) __exidx_end = .; } > code
-  .init_array : {
-    __preinit_array_start = .; KEEP(*(.preinit_array)) __preinit_array_end = .;
-    __init_array_start = .; KEEP(*(.init_array)) __init_array_end = .;
-    __fini_array_start = .; KEEP(*(.fini_array)) __fini_array_end = .; } > code
-  .data : { *(.data*) } > code
-  .bss : { __bss_start__ = .; *(.bss*) *(COMMON) __bss_end__ = .; end = .; __end__ = .; } > data
-}
-"""
+BOARD = {name: shipped(name) for name in ("start.S", "board.ld")}
 QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel"]
 
 # Prints the instructions of each step and its voltage [uV]. The board's timer counts at 25 MHz,
@@ -213,9 +182,8 @@ def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2
 
 def emulated(folder, compensator, samples, *, every):
     """The same on an emulated Cortex-M4, doubles by software and floats by its unit."""
-    (folder / "driver.c").write_text(DRIVER)
-    (folder / "start.S").write_text(START)
-    (folder / "board.ld").write_text(BOARD)
+    for name, content in (("driver.c", DRIVER), *BOARD.items()):
+        (folder / name).write_text(content)
     defines = _defines(compensator, samples, every)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
     command = ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F]
@@ -225,7 +193,7 @@ def emulated(folder, compensator, samples, *, every):
 
 def _built_for_board(folder, source, text, *flags):
     """Compile a program of an exported folder for the emulated Cortex-M4, with its unit."""
-    for name, content in ((f"{source}.c", text), ("start.S", START), ("board.ld", BOARD)):
+    for name, content in ((f"{source}.c", text), *BOARD.items()):
         (folder / name).write_text(content)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
     command = ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *flags, f"{source}.c", *SOURCES, *link]

@@ -9,7 +9,7 @@ FACES = {
             PathPlan Record RecordError Repetition RigError Snapshot
             Spring Stage
             StageCompensator State Structure Thermal VoltageLimits __version__ calibrate
-            check compare export export_fmu export_wasm identify insight plan_path read update
+            check compare export identify insight plan_path read update
             wave_table write_record
         """,
         "calibration": """
@@ -24,7 +24,7 @@ FACES = {
             model_block plan_path shortest_homing snapshot_block wave_table
         """,
         "exports": """
-            SourceOnlyWarning export export_fmu export_wasm wasm_module
+            SourceOnlyWarning export wasm_module
         """,
         "fleet": """
             FleetTable identify_fleet

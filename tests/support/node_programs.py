@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dehyst.exports import export_wasm
+from dehyst.exports import export
 
 # Reads and writes columns of numbers as bytes; all decimals of the answers are compared.
 HEAD = """
@@ -33,7 +33,7 @@ def need_node():
 def exported(folder, compensator):
     """The folder, with an export."""
     folder.mkdir(exist_ok=True)
-    export_wasm(compensator, folder / "stage.wasm")
+    export(compensator, folder / "stage.wasm")
     return folder
 
 

@@ -1,14 +1,8 @@
-"""Exports: a compensator as C source or WebAssembly, an actuator or a compensator as an FMU."""
+"""Exports: a compensator or a model as C source, as WebAssembly, or as an FMU."""
 
-from dehyst.exports.firmware import export
-from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
+from dehyst.exports.fmu import SourceOnlyWarning
 from dehyst.exports.naming import shipped
-from dehyst.exports.wasm import export_wasm, wasm_module
+from dehyst.exports.targets import export
+from dehyst.exports.wasm import wasm_module
 
-__all__ = [
-    "SourceOnlyWarning",
-    "export",
-    "export_fmu",
-    "export_wasm",
-    "wasm_module",
-]
+__all__ = ["SourceOnlyWarning", "export", "wasm_module"]

@@ -10,7 +10,7 @@ from string import Template
 import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError
-from dehyst._io import PathLike, draft_of, path_of, settle, settle_folder, unwritten
+from dehyst._io import draft_of, settle, settle_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.control import Compensator, StageCompensator
@@ -22,24 +22,26 @@ STAGE_NAME = "stage"
 SOURCES = ("piezo.c", "dehyst.c")
 CORE = ("dehyst.c", "dehyst.h", "dehyst_model.h")
 CONFIG = "dehyst_config.h"
+# Beside the sources: what `make` does with them, and what is not kept of MISRA C.
+BESIDE = ("Makefile", "worst.c", "start.S", "board.ld", "MISRA.md")
 # Lines of the templates in whose place the generated text comes.
 _SIZES, _NUMBERS, _TEMPERATURE = "/* sizes */\n", "/* numbers */\n", "/* temperature */\n"
 _TEMPERATURES_DECLARED = """\
 /* Set gain and offset of the displacements for the temperature of each actuator [degC], between two periods; before the
  * first call the references of the model hold. If it does not return DEHYST_OK, nothing changes. */
-dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[MODEL_AXES]);
+dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[PIEZO_AXES]);
 """
 _TEMPERATURES_DEFINED = """
-dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[MODEL_AXES])
+dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[PIEZO_AXES])
 {
     dehyst_status status = DEHYST_OK;
     dehyst_loop trial;
     int j;
     /* First all axes on a trial, so that an error changes none. */
-    for (j = 0; j < 2 * MODEL_AXES && status == DEHYST_OK; j++) {
-        const int axis = j % MODEL_AXES;
+    for (j = 0; j < 2 * PIEZO_AXES && status == DEHYST_OK; j++) {
+        const int axis = j % PIEZO_AXES;
         const dehyst_real kelvins = degrees[axis] - thermal[axis][2];
-        status = dehyst_loop_scale(j < MODEL_AXES ? &trial : &p->loop[axis], 1 + thermal[axis][0] * kelvins,
+        status = dehyst_loop_scale(j < PIEZO_AXES ? &trial : &p->loop[axis], 1 + thermal[axis][0] * kelvins,
                                    thermal[axis][1] * kelvins);
     }
     return status;
@@ -47,7 +49,7 @@ dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[MODEL_AXES])
 """
 # Bounds of a float's error, as a share of the range: below the first, the number type was not changed everywhere.
 _LEAST, _MOST = 1e-9, 1e-3
-_AHEAD = "\n        /* Give each displacement {ahead} samples before its time, MODEL_AHEAD. */"
+_AHEAD = "\n        /* Give each displacement {ahead} samples before its time, PIEZO_AHEAD. */"
 _SMOOTH = """
 
 Wanted displacements must be smooth, without jumps, corners or noise: delays are compensated by differences between
@@ -114,15 +116,15 @@ def _coupled(compensator: StageCompensator) -> tuple[str, str]:
         "SPARE": max(2, *(text.memory for text in texts)),
     }
     numbers = [text_of(text.numbers(), f"axis{j}") for j, text in enumerate(texts)]
-    numbers.append(_table("decoupling", "MODEL_AXES", compensator.stage.decoupling))
-    numbers.append(_table("coupling", "MODEL_AXES", compensator.stage.coupling))
+    numbers.append(_table("decoupling", "PIEZO_AXES", compensator.stage.decoupling))
+    numbers.append(_table("coupling", "PIEZO_AXES", compensator.stage.coupling))
     models = ", ".join(f"&axis{j}_model" for j in range(count))
     numbers += [
-        f"static const dehyst_model *const models[MODEL_AXES] = {{{models}}};",
+        f"static const dehyst_model *const models[PIEZO_AXES] = {{{models}}};",
         "/* Where the memory of each axis begins. */",
-        f"static const int begins[MODEL_AXES] = {{{', '.join(map(str, [0, *ends[:-1]]))}}};\n",
+        f"static const int begins[PIEZO_AXES] = {{{', '.join(map(str, [0, *ends[:-1]]))}}};\n",
     ]
-    return "".join(f"#define MODEL_{name} {value}\n" for name, value in macros.items()), "\n".join(numbers)
+    return "".join(f"#define PIEZO_{name} {value}\n" for name, value in macros.items()), "\n".join(numbers)
 
 
 def _coupled_temperature(compensator: StageCompensator) -> tuple[str, str]:
@@ -137,66 +139,28 @@ def _coupled_temperature(compensator: StageCompensator) -> tuple[str, str]:
 def _table(name: str, columns: str, numbers: Array) -> str:
     """Return a table in C with a row for each axis."""
     rows = ",\n    ".join("{" + ", ".join(value.hex() for value in row) + "}" for row in numbers.tolist())
-    return f"static const dehyst_real {name}[MODEL_AXES][{columns}] = {{\n    {rows}}};\n"
+    return f"static const dehyst_real {name}[PIEZO_AXES][{columns}] = {{\n    {rows}}};\n"
 
 
-def export(
-    compensator: Loop,
-    directory: PathLike,
-    number: Number = "double",
-    *,
-    name: str | None = None,
-) -> Path:
-    """Write a compensator as C: a whole folder, or nothing.
-
-    Six files go into a firmware: the core, `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs
-    it; `dehyst_config.h` with the number type; and the model, `piezo.c` and `piezo.h`, with its numbers and functions.
-    For a stage, the model is in stage.c and stage.h, with the coupling matrix and the numbers of each axis. The folder
-    also has a golden trace that ``make check`` replays, and a README with usage and size.
-
-    Parameters
-    ----------
-    compensator : Compensator or StageCompensator
-        The export starts in the compensator's state at construction or last reset. The compensator does not change.
-    directory : path
-        A folder; made if necessary. Files of the same names in it are replaced, others stay.
-    number : {'double', 'float'}, optional
-        float: every number is rounded once. Coupled axes need double.
-    name : str, optional
-        Name in C of the type and the calls, by default piezo, or stage, so that several models fit into one firmware:
-        the files of the model are then NAME.c and NAME.h, and macros begin with it.
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    ModelError
-        If `compensator` is not a Compensator, the number type is invalid, floats cannot hold this model, or the name is
-        not valid in C or has a meaning there.
-    FileFormatError
-        If `directory` is not a path, is a file, or cannot be written.
-    """
-    folder = path_of(directory)
+def write_c(compensator: Loop, folder: Path, number: Number = "double", name: str | None = None) -> None:
+    """Write a compensator as C, see `dehyst.export`: a whole folder, or nothing."""
     files, own = code(compensator, number, name), _name(compensator, name)
     check = "stage_check.c" if isinstance(compensator, StageCompensator) else "check.c"
-    files |= {"check.c": text_of(shipped(check), own), "Makefile": text_of(shipped("Makefile"), own)}
+    files |= {"check.c": text_of(shipped(check), own), "LICENSE": shipped("LICENSE")}
+    files |= {file: text_of(shipped(file), own) for file in BESIDE}
     target = folder.resolve()
     draft = draft_of(target)
     try:
         _demand_place(folder)
         draft.mkdir()
         trace = golden_trace(compensator)
-        files |= {"trace.h": trace_header(trace, _LEAST, _MOST), "LICENSE": shipped("LICENSE")}
+        files |= {"trace.h": trace_header(trace, _LEAST, _MOST)}
         _write(draft, files | {"README.md": _readme(compensator, number, len(trace.rows), own)})
         _put(draft, target)
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-    return folder
 
 
 def _demand_place(folder: Path) -> None:
@@ -261,7 +225,7 @@ def _axis_words(compensator: Compensator, number: Number, own: str) -> dict[str,
     low, high = compensator.limits
     period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
     start = ExportedStart.of(compensator)
-    timer = "this model does not depend on time" if period is None else f"every {period:.9g} s, MODEL_PERIOD"
+    timer = "this model does not depend on time" if period is None else f"every {period:.9g} s, PIEZO_PERIOD"
     bound = ": the same bits" if number == "double" else f", with errors below {_MOST:.0e} of the range"
     return {
         "name": printable(compensator.actuator.name),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import html
 import io
 import os
 import platform
@@ -18,11 +17,11 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from string import Template
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias
 from xml.sax.saxutils import escape
 
-from dehyst._errors import FileFormatError, ModelError
-from dehyst._io import PathLike, path_of, write_atomically
+from dehyst._errors import ModelError
+from dehyst._io import write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.firmware import CONFIG, CORE
@@ -31,7 +30,6 @@ from dehyst.exports.model_header import (
     ModelText,
     config_header,
     demand_compensator,
-    demand_no_temperature,
 )
 from dehyst.exports.naming import printable, shipped
 
@@ -44,10 +42,8 @@ _SOURCE = "all.c"
 # Not Python's file times: the same model gives the same file.
 _TIME = (1980, 1, 1, 0, 0, 0)
 # Limits that no voltage meets.
-_NONE = -1e300, 1e300
+ANY_VOLTAGE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
-
-
 _WRAPPER = ("fmu.h", "fmu.c", "fmi2.h", "fmi2.c")
 _BINARIES = "binaries/linux64"
 _VARIABLE = (
@@ -64,43 +60,14 @@ class _NoBinaryError(Exception):
     """The reason why no binary could be built."""
 
 
-def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensator") -> None:
-    """Write an FMU for co-simulation (FMI 2.0), which starts in the compensator's state at construction or last reset.
-
-    Its step is the compensator's period or a whole multiple of it, during which the input is constant; without a
-    period, any step is one sample. The output at the end of a step includes the effect of the input at its beginning.
-
-    Parameters
-    ----------
-    compensator : Compensator
-    path : path
-        Ends in .fmu.
-    kind : {"compensator", "actuator"}, optional
-        Displacement [m] in and voltage [V] out, with the numbers of clamped samples; or the virtual actuator, voltage
-        in and displacement out, without limits.
-
-    Raises
-    ------
-    ModelError
-        If `compensator` is not a Compensator, the kind is unknown, or a required period is missing.
-    FileFormatError
-        If the file cannot be written, or its name does not end in .fmu.
-
-    Warns
-    -----
-    SourceOnlyWarning
-        If there is no C compiler, it fails, or this is not Linux on x86-64: the FMU then holds sources only.
-    """
+def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") -> None:
+    """Write an FMU of a compensator, see `dehyst.export`, or of its actuator, if its limits are `ANY_VOLTAGE`."""
     demand_compensator(compensator)
-    demand_no_temperature(compensator, "an FMU")
-    if kind not in get_args(Kind):
-        raise ModelError(argument="kind", got=repr(kind), need=" or ".join(map(repr, get_args(Kind))))
-    if path_of(path).suffix != ".fmu":
-        raise FileFormatError(f"{path}: the name of an FMU ends in .fmu; change it")
-    if kind == "actuator":
-        # The same actuator in the same state, for any voltage.
-        state = compensator._initial_state
-        compensator = Compensator(compensator.actuator, _NONE, period=compensator.period, state=state)
+    if compensator.actuator.thermal is not None:
+        raise ModelError(
+            "the actuator depends on temperature, for which an FMU has no input",
+            hint="export it in C or WebAssembly, or leave its part thermal out, and set the inputs gain and offset",
+        )
     summary, variables = _interface(compensator, kind)
     sources = _sources(compensator, kind)
     digest = hashlib.sha256(f"2.0 {kind} {__version__}".encode())
@@ -112,7 +79,6 @@ def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensat
     texts = {"modelDescription.xml": _description(compensator, title, identifier, token, summary, variables)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
     texts |= {
-        "documentation/index.html": _page(title, summary, variables),
         "documentation/licenses/license.txt": shipped("LICENSE"),
     }
     content = {name: text.encode() for name, text in texts.items()}
@@ -123,7 +89,7 @@ def export_fmu(compensator: Compensator, path: PathLike, kind: Kind = "compensat
             f"the FMU holds sources, but no binary: {reason}. Install gcc and export it again, or let the program that "
             "imports it compile it",
             SourceOnlyWarning,
-            2,
+            3,
         )
     write_atomically(path, _zipped(content))
 
@@ -268,15 +234,4 @@ def _description(
         step=f' stepSize="{period!r}"' if period else "",
         variables="\n".join(listed),
         outputs="\n".join(outputs),
-    )
-
-
-def _page(title: str, summary: str, variables: list[Variable]) -> str:
-    """Return the HTML page."""
-    rows = (
-        f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{one.unit}</td><td>{html.escape(one.description)}</td></tr>"
-        for one in variables
-    )
-    return Template(shipped("fmu.html")).substitute(
-        name=html.escape(title), summary=html.escape(summary), rows="\n".join(rows), program=__version__
     )

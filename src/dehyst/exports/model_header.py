@@ -12,6 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.control import Compensator
+from dehyst.exports.naming import shipped
 from dehyst.model import NEAR, Actuator, State, looped
 
 Number: TypeAlias = Literal["double", "float"]
@@ -93,11 +94,7 @@ class ExportedStart(NamedTuple):
         # A little beyond the limits, the requested state has the same way.
         held = loop._held(asked)
         near = abs(actuator.voltage(asked) - held) <= NEAR * (high - low)
-        return cls(
-            actuator.displacement(state),
-            held,
-            _way(actuator, asked if near else state, held, loop.limits),
-        )
+        return cls(actuator.displacement(state), held, _way(actuator, asked if near else state, held, loop.limits))
 
     @property
     def words(self) -> str:
@@ -142,26 +139,9 @@ def demand_compensator(value: object) -> None:
         )
 
 
-def demand_no_temperature(compensator: Compensator, target: str) -> None:
-    """Raise `ModelError` if a `compensator` depends on temperature, for which a `target` has no input."""
-    if compensator.actuator.thermal is not None:
-        raise ModelError(
-            f"the actuator depends on temperature, for which {target} has no input",
-            hint="export it in C or WebAssembly, or leave its part thermal out, and set the inputs gain and offset",
-        )
-
-
 def config_header(number: Number) -> str:
     """Return `dehyst_config.h`, which sets the number type of core and model."""
-    return f"""/* The choices of a build, which every file of it includes. */
-#ifndef DEHYST_CONFIG_H
-#define DEHYST_CONFIG_H
-
-/* The number type: double or float. */
-#define DEHYST_REAL {number}
-
-#endif
-"""
+    return shipped("dehyst_config.h").replace("DEHYST_REAL double", f"DEHYST_REAL {number}")
 
 
 class ModelText:
@@ -201,20 +181,20 @@ class ModelText:
         tables, compensator = self._tables, self._compensator
         low, high = tables["loop"][:2].tolist()
         return f"""\
-#define MODEL_ELEMENTS {tables["rho"].size}
-#define MODEL_BRANCHES {tables["creep"].size}
-#define MODEL_SMOOTH {tables["length"].size}
-#define MODEL_OUTPUT {tables["output_gain"].size}
-#define MODEL_TAPS {tables["tap"].size}
+#define PIEZO_ELEMENTS {tables["rho"].size}
+#define PIEZO_BRANCHES {tables["creep"].size}
+#define PIEZO_SMOOTH {tables["length"].size}
+#define PIEZO_OUTPUT {tables["output_gain"].size}
+#define PIEZO_TAPS {tables["tap"].size}
 /* Numbers that dehyst_model_load needs for another block of these sizes. */
-#define MODEL_ROOM {self.room}
+#define PIEZO_ROOM {self.room}
 
 /* Seconds between steps; 0: this model does not depend on time. */
-#define MODEL_PERIOD {self._decimal(compensator.period or 0.0)}
+#define PIEZO_PERIOD {self._decimal(compensator.period or 0.0)}
 /* A displacement is to be given so many samples before its time. */
-#define MODEL_AHEAD {compensator.samples_ahead}
-#define MODEL_LOW {self._decimal(low)} /* V */
-#define MODEL_HIGH {self._decimal(high)} /* V */
+#define PIEZO_AHEAD {compensator.samples_ahead}
+#define PIEZO_LOW {self._decimal(low)} /* V */
+#define PIEZO_HIGH {self._decimal(high)} /* V */
 """
 
     def numbers(self) -> str:

@@ -26,7 +26,7 @@ _KEYWORDS = (
 # Names of headers, and of other files of an export.
 _HEADERS = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
-    "stdint stdio stdlib string tgmath time wchar wctype check trace license makefile readme"
+    "stdint stdio stdlib string tgmath time wchar wctype check trace license makefile readme misra worst"
 )
 
 
@@ -44,13 +44,10 @@ def demand_name(name: object) -> None:
             need=f"a name in C: a letter, then letters, digits and underscores, {_MOST} at most",
         )
     lower = name.lower()
-    if lower.startswith(("dehyst", "trace_", "model_")):
-        raise ModelError(
-            f"got {name!r}, but such names belong to the core and its numbers", argument="name", hint="give another"
-        )
     # Identifiers of the files with symbols of the model, without members of structures.
     words = {word for file in _RENAMED for word in _CODE_WORD.findall(_NOT_CODE.sub(" ", shipped(file)))}
-    if lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in words):
+    taken = lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in words)
+    if taken or lower.startswith(("dehyst", "trace_")):
         raise ModelError(
             f"got {name!r}, which means something else in C or in the exported files",
             argument="name",
@@ -59,12 +56,8 @@ def demand_name(name: object) -> None:
 
 
 def text_of(text: str, name: str) -> str:
-    """Rename the symbols, macros and files in a template, in which `piezo`, PIEZO and MODEL_ have no other meaning."""
-    if name == DEFAULT:
-        return text
-    # What is put in must not be renamed again.
-    parts = text.replace("MODEL_", "\0_MODEL_").replace("PIEZO", "\0").split("piezo")
-    return name.join(parts).replace("\0", name.upper())
+    """Rename the symbols, macros and files in a template, in which `piezo` and PIEZO have no other meaning."""
+    return text.replace("PIEZO", name.upper()).replace("piezo", name)
 
 
 def printable(name: str) -> str:

@@ -1,72 +1,129 @@
-"""The kinds of export: a table with one row for each suffix, from which `dehyst export` chooses."""
+"""`export`: one function for all kinds of exports, and the table with a row for each suffix from which it chooses."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
-from dehyst.control import Compensator
-from dehyst.exports.firmware import export
-from dehyst.exports.fmu import SourceOnlyWarning, export_fmu
+from dehyst._errors import FileFormatError, ModelError
+from dehyst._io import PathLike, path_of
+from dehyst.control import Compensator, StageCompensator
+from dehyst.exports.firmware import write_c
+from dehyst.exports.fmu import ANY_VOLTAGE, write_fmu
 from dehyst.exports.golden_trace import Loop
-from dehyst.exports.wasm import export_wasm, wasm_files
+from dehyst.exports.model_header import Number
+from dehyst.exports.wasm import wasm_files, write_wasm
+from dehyst.model import Actuator, Stage
 
-
-class Written(NamedTuple):
-    """Result of an export: `values` for JSON, a `line` about it, and `remarks`."""
-
-    values: dict[str, Any]
-    line: str
-    remarks: Sequence[str] = ()
+Source: TypeAlias = Loop | Actuator | Stage
+# The end of the name of a file, unlike that of a folder "piezo-1.5".
+_OF_A_FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")
 
 
 class Target(NamedTuple):
     """A kind of export.
 
-    `words`: its name in messages. `write`: function that writes a compensator to a path with a dictionary of options.
+    `words`: its name in messages. `write`: function that writes a compensator to a path, with keywords of `options`.
     `options`: those options of the command that not all kinds have. `files`: function that returns all files of a path;
     None for a folder.
     """
 
     words: str
-    write: Callable[[Any, Path, Mapping[str, Any]], Written]
+    write: Callable[..., None]
     options: tuple[str, ...] = ()
     files: Callable[[Path], list[Path]] | None = lambda path: [path]
 
 
-def _write_c(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
-    number = options["number"]
-    export(loop, path, number, name=options["name"])
-    values = {"directory": str(path), "number": number}
-    of_axes = "" if isinstance(loop, Compensator) else f" of the axes {', '.join(loop.stage.axes)},"
-    return Written(values, f"{path}: a compensator{of_axes} of {number}s")
-
-
-def _write_wasm(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
-    export_wasm(loop, path)  # type: ignore[arg-type]
-    _, script, types = wasm_files(path)
-    size = path.stat().st_size
-    values = {"wasm": str(path), "script": str(script), "types": str(types), "bytes": size}
-    line = f"{path}: a compensator in WebAssembly, {size} bytes; {script} calls it, {types} has its types"
-    return Written(values, line)
-
-
-def _write_fmu(loop: Loop, path: Path, options: Mapping[str, Any]) -> Written:
-    kind = options["kind"] or "compensator"
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SourceOnlyWarning)
-        export_fmu(loop, path, kind)  # type: ignore[arg-type]
-    remarks = [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    content = "sources" if remarks else "sources and a binary for Linux x86-64"
-    values = {"fmu": str(path), "kind": kind, "binary": not remarks}
-    return Written(values, f"{path}: an FMU of the {kind}, {content}", remarks)
-
-
-# By suffix; a path without one is a folder of C, as is any with a suffix that is not here.
+# By suffix; a path without one is a folder of C, as is one whose end is not that of a file.
 TARGETS = {
-    "": Target("C for one axis", _write_c, ("preview", "number", "name"), None),
-    ".wasm": Target("WebAssembly", _write_wasm, ("preview",), wasm_files),
-    ".fmu": Target("an FMU", _write_fmu, ("preview", "kind")),
+    "": Target("C", write_c, ("preview", "number", "name"), None),
+    ".wasm": Target("WebAssembly", write_wasm, ("preview",), wasm_files),
+    ".fmu": Target("an FMU", write_fmu, ("preview", "kind")),
 }
+
+
+def target_of(path: Path, *, coupled: bool = False) -> Target:
+    """Return the kind of export for a path; several `coupled` axes are always exported as C.
+
+    Raises
+    ------
+    FileFormatError
+        If no kind ends like this.
+    """
+    target = TARGETS[""] if coupled else TARGETS.get(path.suffix, TARGETS[""])
+    if target.files is None and _OF_A_FILE.fullmatch(path.suffix) and not path.is_dir():
+        files = " or ".join(suffix for suffix in TARGETS if suffix)
+        need = "a folder for several axes" if coupled else f"a folder for C, or a file that ends in {files}"
+        raise FileFormatError(f"{path}: ends in {path.suffix}, need {need}; change the name")
+    return target
+
+
+def export(
+    source: Source, target: PathLike, number: Number = "double", *, name: str | None = None, period: float | None = None
+) -> Path:
+    """Write a compensator, or a model, in the form that the suffix of `target` names.
+
+    - A folder: C for a microcontroller, which computes the bits of Python. Six files go into a firmware: the core,
+      `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs it; `dehyst_config.h` with the number
+      type; and the model, NAME.c and NAME.h, with its numbers and calls. The folder also has a golden trace that
+      ``make check`` replays, and a README. It is written whole, or not at all.
+    - FILE.wasm: WebAssembly with the same bits, and next to it the JavaScript module that calls it, and its types.
+    - FILE.fmu: an FMU for co-simulation (FMI 2.0): displacement [m] in and voltage [V] out; or of an actuator, the
+      virtual actuator, voltage in and displacement out, without limits. Its step is the period or a whole multiple of
+      it, during which the input is constant; without a period, any step is one sample.
+
+    Parameters
+    ----------
+    source : Compensator or StageCompensator, or Actuator or Stage
+        A compensator is exported in its state at construction or last reset, and does not change. Of a model, its
+        compensator within the model's limits is exported, or as an FMU itself, from the model's state. Several axes are
+        exported as C only.
+    target : path
+        Files of the same names are replaced, others in a folder stay.
+    number : {'double', 'float'}, optional
+        Number type of C. float: every number is rounded once. Coupled axes need double.
+    name : str, optional
+        Name in C of the type, the calls, macros and files, by default piezo, or stage of several axes, so that several
+        models fit into one firmware.
+    period : float, optional
+        Time between steps [s] of a model; a compensator has its own.
+
+    Returns
+    -------
+    Path
+        The target.
+
+    Raises
+    ------
+    ModelError
+        If `source` cannot be exported in this form, a required period is missing, floats cannot hold the model, an
+        option is not one of this form, or the name is not valid in C or has a meaning there.
+    FileFormatError
+        If `target` is not a path, has another suffix, or cannot be written.
+
+    Warns
+    -----
+    SourceOnlyWarning
+        If an FMU holds sources only, because there is no C compiler, it fails, or this is not Linux on x86-64.
+    """
+    path = path_of(target)
+    row = target_of(path, coupled=isinstance(source, StageCompensator | Stage))
+    given = {"number": None if number == "double" else number, "name": name}
+    options: dict[str, Any] = {option: value for option, value in given.items() if value is not None}
+    for option, value in options.items():
+        if option not in row.options:
+            raise ModelError(argument=option, got=repr(value), need=f"none for {row.words}; only C has one")
+    if isinstance(source, Stage):
+        loop: Loop = StageCompensator(source, period=period)
+    elif isinstance(source, Actuator):
+        itself = "kind" in row.options
+        loop = Compensator(source, ANY_VOLTAGE if itself else None, period=period)
+        options |= {"kind": "actuator"} if itself else {}
+    else:
+        loop = source
+        if period is not None:
+            raise ModelError(argument="period", got=repr(period), need="none, as a compensator has its own")
+    row.write(loop, path, **options)
+    return path

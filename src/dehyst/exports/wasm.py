@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, path_of, write_atomically
+from dehyst._io import write_atomically
 from dehyst._version import __version__
 from dehyst.control import Compensator
 from dehyst.exports.model_header import ExportedStart, demand_compensator
@@ -15,51 +14,25 @@ from dehyst.exports.naming import shipped, shipped_bytes
 from dehyst.model import evaluator_of
 
 _MAGIC = b"\0asm\1\0\0\0"
-_PLAIN_NAME = re.compile(r"[\w.-]+")
 _WRAPPER = {".js": "compensator.js", ".d.ts": "compensator.d.ts"}
 
 
-def export_wasm(compensator: Compensator, path: PathLike) -> None:
-    """Write a compensator as WebAssembly, with a JavaScript module and its types that call it.
-
-    NAME.wasm holds the core and the numbers of this model. The core, NAME.js and NAME.d.ts are the same for every
-    model. No compiler is needed. The voltages are the same as in Python, bit for bit.
-
-    Parameters
-    ----------
-    compensator : Compensator
-        The export has the state in which it was made or last reset. It does not change.
-    path : path
-        Ends in .wasm.
-
-    Raises
-    ------
-    ModelError
-        If it is no Compensator.
-    FileFormatError
-        If the files cannot be written, or the name does not end in .wasm.
-    """
+def write_wasm(compensator: Compensator, path: Path) -> None:
+    """Write a compensator as WebAssembly, see `dehyst.export`; core, NAME.js and NAME.d.ts are those of any model."""
     module, files = wasm_module(compensator), wasm_files(path)
     # The module comes last: when it is there, all are.
-    for file, (suffix, template) in zip(files[1:], _WRAPPER.items(), strict=True):
-        text = shipped(template)
-        # The name comes into a comment, which nothing may end.
-        if suffix == ".js" and _PLAIN_NAME.fullmatch(file.name):
-            text = text.replace("model.js", file.name)
-        write_atomically(file, text)
+    for file, template in zip(files[1:], _WRAPPER.values(), strict=True):
+        write_atomically(file, shipped(template))
     write_atomically(files[0], module)
 
 
-def wasm_files(path: PathLike) -> list[Path]:
-    """Return the files that an export to `path` writes, `path` first; raise `FileFormatError` for another suffix."""
-    target = path_of(path)
-    if target.suffix != ".wasm":
-        raise FileFormatError(f"{target}: the name of a WebAssembly module ends in .wasm; change it")
-    return [target, *(target.with_suffix(suffix) for suffix in _WRAPPER)]
+def wasm_files(path: Path) -> list[Path]:
+    """Return the files that an export to `path` writes, `path` first."""
+    return [path, *(path.with_suffix(suffix) for suffix in _WRAPPER)]
 
 
 def wasm_module(compensator: Compensator) -> bytes:
-    """Return the module that `export_wasm` writes; raise `ModelError` if `compensator` is not a Compensator."""
+    """Return an export as WebAssembly; raise `ModelError` if `compensator` is not a Compensator."""
     demand_compensator(compensator)
     core = shipped_bytes("core.wasm")
     if not core.startswith(_MAGIC):

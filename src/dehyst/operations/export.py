@@ -2,43 +2,41 @@
 
 from __future__ import annotations
 
-import re
+import warnings
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
+from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
-from dehyst.exports.targets import TARGETS
+from dehyst.exports.targets import TARGETS, Target, target_of
+from dehyst.exports.targets import export as write
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
-from dehyst.operations.declaration import Folder, Input, Only, OperationError, Values, operation
+from dehyst.operations.declaration import Folder, Input, Only, Values, operation
 from dehyst.operations.files import AS_FOUND
 from dehyst.operations.paths import PathSlew, coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.operations.start import Start, start_words, starts_of
 
-# Limits that no voltage reaches.
-_UNLIMITED = -1e300, 1e300
 # Share of the limits' range by which a start may lie outside without a warning.
 _NEAR = 0.01
 _TOP = Start("top")
-# The end of the name of a file, unlike that of a folder "piezo-1.5".
-_OF_A_FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")
 
 
-def _suffix(given: Values) -> str:
-    """Return the suffix of the row of `TARGETS` for an output; several axes are always exported as C."""
-    suffix: str = given["directory"].suffix
-    return suffix if not is_stage(given["model"]) and suffix in TARGETS else ""
+def _target(given: Values) -> Target:
+    """Return the kind of export of an output."""
+    return target_of(given["directory"], coupled=is_stage(given["model"]))
 
 
 def _of(option: str) -> Only:
     """Return the condition that the target supports an option."""
     takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
-    return Only(lambda given: option in TARGETS[_suffix(given)].options, f"on anything but {takers}")
+    return Only(lambda given: option in _target(given).options, f"on anything but {takers}")
 
 
-_of_loop = Only(lambda given: _suffix(given) != ".fmu" or given.get("kind") != "actuator", "on an FMU of the actuator")
+_of_loop = Only(lambda given: given.get("kind") != "actuator", "on an FMU of the actuator")
 _of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
 
 
@@ -84,11 +82,7 @@ def export(
     start
         Initial state of the memory, as in compensate.
     """
-    target = TARGETS[_suffix({"model": model, "directory": directory})]
-    if target.files is None and _OF_A_FILE.fullmatch(directory.suffix) and not directory.is_dir():
-        files = " or ".join(suffix for suffix in TARGETS if suffix)
-        need = "a folder for several axes" if is_stage(model) else f"a folder for C, or a file that ends in {files}"
-        raise OperationError(argument="directory", got=str(directory), need=need)
+    target = _target({"model": model, "directory": directory})
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
@@ -97,7 +91,7 @@ def export(
     states = [one for one in begins if one is not None]
     remarks += known.prefixed(map(_open_start, known.actuators, states))
     if kind == "actuator":
-        bounds = [_UNLIMITED]
+        bounds = [ANY_VOLTAGE]
     slews = [
         PathSlew.chosen(one, given) if given else PathSlew(None, "default")
         for one, given in zip(known.actuators, slews_of(known.axes, slew_rate), strict=True)
@@ -116,9 +110,11 @@ def export(
         remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
     if kind != "actuator":
         remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
-    chosen = {"number": number, "name": name, "kind": kind}
-    written = target.write(compensator, directory, chosen)
-    remarks += [*written.remarks]
+    source = replace(known.actuators[0], state=states[0].state) if kind == "actuator" else compensator
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SourceOnlyWarning)
+        write(source, directory, number, name=name, period=period if kind == "actuator" else None)
+    remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     begin = [ExportedStart.of(loop) for loop in loops]
     begun = [
         {"begins": {"displacement_m": one.displacement, "voltage_V": one.voltage, "way": one.way}} for one in begin
@@ -127,11 +123,13 @@ def export(
     for one, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
         way = "" if kind == "actuator" else f"; to bring the actuator there, {one.way}"
         words.append([f"memory begins at {one.words} {start_words(actuator, state, loop.state)}{way}"])
-    fields = {**written.values, **known.merged(begun)}
+    files = target.files(directory) if target.files is not None else sorted(directory.iterdir())
+    fields = {"path": str(directory), "kind": kind, "files": list(map(str, files)), **known.merged(begun)}
     if kind != "actuator":
         fields |= known.merged([slew.fields() for slew in slews])
         words = [[*own, slew.words] for own, slew in zip(words, slews, strict=True)]
-    lines = [written.line, *known.prefixed(words)]
+    line = f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in files)}"
+    lines = [line, *known.prefixed(words)]
     return Result({**fields, "warnings": remarks}, lines, warnings=remarks)
 
 

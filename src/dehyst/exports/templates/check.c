@@ -61,7 +61,7 @@ static int conclude(int differing, double largest, const piezo *loop)
 int main(void)
 {
     static piezo loop, actuator;
-    static unsigned char kept[MODEL_SNAPSHOT];
+    static unsigned char kept[PIEZO_SNAPSHOT];
     double largest = 0;
     int differing = 0, i;
     if (piezo_begin(&loop) != DEHYST_OK || piezo_begin(&actuator) != DEHYST_OK) {

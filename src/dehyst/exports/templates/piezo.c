@@ -30,13 +30,13 @@ dehyst_real piezo_displacement(const piezo *p) { return dehyst_loop_displacement
 
 const dehyst_model *piezo_exported(void) { return &piezo_model; }
 
-void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT])
+void piezo_save(const piezo *p, unsigned char bytes[PIEZO_SNAPSHOT])
 {
-    dehyst_loop_save(&piezo_model, &p->loop, p->memory, bytes, MODEL_SNAPSHOT);
+    dehyst_loop_save(&piezo_model, &p->loop, p->memory, bytes, PIEZO_SNAPSHOT);
 }
 
-dehyst_status piezo_restore(piezo *p, const unsigned char bytes[MODEL_SNAPSHOT])
+dehyst_status piezo_restore(piezo *p, const unsigned char bytes[PIEZO_SNAPSHOT])
 {
-    return dehyst_loop_restore(&piezo_model, &p->loop, p->memory, bytes, MODEL_SNAPSHOT);
+    return dehyst_loop_restore(&piezo_model, &p->loop, p->memory, bytes, PIEZO_SNAPSHOT);
 }
 /* temperature */

@@ -1,4 +1,4 @@
-/* An actuator in a loop: wanted displacement [m] in, voltage [V] out, one call every MODEL_PERIOD seconds.
+/* An actuator in a loop: wanted displacement [m] in, voltage [V] out, one call every PIEZO_PERIOD seconds.
  *
  * No heap, no library, no globals but constants: a piezo holds all memory, and there may be many. Only piezo_begin and
  * piezo_restore can fail; every call takes bounded time. Two threads or interrupts must not use one piezo at the same time. */
@@ -16,11 +16,11 @@ extern "C" {
 /* All that changes, without pointers: copy it by = or memcpy as you like. */
 typedef struct piezo {
     dehyst_loop loop; /* its counts: how many samples were limited, slewed and refused */
-    dehyst_real memory[DEHYST_MEMORY(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_OUTPUT, MODEL_TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(PIEZO_ELEMENTS, PIEZO_BRANCHES, PIEZO_SMOOTH, PIEZO_OUTPUT, PIEZO_TAPS)];
 } piezo;
 
 /* Bytes of a snapshot. */
-#define MODEL_SNAPSHOT DEHYST_SNAPSHOT(MODEL_ELEMENTS, MODEL_BRANCHES, MODEL_SMOOTH, MODEL_OUTPUT, MODEL_TAPS)
+#define PIEZO_SNAPSHOT DEHYST_SNAPSHOT(PIEZO_ELEMENTS, PIEZO_BRANCHES, PIEZO_SMOOTH, PIEZO_OUTPUT, PIEZO_TAPS)
 
 /* Start from the exported state. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
 dehyst_status piezo_begin(piezo *p);
@@ -40,10 +40,10 @@ dehyst_real piezo_displacement(const piezo *p);
 /* Return the exported model, for the functions of dehyst.h. */
 const dehyst_model *piezo_exported(void);
 /* Write a snapshot, to go on from it after a reset. */
-void piezo_save(const piezo *p, unsigned char bytes[MODEL_SNAPSHOT]);
+void piezo_save(const piezo *p, unsigned char bytes[PIEZO_SNAPSHOT]);
 /* Go on from a snapshot, instead of piezo_begin. If it does not return DEHYST_OK, the bytes are not a snapshot of a
  * model of this shape, or damaged, and nothing has changed. */
-dehyst_status piezo_restore(piezo *p, const unsigned char bytes[MODEL_SNAPSHOT]);
+dehyst_status piezo_restore(piezo *p, const unsigned char bytes[PIEZO_SNAPSHOT]);
 /* temperature */
 
 #ifdef __cplusplus

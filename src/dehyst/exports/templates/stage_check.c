@@ -9,17 +9,17 @@
 #define MOST_PRINTED 5
 
 /* Make the call of a row and write its result. */
-static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real got[MODEL_AXES])
+static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real got[PIEZO_AXES])
 {
-    dehyst_real given[MODEL_AXES];
+    dehyst_real given[PIEZO_AXES];
     int j;
-    for (j = 0; j < MODEL_AXES; j++) given[j] = (dehyst_real)row->given[j];
+    for (j = 0; j < PIEZO_AXES; j++) given[j] = (dehyst_real)row->given[j];
     switch (row->what) {
     case TRACE_STEP: piezo_step(loop, given, got); return;
     case TRACE_OFFER: piezo_offer(loop, given, got); return;
     case TRACE_COMMIT: piezo_commit(loop, given); piezo_displacement(loop, got); return;
     case TRACE_ACCEPT:
-        for (j = 0; j < MODEL_AXES; j++) given[j] = loop->loop[j].voltage;
+        for (j = 0; j < PIEZO_AXES; j++) given[j] = loop->loop[j].voltage;
         piezo_commit(loop, given);
         piezo_displacement(loop, got);
         return;
@@ -32,7 +32,7 @@ static void answer(const trace_row *row, piezo *loop, piezo *body, dehyst_real g
 static int counts_differ(const piezo *loop)
 {
     int j, differing = 0;
-    for (j = 0; j < MODEL_AXES; j++) {
+    for (j = 0; j < PIEZO_AXES; j++) {
         const dehyst_loop *l = &loop->loop[j];
         if (l->limited == trace_limited[j] && l->slewed == trace_slewed[j]) continue;
         printf("axis %d: got %lu limited, %lu slewed; want %lu, %lu\n", j, l->limited, l->slewed, trace_limited[j],
@@ -51,9 +51,9 @@ int main(void)
         return 1;
     }
     for (i = 0; i < TRACE_SIZE; i++) {
-        dehyst_real got[MODEL_AXES];
+        dehyst_real got[PIEZO_AXES];
         answer(trace + i, &loop, &body, got);
-        for (j = 0; j < MODEL_AXES; j++)
+        for (j = 0; j < PIEZO_AXES; j++)
             if (got[j] != trace[i].answer[j] && differing++ < MOST_PRINTED)
                 printf("row %d, axis %d: got %.17g, want %.17g\n", i, j, got[j], trace[i].answer[j]);
         /* The rest must not depend on where a piezo lies in memory. */
@@ -65,6 +65,6 @@ int main(void)
     }
     differing += counts_differ(&loop);
     if (differing > 0 && FLT_EVAL_METHOD != 0) printf("this compiler computes in another precision\n");
-    printf("double: %d of %d answers differ from Python's\n", differing, TRACE_SIZE * MODEL_AXES);
+    printf("double: %d of %d answers differ from Python's\n", differing, TRACE_SIZE * PIEZO_AXES);
     return differing > 0;
 }
