@@ -41,8 +41,8 @@ def run(play, seed, count, *, first=0, seconds=None):
     }
 
 
-def main(name, play):
-    """The command line of a fuzzer."""
+def main(name, play, known=lambda seed, finding: False):
+    """The command line of a fuzzer; a finding that is known is none."""
     parser = argparse.ArgumentParser(description=sys.modules["__main__"].__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=1000)
@@ -52,6 +52,7 @@ def main(name, play):
     parser.add_argument("--seconds", type=float, help="stop after so many")
     given = parser.parse_args()
     summary = run(play, given.seed, given.count, first=given.first, seconds=given.seconds)
+    summary["findings"] = [each for each in summary["findings"] if not known(given.seed, each)]
     print(json.dumps({"fuzzer": name, **summary}))
     sys.exit(1 if summary["findings"] else 0)
 
@@ -78,7 +79,7 @@ def _batch(play, seed, first, stop, seconds):
         return case, findings, counts
     number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
     what = f"hang over {HANG} CPU s" if number == signal.SIGXCPU else f"crash: signal {number}, status {status}"
-    return case + 1, [*findings, {"case": case, "what": what}], counts
+    return case + 1, [*findings, {"case": case, "what": what, "ended": True}], counts
 
 
 def _child(play, seed, cases, now, into, seconds):

@@ -1,123 +1,87 @@
 """Mutated files of every format, read and prepared as `dehyst identify` does: nothing but dehyst's own errors may come.
 
-    python tests/fuzz/files.py --seed 1 --count 10000
-
-prints one line of JSON and exits with 1 when there are findings.
+python tests/fuzz/files.py --seed 1 --count 10000
 """
 
-from __future__ import annotations
-
-import argparse
-import json
 import random
+import resource
 import sys
 import tempfile
-import time
 import warnings
-from collections import Counter
+from functools import cache
 from pathlib import Path
-from typing import Any
 
-import forked
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
+
+import batches
 from file_mutations import mutated
 from file_specimens import specimens
 
 import dehyst
 from dehyst.identification.preparation import prepare
 
-# Formats that libraries in C read.
-_IN_C = (".mat", ".h5", ".hdf5", ".parquet", ".tdms", ".xlsx")
-# Of each kind of finding, as many are printed.
-_SHOWN = 3
+# Formats that libraries in C read: that one crashes or hangs on a damaged file is no fault of this package.
+IN_C = (".mat", ".h5", ".hdf5", ".parquet", ".tdms", ".xlsx")
 
 
-def attack(seed: int, count: int, first: int = 0, only: str = "") -> dict[str, Any]:
-    """Run cases and sum up.
-
-    Parameters
-    ----------
-    seed, count, first : int
-        Cases `first` to `first + count - 1` of the seed; each depends on the seed and its number alone.
-    only : str
-        Suffixes of the specimens to take, with commas between them; by default all of them.
-    """
-    began = time.perf_counter()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "sound").mkdir()
-        taken = tuple(only.split(","))
-        sound = {file: content for file, content in specimens(folder / "sound").items() if file.endswith(taken)}
-        numbers = range(first, first + count)
-        results = list(forked.run(lambda number: _case(sound, folder, seed, number), numbers))
-    for result in results:
-        # That a library crashes or hangs on a damaged file is known, and nothing of this package.
-        if result.pop("ended", False) and content_of(sound, seed, result["case"])[0].endswith(_IN_C):
-            result["end"] = f"in its library: {result.pop('finding')}"
-    findings = [result for result in results if "finding" in result]
-    return {
-        "cases": len(results),
-        "findings": findings,
-        "kinds": dict(Counter(result["finding"] for result in findings).most_common(20)),
-        "ends": dict(Counter(result["end"] for result in results if "end" in result)),
-        "longest_cpu_s": max((result.get("cpu_s", 0.0) for result in results), default=0.0),
-        "peak_mib": max((result.get("memory", 0) for result in results), default=0) >> 20,
-        "wall_s": round(time.perf_counter() - began, 1),
-    }
+@cache
+def sound():
+    """The sound files by name; made once, before workers are forked."""
+    with tempfile.TemporaryDirectory() as folder:
+        return specimens(Path(folder))
 
 
-def content_of(sound: dict[str, bytes], seed: int, number: int) -> tuple[str, bytes]:
+def content_of(seed, case):
     """Name and content of a case's file."""
-    dice = random.Random(f"{seed}-{number}")
-    name = dice.choice(sorted(sound))
-    return name, mutated(sound[name], name, list(sound.values()), dice)
+    dice = random.Random(f"{seed}-{case}")
+    name = dice.choice(sorted(sound()))
+    return name, mutated(sound()[name], name, list(sound().values()), dice)
 
 
-def _case(sound: dict[str, bytes], folder: Path, seed: int, number: int) -> dict[str, Any]:
-    name, content = content_of(sound, seed, number)
-    path = folder / name
-    path.write_bytes(content)
-    try:
-        return {"end": _used(path), "file": name}
-    except BaseException as error:
-        error.args = (f"[{name}] {error}",)
-        raise
+@cache
+def bound_memory():
+    """Let this worker reserve no more memory than a case may use: a file that declares more is a finding."""
+    reserved = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (reserved + batches.MEMORY, resource.RLIM_INFINITY))
 
 
-def _used(path: Path) -> str:
+def play(seed, case, note):
     """Read a file and do with it what an identification does before it solves."""
-    with warnings.catch_warnings():
+    bound_memory()
+    name, content = content_of(seed, case)
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        path = Path(folder) / name
+        path.write_bytes(content)
         # An overflow on damaged numbers is one that nobody looked for.
         warnings.simplefilter("error", RuntimeWarning)
         try:
             record = dehyst.read(path)
             repr(record)
         except dehyst.DehystError as error:
-            return f"refused: {type(error).__name__}"
+            note(f"refused: {type(error).__name__}")
+            return []
         record.problems(), record.cycles()
         try:
             prepared = prepare(record)
             prepared.span(), prepared.reduced
         except dehyst.DehystError as error:
-            return f"unusable: {type(error).__name__}"
-    return "prepared"
+            note(f"unusable: {type(error).__name__}")
+            return []
+    note("prepared")
+    return []
 
 
-def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--count", type=int, default=10_000)
-    options.add_argument("--first", type=int, default=0)
-    options.add_argument("--only", default="")
-    found = attack(**vars(options.parse_args()))
-    shown: Counter[str] = Counter()
-    kept = []
-    for finding in found["findings"]:
-        shown[finding["finding"]] += 1
-        if shown[finding["finding"]] <= _SHOWN:
-            kept.append(finding)
-    print(json.dumps({**found, "findings": kept}))
-    sys.exit(1 if kept else 0)
+def fault_of_a_library(seed, finding):
+    return finding.get("ended", False) and content_of(seed, finding["case"])[0].endswith(IN_C)
+
+
+def attack(seed, count):
+    """Play cases; return the summary without what ended in a library."""
+    sound()
+    found = batches.run(play, seed, count)
+    return {**found, "findings": [each for each in found["findings"] if not fault_of_a_library(seed, each)]}
 
 
 if __name__ == "__main__":
-    main()
+    sound()
+    batches.main("files", play, known=fault_of_a_library)

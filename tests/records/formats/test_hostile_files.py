@@ -210,7 +210,7 @@ def test_mutated_files(monkeypatch):
     found = files.attack(seed=13, count=150)
     assert found["cases"] == 150
     assert found["findings"] == []
-    assert found["ends"]["prepared"] > 5
+    assert found["counts"]["prepared"] > 5
 
 
 @pytest.mark.fuzz
