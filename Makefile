@@ -1,4 +1,5 @@
 # make demo     install into .venv and run the main job on a virtual actuator
+# make workbench  the same on a page in the browser, with your records
 # make test     install, with the tests' dependencies and packages/rivals, run the tests of a push, print the slowest
 # make nightly  the same tests and those too slow for a push, with all repeats and examples
 # make check    lint, types, import contract, and the C core under strict warnings
@@ -15,10 +16,13 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 RIVALS_SOURCES := $(addprefix packages/rivals/,pyproject.toml CMakeLists.txt README.md core/* bindings/* src/dehyst_rivals/*)
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/* src/dehyst/*/*/*)
 
-.PHONY: demo test nightly check docs wasm pictures wheel bench clean
+.PHONY: demo workbench test nightly check docs wasm pictures wheel bench clean
 
 demo: $(VENV)/.demo
 	$(BIN)/dehyst demo
+
+workbench: $(VENV)/.workbench
+	$(BIN)/dehyst workbench
 
 test: $(VENV)/.test
 	$(PYTEST) --junitxml=build/test-results/push.xml
@@ -96,6 +100,10 @@ $(RIVALS)/.built: $(wildcard $(RIVALS_SOURCES)) | $(BIN)/python
 $(VENV)/.demo: $(BIN)/python $(WHEEL)/.built
 	$(call install,)
 	touch $@
+
+$(VENV)/.workbench: $(BIN)/python $(WHEEL)/.built
+	$(call install,[workbench])
+	touch $@ $(VENV)/.demo
 
 $(VENV)/.test: $(BIN)/python $(WHEEL)/.built $(RIVALS)/.built
 	$(call install,[test])

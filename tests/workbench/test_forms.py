@@ -8,7 +8,7 @@ from dehyst.waveforms.scans import SCANS
 from dehyst.workbench.data import RequestError, path_points
 from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds
-from dehyst.workbench.reading import columns_of, form_of
+from dehyst.workbench.reading import columns_of, form_of, verified
 
 ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
 
@@ -130,6 +130,24 @@ def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
     form = form_of(one)
     assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
     assert form["values"]["displacement_scale"] == "GAIN um/V"
+
+
+def test_a_decimal_comma_in_a_scale_is_one():
+    values = {"displacement_1": "2", "displacement_scale": "2,5 um/V"}
+    assert columns_of(record(), values) == "displacement=3*2.5 um/V"
+
+
+@pytest.mark.parametrize(
+    ("columns", "known"),
+    [
+        ("voltage=U:V?, displacement=3:um*2.5?", "voltage=U:V, displacement=3:um*2.5"),
+        ("voltage=U?*15, displacement=3?:um", "voltage=U*15, displacement=3:um"),
+        ('x=U?:"a, b?"', 'x=U:"a, b"'),
+        ("voltage=is it?here", "voltage=is it?here"),
+    ],
+)
+def test_verified_columns_are_no_guesses(columns, known):
+    assert verified(columns) == known
 
 
 def test_columns_of_coupled_axes_are_paired_by_their_units():

@@ -7,13 +7,9 @@ import json
 import os
 import random
 import re
-import resource
-import socket
 import string
 import time
 import zipfile
-from contextlib import suppress
-from pathlib import Path
 
 import httpx
 import pytest
@@ -26,7 +22,6 @@ from workbench_client import served
 
 from dehyst.records import read
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.gate import MOST
 from dehyst.workbench.server import PageFiles
 from dehyst.workbench.serving import Door
 
@@ -320,57 +315,6 @@ def test_a_folder_comes_as_an_archive_without_what_its_links_lead_to(bench, clie
     archive = zipfile.ZipFile(io.BytesIO(client.get("/files/exports/plain").content))
     assert [name for name in archive.namelist() if not name.endswith("/")] == ["plain/deeper/own.txt"]
     assert archive.read("plain/deeper/own.txt") == b"own"
-
-
-@pytest.mark.nightly
-def test_connections_that_say_nothing_are_closed_after_a_while(bench):
-    with (
-        socket.create_connection(("127.0.0.1", bench.port), 20) as silent,
-        socket.create_connection(("127.0.0.1", bench.port), 20) as slow,
-    ):
-        slow.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n")
-        began = time.monotonic()
-        for link in (silent, slow):
-            with suppress(ConnectionResetError):
-                assert link.recv(10) == b""
-        assert 9.0 < time.monotonic() - began < 18.0
-
-
-def test_a_crowd_of_connections_does_not_keep_the_page_out(tmp_path):
-    """A server with few descriptors, and more connections than these, with and without a part of a request."""
-    before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))
-    try:
-        context = served(tmp_path / "bench")
-        running = context.__enter__()
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, before)
-    try:
-        with (
-            running.client() as client,
-            connect(
-                f"ws://127.0.0.1:{running.port}/api/events",
-                origin=running.base,
-                additional_headers={"Cookie": cookie(client)},
-            ) as news,
-        ):
-            crowd = []
-            for k in range(400):
-                crowd.append(socket.create_connection(("127.0.0.1", running.port), 20))
-                with suppress(OSError):
-                    crowd[-1].sendall((b"", b"GET / HTTP/1.1\r\n")[k % 2])
-            for _ in range(20):
-                began = time.monotonic()
-                assert client.get("/api/state").status_code == 200
-                assert time.monotonic() - began < 5.0
-            assert len(list(Path(f"/proc/{running.process.pid}/fd").iterdir())) < MOST + 60
-            assert "records" in json.loads(news.recv(timeout=10))
-            for link in crowd:
-                link.close()
-        running.process.terminate()
-        assert "Traceback" not in running.process.stderr.read()
-    finally:
-        context.__exit__(None, None, None)
 
 
 def test_an_empty_or_malformed_upload_is_refused_with_a_sentence(bench, client):

@@ -168,7 +168,7 @@ def test_what_cannot_be_reached_is_said_at_once(journey):
     page = journey[0]
     page.click("#step-path")
     page.check("input[value=scan]")
-    high = page.get_by_label("Highest voltage (V)")
+    high = page.locator("#path-high")
     high.fill("40")
     page.wait_for_selector("#plan-words.red", timeout=LONGEST)
     assert "cut at a limit" in page.inner_text("#plan-words")

@@ -1,6 +1,5 @@
 """Modules that draw and compute, run by node: curves, paths, numbers; and how they become one script."""
 
-import itertools
 import json
 import re
 import shutil
@@ -10,11 +9,6 @@ import numpy as np
 import places
 import pytest
 
-from dehyst.model import legs, speeds_of
-from dehyst.records import turning_points
-from dehyst.report.charts import ChartData
-from dehyst.report.trust_section import turned
-from dehyst.trust.turn_plane import turn_plane
 from dehyst.web import files
 
 FOLDERS = places.SOURCES / "web", places.SOURCES / "workbench" / "page"
@@ -22,11 +16,10 @@ HEAD = """
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { before, inked, nearest, pixels } from "./thinning.js";
-import { inserted, moved, removed, sampled, turningPoints } from "./path.js";
+import { inserted, moved, removed, sampled } from "./path.js";
 globalThis.document = { getElementById: () => null, createElement: () => ({}) };
 globalThis.window = { addEventListener() {} };
 const { column } = await import("./report.js");
-const { turnsOf } = await import("./path_figures.js");
 import { bytes, duration, extent, length, parsed, percent, plain, range, roundDown, short } from "./numbers.js";
 import { limitsFrom, numberFrom, ticks, whole } from "./numbers.js";
 const floats = (name) => {
@@ -195,60 +188,6 @@ def test_points_stay_in_their_order(run):
         assert.throws(() => sampled(points, 0.1), /fewer than two samples/);
         assert.throws(() => sampled(points, 1e9), /at most/);
     """)
-
-
-@pytest.mark.parametrize(
-    ("values", "turns"),
-    [
-        ([0, 5, 9, 3, 7, 0], [2, 3, 4]),
-        ([4, 9, 0, 9], [1, 2]),
-        ([9, 9, 4, 4.05, 4, 6], [4]),
-        ([2, 2, 2], []),
-    ],
-)
-def test_turning_points_are_where_a_voltage_goes_back(run, values, turns):
-    assert run(f"print(turningPoints({values}, 0.1));") == turns
-    assert turning_points(np.array(values, dtype=float), 0.1).tolist() == turns
-
-
-def test_branches_of_a_path_are_tested_as_python_says(run):
-    rng = np.random.default_rng(3)
-    time, record = path(rng, 60)
-    plane = turn_plane([("record", time, record)], (0.0, 100.0))
-    seconds, voltage = path(rng, 200)
-    data = ChartData()
-    data.add(turned(plane)[0].charts[0])
-    stored = json.loads(data.json())
-    found = run(
-        f"""
-        const spec = {json.dumps(stored["charts"][0])};
-        const columns = {json.dumps(stored["columns"])}.map(column);
-        for (const one of spec.series) for (const name of ["x", "y", "values"]) one[name] = columns[one[name]];
-        const [time, voltage] = ["time", "voltage"].map(floats);
-        const {{ branches, open }} = turnsOf(spec, time, voltage);
-        print({{ branches, open }});
-        """,
-        time=seconds,
-        voltage=voltage,
-    )
-    # Float32 as in the page; branches that are alike are one in Python.
-    steps = plane.path(voltage.astype("<f4").astype(float), seconds)
-    assert found["open"] == plane.untested(steps) > 10
-    assert len(found["branches"]) == sum(turn.times for turn in steps)
-    count = len(found["branches"])
-    speeds = speeds_of(seconds, voltage, legs(voltage, 100.0))[-count:]
-    assert [one["speed"] for one in found["branches"]] == pytest.approx(speeds, rel=1e-3)
-    longest = max(one["held"] for one in found["branches"])
-    assert longest == pytest.approx(max(turn.held for turn in steps), rel=1e-3) and longest > 0
-
-
-def path(rng, legs):
-    """Voltages from turn to turn, held at some."""
-    ends = rng.uniform(0, 100, legs + 1)
-    parts = [np.linspace(a, b, 20, endpoint=False) for a, b in itertools.pairwise(ends)]
-    parts = [np.append(one, np.full(rng.choice([0, 15]), one[-1])) for one in parts]
-    voltage = np.concatenate(parts)
-    return 0.1 * np.arange(voltage.size), voltage
 
 
 def test_modules_become_one_script_without_two_names_that_are_equal(modules):

@@ -145,6 +145,21 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
 
 
 @played
+async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
+    stage.session.excite({"limits": [-20, 100], "slew": 300, "frequency": None})
+    assert stage.session.jobs.entries
+    await asyncio.sleep(0)
+    written = {"samples": 9, "seconds": 8.0, "lowest_V": -20.0, "highest_V": 100.0, "warnings": ["slow"]}
+    await stage.next(Finished(written))
+    (entry,) = stage.session.excitations.values()
+    assert (entry.range_v, entry.seconds, entry.words) == ([-20.0, 100.0], 8.0, ["slow"])
+    given = stage.step.parameters
+    assert (given["limits"], given["base"], given["present"], given["slew_rate"]) == ([-20.0, 100.0], -20.0, 0.0, 300)
+    with pytest.raises(RequestError):
+        stage.session.excite({"limits": [100, 100]})
+
+
+@played
 async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     await stage.next(Finished(error={"message": "no voltage", "suggestion": "voltage=U:V"}))

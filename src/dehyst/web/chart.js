@@ -23,7 +23,7 @@ for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
 //     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
 //     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
 //     series  [{ name, colour, x, y, kind, ... }], each of a kind
-//             "line"    width, dash, opacity; `rising` if x rises; `around` is half the height of a band about it
+//             "line"    width, dash, opacity; `rising` if x rises
 //             "points"  width, opacity, hollow, and the `names` of single points
 //             "area"    from y to `top`
 //             "cells"   `values` on a grid with the edges x and y, row by row: the larger, the darker, up to `darkest`
@@ -274,7 +274,6 @@ const KINDS = { line: drawLine, points: drawPoints, area: drawArea, cells: drawC
 function drawLine(chart, pen, one) {
   const curve = pixels(one, chart.frame());
   const { px, py } = curve;
-  if (one.around > 0) drawAround(chart, pen, one, curve);
   pen.strokeStyle = chart.colour(one.colour);
   pen.lineWidth = one.width ?? 1.4;
   pen.globalAlpha = one.opacity ?? 1;
@@ -295,23 +294,6 @@ function drawLine(chart, pen, one) {
     pen.setLineDash([]);
   }
   pen.globalAlpha = 1;
-}
-
-// The band about a curve: parallelograms of one sense of rotation, so that none cuts a hole.
-function drawAround(chart, pen, one, { px, py }) {
-  const half = Math.abs(one.around * chart.frame().ky);
-  if (half < 0.5) return;
-  pen.fillStyle = chart.colour("band");
-  pen.beginPath();
-  for (let i = 1; i < px.length; i += 1) {
-    const wide = Math.max(px[i] - px[i - 1], 0.7);
-    pen.moveTo(px[i - 1], py[i - 1] - half);
-    pen.lineTo(px[i - 1] + wide, py[i] - half);
-    pen.lineTo(px[i - 1] + wide, py[i] + half);
-    pen.lineTo(px[i - 1], py[i - 1] + half);
-    pen.closePath();
-  }
-  pen.fill("nonzero");
 }
 
 function drawPoints(chart, pen, one) {

@@ -2,10 +2,6 @@
 // WebAssembly of the model; displacements of the compensator are in metres.
 const MICRO = 1e-6;
 export const MOST_SAMPLES = 2_000_000;
-// Parts of the range: how far a voltage goes back at a turn, and how near to it the voltage is held.
-const [TURN, AT_TURN] = [0.02, 0.01];
-const HOLD = 0.2; // a longer stay at a turning point, as a part of the way there, is a hold
-const AT_REST = 0.1; // a voltage rests where it moves at less than this part of the mean speed of its leg
 
 // Straight lines between points, sampled at `rate` (Hz) as the server does it.
 export function sampled(points, rate) {
@@ -91,55 +87,4 @@ function largestDifference(some, others) {
   let most = 0;
   for (let i = 0; i < some.length; i += 1) most = Math.max(most, Math.abs(some[i] - others[i]));
   return most;
-}
-
-// The samples from which a voltage goes back by more than `band`: the last sample of a plateau.
-export function turningPoints(values, band) {
-  const turns = [];
-  let [direction, low, high] = [0, 0, 0];
-  values.forEach((value, k) => {
-    if (direction >= 0 && value >= values[high]) high = k;
-    if (direction <= 0 && value <= values[low]) low = k;
-    if (direction >= 0 && values[high] - value > band) {
-      if (direction) turns.push(high);
-      [direction, low] = [-1, k];
-    } else if (direction <= 0 && value - values[low] > band) {
-      if (direction) turns.push(low);
-      [direction, high] = [1, k];
-    }
-  });
-  return turns;
-}
-
-// The rises and falls of a voltage between its turning points: from where to where, mean speed (V/s) without time at
-// rest, and hold at the end (s). As `legs` and `speeds_of` of model/promise.py and trust/turn_plane.py have them.
-export function branches(time, voltage, span) {
-  const at = [0, ...turningPoints(voltage, TURN * span), voltage.length - 1];
-  const height = ([first, last]) => Math.abs(voltage[last] - voltage[first]);
-  const pairs = at.slice(1).map((end, k) => [at[k], end]);
-  const ends = [Math.min, Math.max].map((end) => voltage.reduce((one, other) => end(one, other)));
-  // A path that begins between its ends comes from nobody knows where.
-  const begun = ends.some((end) => Math.abs(voltage[0] - end) <= AT_TURN * span);
-  const legs = pairs.filter((pair) => height(pair) > 0.5 * TURN * span && (begun || pair[0] > 0));
-  return legs.map(([first, last]) => {
-    const near = (i) => Math.abs(voltage[i] - voltage[last]) <= AT_TURN * span;
-    let [arrived, after] = [last, last];
-    while (near(arrived - 1)) arrived -= 1;
-    while (after + 1 < voltage.length && near(after + 1)) after += 1;
-    const seconds = timeInMotion(time, voltage, first, last);
-    const held = time[after] - time[arrived];
-    const speed = height([first, last]) / seconds;
-    return { begin: voltage[first], end: voltage[last], speed, held: held > HOLD * seconds ? held : 0 };
-  });
-}
-
-// Seconds of a leg in which the voltage moves faster than a part of the mean speed of the leg.
-function timeInMotion(time, voltage, first, last) {
-  const mean = Math.abs(voltage[last] - voltage[first]) / (time[last] - time[first]);
-  let seconds = 0;
-  for (let i = first; i < last; i += 1) {
-    const step = time[i + 1] - time[i];
-    if (Math.abs(voltage[i + 1] - voltage[i]) > AT_REST * mean * step) seconds += step;
-  }
-  return seconds;
 }

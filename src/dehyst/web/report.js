@@ -12,24 +12,20 @@ export function column(stored) {
   return Float64Array.from(new Uint16Array(bytes), values);
 }
 
-// Draw the charts of a report in their places below `root`; return the figures.
+// Draw the charts of a report in their places below `root`.
 export function drawCharts(root, { columns, charts }) {
   const decoded = columns.map(column);
-  return [...root.querySelectorAll("[data-chart]")].map((place) => {
+  for (const place of root.querySelectorAll("[data-chart]")) {
     const { title, role, label, ...spec } = charts[place.dataset.chart];
     const figure = new Figure({ title, label, help: false, more: role && h("span.role", role) });
     const decode = (one) => COLUMNS.filter((name) => name in one).map((name) => [name, decoded[one[name]]]);
     spec.series = spec.series.map((one) => ({ ...one, ...Object.fromEntries(decode(one)) }));
     place.replaceChildren(figure.element);
     figure.set(spec);
-    return figure;
-  });
+  }
 }
 
-// The figure with where the records turned.
-export const isPlane = (figure) => figure.spec.series.some((one) => one.colour === "tested");
-
-// The sections of a report for a place on another page, without its title and its own script, and its figures.
+// The sections of a report for a place on another page, without its title and its own script.
 export function reportParts(text) {
   // The policy of this page may allow no style in a text: it is set afterwards.
   const plain = text.replace(/<style>.*?<\/style>/s, "").replaceAll(' style="', ' data-style="');
@@ -40,7 +36,8 @@ export function reportParts(text) {
   element.append(...page.querySelector("main").children);
   for (const one of element.querySelectorAll("h1, nav")) one.remove();
   for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
-  return { element, figures: charts ? drawCharts(element, JSON.parse(charts.textContent)) : [] };
+  if (charts) drawCharts(element, JSON.parse(charts.textContent));
+  return { element };
 }
 
 const stored = document.getElementById("chart-data");

@@ -190,6 +190,25 @@ def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @dataclass
+class ExcitationEntry:
+    """A voltage to play and record, and remarks on it in `words`."""
+
+    id: str
+    name: str
+    file: str
+    samples: int = 0
+    seconds: float = 0.0
+    range_v: list[float] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
+
+    def fill(self, result: Mapping[str, Any]) -> None:
+        """Fill in the result of `excite`."""
+        self.samples, self.seconds = int(result["samples"]), float(result["seconds"])
+        self.range_v = [float(result["lowest_V"]), float(result["highest_V"])]
+        self.words = [in_page(str(one)) for one in result["warnings"]]
+
+
+@dataclass
 class VoltageEntry:
     """A voltage that follows a path with a model, and remarks on it in `words`.
 

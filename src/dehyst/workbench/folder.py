@@ -27,8 +27,8 @@ from dehyst._io import (
 FORMAT = "dehyst-workbench"
 STATE, SCRIPT, LOCK = "workbench.json", "commands.sh", ".lock"
 UPLOADS, RECORDS, MODELS, REPORTS = "uploads", "records", "models", "reports"
-PATHS, VOLTAGES, EXPORTS = "paths", "voltages", "exports"
-_PLACES = (UPLOADS, RECORDS, MODELS, REPORTS, PATHS, VOLTAGES, EXPORTS)
+EXCITATIONS, PATHS, VOLTAGES, EXPORTS = "excitations", "paths", "voltages", "exports"
+_PLACES = (EXCITATIONS, UPLOADS, RECORDS, MODELS, REPORTS, PATHS, VOLTAGES, EXPORTS)
 _HEADER = """#!/bin/sh
 # The commands of this workbench. In a new folder with its uploads/ and paths/ they give the same files.
 cd "$(dirname "$0")" || exit

@@ -45,6 +45,19 @@ def _reading() -> Form:
 
 # A field: "above" or "least" and "optional" hold for its number, "many" for several numbers in it.
 FORMS: dict[str, Form] = {
+    "excite": {
+        "low": {"label": "Lowest voltage", "unit": "V", "value": "0"},
+        "high": {"label": "Highest voltage", "unit": "V", "value": "100"},
+        "slew": {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0},
+        "frequency": {
+            "label": "Speed of large loops",
+            "unit": "cycles/s",
+            "placeholder": "four minutes",
+            "optional": True,
+            "above": 0,
+            "hint": "near the speed of use",
+        },
+    },
     "reading": _reading(),
     "identify": {
         "structure": {"label": "Structure", "choices": [*_STRUCTURES.items()], "value": "auto"},

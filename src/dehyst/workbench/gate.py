@@ -1,18 +1,13 @@
-"""Access control of the server, and the number of its connections."""
+"""Access control of the server."""
 
 from __future__ import annotations
 
-import asyncio
-import resource
 import secrets
-from collections.abc import Awaitable, Callable, Collection, MutableMapping
+from collections.abc import Awaitable, Callable, MutableMapping
 from hmac import compare_digest
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, TypeAlias
 from urllib.parse import parse_qs
-
-import h11
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 Scope: TypeAlias = MutableMapping[str, Any]
 Receive: TypeAlias = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -155,70 +150,3 @@ async def _answer(send: Send, status: int, words: str, more: dict[str, str] | No
     encoded = [(name.lower().encode(), value.encode()) for name, value in headers.items()]
     await send({"type": "http.response.start", "status": status, "headers": encoded})
     await send({"type": "http.response.body", "body": words.encode()})
-
-
-# Seconds from a connection, or the answer before, to the end of a request's head.
-HEAD_SECONDS = 10.0
-_DESCRIPTORS = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-# Most open connections, and most that are accepted at once before others are looked at.
-MOST = min(96, max(_DESCRIPTORS // 3, 8)) if _DESCRIPTORS > 0 else 96
-BACKLOG = min(32, MOST // 2)
-
-
-class BoundedProtocol(H11Protocol):
-    """HTTP with a limited number of connections; above it, the connection that waits longest is closed."""
-
-    # Since when no request is being answered [s of the loop], and what ends the wait for a head.
-    idle_since: float | None = None
-    _deadline: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for a request, if there is room."""
-        super().connection_made(transport)
-        self._look()
-        open_ones = [one for one in self.connections if not one.transport.is_closing()]
-        if len(open_ones) > MOST:
-            _least_missed(open_ones, self).transport.abort()
-
-    def data_received(self, data: bytes) -> None:
-        """Receive a part of a request."""
-        super().data_received(data)
-        self._look()
-
-    def on_response_complete(self) -> None:
-        """Wait for the next request."""
-        super().on_response_complete()
-        self._look()
-
-    def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Leave the connection to the WebSocket."""
-        self._set_deadline(None)
-        super().handle_websocket_upgrade(event)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """End the wait."""
-        self._set_deadline(None)
-        super().connection_lost(exc)
-
-    def _look(self) -> None:
-        if self.cycle is not None and not self.cycle.response_complete:
-            self.idle_since = None
-        elif self.idle_since is None:
-            self.idle_since = self.loop.time()
-        waits = self.idle_since is not None and self.conn.their_state is h11.IDLE and not self.transport.is_closing()
-        if not waits:
-            self._set_deadline(None)
-        elif self._deadline is None:
-            self._set_deadline(HEAD_SECONDS)
-
-    def _set_deadline(self, seconds: float | None) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-        self._deadline = None if seconds is None else self.loop.call_later(seconds, self.transport.abort)
-
-
-def _least_missed(open_ones: Collection[Any], newest: BoundedProtocol) -> Any:
-    """Return the connection that waits longest for a request; the newest if all others are in use."""
-    idle = {one: one.idle_since for one in open_ones if isinstance(one, BoundedProtocol) and one is not newest}
-    waiting = {one: since for one, since in idle.items() if since is not None}
-    return min(waiting, key=waiting.__getitem__, default=newest)

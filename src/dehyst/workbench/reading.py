@@ -16,6 +16,10 @@ _COUPLED = "There are {} voltages with displacements, perhaps of coupled axes: c
 _SIGNS = {".": "point", ",": "comma"}
 # Marks a guess; one that is taken as it is remains one.
 _GUESS = "?"
+# After a column or a unit, in a text of columns.
+_GUESSES = re.compile(r'\?(?=\s*(?:[*:,"]|$))')
+# A person's decimal comma; another comma would begin the next column.
+_COMMA = re.compile(r"(?<=\d),(?=\d)")
 
 
 def form_of(record: RecordEntry) -> dict[str, Any]:
@@ -53,7 +57,7 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
     used: dict[str, str] = {}
     for field in ("time", *(f"{quantity}_{k}" for k in range(1, count + 1) for quantity in QUANTITIES)):
         column, unit = given.get(field, ""), given.get(f"{field}_unit", "")
-        scale = given.get(f"{field.rpartition('_')[0]}_scale", "")
+        scale = _COMMA.sub(".", given.get(f"{field.rpartition('_')[0]}_scale", ""))
         if not column:
             if scale:
                 raise RequestError("A scale needs its column: choose the column.")
@@ -81,6 +85,11 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
     if sign := given.get("decimal"):
         entries["decimal"] = _SIGNS.get(sign, sign)
     return text_of(entries)
+
+
+def verified(columns: str) -> str:
+    """Return a text of columns without its marks of guesses."""
+    return _GUESSES.sub("", columns)
 
 
 def _field(key: str) -> str:

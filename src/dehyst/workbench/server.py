@@ -40,7 +40,7 @@ from dehyst.workbench.data import (
     wasm,
 )
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.reading import columns_of
+from dehyst.workbench.reading import columns_of, verified
 from dehyst.workbench.session import WorkbenchSession
 
 if TYPE_CHECKING:
@@ -283,6 +283,7 @@ class Workbench:
                 "/files/{path:path}": self.file,
             },
             "POST": {
+                "/api/excitations": self.excite,
                 "/api/records/{key}/read": self.read,
                 "/api/models": self.identify,
                 "/api/models/{key}/end": self.end,
@@ -356,13 +357,20 @@ class Workbench:
             )
 
     @answered
+    async def excite(self, request: Request) -> Any:
+        """Write an excitation to play."""
+        return {"job": self.session.excite(await body_of(request))}
+
+    @answered
     async def read(self, request: Request) -> Any:
-        """Read a record again, with the text of columns or the values of its form."""
+        """Read a record again: with the text of columns, with the values of its form, or with its guesses verified."""
         body, key = await body_of(request), request.path_params["key"]
-        columns, values = body.get("columns", ""), body.get("form")
+        columns, values, record = body.get("columns", ""), body.get("form"), self.session.record(key)
         if not isinstance(columns, str) or not isinstance(values, dict | None):
             raise RequestError("columns, form: need a text, or an object with a text for each field")
-        self.session.read_record(key, columns if values is None else columns_of(self.session.record(key), values))
+        if body.get("verified") is True:
+            columns = verified(record.columns)
+        self.session.read_record(key, columns if values is None else columns_of(record, values))
 
     @answered
     async def record_data(self, request: Request) -> Any:

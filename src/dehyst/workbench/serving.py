@@ -115,7 +115,8 @@ HOST = "127.0.0.1"
 PORT = 8754
 # Seconds that open connections have to end.
 _PATIENCE = 1
-_LONGEST_MESSAGE = 65536
+# Connections at once, and the longest message of a page.
+_MOST, _LONGEST_MESSAGE = 96, 65536
 
 
 def serve(
@@ -151,7 +152,7 @@ def serve(
         import uvicorn
         import websockets  # noqa: F401
 
-        from dehyst.workbench.gate import BACKLOG, BoundedProtocol, Gate
+        from dehyst.workbench.gate import Gate
         from dehyst.workbench.server import Workbench
     except ImportError as error:
         raise MissingExtraError(
@@ -164,8 +165,7 @@ def serve(
         config = uvicorn.Config(
             Gate(bench.app(), taken, door.admits),
             loop="asyncio",
-            http=BoundedProtocol,
-            backlog=BACKLOG,
+            limit_concurrency=_MOST,
             log_level="warning",
             access_log=False,
             server_header=False,

@@ -18,8 +18,8 @@ from dehyst._io import finite, write_json
 from dehyst._version import __version__
 from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
-from dehyst.workbench.data import written_path
-from dehyst.workbench.entries import ModelEntry, RecordEntry, VoltageEntry
+from dehyst.workbench.data import limits_of, written_path
+from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import EXPORTS, in_page
 from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
@@ -64,6 +64,7 @@ class WorkbenchSession:
         self.records: dict[str, RecordEntry] = {}
         self.models: dict[str, ModelEntry] = {}
         self.voltages: dict[str, VoltageEntry] = {}
+        self.excitations: dict[str, ExcitationEntry] = {}
         self.changed, self._last = changed, 0
         self._saved: dict[str, Any] = {}
         self._saving: asyncio.TimerHandle | None = None
@@ -105,6 +106,24 @@ class WorkbenchSession:
     def voltage(self, key: str) -> VoltageEntry:
         """Return a voltage; raise SessionError if its key is unknown."""
         return _found(self.voltages, key, "voltage")
+
+    def excite(self, request: Mapping[str, Any]) -> str:
+        """Write the excitation to play within `limits` [V], with `slew` [V/s] and `frequency` [Hz]; return the job."""
+        low, high = limits_of(request.get("limits"))
+        file = self.folder.new(places.EXCITATIONS, f"{low:g}-to-{high:g}-V", ".csv")
+        given = {"kind": "recommended", "volts": [high], "base": low, "present": min(max(0.0, low), high)}
+        options = {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
+        step = Step("excite", {**given, "limits": [low, high], **options, "output": file})
+        # Refused before it is begun.
+        step.command  # noqa: B018
+        entry = ExcitationEntry(self._id("e"), Path(file).stem, file)
+
+        def done(finished: Finished) -> None:
+            if finished.result is not None:
+                entry.fill(finished.result)
+                self.excitations[entry.id] = entry
+
+        return self.jobs.start("excite", "", [step], done)
 
     def add_record(self, source: str, name: str) -> RecordEntry:
         """Read a file, `source` relative to the folder, as a record."""
@@ -323,7 +342,7 @@ class WorkbenchSession:
 
     def delete(self, key: str) -> None:
         """Remove a record, a model or a voltage from the list; its files stay in the folder."""
-        for entries in (self.records, self.models, self.voltages):
+        for entries in (self.records, self.models, self.voltages, self.excitations):
             if key in entries:
                 for job in self.jobs.running(key):
                     self.jobs.stop(job)
@@ -390,6 +409,7 @@ class WorkbenchSession:
             "records": [asdict(one) for one in self.records.values()],
             "models": [asdict(one) for one in self.models.values()],
             "voltages": [asdict(one) for one in self.voltages.values()],
+            "excitations": [asdict(one) for one in self.excitations.values()],
         }
 
     def _save(self) -> None:
@@ -411,6 +431,7 @@ class WorkbenchSession:
         self.records = _restored(RecordEntry, saved.get("records", ()))
         self.models = _restored(ModelEntry, saved.get("models", ()))
         self.voltages = _restored(VoltageEntry, saved.get("voltages", ()))
+        self.excitations = _restored(ExcitationEntry, saved.get("excitations", ()))
         for record in self.records.values():
             if record.status == "reading":
                 record.status, record.error = "refused", "the workbench ended while it was read; read it again"

@@ -1,5 +1,6 @@
 // The second step: the identification as it runs, its verdict, its pictures, and how far to trust it.
 import { h } from "./dom.js";
+import { fold } from "./forms.js";
 import { duration, percent, range } from "./numbers.js";
 import * as server from "./server.js";
 import { goTo, needsModel } from "./steps.js";
@@ -31,19 +32,21 @@ export function modelView({ models }, model) {
 }
 
 function body(model) {
+  // The present verdict alone is in sight.
+  const isOld = model.check && !model.check.good;
   const look = { class: "button", download: null, target: "_blank" };
   const origin = model.origin || `Identified in ${duration(model.seconds)}.`;
   const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
-    h("div#verdict", verdictBlock(model), axesBlock(model)),
+    isOld ? checkCard(model) : h("div#verdict", verdictBlock(model), axesBlock(model)),
     h("div.row.next",
       goTo("path", "Make a voltage"),
       fileLink(model.report, "Read the report", look),
     ),
     h("p.muted", `${ranges} ${origin} `, server.removeButton("models", model)),
     problem(`models ${model.id}`),
-    checkCard(model),
+    isOld ? fold("The promise before that record", verdictBlock(model), axesBlock(model)) : checkCard(model),
     assessment(model),
     problem(model.report),
     h("div#model-report", mounted(model.report)?.element),

@@ -6,11 +6,10 @@ import { COLOURS, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
 import { APART, duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
-import { PathFigures, curve, judged, turnsOf, verdict } from "./path_figures.js";
-import { isPlane } from "./report.js";
+import { PathFigures, curve, judged, verdict } from "./path_figures.js";
 import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
-import { fileLink, jobCards, lightOf, modelChoice, reportOf } from "./verdict.js";
+import { fileLink, jobCards, lightOf, modelChoice } from "./verdict.js";
 
 const { button, chosenModel, complain, problem, redraw } = server;
 
@@ -186,13 +185,16 @@ async function planNow(model) {
     const compiled = server.remembered(modules, `${model.id} ${period}`, () => load(server.wasmAddress(model, period)));
     const wanted =
       view.source === "scan" ? server.scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
-    const [module, path, report] = await Promise.all([compiled, wanted, reportOf(model.report)]);
+    const [module, path] = await Promise.all([compiled, wanted]);
     if (asked !== view.asked) return;
     const began = performance.now();
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
     const points = view.source === "points" ? view.points : null;
-    const turned = turnsOf(report.figures.find(isPlane)?.spec, path.time, planned.voltage);
-    view.last = { path, planned, limits, reach: model.range_um, band: model.verdict.largest_um, points, turned };
+    const line = view.source === "scan" ? 1 / (scans.scan().frequency ?? NaN) : NaN;
+    view.last = {
+      ...{ path, planned, limits, points, line },
+      ...{ reach: model.range_um, band: model.verdict.largest_um },
+    };
     figures.draw(view.last);
     view.took = performance.now() - began;
     view.said = described(model, view.last);
@@ -249,14 +251,14 @@ function cannotPlan(why) {
   redraw();
 }
 
-function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach, band, turned }) {
+function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach, band }) {
   const { steepest, clamps } = planned;
   const [light] = lightOf(known);
   let speed = "";
   if (recorded && steepest > recorded * 1.001) {
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
-  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, turned });
+  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed });
   return { ...said, remarks: known.remarks };
 }
 
@@ -300,11 +302,11 @@ function voltages(state) {
 function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [], ...more }) {
   const errors = (more.largest_um ?? []).map((um, k) => um && `${more.axes[k] ?? ""} ${length(um)}`.trim());
   const maker = server.modelOf(model)?.name ?? "a model that was removed";
-  return h("li", { class: `card ${clamped > 0 ? "refused" : ""}`, key: id },
+  return h("li.card", { key: id },
     h("div.card-head", h("h3", name), fileLink(file, "Download CSV", { class: "button main" })),
     h("p", `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
-    errors.some(Boolean) && h("p", `Largest error to expect: ${errors.filter(Boolean).join(", ")}.`),
-    clamped > 0 && h("p.error", `${whole(clamped)} voltages are clamped: the path is missed there.`),
+    errors.some(Boolean) && h("p.muted", `Promised within ${errors.filter(Boolean).join(", ")}.`),
+    clamped > 0 && h("p.muted", `${whole(clamped)} voltages are clamped.`),
     remarks(words),
   );
 }

@@ -1,12 +1,14 @@
 // The first step: records are dropped, understood, looked at, and given a role in the identification.
 import { DECLARED } from "./declared.js";
 import { byId, h } from "./dom.js";
+import { exciteCard } from "./excite.js";
 import { COLOURS, Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, card, facts, fold, list, remarks, tick } from "./forms.js";
 import { bytes, duration, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
 import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
+import { checkBy } from "./trust.js";
 
 const { announce, button, problem, readyRecords, redraw, session } = server;
 // What stands on the page already.
@@ -16,7 +18,11 @@ const roles = new Map(); // of a record on this page: "train", "validate" or "no
 const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
 const uploads = [];
-const roleOf = ({ id, usable }) => roles.get(id) ?? (usable ? "train" : "none");
+// A record that arrives when there is a model waits until the person says what it is for.
+const isOpenQuestion = ({ id }) =>
+  !roles.has(id) && session.state.models.length > 0 &&
+  !session.state.models.some((one) => [...one.train, ...one.validate].includes(id));
+const roleOf = (record) => roles.get(record.id) ?? (record.usable && !isOpenQuestion(record) ? "train" : "none");
 const colourOf = (id, axis = 0) =>
   COLOURS[(Math.max(0, session.state.records.findIndex((one) => one.id === id)) + axis) % COLOURS.length];
 
@@ -29,6 +35,7 @@ export function recordsView({ records }) {
   scrollToRefused(records);
   drop.classList.toggle("small", records.length > 0);
   return [
+    exciteCard(session.state),
     drop,
     problem("example"),
     h("ul#uploads.uploads", uploads.map(uploadRow)),
@@ -141,6 +148,7 @@ function readyCard(record) {
     };
     return tick(label, { type: "checkbox", checked, spoken: `${label}: ${name}`, onchange });
   };
+  const verify = () => server.readRecord(id, { verified: true });
   const role = (label, own) => box(label, roleOf(record) === own, (on) => roles.set(id, on ? own : "none"));
   return [
     facts([
@@ -151,13 +159,27 @@ function readyCard(record) {
       ...(record.axes.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
     remarks(problems),
+    record.columns.includes("?") && button("Verified", `verified ${id}`, verify, { "aria-label": `Verified: ${name}` }),
+    problem(`verified ${id}`),
     understood && fold("How the file was understood", list(words), readingForm(record)),
+    isOpenQuestion(record) && h("p.question", "What is it for?"),
     h("div.row",
       role("Train", "train"),
       role("Validate", "validate"),
+      server.chosenModel() && isOpenQuestion(record) && checkButton(record),
       box("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
     ),
   ];
+}
+
+function checkButton({ id, name }) {
+  const check = () => {
+    roles.set(id, "none");
+    checkBy(id);
+    openStep("model", { focus: true });
+  };
+  const about = { type: "button", class: "quiet", "aria-label": `Check the model by ${name}`, onclick: check };
+  return h("button", about, "Check the model");
 }
 
 // The form that starts an identification.

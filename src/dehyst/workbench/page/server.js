@@ -16,7 +16,8 @@ const TYPE = { "Content-Type": "application/json" };
 const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(body) });
 const post = async (path, body = {}) => (await request(path, json(body))).json();
 
-// With { options } or the values of its { form }.
+export const excite = (body) => post("/api/excitations", body);
+// With { columns }, the values of its { form }, or { verified }.
 export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
 // "end" of its identification, or a job on it, which is announced: "insight", "check", "update", "path", "export".
@@ -70,7 +71,7 @@ export const scanColumns = (scan) =>
   getColumns(`/api/scan?of=${encodeURIComponent(JSON.stringify(scan))}`, ["time", "wanted"]);
 
 // The state that the server holds, as this page last heard it. Views watch it.
-const NOTHING = { records: [], models: [], voltages: [], jobs: [], files: [], log: [] };
+const NOTHING = { excitations: [], records: [], models: [], voltages: [], jobs: [], files: [], log: [] };
 export const session = { state: NOTHING, connected: false };
 const watchers = [];
 

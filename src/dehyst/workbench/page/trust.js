@@ -26,6 +26,11 @@ const runs = ({ status }) => status === "running";
 
 const checking = new Form("check", DECLARED.forms.check);
 
+// Choose the record of the next check.
+export const checkBy = (id) => {
+  checking.values.record = id;
+};
+
 // Whether a model still holds, by a record that it was not identified from; and its update by that record.
 export function checkCard(model) {
   const { check } = model;

@@ -1,0 +1,60 @@
+// What to play before anything is recorded: the excitation for a stage, as a file.
+import { DECLARED } from "./declared.js";
+import { h } from "./dom.js";
+import { Figure, SECONDS, VOLTS } from "./figure.js";
+import { Form, card, fold, remarks } from "./forms.js";
+import { duration, limitsFrom, range, whole } from "./numbers.js";
+import * as server from "./server.js";
+import { fileLink, jobCards } from "./verdict.js";
+
+const form = new Form("excite", DECLARED.forms.excite);
+const figure = new Figure({ title: "Voltage to play", help: false });
+
+async function write() {
+  const limits = limitsFrom(form.values.low, form.values.high);
+  await server.excite({ limits, slew: form.value("slew"), frequency: form.value("frequency") });
+}
+
+// In full while there is no record; later in a fold.
+export function exciteCard({ excitations, records }) {
+  const last = excitations.at(-1);
+  const content = [
+    h("p",
+      "One run shows all that an identification needs: large loops, small loops, three speeds and two holds. Play it, " +
+        "and record time, voltage and displacement; the first samples show the start.",
+    ),
+    form.row(Object.keys(form.fields)),
+    server.button("Write the excitation", "excite", write, { class: last ? "" : "main" }),
+    server.problem("excite"),
+    h("ul.cards", jobCards(server.openJobs("excite"))),
+    [...excitations].reverse().map(written),
+    last && records.length === 0 && drawn(last),
+  ];
+  const about = { id: "excite", key: "excite" };
+  return records.length === 0 ? card("What to play", about, content) : h("div.card", about, fold("What to play", content));
+}
+
+const written = ({ id, name, file, samples, seconds, range_v: ends, words }) =>
+  h("div", { key: id },
+    h("p.row",
+      h("span", h("b", duration(seconds)), `, ${range(ends, "V")}, ${whole(samples)} samples`),
+      fileLink(file, "Download CSV", { class: "button main", "aria-label": `Download ${name}` }),
+      server.removeButton("excitations", { id, name }),
+    ),
+    server.problem(`excitations ${id}`),
+    remarks(words),
+  );
+
+let shown; // the excitation that is drawn
+function drawn({ id, file }) {
+  if (shown !== id) {
+    shown = id;
+    server.textOfFile(file).then((text) => {
+      const rows = text.trim().split("\n").slice(1).map((row) => row.split(",").map(Number));
+      const [x, y] = [0, 1].map((column) => Float32Array.from(rows, (row) => row[column]));
+      const series = [{ name: "voltage", colour: "simulated", x, y, rising: true }];
+      figure.set({ x: SECONDS, y: VOLTS, series }, { spoken: "Voltage of the excitation over time." });
+    }, (error) => server.complain("excite", error.message));
+  }
+  return figure.element;
+}
