@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import compiler_cache
-import numpy as np
 import places
 import profiles  # noqa: F401 - loads the profile of Hypothesis
 import pytest
@@ -71,60 +70,6 @@ def pytest_terminal_summary(terminalreporter):
 BEGAN, CPU = pytest.StashKey(), "cpu_s"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
-# Reads an actuator, a state and a path; prints, a line a sample, the voltages and what they lead back to: by the stack,
-# by the carts.
-HARNESS = r"""
-#include <stdio.h>
-#include "dehyst_records.h"
-#define MOST 2100
-static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
-static dehyst_real stiffness[MOST], start[MOST], cart[MOST], path[MOST], out[4][MOST];
-static dehyst_reversal reversal[DEHYST_STACK_CAPACITY(MOST)];
-
-static int read(dehyst_real *to, int n)
-{
-    double value;
-    int i;
-    for (i = 0; i < n; i++) {
-        if (scanf("%la", &value) != 1) return 0;
-        to[i] = (dehyst_real)value;
-    }
-    return 1;
-}
-
-int main(void)
-{
-    dehyst_plain a;
-    dehyst_plain_state state;
-    dehyst_stack work = {0, 0, 1, 0, 0, reversal};
-    dehyst_real y;
-    int n, m, samples, i, t, column;
-    if (scanf("%d %d %d", &n, &m, &samples) != 3 || n >= MOST || m > MOST || samples > MOST) return 1;
-    if (!read(rho, n) || !read(kappa, n) || !read(knot, m) || !read(value, m)) return 2;
-    if (!read(&y, 1) || !read(start, n) || !read(path, samples)) return 3;
-    work.capacity = DEHYST_STACK_CAPACITY(n);
-    if (dehyst_curve_tabulate(m, knot, value, slope) != DEHYST_OK) return 4;
-    a.slip.size = n, a.slip.rho = rho, a.slip.kappa = kappa, a.slip.edge = edge;
-    a.slip.intercept = intercept, a.slip.stiffness = stiffness;
-    if (dehyst_slip_tabulate(n, rho, kappa, edge, intercept, stiffness, &a.slip.inverse_step) != DEHYST_OK) return 5;
-    a.spring.size = m, a.spring.knot = knot, a.spring.value = value, a.spring.slope = slope;
-    state.cart = cart;
-    for (column = 0; column < 4; column++) {
-        const dehyst_real *in = column % 2 ? out[column - 1] : path;
-        state.y = y;
-        for (i = 0; i < n; i++) cart[i] = start[i];
-        if (dehyst_plain_check(&a, &state) != DEHYST_OK) return 6;
-        if (column == 0) dehyst_plain_compensate_run(&a, &state, &work, in, out[0], samples);
-        if (column == 1) dehyst_plain_simulate_run(&a, &state, &work, in, out[1], samples);
-        for (t = 0; column == 2 && t < samples; t++) out[2][t] = dehyst_plain_compensate(&a, &state, in[t]);
-        for (t = 0; column == 3 && t < samples; t++) out[3][t] = dehyst_plain_simulate(&a, &state, in[t]);
-    }
-    for (t = 0; t < samples; t++)
-        printf("%a %a %a %a\n", (double)out[0][t], (double)out[1][t], (double)out[2][t], (double)out[3][t]);
-    return 0;
-}
-"""
-
 
 @pytest.fixture(scope="session", autouse=True)
 def blas_on_one_thread():
@@ -153,7 +98,6 @@ class CompiledCore:
         self.folder = folder
         for source in places.CORE_FILES:
             shutil.copy(source, folder)
-        (folder / "main.c").write_text(HARNESS)
 
     def use_float(self):
         """Write the one file that an export writes."""
@@ -166,24 +110,6 @@ class CompiledCore:
         done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=False, timeout=120)
         assert done.returncode == 0, done.stderr
         return done.stdout
-
-    def run(self, actuator, state, path):
-        """Return (samples, 4): voltages and displacements by the stack, then by the carts, bit for bit."""
-        numbers = [
-            actuator.slip.breakaway,
-            actuator.slip.stiffness,
-            actuator.spring.displacement,
-            actuator.spring.voltage,
-            [state.deformation],
-            state.carts,
-            path,
-        ]
-        sizes = f"{len(actuator.slip)} {actuator.spring.displacement.size} {len(path)}\n"
-        text = sizes + "\n".join(float(x).hex() for x in np.concatenate(numbers))
-        command = [str(self.folder / "main")]
-        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False, timeout=60)
-        assert done.returncode == 0, f"status {done.returncode}: {done.stderr}"
-        return np.array([[float.fromhex(x) for x in line.split()] for line in done.stdout.splitlines()])
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The wider class in C: compiled apart it gives the same bits, stays within its arrays, and NaN moves nothing."""
+"""Every class in C: compiled apart it gives the same bits, stays within its arrays, and NaN moves nothing."""
 
 import subprocess
 from dataclasses import replace
@@ -174,6 +174,7 @@ def compile_apart(compiled, *options):
 
 
 KINDS = [
+    "plain",
     "transformer",
     "creep",
     "transformer creep",
@@ -204,7 +205,7 @@ def test_c_compiled_apart_gives_the_same_bits(compiled, options):
 
 
 @pytest.mark.parametrize("options", [["-O2", "-flto"], at_night(["-O1", "-fsanitize=address,undefined"])])
-def test_the_wider_core_works_in_single_precision(compiled, options):
+def test_the_core_works_in_single_precision(compiled, options):
     compiled.use_float()
     compile_apart(compiled, *options, "-fno-sanitize-recover", "-Wdouble-promotion")
     for seed, kind in enumerate(KINDS):
@@ -218,6 +219,18 @@ def test_the_wider_core_works_in_single_precision(compiled, options):
             assert np.abs(got[:, column + 1] - back).max() <= 2e-4 * np.ptp(path), kind
             if "mass" not in kind:
                 assert np.abs(got[:, column + 1] - path).max() <= 2e-4 * np.ptp(path), kind
+
+
+def test_the_plain_core_stays_within_its_arrays(compiled):
+    """With the first seed, pruning once left a branch that began beyond the present place, and read before a table."""
+    compile_apart(compiled, "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover")
+    for seed, n, kind in [(624, 1, "walk"), *((s, s % 4, our.PATH_KINDS[s % 7]) for s in range(40))]:
+        plain = our.make_actuator(seed, n, 2 + seed % 2, uniform=True)
+        state = our.make_state(plain, seed, "reached")
+        path = our.make_path(plain, state.deformation, seed, kind, 800)
+        model = evaluator_of(plain)
+        pace = model.step_coefficients(np.array([0, path.size]), np.zeros(1))
+        assert np.isfinite(run_apart(compiled, model, model.core_state(state), pace, path)).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)

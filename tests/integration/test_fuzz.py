@@ -71,22 +71,6 @@ def test_a_share_of_the_attacks_finds_nothing(name, count):
     assert attacked(FUZZ / f"{name}.py", "--seed", 3, "--count", count)["cases"] == count
 
 
-def test_hostile_calls_on_a_compiled_export_find_nothing():
-    need_exports()
-    assert attacked(FUZZ / "exports.py", "--seed", 3, "--count", 1)["counts"]["thousands of calls"] > 0
-
-
-def need_exports():
-    if missing := sanitized.runtime_missing():
-        pytest.skip(f"{missing} is not installed: exports cannot be compiled under sanitizers")
-
-
-@pytest.mark.fuzz
-def test_a_million_hostile_calls_on_exports_find_nothing():
-    need_exports()
-    assert attacked(FUZZ / "exports.py", "--seed", 4, "--count", 60)["counts"]["thousands of calls"] >= 1000
-
-
 @pytest.mark.fuzz
 @pytest.mark.parametrize(("name", "count"), [("compensators", 100_000), ("models", 10_000)])
 def test_all_attacks_on_the_sanitized_package_find_nothing(tmp_path, name, count):

@@ -37,28 +37,12 @@ def wave(controller, *values):
     return error_after(controller, f"WAV 1 X PNT 1 {len(values)} {' '.join(map(str, values))}")
 
 
-def test_it_tells_what_it_is(controller):
-    assert controller.answer("*idn?").startswith("dehyst,emulated piezo controller,")
-    assert controller.answer("CSV?") == "2.0\n"
-    assert controller.answer("SAI?") == controller.answer("SAI? ALL") == "1\n"
-    assert controller.answer("CST? 1") == "1=DEHYST\n"
-    assert controller.answer("VMI? 1") == "1=-20\n"
-    assert controller.answer("VMA? 1") == "1=120\n"
-    assert controller.answer("TMX? 1") == "1=16.152\n"
-    assert controller.answer("TNR?") == "2\n"
-
-
 def test_all_lines_but_the_last_end_with_a_space(controller):
     for query in ("HLP?", "HDR?", "HPA?", "VER?", "SPA?", "DRC?", "WAV?"):
         lines = controller.answer(query).split("\n")
         assert lines[-1] == ""
         assert all(line.endswith(" ") for line in lines[:-2])
         assert not lines[-2].endswith(" ")
-
-
-def test_help_lists_every_command(controller):
-    listed = {line.split()[0] for line in controller.answer("HLP?").splitlines()[1:-1]}
-    assert listed == {"#5", "#7", "#9", "#24", *COMMANDS}
 
 
 def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(controller):
@@ -116,43 +100,6 @@ def test_a_query_that_cannot_be_answered_is_refused(controller, query, error):
     assert error_after(controller, query) == error
 
 
-def test_voltages_are_set_and_read(controller, hand):
-    assert error_after(controller, "SVA 1 12.5", "SVR 1 -2.5") == 0
-    assert controller.answer("SVA?") == "1=10\n"
-    assert controller.answer("VOL? 1") == "1=10\n"
-    position = float(controller.answer("POS? 1").split("=")[1])
-    assert position == pytest.approx(1e6 * controller.instrument.axis.displacement(), rel=1e-11)
-    hand.wait(2)
-    assert controller.answer("TIM?") == "2000\n"
-
-
-def test_an_amplifier_with_a_slew_rate_tells_it_and_moves_at_it(hand):
-    controller = made(hand, slew_rate=100.0)
-    number = next(line for line in controller.answer("HPA?").splitlines() if "Slew" in line).split("=")[0]
-    assert controller.answer(f"SPA? 1 {number}") == f"1 {number}=100\n"
-    controller.answer("SVA 1 50")
-    hand.wait(0.25)
-    assert controller.answer("SVA?") == "1=50\n"
-    assert controller.answer("VOL?") == "1=25\n"
-    assert controller.single(5) == "1\n"
-    hand.wait(0.26)
-    assert controller.single(5) == "0\n"
-
-
-def test_the_servo_moves_in_micrometres(controller, hand):
-    assert error_after(controller, "SVO 1 1", "MOV 1 4") == 0
-    assert controller.answer("ONT?") == "1=0\n"
-    hand.wait(1)
-    assert controller.answer("ONT?") == "1=1\n"
-    assert float(controller.answer("POS?").split("=")[1]) == pytest.approx(4, abs=0.02)
-    assert error_after(controller, "MVR 1 0.5") == 0
-    assert float(controller.answer("MOV?").split("=")[1]) == pytest.approx(4.5)
-    assert error_after(controller, "MOV 1 17") == 7
-    assert error_after(controller, "SVA 1 0") == 79
-    assert wave(controller, 1, 2) == 0
-    assert error_after(controller, "WSL 1 1", "WGO 1 1") == 303
-
-
 def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, hand):
     values = np.round(30 + 20 * np.sin(np.arange(200) / 20), 6)
     assert wave(controller, *values[:150]) == 0
@@ -190,40 +137,6 @@ def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, ha
     np.testing.assert_array_equal(np.array(some.split(), dtype=float), values[10:15])
 
 
-def test_a_slower_recorder_takes_every_nth_sample(controller, hand):
-    wave(controller, *range(10))
-    assert error_after(controller, "WSL 1 1", "WGC 1 1", "WTR 1 2 0", "RTR 6", "WGO 1 1") == 0
-    hand.wait(1)
-    assert controller.answer("DRR? 1 9 2").split("# END_HEADER \n")[1].split() == ["0", "3", "6", "9"]
-    assert error_after(controller, "RTR 3", "WGO 1 1") == 17
-
-
-def test_a_wave_is_stopped_and_its_voltage_stays(controller, hand):
-    wave(controller, *range(100))
-    for stop in ("WGO 1 0", "STP", 24):
-        controller.answer("SVA 1 0")
-        error_after(controller, "WSL 1 1", "WGC 1 1", "WGO 1 1")
-        hand.wait(10.2 * 5e-5)
-        controller.answer(stop) if isinstance(stop, str) else controller.single(stop)
-        hand.wait(1)
-        assert controller.answer("VOL?") == "1=10\n"
-        assert controller.answer("ERR?") == ("0\n" if stop == "WGO 1 0" else "10\n")
-
-
-def test_shapes_and_cycles(controller, hand):
-    lines = ("WAV 1 X SIN_P 8 10 5 8 0 4", "WAV 2 X RAMP 9 8 1 8 0 0 4", "WAV 3 X LIN 5 8 -4 5 0 0")
-    assert error_after(controller, *lines) == 0
-    tables = controller.tables
-    np.testing.assert_allclose(tables[1], 5 + 5 * (1 - np.cos(2 * np.pi * np.arange(8) / 8)))
-    np.testing.assert_allclose(tables[2], [1, 3, 5, 7, 9, 7, 5, 3, 1])
-    np.testing.assert_allclose(tables[3], [-4, -2, 0, 2, 4])
-    assert error_after(controller, "WSL 1 3", "WGC 1 3", "WGO 1 1") == 0
-    hand.wait(1)
-    np.testing.assert_allclose(controller.instrument.samples()[1], np.tile([-4, -2, 0, 2, 4], 3))
-    assert controller.answer("WGC?") == "1=3\n"
-    assert error_after(controller, "WCL 3", "WGO 1 1") == 75
-
-
 def test_a_table_too_long_for_the_generator_is_refused_and_stays_as_it_was(hand):
     controller = made(hand, wave_points=10)
     assert wave(controller, *range(8)) == 0
@@ -232,39 +145,9 @@ def test_a_table_too_long_for_the_generator_is_refused_and_stays_as_it_was(hand)
     assert error_after(controller, "WSL 1 1", "WGC 1 2", "WGO 1 1") == 67
 
 
-def test_a_controller_may_tell_wider_limits_than_it_has(hand):
-    bench = VirtualBench(PlayActuator(plays=20), clock=hand, limits=(0, 80))
-    controller = Controller(bench, reported_limits=(0, 100))
-    assert controller.answer("VMA?") == "1=100\n"
-    assert error_after(controller, "SVA 1 90") == 302
-    assert wave(controller, 90, 91) == 302
-
-
 NAMES = st.sampled_from([*sorted(COMMANDS), "", "\x05", "FOO", "PNT"])
-ARGUMENTS = st.sampled_from(
-    [
-        "1",
-        "2",
-        "0",
-        "-1",
-        "1e999",
-        "nan",
-        "0x10",
-        "X",
-        "&",
-        "PNT",
-        "SIN_P",
-        "300",
-        "5.5",
-        "é",
-        "٣",
-        "LIN",
-        "RAMP",
-        "ALL",
-        "99999999999999999999",
-        "1e-300",
-    ]
-)
+WORDS = "1 2 0 -1 1e999 nan 0x10 X & PNT SIN_P 300 5.5 é ٣ LIN RAMP ALL 99999999999999999999 1e-300"
+ARGUMENTS = st.sampled_from(WORDS.split())
 LINES = st.one_of(
     st.builds(lambda name, rest: " ".join([name, *rest]), NAMES, st.lists(ARGUMENTS, max_size=9)), st.text()
 )
@@ -297,37 +180,10 @@ class TestSeveralAxes:
     def controller(self, stage):
         return Controller(stage)
 
-    def test_queries_answer_for_all_axes_or_for_those_named(self, controller):
-        assert controller.answer("SAI?") == "1 \n2 \n3\n"
-        assert controller.answer("VMA?") == "1=100 \n2=120 \n3=150\n"
-        assert controller.answer("VMA? 3 1") == "3=150 \n1=100\n"
-        assert controller.answer("TNR?") == "6\n"
-        assert controller.answer("WGO?") == "1=0 \n2=0 \n3=0\n"
-        assert error_after(controller, "SVA 4 1") == 15
-
-    def test_commands_take_several_axes(self, controller):
-        assert error_after(controller, "SVA 1 10 3 20") == 0
-        assert controller.answer("VOL?") == "1=10 \n2=0 \n3=20\n"
-        assert error_after(controller, "SVA 1 10 2") == 26
-        assert error_after(controller, "SVA 1 1 2 1 3 1 1 1") == 24
-
     def test_of_a_command_with_an_unknown_axis_nothing_is_done(self, controller):
         assert error_after(controller, "SVA 1 10 7 20") == 15
         assert error_after(controller, "SVA 1 10 2 x") == 25
         assert controller.answer("VOL? 1") == "1=0\n"
-
-    def test_generators_that_are_started_together_begin_together(self, controller, stage, hand):
-        for number in (1, 2, 3):
-            assert error_after(controller, f"WAV {number} X LIN 100 {10 * number} 0 100 0 0") == 0
-        settings = ("WSL 1 1 2 2 3 3", "WGC 1 1 2 1 3 1", "WTR 0 4 0", "RTR 4")
-        assert error_after(controller, *settings, "WGO 1 1 2 1 3 1") == 0
-        hand.wait(1.0)
-        assert controller.answer("DRL? 1 6") == "1=100 \n6=100\n"
-        rows = controller.answer("DRR? 1 100 2 4 6 1").split("# END_HEADER \n")[1].split("\n")
-        table = np.array([[float(word) for word in row.split()] for row in rows if row])
-        share = np.linspace(0, 1, 100)
-        np.testing.assert_allclose(table[:, :3], np.outer(share, [10, 20, 30]), atol=1e-9)
-        np.testing.assert_allclose(table[:, 3], 1e6 * stage.samples(0)[2], atol=1e-9)
 
     def test_generators_of_different_rates_are_refused(self, controller):
         for number in (1, 2):
@@ -348,11 +204,3 @@ class TestSeveralAxes:
         assert controller.single(9) == "3\n"
         assert error_after(controller, "STP") == 10
         assert not stage.playing
-
-    def test_each_axis_has_a_servo_of_its_own(self, controller, hand):
-        assert error_after(controller, "SVO 2 1", "MOV 2 5") == 0
-        for _ in range(200):
-            hand.wait(0.01)
-            controller.answer("POS?")
-        assert controller.answer("SVO?") == "1=0 \n2=1 \n3=0\n"
-        assert float(controller.answer("POS? 2")[2:]) == pytest.approx(5.0, abs=0.02)
