@@ -67,9 +67,8 @@ def test_addresses_that_are_none(tmp_path):
         with pytest.raises(RigError, match=why):
             open_rig(f"{own}:make")
     own.write_text(
-        "from fake_gcs import FakeController, FakeDevice\nfrom dehyst.instruments.pi import PiRig\n"
-        "def make(limits, slew_rate):\n"
-        "    return PiRig.of_device(FakeDevice(FakeController()), limits=limits, slew_rate=slew_rate)\n"
+        "from fake_rig import FakeRig\n"
+        "def make(limits, slew_rate):\n    return FakeRig(limits=limits, slew_rate=slew_rate)\n"
     )
     rig = open_rig(f"{own}:make", limits=(1.0, 7.0), slew_rate=3.0)
     assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (1.0, 7.0, 3.0)

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from fake_gcs import IDENTITY, WAVES, FakeController, FakeDevice
+from fake_gcs import IDENTITY, WAVES, FakeController
 from faulty_link import PipeLink, QuickRig
 
 from dehyst import ClampWarning
@@ -264,46 +264,6 @@ def test_a_latched_error_is_said_with_its_number():
     controller.error = 333
     with pytest.raises(DeviceError, match="error 333: its hardware"):
         rig.set_voltage(3.0)
-
-
-def test_a_connected_device_serves_as_well():
-    controller = FakeController()
-    device = FakeDevice(controller)
-    rig = QuickRig.of_device(device, limits=(0.0, 90.0))
-    wave = triangle()
-    record = rig.play(wave)
-    assert np.abs(record.voltage - wave.voltage).max() <= 0.6e-6
-    rig.close()
-    assert device.open
-    with pytest.raises(LinkError, match="ReadGCSCommand"):
-        PiRig.of_device(object())
-
-
-def test_a_device_that_only_sends_and_reads_serves_too():
-    class Plain:
-        def __init__(self, device):
-            self.controller, self.send, self.read = device.controller, device.GcsCommandset, device.ReadGCSCommand
-
-    controller = FakeController()
-    rig = QuickRig.of_device(Plain(FakeDevice(controller)))
-    assert rig.set_voltage(4.0) == 4.0 == controller.bench.axis.voltage
-
-
-def test_a_devices_own_exceptions_become_ours():
-    class RefusedError(Exception):
-        val = 17
-
-    controller = FakeController()
-    device = FakeDevice(controller)
-    rig = QuickRig.of_device(device)
-    device.controller.told["SVA"] = lambda _: (_ for _ in ()).throw(RefusedError)
-    with pytest.raises(DeviceError, match="error 17: a parameter"):
-        rig.set_voltage(5.0)
-    # It was closed, as it took no voltage.
-    rig = QuickRig.of_device(device)
-    device.controller.told["VOL?"] = None
-    with pytest.raises(LinkError, match="TimeoutError:"):
-        rig.read()
 
 
 def test_messages_are_short():

@@ -161,20 +161,3 @@ class FakeController:
 def text_of(lines):
     """Return an answer as it goes over the wire."""
     return "" if lines is None else " \n".join(lines) + "\n"
-
-
-class FakeDevice:
-    """A connected device object: carries text as it is, as a maker's own class does."""
-
-    def __init__(self, controller):
-        self.controller = controller
-        self.open = True
-
-    def GcsCommandset(self, line):  # noqa: N802
-        assert self.controller.answer(line) is None
-
-    def ReadGCSCommand(self, line):  # noqa: N802
-        found = self.controller.answer(line)
-        if found is None:
-            raise TimeoutError(f"no answer to {line}")
-        return text_of(found)

@@ -132,7 +132,7 @@ class QuickRig(PiRig):
     """Waits in the controller's own time."""
 
     def __init__(self, link, **options):
-        self._controller = getattr(link, "controller", None) or link._read.__self__.controller
+        self._controller = link.controller
         super().__init__(link, **options)
 
     def _wait(self, seconds):

@@ -6,7 +6,7 @@ import math
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from types import TracebackType
@@ -38,6 +38,8 @@ from dehyst.waveforms import Excitation
 # Of all axes, or of each; None for an axis: those of the device.
 AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
 AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
+# Of the displacement read before each sample [m]; returns the voltage to send [V].
+StepFunction: TypeAlias = Callable[[float | None], float]
 _Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
 # Highest rate [Hz] that a host keeps with one round trip a sample.
@@ -249,7 +251,9 @@ class AbstractRig(ABC):
         return reading
 
     @final
-    def play(self, excitation: Excitation, listen: Listener = lambda _: None) -> Record:
+    def play(
+        self, excitation: Excitation, listen: Listener = lambda _: None, *, step: StepFunction | None = None
+    ) -> Record:
         """Ramp to the first voltage of an `excitation` and play it, at the device's rate nearest to the excitation's.
 
         Return voltage and displacement as recorded by the device, with its time; several axes play together, with one
@@ -258,8 +262,14 @@ class AbstractRig(ABC):
         received all samples that arrived. Raise `RecordError` if the excitation does not have one voltage for each
         axis, leaves the limits or is too steep: nothing was sent. Raise `RigError` if the device, its link or its
         sensor fails.
+
+        `step`: called before each sample of a single axis with the displacement [m] of the reading before, or None; it
+        returns the voltage to send instead, which is held to limits and slew rate. This computer then sends each
+        voltage, as in `host_timed`.
         """
         rate, axes = self.check(excitation), self.axes if self._parts else ()
+        if step is not None:
+            self._refuse_several()
         spans = np.array([one.limits.high - one.limits.low for one in self.rigs])
         sensors = [
             SensorWatch(
@@ -273,10 +283,12 @@ class AbstractRig(ABC):
         with self.safely():
             starts = np.ravel(excitation.voltage[0]).tolist()
             self._ramp([one._ramping(start) for one, start in zip(self.rigs, starts, strict=True)])
-            for piece in _pieces(excitation.voltage, self.longest):
+            pieces = _pieces(excitation.voltage, self.longest) if step is None else [excitation.voltage.copy()]
+            waves = self._wave if step is None else partial(host_timed, self, step=step)
+            for piece in pieces:
                 count, after = 0, float(batches[-1].time[-1]) if batches else -math.inf
                 self._host_paced = False
-                wave = partial(self._wave, piece, rate)
+                wave = partial(waves, piece, rate)
                 patience = _PATIENCE + 2 * len(piece) / rate
                 outputs = [Output(column, rate, self._device_speed) for column in columns_of(piece)]
                 for one, output in zip(self.rigs, outputs, strict=True):
@@ -630,21 +642,26 @@ def played_rate(rig: AbstractRig, sample_rate: float) -> float:
     return rate
 
 
-def host_timed(rig: AbstractRig, voltage: Array, rate: float) -> Iterator[Samples]:
+def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
     """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
     For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
-    slow, with uneven steps. Readings have the device's time, just after each voltage: `hold` is "line".
+    slow, with uneven steps. Readings have the device's time, just after each voltage: `hold` is "line". `step`: as of
+    `AbstractRig.play`; it replaces the voltages after the first.
     """
     rig._host_paced = True
-    period, readings, yielded = 1 / rate, [], time.monotonic()
-    for v in voltage:
+    period, readings, yielded, read = 1 / rate, [], time.monotonic(), None
+    for k in range(len(voltage)):
+        if step is not None:
+            voltage[k] = rig.limits.towards(step(read), float(voltage[max(k - 1, 0)]), period)
+        v = voltage[k]
         rig._put(float(v))
         # From here a retreat begins if the reading fails: samples come later than voltages.
         rig._puts_out(float(v))
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
         sent = time.monotonic()
         readings.append(rig._read())
+        read = readings[-1][2]
         now = time.monotonic()
         if now - yielded >= _BATCH_SECONDS:
             yield Samples(*np.array(readings, dtype=np.float64).T)

@@ -1,14 +1,12 @@
-"""A client of one GCS controller, over a TCP socket or a device object that the user has connected."""
+"""A client of one GCS controller over a TCP socket."""
 
 from __future__ import annotations
 
-import math
 import socket
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst.instruments import gcs_syntax
@@ -28,37 +26,11 @@ _PAUSE = 0.02
 _SPOILED = b" *spoiled*\n"
 
 
-class AbstractGcsLink(ABC):
-    """A link that carries lines to one controller and its answers back.
+class TcpLink:
+    """A socket that carries lines to one controller, which takes one client at a time, and its answers back.
 
-    `where`: address, for messages.
-    """
-
-    where: str
-
-    @abstractmethod
-    def exchange(self, commands: Sequence[str], query: str) -> list[str]:
-        """Send commands without answers, then a query; return the lines of its answer without line ends.
-
-        Raise `LinkError` if there is no answer, or an incomplete one.
-        """
-
-    @abstractmethod
-    def settle(self, identity: str) -> None:
-        """Resynchronise after an exchange that failed; `identity` is the earlier answer to *IDN?.
-
-        Raise `LinkError` if that fails.
-        """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the link; raises nothing."""
-
-
-class TcpLink(AbstractGcsLink):
-    """A socket to a controller, which takes one client at a time; raise `LinkError` if there is no connection.
-
-    `timeout`: seconds without a byte after which an answer is abandoned.
+    Raise `LinkError` if there is no connection. `where`: address, for messages. `timeout`: seconds without a
+    byte after which an answer is abandoned.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
@@ -69,7 +41,10 @@ class TcpLink(AbstractGcsLink):
         self._socket: socket.socket | None = self._connect()
 
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
-        """Send and read; see `AbstractGcsLink`."""
+        """Send commands without answers, then a query; return the lines of its answer without line ends.
+
+        Raise `LinkError` if there is no answer, or an incomplete one.
+        """
         self._send([*commands, query])
         deadline = time.monotonic() + _SLOWEST * self._timeout
         lines: list[str] = []
@@ -82,7 +57,10 @@ class TcpLink(AbstractGcsLink):
         return lines
 
     def settle(self, identity: str) -> None:
-        """Read until the controller answers with its identity; if it does not, reconnect."""
+        """Resynchronise after an exchange that failed: read until it answers with its `identity`, else reconnect.
+
+        Raise `LinkError` if that fails.
+        """
         if self._socket is not None and not self._half_sent:
             with suppress(LinkError):
                 self._await(identity)
@@ -182,54 +160,6 @@ class TcpLink(AbstractGcsLink):
         return line
 
 
-class DeviceLink(AbstractGcsLink):
-    """A `device` object that the user has connected; it stays open.
-
-    It has two methods that carry text unchanged: `ReadGCSCommand(query)`, which returns the answer, and
-    `GcsCommandset(command)`; or, where these are missing, `read(query)` and `send(command)`. Else raise `LinkError`.
-    """
-
-    def __init__(self, device: Any) -> None:
-        read = getattr(device, "ReadGCSCommand", getattr(device, "read", None))
-        write = getattr(device, "GcsCommandset", getattr(device, "send", None))
-        if not (callable(read) and callable(write)):
-            raise LinkError(
-                argument="device",
-                got=type(device).__name__,
-                need="a connected one with ReadGCSCommand(query) and GcsCommandset(command), as PI's GCSDevice",
-            )
-        self.where = type(device).__name__
-        self._read: Callable[[str], Any] = read
-        self._write: Callable[[str], Any] = write
-
-    def exchange(self, commands: Sequence[str], query: str) -> list[str]:
-        """Send and read; see `AbstractGcsLink`."""
-        try:
-            for command in commands:
-                self._write(command)
-            answer = self._read(query)
-        # Whatever the device's own class raises.
-        except Exception as error:
-            number = getattr(error, "val", None)
-            if isinstance(number, int | float) and math.isfinite(number) and number:
-                raise DeviceError(gcs_syntax.sentence(int(number))) from error
-            raise LinkError(f"{type(error).__name__}: {error}") from error
-        if not isinstance(answer, str):
-            raise LinkError(f"got {gcs_syntax.shown(answer)}, need text")
-        return gcs_syntax.lines_of(answer)
-
-    def settle(self, identity: str) -> None:
-        """Query the identity until that is the answer."""
-        for _ in range(3):
-            with suppress(LinkError, DeviceError):
-                if self.exchange([], IDENTITY)[-1].endswith(identity):
-                    return
-        raise LinkError("it does not answer with its identity any more; connect it again")
-
-    def close(self) -> None:
-        """Leave the device connected: it belongs to the user."""
-
-
 class GcsClient:
     """A client of a controller over a `link`; it sends nothing twice.
 
@@ -237,7 +167,7 @@ class GcsClient:
     do not come from a GCS controller, `DeviceError` if its version is not GCS 2.
     """
 
-    def __init__(self, link: AbstractGcsLink) -> None:
+    def __init__(self, link: TcpLink) -> None:
         self._link, self.where = link, link.where
         self._synchronised = True
         try:

@@ -95,16 +95,6 @@ def line_of(raw: bytes) -> tuple[str, bool]:
     return text.rstrip(), text.endswith(" ")
 
 
-def lines_of(answer: str) -> list[str]:
-    """Return the lines of a whole answer that a device object has read; raises LinkError as `line_of` does."""
-    if not answer.endswith("\n"):
-        answer += "\n"
-    pairs = [line_of(part.encode("utf-8", "replace") + b"\n") for part in answer[:-1].split("\n")]
-    if any(not more for _, more in pairs[:-1]):
-        raise LinkError(f"got {shown(answer)}, need a space before every line feed but the last")
-    return [text for text, _ in pairs]
-
-
 def real(text: str) -> float:
     """Return a finite number; raises LinkError."""
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
@@ -291,21 +281,15 @@ def positions_and_voltages(array: GcsArray) -> tuple[Array, Array]:
     return np.column_stack(positions), np.column_stack(voltages)
 
 
-# Numbers of the public list, the common ones.
+# Numbers of the public list that the commands used here can lead to.
 _ERRORS = {
     1: "the syntax of a parameter is wrong",
     2: "it does not have the command",
-    3: "the command was too long",
-    5: "the move is not allowed with the servo off, or without a reference",
     7: "the position or voltage is out of its limits",
-    8: "the velocity is out of its limits",
     10: "it was stopped by a command",
     15: "it has no such axis",
     17: "a parameter is out of its range",
     23: "it has no such axis or channel",
-    24: "the number of parameters is wrong",
-    25: "a number cannot be read",
-    26: "a parameter is missing",
     54: "it does not have the parameter",
     57: "it has no such recorder table",
     58: "it cannot record that",
@@ -316,22 +300,15 @@ _ERRORS = {
     72: "the analog input is in command of the axis",
     73: "the wave generator is in command of the axis",
     74: "the axis has no sensor or no piezo channel",
-    75: "no wave table was chosen",
     76: "its input buffer ran over",
-    77: "it has not recorded that much",
-    78: "the recorder table records nothing",
     79: "open-loop commands are not allowed with the servo on",
     215: "the cable between controller and stage may be broken",
     302: "the voltage is out of its limits",
     303: "open-loop motion is not allowed with the servo on",
-    304: "the command was too long",
-    308: "it took longer than expected",
     333: "its hardware has failed",
     400: "it has no such wave generator or wave table",
     401: "the wave table is empty",
-    402: "it does not have this kind of wave",
     403: "the wave is longer than its table",
-    404: "the number of a wave's parameters is wrong",
     405: "a wave's value is out of its range",
     -1024: "the position error was too large, and it switched the servo off",
 }

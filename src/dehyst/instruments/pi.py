@@ -1,4 +1,4 @@
-"""A rig on axes of a PI piezo controller with GCS 2.0: over TCP, or through a connected device object.
+"""A rig on axes of a PI piezo controller with GCS 2.0 over TCP.
 
 The properties of the controller are queried; its wave generators play, and its data recorder records.
 """
@@ -19,7 +19,7 @@ from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments import gcs_syntax
 from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes, host_timed
-from dehyst.instruments.gcs_client import AbstractGcsLink, DeviceLink, GcsClient, TcpLink
+from dehyst.instruments.gcs_client import GcsClient, TcpLink
 from dehyst.instruments.gcs_syntax import command
 from dehyst.instruments.samples import Reading, Samples
 
@@ -93,8 +93,8 @@ class PiRig(AbstractRig):
 
     Parameters
     ----------
-    link : AbstractGcsLink or GcsClient
-        Usually from `connect` or `of_device`; a client may be shared by the axes of a controller.
+    link : TcpLink or GcsClient
+        Usually from `connect`; a client may be shared by the axes of a controller.
     axis : str or sequence of str, optional
         One name, or several axes that play together; needed if the controller has several.
     limits : (float, float) or sequence of (float, float), optional
@@ -109,7 +109,7 @@ class PiRig(AbstractRig):
 
     def __init__(
         self,
-        link: AbstractGcsLink | GcsClient,
+        link: TcpLink | GcsClient,
         *,
         axis: str | Sequence[str] | None = None,
         limits: AxisLimits = None,
@@ -188,18 +188,7 @@ class PiRig(AbstractRig):
 
         `options`: options of `PiRig`, with the same errors.
         """
-        return cls._open(TcpLink(host, port, timeout), options)
-
-    @classmethod
-    def of_device(cls, device: Any, **options: Any) -> Self:
-        """Make a rig of a connected object that has `ReadGCSCommand` and `GcsCommandset`; `close` leaves it open.
-
-        `options` are those of the class.
-        """
-        return cls._open(DeviceLink(device), options)
-
-    @classmethod
-    def _open(cls, link: AbstractGcsLink, options: dict[str, Any]) -> Self:
+        link = TcpLink(host, port, timeout)
         try:
             return cls(link, **options)
         except BaseException:

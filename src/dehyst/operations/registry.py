@@ -37,7 +37,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
         "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
         "check": Entry("assess:check", "Whether a model is still true, by a new record"),
         "update": Entry("update:update", "Update a model from one new record"),
-        "run": Entry("path_run:run_path", "Follow a path on an instrument, and measure the error"),
+        "follow": Entry("follow:follow", "Follow a path on an instrument, measure the error, learn"),
     },
     "Deploy": {
         "export": Entry("export:export", "C source for a microcontroller, WebAssembly, or an FMU"),

@@ -148,7 +148,7 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
     if force and not outputs and not any(others):
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
     demand_outputs(operation.paths(values, Role.INPUT), outputs, force=force)
-    for folder in operation.paths(values, Role.FOLDER):
+    for folder in operation.paths({**operation.defaults, **values}, Role.FOLDER):
         _demand_empty(folder, force)
     result: Result = operation.function(run, **values)
     return result

@@ -218,8 +218,7 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
     ]
     caption = (
         "The actuator was homed, driven along the path by each voltage, and measured: wanted and reached displacement, "
-        "and reached minus wanted, each on a scale of its own. The first leg, from the homing onto the path, is "
-        "left out."
+        "and reached minus wanted, each on a scale of its own. The way from the homing onto the path is left out."
     )
     first, time = next(iter(followed.values())), Axis("time", "s")
     factor, unit = length_unit(first.stroke)
