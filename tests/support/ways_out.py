@@ -20,7 +20,7 @@ from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, wave_table
 from dehyst.control.following import follow
-from dehyst.instruments.base import TICK
+from dehyst.instruments.output import TICK
 from dehyst.model import Creep, Dynamics, Stage, with_identification
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of

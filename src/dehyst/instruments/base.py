@@ -20,9 +20,8 @@ from dehyst._types import Array
 from dehyst._validation import for_each, interval, number
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.instruments.interrupts import shielded
-from dehyst.instruments.output import Output
+from dehyst.instruments.output import Output, ReadbackError
 from dehyst.instruments.samples import (
-    READBACK_TOLERANCE,
     Listener,
     PaceWatch,
     Reading,
@@ -46,12 +45,6 @@ _Kind = TypeVar("_Kind", bound="np.generic[Any]")
 HIGHEST_RATE = 200.0
 # The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
 _LEAST_WATCHED = 0.25
-# Seconds between two steps of a ramp; a host keeps no better time.
-TICK = 0.01
-# Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
-_GENTLE = 1.0
-# Ticks in which the readback must come near what was sent.
-_SETTLING = 100
 # Time [s] that a wave may take without a sample, beside twice its own.
 _PATIENCE = 5.0
 # Seconds between two batches of samples that the host times.
@@ -65,20 +58,11 @@ _SLACK = 1e-6
 
 
 # Methods that a driver writes or may replace.
-_DRIVERS = ("nearest_rate", "_read", "_put", "_wave", "_halt", "_close", "_wait")
+_DRIVERS = ("nearest_rate", "_read", "_read_voltage", "_put", "_wave", "_halt", "_close", "_wait")
 # Special methods that no driver may have.
 _SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
 # What a device does that no command reaches.
 BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand"
-
-
-class ReadbackError(DeviceError):
-    """A voltage that is `read` [V], and contradicts the one that was `sent` [V]."""
-
-    def __init__(self, name: str, sent: float, read: float) -> None:
-        need, hint = f"{sent:.6g} V, as was sent", "check the readback and its cable, the amplifier, servo and channel"
-        super().__init__(argument=name, got=f"a reading of {read:.6g} V", need=need, hint=hint)
-        self.sent, self.read = sent, read
 
 
 class VoltageNote(str):
@@ -159,10 +143,9 @@ class AbstractRig(ABC):
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
-        self._known_output: Output | None = None
-        self._stopped_itself = False  # whether the device may have stopped its wave
+        if self._limits is not None:
+            self._output = Output(self)
         self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
-        self._unread = False  # whether the voltage could not be read at the end of the last retreat
         self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -234,7 +217,7 @@ class AbstractRig(ABC):
                 stacklevel=2,
             )
         with self.safely():
-            self._ramp([self._ramping(sent)])
+            self._ramp([self._output.ramp(sent)])
         return sent
 
     @final
@@ -282,7 +265,7 @@ class AbstractRig(ABC):
         batches: list[Samples] = []
         with self.safely():
             starts = np.ravel(excitation.voltage[0]).tolist()
-            self._ramp([one._ramping(start) for one, start in zip(self.rigs, starts, strict=True)])
+            self._ramp([one._output.ramp(start) for one, start in zip(self.rigs, starts, strict=True)])
             pieces = _pieces(excitation.voltage, self.longest) if step is None else [excitation.voltage.copy()]
             waves = self._wave if step is None else partial(host_timed, self, step=step)
             for piece in pieces:
@@ -290,9 +273,9 @@ class AbstractRig(ABC):
                 self._host_paced = False
                 wave = partial(waves, piece, rate)
                 patience = _PATIENCE + 2 * len(piece) / rate
-                outputs = [Output(column, rate, self._device_speed) for column in columns_of(piece)]
-                for one, output in zip(self.rigs, outputs, strict=True):
-                    one._known_output = output
+                outputs = [one._output for one in self.rigs]
+                for output, column in zip(outputs, columns_of(piece), strict=True):
+                    output.plays(column, rate, self._device_speed)
                 # Closed before the retreat: what a driver does at the end of a wave must not come after it.
                 with closing(
                     inspected(self.name, wave, piece, spans=spans, after=after, axes=axes, patience=patience)
@@ -306,10 +289,8 @@ class AbstractRig(ABC):
                             )
                         batches.append(samples)
                         count += samples.time.size
-                        for one, output in zip(self.rigs, outputs, strict=True):
+                        for output in outputs if not self._host_paced else ():
                             output.observe(count)
-                            if self._host_paced:
-                                one._puts_out(float(output.voltage[count - 1]))
                         listen(samples)
                         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
@@ -377,29 +358,25 @@ class AbstractRig(ABC):
         `RigError` if the device fails, or the safe voltage was sent and a reading contradicts what was sent.
         """
         self._refuse_closed()
+        return self._retreat(anywhere=False)
+
+    def _retreat(self, *, anywhere: bool) -> Any:
+        """Retreat; `anywhere`: the device may have stopped its wave by itself."""
         errors: list[Exception] = []
         ramps = []
         with shielded(defer=True):
             begin = time.monotonic()
             for one in self.rigs:
-                foreseen = False
                 try:
-                    with driver_errors(one.name, "_halt"):
-                        try:
-                            one._halt()
-                        except DehystError:
-                            foreseen = True
-                            raise
+                    with driver_errors(one.name, "_halt"), _foreseen(errors):
+                        one._halt()
                 except Exception as error:  # the other axes go on
-                    errors.append(error)
-                    if not foreseen:
-                        errors[-1] = DeviceError(f"{error}; the voltage was ramped there, but a wave may go on")
-                        errors[-1].__cause__ = error
-                # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
-                if not foreseen:
-                    output = one._known_output
-                    stopped = output.stopped(begin, anywhere=self._stopped_itself) if output else None
-                    ramps.append(one._ramping(one.safe, stopped, retreating=True))
+                    # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
+                    if error in errors:
+                        continue
+                    errors.append(DeviceError(f"{error}; the voltage was ramped there, but a wave may go on"))
+                    errors[-1].__cause__ = error
+                ramps.append(one._output.retreat(one.safe, begin, anywhere=anywhere))
             self._ramp(ramps, errors, retreating=True)
         return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
@@ -451,115 +428,49 @@ class AbstractRig(ABC):
         """Wait."""
         time.sleep(seconds)
 
+    def _read_voltage(self) -> float:
+        """Read the voltage [V] alone; by default that of `_read`."""
+        return self._reading().voltage
+
     def _ramp(
-        self, ramps: Sequence[Iterator[None]], errors: Sequence[Exception] = (), *, retreating: bool = False
+        self,
+        ramps: Sequence[Generator[float, float, None]],
+        errors: Sequence[Exception] = (),
+        *,
+        retreating: bool = False,
     ) -> None:
-        """Ramp axes side by side, a step of each in a tick; raise the first error when those that can have ramped.
+        """Ramp axes side by side; raise the first error when those that can have ramped.
 
         When `retreating`, the ramp goes on after an error of `_wait`.
         """
-        found, going = list(errors), list(ramps)
+        found, going, waited = list(errors), list(ramps), None
         while going:
-            left = []
+            waits = {}
             for ramp in going:
                 try:
-                    if next(ramp, "done") is None:
-                        left.append(ramp)
+                    waits[ramp] = next(ramp) if waited is None else ramp.send(waited)
+                except StopIteration:
+                    pass
                 except Exception as error:  # of a driver's library: the other axes go on
                     found.append(error)
-            going = left
+            going = list(waits)
             if going:
+                waited = max(waits.values())
                 try:
                     with driver_errors(self.name, "_wait"):
-                        self.rigs[0]._wait(TICK)
+                        self.rigs[0]._wait(waited)
                 except DehystError:
                     if not retreating:
                         raise
-                    time.sleep(TICK)
+                    time.sleep(waited)
         if found:
             # After a contradicted reading alone, the end of each ramp was sent.
             raise next((error for error in found if not isinstance(error, ReadbackError)), found[0])
 
-    def _ramping(
-        self, end: float, stopped: tuple[float, float, float] | None = None, *, retreating: bool = False
-    ) -> Iterator[None]:
-        """Ramp from the known output to `end`, within the slew rate and in steps of a hundredth of the range.
-
-        `stopped`: where a wave was stopped: likely, at the lowest and at the highest [V].
-        Yields before each step, so that the caller waits a tick. Raise `ReadbackError` if the reading contradicts what
-        was sent, before the ramp or after it; when `retreating`, only after it, and `end` is sent in any case.
-        """
-        low, high = self.limits.low, self.limits.high
-        gentle = VoltageLimits(low, high, min(self.slew_rate, (high - low) / _GENTLE))
-        contradiction: ReadbackError | None = None
-        if self._known_output is None:
-            present = self._standing()
-        else:
-            last = float(self._known_output.voltage[-1])
-            present, lowest, highest = stopped or (last, last, last)
-            try:
-                read = yield from self._confirmed(present, lowest, highest)
-                if lowest < highest:
-                    present = min(max(read, lowest), highest)
-            except RigError as error:
-                if not retreating:
-                    raise
-                contradiction = error if isinstance(error, ReadbackError) else None
-        unsent = retreating
-        while present != end or unsent:
-            present, unsent = gentle.towards(end, present, TICK), False
-            # Before the first step too: a wave may have been stopped just now.
-            yield
-            with driver_errors(self.name, "_put"):
-                self._put(self.limits.nearest(present))
-            self._puts_out(present)
-        self._unread = False
-        try:
-            yield from self._confirmed(end, end, end)
-        except RigError as error:
-            if not retreating or isinstance(error, ReadbackError):
-                raise
-            self._unread = True
-        if contradiction is not None:
-            raise contradiction
-
-    def _standing(self) -> float:
-        """Return the voltage [V] that is read, within the limits; raise `DeviceError` if it is outside of them."""
-        read = self._voltage_read()
-        # An error of the readback may put it slightly outside.
-        nearest = self.limits.nearest(read)
-        if abs(read - nearest) > self._tolerance:
-            raise DeviceError(
-                f"{self.name}: stands at {read:.6g} V, but {self.limits.words} is allowed; bring it there by hand, "
-                "or widen the limits if device and actuator allow it"
-            )
-        return nearest
-
-    def _puts_out(self, voltage: float) -> None:
-        """Remember that a `voltage` [V] is put out now."""
-        self._known_output = Output(np.array([voltage]))
-
-    def _confirmed(self, sent: float, low: float, high: float) -> Generator[None, None, float]:
-        """Return the reading [V] once it is near `low` to `high`; yield before each further one, as it may be late.
-
-        Raise `ReadbackError`, which says what was `sent`, if it does not come there.
-        """
-        read = math.nan
-        for _ in range(_SETTLING):
-            read = self._voltage_read()
-            if low - self._tolerance <= read <= high + self._tolerance:
-                return read
-            yield
-        raise ReadbackError(self.name, sent, read)
-
-    @property
-    def _tolerance(self) -> float:
-        """By how much a voltage that is read may differ from the one that was sent [V]."""
-        return READBACK_TOLERANCE * (self.limits.high - self.limits.low)
-
     def _voltage_read(self) -> float:
         """Return the voltage that is read [V]; raise `RigError` if it cannot be read."""
-        voltage = self._reading().voltage
+        with driver_errors(self.name, "_read_voltage"):
+            voltage = self._read_voltage()
         if not math.isfinite(voltage):
             raise DeviceError(f"{self.name}: read a voltage of {voltage} V, need a finite one; check the device")
         return voltage
@@ -588,10 +499,9 @@ class AbstractRig(ABC):
         """Retreat after a `cause` if the link still works, else close it; return the outcome."""
         of, to = (f" {word} the axes {', '.join(self.axes)}" if self._parts else "" for word in ("of", "to"))
         safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
-        self._stopped_itself = isinstance(cause, RigError) and not isinstance(cause, SensorError)
         try:
-            self.retreat()
-            if any(one._unread for one in self.rigs):
+            self._retreat(anywhere=isinstance(cause, RigError) and not isinstance(cause, SensorError))
+            if any(one._output.unread for one in self.rigs):
                 return VoltageNote(f"{safe} V was sent{to}, and the voltage could not be read.", safe=True)
             return VoltageNote(f"The voltage{of} was brought to {safe} V.", safe=True)
         except Exception as error:  # a driver's library may raise anything; the first error is the one to report
@@ -602,8 +512,9 @@ class AbstractRig(ABC):
                 return VoltageNote(f"{safe} V was sent{to}, but {wrong}; see to it by hand.", safe=False)
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(error) == str(cause) else f" ({error})"
+            known = "; ".join(f"{one.axis + ': ' if self._parts else ''}{one._output.words}" for one in self.rigs)
             failure = f"The voltage{of} could not be brought to {safe} V{why}"
-            return VoltageNote(f"{failure}: {BY_HAND}.", safe=False)
+            return VoltageNote(f"{failure}: {known}, and {BY_HAND}.", safe=False)
 
 
 # Methods and properties that belong to the base class alone.
@@ -624,6 +535,16 @@ def _refuse_replacements(kind: type[AbstractRig]) -> None:
     if found:
         drivers = ", ".join(_DRIVERS)
         raise TypeError(f"{kind.__name__}: replaces {', '.join(found)} of AbstractRig; a rig writes only {drivers}")
+
+
+@contextmanager
+def _foreseen(errors: list[Exception]) -> Iterator[None]:
+    """Note an error of dehyst in a list, and raise it again."""
+    try:
+        yield
+    except DehystError as error:
+        errors.append(error)
+        raise
 
 
 def played_rate(rig: AbstractRig, sample_rate: float) -> float:
@@ -657,7 +578,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         v = voltage[k]
         rig._put(float(v))
         # From here a retreat begins if the reading fails: samples come later than voltages.
-        rig._puts_out(float(v))
+        rig._output.puts(float(v))
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
         sent = time.monotonic()
         readings.append(rig._read())

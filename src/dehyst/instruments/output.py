@@ -1,42 +1,92 @@
-"""The voltage that an axis puts out, by what was sent, what was received and the time since."""
+"""Where the voltage of an axis is, by what was sent, when, and what was read; and the ramps from there."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
+from collections.abc import Generator
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from dehyst._errors import DeviceError, RigError
 from dehyst._types import Array
+from dehyst.control import VoltageLimits
+from dehyst.instruments.samples import READBACK_TOLERANCE, driver_errors
+
+if TYPE_CHECKING:
+    from dehyst.instruments.base import AbstractRig
 
 # Batches by which the place in a wave is known; a device this much faster than time is a virtual one.
 _RECENT, _FASTER = 5, 1.5
 # Seconds by which the place in a wave may be wrong, at least.
 _LEAST_DELAY = 0.02
+# Seconds between two steps of a ramp; a host keeps no better time.
+TICK = 0.01
+# Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
+_GENTLE = 1.0
+# A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but so many.
+_ANSWERS, _FEWEST = 1.0, 3
+# Readings, a tick apart, in which the readback must come near what was sent, and seconds after which that is enough;
+# readings before a retreat.
+_SETTLING, _PATIENT, _HASTY = 100, 2.0, 3
+
+
+class ReadbackError(DeviceError):
+    """A voltage that is `read` [V], and contradicts the one that was `sent` [V]."""
+
+    def __init__(self, name: str, sent: float, read: float) -> None:
+        need, hint = f"{sent:.6g} V, as was sent", "check the readback and its cable, the amplifier, servo and channel"
+        super().__init__(argument=name, got=f"a reading of {read:.6g} V", need=need, hint=hint)
+        self.sent, self.read = sent, read
 
 
 class Output:
-    """What an axis puts out: a voltage, or those of a wave (n,) [V] at a `rate` [Hz], since now.
+    """What the only axis of a `rig` puts out; `unread`: whether it could not be read after the last retreat."""
 
-    `speed`: seconds of the device in one of the host.
-    """
-
-    def __init__(self, voltage: Array, rate: float = 0.0, speed: float = 1.0) -> None:
-        self.voltage, self._rate, self._pace = voltage, rate, speed * rate
-        self._began = time.monotonic()
+    def __init__(self, rig: AbstractRig) -> None:
+        self._rig, self.unread = rig, False
+        self._tolerance = READBACK_TOLERANCE * (rig.limits.high - rig.limits.low)
+        # Voltages of the present wave, or the last one that was sent; None before that.
+        self._sent: Array | None = None
+        self._rate, self._pace, self._began = 0.0, 0.0, 0.0
         self._arrived: deque[tuple[float, int]] = deque(maxlen=_RECENT)
+
+    def puts(self, voltage: float) -> None:
+        """Take note that a `voltage` [V] was sent, and taken."""
+        self.plays(np.array([voltage]), 0.0)
+
+    def plays(self, voltage: Array, rate: float, speed: float = 1.0) -> None:
+        """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]; `speed`: seconds of the device in one."""
+        self._sent, self._rate, self._pace, self._began = voltage, rate, speed * rate, time.monotonic()
+        self._arrived.clear()
 
     def observe(self, count: int) -> None:
         """Take note that the sample of a number `count` came now."""
         self._arrived.append((time.monotonic(), count))
+
+    @property
+    def words(self) -> str:
+        """What is known of the output, for a message."""
+        if self._sent is None:
+            return "nothing was sent yet"
+        if self._sent.size == 1:
+            return f"{self._sent[0]:.6g} V was the last that it took"
+        likely, *_ = self.stopped(time.monotonic(), anywhere=True)
+        return f"it was at about {likely:.4g} V of a wave that ends at {self._sent[-1]:.6g} V"
 
     def stopped(self, begin: float, *, anywhere: bool) -> tuple[float, float, float]:
         """Return the likeliest voltage, lowest and highest [V] of an output that was stopped between `begin` and now.
 
         `anywhere`: the device may have stopped by itself since the last sample.
         """
+        if self._sent is None:
+            raise ValueError("nothing was sent")
         likely, first, latest = self._rows(begin, time.monotonic(), anywhere=anywhere)
-        rows = [min(max(int(row), 0), self.voltage.size - 1) for row in (likely, first, latest)]
-        possible = self.voltage[rows[1] : rows[2] + 1]
-        return float(self.voltage[rows[0]]), float(possible.min()), float(possible.max())
+        rows = [min(max(int(row), 0), self._sent.size - 1) for row in (likely, first, latest)]
+        possible = self._sent[rows[1] : rows[2] + 1]
+        return float(self._sent[rows[0]]), float(possible.min()), float(possible.max())
 
     def _rows(self, begin: float, end: float, *, anywhere: bool) -> tuple[float, float, float]:
         """Return the likeliest, the first and the last number of the voltage that is put out."""
@@ -58,3 +108,98 @@ class Output:
         if anywhere:
             return reached(end), row, max(ahead, reached(end))
         return reached(end), reached(begin), reached(end) + self._pace * max(_LEAST_DELAY, end - begin)
+
+    def ramp(self, end: float) -> Generator[float, float, None]:
+        """Ramp to `end` [V] from what was sent, or is read if nothing was; yield each wait [s], sent back as it was.
+
+        Raise `ReadbackError` if a reading before or after it contradicts what was sent.
+        """
+        if self._sent is None:
+            present = self._standing()
+        else:
+            present = float(self._sent[-1])
+            yield from self._confirmed(present, present, present, _SETTLING)
+        yield from self._steps(present, end, always=False)
+        yield from self._confirmed(end, end, end, _SETTLING)
+
+    def retreat(self, end: float, begin: float, *, anywhere: bool) -> Generator[float, float, None]:
+        """Ramp to `end` [V] whatever is read, and send it in any case; `begin`, `anywhere`: as of `stopped`.
+
+        Raise `ReadbackError` at the end if a reading before or after it contradicts what was sent.
+        """
+        contradiction: ReadbackError | None = None
+        if self._sent is None:
+            present = self._standing()
+        else:
+            present, low, high = self.stopped(begin, anywhere=anywhere)
+            try:
+                read = yield from self._confirmed(present, low, high, _HASTY)
+                present = min(max(read, low), high) if low < high else present
+            except ReadbackError as error:
+                contradiction = error
+            except RigError:
+                pass
+        yield from self._steps(present, end, always=True)
+        self.unread = False
+        try:
+            yield from self._confirmed(end, end, end, _SETTLING)
+        except ReadbackError:
+            raise
+        except RigError:
+            self.unread = True
+        if contradiction is not None:
+            raise contradiction
+
+    def _steps(self, present: float, end: float, *, always: bool) -> Generator[float, float, None]:
+        """Send voltages from `present` to `end` [V] within the slew rate; `always`: the end if it is there already.
+
+        A step is as large as the wait before it allows, which begins when the one before has been taken. In a retreat a
+        step that was not taken is sent once more.
+        """
+        limits = self._rig.limits
+        speed = min(self._rig.slew_rate, (limits.high - limits.low) / _GENTLE)
+        gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
+        wait, again = TICK, always
+        while present != end or always:
+            # Before the first step too: a wave may have been stopped just now.
+            waited = yield wait
+            voltage, sending = gentle.towards(end, present, waited), time.monotonic()
+            try:
+                with driver_errors(self._rig.name, "_put"):
+                    self._rig._put(limits.nearest(voltage))
+            except RigError:
+                if not again:
+                    raise
+                again = False
+                continue
+            present, always = voltage, False
+            self.puts(present)
+            answer = time.monotonic() - sending
+            wait = max(TICK, min(seconds / _FEWEST, seconds * answer / _ANSWERS))
+
+    def _standing(self) -> float:
+        """Return the voltage [V] before anything was sent, as it is read; raise `DeviceError` outside the limits."""
+        read, limits = self._rig._voltage_read(), self._rig.limits
+        # An error of the readback may put it slightly outside.
+        nearest = limits.nearest(read)
+        if abs(read - nearest) > self._tolerance:
+            raise DeviceError(
+                f"{self._rig.name}: stands at {read:.6g} V, but {limits.words} is allowed; bring it there by hand, "
+                "or widen the limits if device and actuator allow it"
+            )
+        return nearest
+
+    def _confirmed(self, sent: float, low: float, high: float, most: int) -> Generator[float, float, float]:
+        """Return the reading [V] once it is near `low` to `high`; yield a wait before each further one.
+
+        Raise `ReadbackError`, which says what was `sent`, if it does not come there in `most` readings.
+        """
+        begin, read = time.monotonic(), math.nan
+        for count in range(most):
+            read = self._rig._voltage_read()
+            if low - self._tolerance <= read <= high + self._tolerance:
+                return read
+            if count + 1 >= _HASTY and time.monotonic() - begin > _PATIENT:
+                break
+            yield TICK
+        raise ReadbackError(self._rig.name, sent, read)
