@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -134,12 +135,14 @@ def test_random_calls_keep_limits_and_slew_rate(sequences):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
+def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed, monkeypatch):
     rng = random.Random(seed)
     controller = FakeController(limits=DEVICE)
     rig = QuickRig(PipeLink(controller), limits=ALLOWED, patience=0.02, slew_rate=2000.0)
-    # Its time goes on while it is waited for.
-    rig._device_speed = 20.0
+    # Its time goes on only while it is waited for: the host's is the same.
+    clock = SimpleNamespace(monotonic=lambda: controller.clock.now)
+    for module in ("base", "output"):
+        monkeypatch.setattr(f"dehyst.instruments.{module}.time", clock)
     rig.set_voltage(30.0)
     pipe, left = rig._client._link._socket, rng.randint(1, 60)
     receive, send = pipe.recv, pipe.sendall

@@ -314,8 +314,6 @@ _ERRORS = {
 }
 # Reported for a voltage or wave beyond what the controller allows.
 LIMITS = frozenset({7, 17, 66, 302, 405})
-# Reported after a requested stop.
-STOPPED = 10
 
 
 def sentence(number: int) -> str:

@@ -204,10 +204,12 @@ class PiRig(AbstractRig):
     def _read(self) -> Reading:
         now = self._clock.now()
         (position,) = self._client.numbers("POS?", self.axis)
+        return Reading(now, self._read_voltage(), position * _METRES)
+
+    def _read_voltage(self) -> float:
         # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
         self._client.set()
-        (voltage,) = self._client.numbers("VOL?", self._channel)
-        return Reading(now, voltage, position * _METRES)
+        return self._client.numbers("VOL?", self._channel)[0]
 
     def _put(self, voltage: float) -> None:
         self._open_loop()
@@ -238,8 +240,8 @@ class PiRig(AbstractRig):
     def _halt(self) -> None:
         if self.waves is None:
             return
-        self._client.clear()
-        self._client.set(command("WGO", self._generator, 0), expect=frozenset({gcs_syntax.STOPPED}))
+        # Whatever error was reported before, and that it was stopped, is cleared by this.
+        self._client.query("ERR?", gcs_syntax.error, [command("WGO", self._generator, 0)])
         for _ in range(_STEPS_TO_STOP):
             if self._client.counts("WGO?", self._generator) == [0]:
                 return
