@@ -235,6 +235,48 @@ def test_a_device_that_is_late_and_catches_up_is_not_stopped(change):
     assert len(paced(change).play(UP)) == len(UP)
 
 
+@pytest.mark.parametrize("jump", [3600.0, 86400.0])
+@pytest.mark.parametrize("act", ["read", "play"])
+def test_a_clock_that_jumps_is_an_error_at_once(jump, act):
+    rig = FakeRig()
+    rig.play(UP)
+    rig.instrument.now += jump
+    with pytest.raises(DeviceError, match="clock"):
+        rig.play(UP) if act == "play" else rig.read()
+    assert rig.instrument.voltage == (0.0 if act == "play" else UP.voltage[-1])
+
+
+@pytest.mark.parametrize("answer", [0.05, 0.2])
+def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(monkeypatch, answer):
+    rig, clock = FakeRig((0.0, 100.0)), SimpleNamespace(now=0.0)
+    clock.monotonic, clock.sleep = lambda: clock.now, None
+    for module in ("base", "output"):
+        monkeypatch.setattr(f"dehyst.instruments.{module}.time", clock)
+    put, read, sent = rig._put, rig._read, []
+
+    def late(call):
+        def method(*values):
+            clock.now += answer
+            if values:
+                sent.append((clock.now, *values))
+            return call(*values)
+
+        return method
+
+    def wait(seconds):
+        clock.now += seconds
+
+    rig.set_voltage(90.0)
+    rig._put, rig._read, rig._wait, rig._halt = late(put), late(read), wait, late(rig._halt)
+    begin = clock.now
+    rig.retreat()
+    assert rig.instrument.voltage == 0.0
+    assert sent[-1][0] - begin < 0.9 + 2.0
+    times, volts = np.array([(begin, 90.0), *sent]).T
+    # A step is no larger than the time since the answer to the one before allows.
+    assert (np.abs(np.diff(volts)) <= 100.0 * (np.diff(times) - answer) + 1e-9)[1:].all()
+
+
 def test_what_shows_that_the_sensor_is_dead_is_heard_too():
     rig, heard = FakeRig((0.0, 100.0)), []
     rig.instrument.unplugged = True

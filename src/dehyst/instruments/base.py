@@ -47,6 +47,8 @@ HIGHEST_RATE = 200.0
 _LEAST_WATCHED = 0.25
 # Time [s] that a wave may take without a sample, beside twice its own.
 _PATIENCE = 5.0
+# A device's clock has jumped if it is ahead by this time [s], and so many times what has passed: emulators are fast.
+_JUMP, _FAST = 10.0, 50.0
 # Seconds between two batches of samples that the host times.
 _BATCH_SECONDS = 0.2
 # Seconds for the whole range, if neither device nor user gives a slew rate.
@@ -146,6 +148,8 @@ class AbstractRig(ABC):
         if self._limits is not None:
             self._output = Output(self)
         self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
+        self._seen: tuple[float, float] | None = None  # the device's time, and the host's when it was seen
+        self._waited = 0.0  # seconds that were waited for since then, also by a clock of a virtual device
         self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -231,6 +235,7 @@ class AbstractRig(ABC):
         reading = self._reading()
         if not all(map(math.isfinite, reading)):
             raise LinkError(f"{self.name}: read {reading}, need finite numbers; check the device and its sensor")
+        self._watch_clock(reading.time)
         return reading
 
     @final
@@ -296,6 +301,7 @@ class AbstractRig(ABC):
                         for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
                             sensor.observe(voltage, displacement)
                         watch.observe(samples.time)
+                        self._watch_clock(float(samples.time[-1]), samples.time.size / rate)
         times, voltages, displacements = (np.concatenate([one[k] for one in batches]) for k in range(3))
         others = {column: np.concatenate([one.others[column] for one in batches]) for column in self.others}
         meta = {"rig": self.name, "axis": self.axis}
@@ -456,6 +462,7 @@ class AbstractRig(ABC):
             going = list(waits)
             if going:
                 waited = max(waits.values())
+                self._waited += waited
                 try:
                     with driver_errors(self.name, "_wait"):
                         self.rigs[0]._wait(waited)
@@ -466,6 +473,19 @@ class AbstractRig(ABC):
         if found:
             # After a contradicted reading alone, the end of each ramp was sent.
             raise next((error for error in found if not isinstance(error, ReadbackError)), found[0])
+
+    def _watch_clock(self, now: float, played: float = 0.0) -> None:
+        """Raise `DeviceError` if the device's time is farther ahead than what has passed, and was `played` [s]."""
+        host, waited, seen = time.monotonic(), self._waited, self._seen
+        self._seen, self._waited = (now, host), 0.0
+        if seen is None:
+            return
+        passed, most = now - seen[0], played + waited + _FAST * (host - seen[1]) + _JUMP
+        if passed > most:
+            raise DeviceError(
+                f"{self.name}: its clock went on by {passed:.6g} s, need {most:.3g} s at most; did it jump? Check the "
+                "device's clock, and the rig's times"
+            )
 
     def _voltage_read(self) -> float:
         """Return the voltage that is read [V]; raise `RigError` if it cannot be read."""
