@@ -50,9 +50,9 @@ def test_options_are_few():
     """What is rare is in a file of options."""
     counts = {name: sum(isinstance(one, click.Option) for one in command.params) for name, command in commands()}
     assert counts["identify"] <= 15 and counts["compensate"] <= 14
-    assert counts["run"] <= 14
+    assert counts["follow"] <= 14
     # Of the other commands.
-    assert sum(counts.values()) - counts["run"] <= 172
+    assert sum(counts.values()) - counts["follow"] <= 172
 
 
 @pytest.mark.parametrize(

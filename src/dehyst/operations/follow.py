@@ -20,6 +20,7 @@ from dehyst.control import Compensator, Feedback, PathPlan, Repetition, StageCom
 from dehyst.control.stage_compensator import axes_of
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, Samples, open_rig, played_rate
 from dehyst.instruments.base import StepFunction
+from dehyst.model import slew_rate_of_records
 from dehyst.operations.axes import AxesModel, Limit, Slew, limits_of, slews_of
 from dehyst.operations.declaration import Folder, Input, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, write_table
@@ -159,7 +160,7 @@ def _placed(
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
         bounds.append(used)
         remarks.append(bounds_remarks(limit, slew, used, "device and model allow no more"))
-        speed = PathSlew(used.slew_rate, "option", actuator.recorded_slew_rate)
+        speed = PathSlew(used.slew_rate, "option", slew_rate_of_records(actuator))
         remarks[-1] += [speed.words] if slew is not None or speed.times > 1 else []
         remarks[-1] += reach_remarks(actuator, target, (used.low, used.high), zero, warmth)
     for sentence in known.prefixed(remarks):
@@ -198,7 +199,8 @@ class _Task:
         self.files: list[Recording] = []
         self.tracked: list[TrackedPath] = []
         self.promises: list[Any] = []
-        self.clamped, self.learnt = 0, None
+        self.clamped = 0
+        self.learnt: Array | None = None
         self.watcher: Any = None
 
     @property
@@ -352,7 +354,7 @@ def _result(task: _Task, folder: Path) -> Result:
     # A promise is apart from a constant offset.
     apart = [float(np.abs(one.error - one.error.mean()).max()) for one in best.each]
     kept = [None if one is None else error <= one.largest for one, error in zip(task.promises, apart, strict=True)]
-    parts = [f"<h1>A path on {escape(task.rig.name)}</h1>"]
+    parts: list[Any] = [f"<h1>A path on {escape(task.rig.name)}</h1>"]
     for axis, first, last in zip(best.axes or ("",), task.tracked[0].each, best.each, strict=True):
         parts += [axis and f"<h2>Axis {escape(axis)}</h2>", *followed_sections({"first": first, "last": last})]
     write_atomically(report, document("A path on a rig", parts))

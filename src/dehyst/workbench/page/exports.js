@@ -68,7 +68,8 @@ async function copy(text) {
 
 // Instruments are driven from a terminal alone.
 const RIG = `dehyst calibrate sim://       # a simulated actuator
-dehyst calibrate pi://ADDRESS --limits 0 100 --slew-rate 1000`;
+dehyst calibrate pi://ADDRESS --limits 0 100 --slew-rate 1000
+dehyst follow pi://ADDRESS --model model.json --path path.csv --learn`;
 const rigCard = () =>
   card("On a rig", { id: "rig", key: "rig" },
     h("p", "A terminal drives the actuator: it records loops, identifies a model, and measures along a path."),
