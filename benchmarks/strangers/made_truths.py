@@ -1,4 +1,4 @@
-"""Mechanisms made after the promise had its numbers, to measure it once; see `strangers.truths`."""
+"""Mechanisms made to measure the promise once, and then among those on which it is found; see `strangers.truths`."""
 
 from __future__ import annotations
 

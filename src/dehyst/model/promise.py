@@ -2,12 +2,10 @@
 
 A promise is a bound that nine of ten paths should keep (theory sections 18 and 29), for the error less its mean, as no
 record determines where the zero of the sensor will be later, and less a constant delay where the records leave open who
-lags. It is proportional to one length that the records show:
-the cube root of the error on held-out parts times the square of the distance of other models that explain the records.
-It grows with the distance of the path's branches from those of the records, with its speed beyond theirs, and depends
-on the kind of the path. Its
-numbers were found on virtual actuators whose mechanisms are not instances of the model, and are tested on others:
-`benchmarks/promise.py`.
+lags. It follows from one length that the records show, a geometric mean of the error on held-out parts and of the
+distance of other models that explain the records. It grows with the distance of the path's branches from those of the
+records, with its speed beyond theirs, and depends on the kind of the path. Its numbers were found on virtual actuators
+whose mechanisms are not instances of the model, and are tested on others: `benchmarks/promise.py`.
 """
 
 from __future__ import annotations
@@ -58,21 +56,28 @@ _TURNS = 60
 
 
 # The bound of the largest error, and that of the RMS error: what the records show, times these.
-LARGEST, RMS = 5.5, 2.2
+LARGEST, RMS = 1.9, 0.78
+# Powers of: the held-out error, beside the distance of other models; and of both, as parts of the stroke: records that
+# show little show less of what they lack.
+_HELD_OUT, _SHOWN = 0.4, 0.85
+# What errors are of those promised where the path closes loops and fewer legs of the records than this part do; and
+# where the records leave open who lags.
+_CLOSING, _OPEN, _LAGGING = 0.2, 2.0, 1.35
 # The largest constant offset of a path, of its largest error, if the sensor is zeroed at its first sample.
 _OFFSET = 0.4
 # Neither error that they show counts as smaller than this part of the stroke; and models that miss held-out parts do
 # not agree to less than this part of the held-out error.
 _LEAST, _AGREES = 1e-4, 0.3
 # The bound grows by this power of e with the newness of a path, a part of the range, up to a largest one.
-_GROWS, _NEWEST = 2.6, 0.3
+_GROWS, _NEWEST = 0.8, 0.3
 # A model with a larger error is not usable [% of the stroke].
 USELESS = 5.0
-# The bound grows by this power of the ratio of the path's fastest branch to that of the records, if it is faster.
-_FASTER = 0.4
+# The bound grows by this power of the ratio of the path's fastest branch to that of the records, if it is faster; and
+# by the other one where the records leave open who lags.
+_FASTER, _LAGS_FASTER = 0.4, 1.2
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
-_PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
+_PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.75, 0.15, 20.0, 0.2
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
 
@@ -245,10 +250,10 @@ class Validity:
 
     @property
     def shown(self) -> float:
-        """The error [m] that the records show, from the held-out error and twice as much from the disagreement."""
+        """The error [m] that the records show, from the held-out error and from the disagreement."""
         both = self.rms, max(self.disagreement, _AGREES * self.rms)
-        held_out, apart = (float(np.hypot(one, _LEAST * self.stroke)) for one in both)
-        return float((held_out * apart**2) ** (1 / 3))
+        held_out, apart = (float(np.hypot(one / self.stroke, _LEAST)) for one in both)
+        return self.stroke * float(held_out**_HELD_OUT * apart ** (1 - _HELD_OUT)) ** _SHOWN
 
     @property
     def turns_anywhere(self) -> bool:
@@ -413,9 +418,10 @@ def promise(
     v = np.asarray(_anywhere(validity) if voltage is None else voltage, dtype=np.float64)
     clock = None if time is None else np.asarray(time, dtype=np.float64)
     at, beyond, whole = newness(validity, v)
-    shown = validity.shown * _kind(validity, v, clock, at)
+    shown = validity.shown * _kind(validity, v, clock, at) * (_LAGGING if validity.lag else 1.0)
     rms_, largest = (factor * shown * float(_grown(np.array([whole]))[0]) for factor in (RMS, LARGEST))
-    largest = max(largest, validity.largest)
+    # Any path like the records is as fast as their fastest part, where they may be missed by more.
+    largest = max(largest, validity.largest) if voltage is None else largest
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
@@ -529,6 +535,13 @@ def speeds_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     return np.asarray(height / np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300))
 
 
+def _closing(legs_: Array, span: float) -> float:
+    """Return the share of legs (k, 2) [V] that one from their end retraces to their beginning, or beyond."""
+    (begin, end), band = legs_.T, _BAND * span
+    back = np.sign(end - begin)[:, None] * (end - begin[:, None]) <= band
+    return float(np.mean((back & (np.abs(begin - end[:, None]) <= band)).any(axis=1))) if len(legs_) else 0.0
+
+
 def _grown(new: Array) -> Array:
     """Return how many times the bound is larger of legs with a newness (k,), a part of the range."""
     return np.asarray(np.exp(_GROWS * np.clip(new, 0.0, _NEWEST)))
@@ -538,15 +551,18 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
     """Return the factor of the kind of a path: at how many places its branches (k, 2) are, its speed and its holds."""
     if not len(at):
         return 1.0
+    opens = _closing(validity.legs, validity.span) < _CLOSING <= _closing(voltage[at], validity.span)
     range_, height = float(np.ptp(voltage)), float(np.abs(np.diff(voltage[at], axis=1)).mean())
-    factor = (range_ / height) ** _PLACES * min(range_ / validity.span, 1.0) ** _RANGE
+    factor = (_OPEN if opens else 1.0) * (range_ / height) ** _PLACES * min(range_ / validity.span, 1.0) ** _RANGE
     if time is None or time.size < 2:
         return float(factor)
     seconds, speed = np.diff(time), np.abs(np.diff(voltage) / np.diff(time))
     resting = float(seconds[speed < _RESTS * speed.max()].sum() / seconds.sum())
     longer = longest_hold(time, voltage, validity.span) / validity.hold if validity.hold else 1.0
     if validity.speeds[1]:
-        factor *= max(float(speeds_of(time, voltage, at).max()) / validity.speeds[1], 1.0) ** _FASTER
+        factor *= max(float(speeds_of(time, voltage, at).max()) / validity.speeds[1], 1.0) ** (
+            _LAGS_FASTER if validity.lag else _FASTER
+        )
     return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
 
 
