@@ -17,14 +17,16 @@ from strangers.truths import Domains
 import dehyst
 from dehyst.trust.changes import SLOW
 from dehyst.waveforms.excitation import Excitation, Sampling
-from dehyst.waveforms.standard import descending_tops, raised_cosine
+from dehyst.waveforms.standard import raised_cosine, recommended
 
 # Range of voltages [V], stroke [m], period of a loop [s], sample rate [Hz], noise [of the stroke]; numbers of stages.
 VOLTS, STROKE, PERIOD, RATE, NOISE, SEED, CHECKS, UPDATES = 100.0, 12e-6, 10.0, 40.0, 5e-4, 11, 60, 6
-SINES, TRIANGLES = (Sampling(1 / PERIOD, RATE, shape=shape) for shape in ("cosine", "triangle"))
-EXCITATION = descending_tops(VOLTS, steps=5, random=14, drive=SINES)
-LATER = {f"{n} {name}": raised_cosine(VOLTS, cycles=n, drive=drive) for n in (1, 2, 4)
-         for name, drive in (("sines", SINES), ("triangles", TRIANGLES))} | {"excitation": EXCITATION}  # fmt: skip
+SINES, HALF = Sampling(1 / PERIOD, RATE), round(RATE * PERIOD / 2)
+EXCITATION = recommended(VOLTS, drive=SINES)
+LATER = {f"{n} sines": raised_cosine(VOLTS, cycles=n, drive=SINES) for n in (1, 2, 4)} | {"excitation": EXCITATION}
+for cycles in (1, 2, 4):
+    rises = 1 - np.abs(np.arange(2 * cycles * HALF + 1) / HALF % 2 - 1)
+    LATER[f"{cycles} triangles"] = Excitation("triangles", VOLTS * rises, RATE)
 TURNS = [0.0, 1.0, 0.0, 1.0, 0.0, *random_turns(np.random.default_rng(5), 24, 0.03, 0.96), 0.0]
 PATH = Excitation("path", VOLTS * through(TURNS, leg_samples(TURNS, 400)), RATE)
 # Changes: parts of gain and width, lag [s], zero and creep of a decade [of the stroke].

@@ -177,14 +177,10 @@ def test_homing_of_a_model_is_certified(folder):
     ],
 )
 def test_insight_of_loops_that_determine_everything_warns_of_nothing(folder, model, told):
-    arguments = [model, "loops.csv", "--trajectory", "path.csv", "-o", "band.csv", "--report", "i.html"]
+    arguments = [model, "loops.csv", "--trajectory", "path.csv", "--report", "i.html"]
     status, out, err = run("insight", *arguments, "--all", cwd=folder)
     assert (status, out.count("WARNING")) == (0, 0), err
     assert told in out
-    band = read_table(folder / "band.csv")
-    names = ("lowest_um", "wanted_um", "highest_um")
-    lowest, wanted, highest = (band.column("displacement", name) for name in names)
-    assert np.all((lowest < wanted) & (wanted < highest))
     assert "data-chart=" in (folder / "i.html").read_text()
 
 

@@ -48,8 +48,6 @@ def call(operation, name, target):
         values["volts"] = (10.0,)
     if operation.name == "scan":
         values |= {"low": 1.0, "high": 2.0, "frequency": 1.0}
-    if operation.name == "insight" and name == "output":
-        values["trajectory"] = Path("absent-path")
     if operation.name == "compensate" and name == "table":
         values["trajectory"] = Path("scan.csv")
     return operation.command(values)[1:]

@@ -11,6 +11,7 @@ import structured_records
 
 from dehyst import Record, Structure, identify
 from dehyst.control import Compensator, plan_path
+from dehyst.model import with_identification
 from dehyst.report.html import document
 from dehyst.report.report import render
 from dehyst.report.trust_section import sections
@@ -56,7 +57,7 @@ def test_a_lone_loop_is_something_to_beware_of():
     plant = truth("graded, transformer")
     short = structured_records.wandering(legs=0, samples=200)
     lone, whole = replace(plant, path=short).record(noise=NOISE), plant.record(noise=NOISE)
-    model = replace(plant.actuator, limits=(0.0, plain_records.VOLTS)).with_identification(validity=None)
+    model = with_identification(replace(plant.actuator, limits=(0.0, plain_records.VOLTS)), validity=None)
     found = insight(model, lone)
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
     assert (found.identifiability.determined, found.identifiability.of) == (5, 9)

@@ -11,7 +11,7 @@ from command_line import run
 from scipy.ndimage import shift
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, identify
-from dehyst.model import Validity, promised
+from dehyst.model import Validity, promised, with_identification
 from dehyst.model.promise import promise
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.trust import insight
@@ -75,6 +75,9 @@ def test_five_commands_promise_the_same(name, tmp_path):
     # This path from a homed or from an unknown start.
     there = answer("compensate", "m.json", "path.csv", "-o", "v.csv", cwd=tmp_path)["promise"]
     assert answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", cwd=tmp_path)["promise"] == there
+    slow = ("--slew-rate", "2", "m.json", "r.csv", "--trajectory", "path.csv")
+    bounded = answer("compensate", "m.json", "path.csv", "-o", "s.csv", "--slew-rate", "2", cwd=tmp_path)["promise"]
+    assert answer("insight", *slow, cwd=tmp_path)["promise"] == bounded != there
     assert there["path"] in ("this path from a homed start", "this path from an unknown start")
     assert there["largest_m"] == pytest.approx(sum(there["parts"].values()))
     # The path of the record, from its fitted start.
@@ -105,7 +108,7 @@ def test_a_model_that_is_not_usable_is_remarked_and_not_good(tmp_path):
     write_columns(tmp_path / "path.csv", {"time_s": np.arange(4.0), "displacement_um": np.array([6.0, 8, 10, 7])})
     for rms, status, remarks in ((1e-9, 0, 0), (1e-6, 1, 1)):
         validity = replace(fit.actuator.identification.validity, rms=rms, disagreement=rms)
-        fit.actuator.with_identification(validity=validity).save(tmp_path / "m.json")
+        with_identification(fit.actuator, validity=validity).save(tmp_path / "m.json")
         found = run("compensate", "m.json", "path.csv", "-o", "v.csv", "--force", "--json", cwd=tmp_path)
         assert found[0] == status
         assert sum("not usable" in warning for warning in json.loads(found[1])["warnings"]) == remarks

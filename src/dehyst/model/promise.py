@@ -80,6 +80,11 @@ _FASTER, _LAGS_FASTER = 0.4, 1.2
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.75, 0.15, 20.0, 0.2
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
+# Entries of a validity in a file, and their names.
+_ENTRIES = (
+    "rms_m=rms largest_m=largest disagreement_m=disagreement stroke_m=stroke limits_V=limits new speeds_V_per_s=speeds "
+    "hold_s=hold lag_s=lag temperatures_degC=temperatures legs_V=legs"
+)
 
 
 def legs(voltage: Array, span: float) -> NDArray[np.intp]:
@@ -188,8 +193,8 @@ class Validity:
 
     def __post_init__(self) -> None:
         kept = np.array(self.legs, dtype=np.float64).reshape(-1, 2)
-        numbers = {name: number(getattr(self, name), name) for name in ("rms", "largest", "disagreement", "stroke")}
-        numbers |= {name: number(getattr(self, name), name) for name in ("hold", "lag")}
+        names = "rms", "largest", "disagreement", "stroke", "hold", "lag"
+        numbers = {name: number(getattr(self, name), name) for name in names}
         pairs = {name: tuple(number(one, name) for one in getattr(self, name)) for name in ("limits", "new", "speeds")}
         warmth = None if self.temperatures is None else tuple(number(one, "temperatures") for one in self.temperatures)
         wrong = [name for name, value in numbers.items() if not 0 <= value < np.inf]
@@ -225,20 +230,18 @@ class Validity:
 
         `rms`, `largest`: errors [m] of the updated model.
         """
-        time, voltage, temperature = record.time, record.voltage, record.temperature
-        warmth = self.temperatures
-        if warmth is not None and temperature is not None:
-            warmth = min(warmth[0], float(temperature.min())), max(warmth[1], float(temperature.max()))
-        by_it = Validity.by_records([(time, voltage)], rms=rms, largest=largest, disagreement=0.0, stroke=self.stroke)
-        pairs = self.speeds, by_it.speeds
+        warmth, played = self.temperatures, [(record.time, record.voltage)]
+        if warmth is not None and record.temperature is not None:
+            warmth = min(warmth[0], float(record.temperature.min())), max(warmth[1], float(record.temperature.max()))
+        by_it = Validity.by_records(played, rms=rms, largest=largest, disagreement=0.0, stroke=self.stroke)
         return replace(
             self,
             rms=max(self.rms, rms),
             largest=max(self.largest, largest),
             disagreement=max(self.disagreement, rms),
-            limits=(min(self.limits[0], by_it.limits[0]), max(self.limits[1], by_it.limits[1])),
+            limits=(min(*self.limits, *by_it.limits), max(*self.limits, *by_it.limits)),
             legs=np.concatenate([self.legs, by_it.legs]),
-            speeds=(min(low for low, _ in pairs), max(high for _, high in pairs)),
+            speeds=(min(*self.speeds, *by_it.speeds), max(*self.speeds, *by_it.speeds)),
             hold=max(self.hold, by_it.hold),
             temperatures=warmth,
         )
@@ -267,23 +270,12 @@ class Validity:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        lengths = {f"{name}_m": getattr(self, name) for name in ("rms", "largest", "disagreement", "stroke")}
-        pairs = {"limits_V": self.limits, "new": self.new, "speeds_V_per_s": self.speeds}
-        return {
-            **lengths,
-            **{name: list(pair) for name, pair in pairs.items()},
-            "hold_s": self.hold,
-            "lag_s": self.lag,
-            "temperatures_degC": None if self.temperatures is None else list(self.temperatures),
-            "legs_V": self.legs.tolist(),
-        }
+        return json_values(self, _ENTRIES)
 
     @classmethod
     def from_dict(cls, data: object) -> Validity:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        names = {"hold_s": "hold", "lag_s": "lag", "limits_V": "limits", "legs_V": "legs", "speeds_V_per_s": "speeds"}
-        names |= {f"{name}_m": name for name in ("rms", "largest", "disagreement", "stroke")}
-        names |= {"new": "new", "temperatures_degC": "temperatures"}
+        names = {key: name or key for key, _, name in (entry.partition("=") for entry in _ENTRIES.split())}
         if not isinstance(data, Mapping) or set(data) != set(names):
             raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
         try:
@@ -411,7 +403,7 @@ def promise(
     begins : str
         Start of the path: "homed", "unknown", the name of a known start, or nothing.
     opened : (n,) array_like
-        Range of displacements [m] that an unknown start leaves open.
+        Distance from the expected displacement [m], apart from a constant, that an unknown start leaves open.
     missed : (n,) array_like
         Error of the model itself [m], where the voltage was clamped.
     """

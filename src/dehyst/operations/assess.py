@@ -6,17 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
 from dehyst._errors import ModelError
-from dehyst._types import Array
 from dehyst.control import PathPlan, plan_path
 from dehyst.model import needs_time
-from dehyst.operations.axes import AxesModel, is_stage
+from dehyst.operations.axes import AxesModel, Slew, is_stage
 from dehyst.operations.check_log import append_checks, read_log
 from dehyst.operations.declaration import Continued, Input, Only, Output, Values, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of, write_table
-from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of
+from dehyst.operations.paths import PathSlew, Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, starts_of
 from dehyst.records import read, read_table
@@ -44,8 +41,8 @@ def insight(
     zero: Annotated[Zero | None, _of_path] = None,
     start: Annotated[Start | None, _of_path] = None,
     limits: tuple[float, float] | None = None,
+    slew_rate: Annotated[Slew | None, _of_path] = None,
     temperatures: tuple[float, float] | None = None,
-    output: Annotated[Output | None, _of_path] = None,
     report: Output | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
@@ -61,8 +58,8 @@ def insight(
         Displacement from which the trajectory is counted, as in compensate; default: the sensor's zero.
     start
         State before the trajectory, as in compensate; default: unknown.
-    output
-        Write the trajectory with the promise along it here (CSV).
+    slew_rate
+        Largest slew rate of the trajectory [V/s], as in compensate.
     report
         Write a self-contained HTML page here.
     """
@@ -76,11 +73,9 @@ def insight(
         assessed: Insight | StageInsight = whole
         found, fields, head = whole.insights, whole.as_dict(), list(whole.lines())
     else:
-        plan = None if trajectory is None else _planned(run, known, trajectory, columns, limits, zero, start)
+        plan = None if trajectory is None else _planned(run, known, trajectory, columns, limits, slew_rate, zero, start)
         one = insight_one(known.actuators[0], training, plan=plan, **asked)
         assessed, found, fields, head = one, (one,), one.as_dict(), []
-        if output is not None and plan is not None:
-            write_table(output, _along(plan))
     if report is not None:
         run.progress("drawing the page")
         write_insight(report, assessed, command=run.command)
@@ -88,7 +83,7 @@ def insight(
     def lines(*, full: bool) -> list[str]:
         parts = zip(known.axes, found, strict=True)
         each = [[*(["", f"Axis {axis}"] if axis else []), *one.summary(full).split("\n")] for axis, one in parts]
-        return [*head, *(line for own in each for line in own), *files(Band=output, Report=report)]
+        return [*head, *(line for own in each for line in own), *files(Report=report)]
 
     good = not any(one.warnings() for one in found)
     return Result(fields, lines(full=False), lines(full=True), good=good)
@@ -100,15 +95,17 @@ def _planned(
     trajectory: Path,
     columns: Columns,
     limits: tuple[float, float] | None,
+    slew_rate: Slew | None,
     zero: Zero | None,
     start: Start | None,
 ) -> PathPlan:
     """Return the plan of a trajectory, as compensate makes it."""
     (actuator,) = known.actuators
     table = read_table(trajectory, columns)
-    # The displacement in --columns is that of the records here.
-    path = table.column("displacement", columns.wanted)
-    time = clock_of(table, AS_FOUND).get("time_s")
+    # Columns are those of the records, and of the path where it has them.
+    own, clock = (one if one in table.names else None for one in (columns.displacement, columns.time))
+    path = table.column("displacement", columns.wanted or own)
+    time = clock_of(table, Columns(time=clock)).get("time_s")
     if needs_time(actuator) and time is None:
         raise ModelError(
             argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
@@ -119,23 +116,8 @@ def _planned(
     rows = path[:, None]
     for remark in [*remarks, *reach_remarks(actuator, known.targets(rows).T[0], limits, zero, warmth)]:
         run.note(remark)
-    options = {"time": time, "temperature": warmth}
-    return known.planned(plan_path, rows, [limits], [None], options, start=begins)[0]
-
-
-def _along(plan: PathPlan) -> dict[str, Array]:
-    """Return the columns of a path and of the promise along it, without what comes before it."""
-    time, first = {} if plan.time is None else {"time_s": plan.time[plan.first :]}, plan.first
-    wanted, expected = 1e6 * plan.displacement[first:], 1e6 * plan.expected[first:]
-    half = np.nan if plan.promise is None else 1e6 * plan.promise.half
-    return {
-        **time,
-        "wanted_um": wanted,
-        "voltage_V": plan.voltage[first:],
-        "expected_um": expected,
-        "lowest_um": expected - half,
-        "highest_um": expected + half,
-    }
+    options, slew = {"time": time, "temperature": warmth}, PathSlew.chosen(actuator, slew_rate).bound
+    return known.planned(plan_path, rows, [limits], [slew], options, start=begins)[0]
 
 
 @operation(check_one)

@@ -375,7 +375,7 @@ def _tabulate(
         played.voltage[first:],
         played.time[first:],
         begins="homed" if homes else start.name,
-        opened=() if left is None else left.difference,
+        opened=() if left is None else left.left_of(played.expected[first:]),
         missed=np.concatenate([np.zeros(len(table.start_up)), cycle.expected - cycle.displacement]),
     )
     warnings += untested(actuator, promise)

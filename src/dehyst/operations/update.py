@@ -27,7 +27,7 @@ def update(
 
     If no updated model predicts the record better, the output is the old model with a promise in which the record
     counts. A record that clearly belongs to another actuator is refused. The coupling of several axes is checked, not
-    changed. The status is 0 if the error on held-out parts of the record is within the goal, otherwise 1.
+    changed. The status is 0 if the error on held-out parts of the record and the promise are within the goal, else 1.
 
     Parameters
     ----------

@@ -33,13 +33,13 @@ from dehyst.model import (
     Stage,
     TemperatureCost,
     by_axis,
+    excite_command,
     major_loop,
     promised,
     tested_temperatures,
 )
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, turning_points
 from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, find_changes
-from dehyst.waveforms import Sampling
 
 # An error this many times that of the identification is another one.
 _WORSE = 1.5
@@ -370,7 +370,7 @@ def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> R
     tells = (
         ""
         if turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
-        else _telling(actuator, cycle)
+        else excite_command(*actuator.voltage_range[::-1], f"--frequency {1 / cycle:.2g} ")
     )
     own = (before or 0.0) / NOISE_PEAK if promise is None else promise.rms
     known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
@@ -421,13 +421,6 @@ def refuse_other_axes(stage: Stage, record: Record) -> None:
         raise RecordError(f"record '{record.name}': has the axes {own}, the stage has {axes}")
 
 
-def _telling(actuator: Actuator, cycle: float) -> str:
-    """Return the command of an excitation with loops of several heights, which tell changes apart."""
-    low, high = actuator.voltage_range
-    drive = Sampling(frequency=float(f"{1 / cycle:.2g}"), base=low, limits=actuator.limits)
-    return drive.command(f"descending-tops {high:g} --steps 5 --random 14")
-
-
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     """Return the shift [m] to the model's axis for which the voltages need no offset."""
     (low, high), measured = actuator.voltage_range, record.record.displacement
@@ -452,12 +445,11 @@ def _steadied(trace: Trace) -> tuple[Array, float]:
 def _doubt(actuator: Actuator, record: Record) -> float:
     """Return the uncertainty of the offset [m] due to elements that stay strained, and to creep before the record."""
     slope = float(np.ptp(actuator.voltage_range)) / float(np.ptp(actuator.reach))
-    standing = 2 * actuator.slip.breakaway > record.stroke
-    held = float(np.sum(actuator.slip.friction[standing]))
-    if actuator.creep is not None:
-        long = actuator.creep.time_constants > float(np.ptp(record.time)) / 3
-        held += 0.5 * record.stroke * float(np.sum(actuator.creep.stiffness[long]))
-    return held / slope
+    standing, slow = 2 * actuator.slip.breakaway > record.stroke, float(np.ptp(record.time)) / 3
+    held, crept, later = float(np.sum(actuator.slip.friction[standing])), actuator.creep, actuator.displacement_creep
+    before = 0.0 if crept is None else float(np.sum(crept.stiffness[crept.time_constants > slow])) / slope
+    before += 0.0 if later is None else float(np.sum(later.gains[later.time_constants > slow]))
+    return held / slope + 0.5 * record.stroke * before
 
 
 def _warmth(actuator: Actuator, record: Record) -> list[str]:

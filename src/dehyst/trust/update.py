@@ -104,12 +104,17 @@ class Update:
 
     @property
     def good(self) -> bool:
-        """Whether the error on held-out parts, without the sensor's noise, is within the goal."""
-        return self.held_out[0] - NOISE_PEAK * self.recheck.noise <= self.recheck.goal / 100 * self.stroke
+        """Whether the error on held-out parts, without the sensor's noise, and the promise are within the goal."""
+        allowed, promise = self.recheck.goal / 100 * self.stroke, self.promise
+        seen = self.held_out[0] - NOISE_PEAK * self.recheck.noise
+        return max(seen, 0.0 if promise is None else promise.largest) <= allowed
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
         found = list(self.recheck.change_sentences(lasting=None if self.used else IDENTIFY))
+        if not self.good:
+            tells = f": `{self.recheck.tells}` tells more" if self.recheck.tells else ""
+            found.append(f"The updated model is not within the goal of {self.recheck.goal:g} % on any path{tells}.")
         return (*found, *self.missing)
 
     def as_dict(self) -> dict[str, Any]:

@@ -583,7 +583,7 @@ class _Task:
                 temperature=degrees,
                 waits=way.waits,
                 begins=way.start.name if way.homing is None else "homed",
-                opened=() if way.homing is None and way.start.known else error.difference,
+                opened=() if way.homing is None and way.start.known else error.left_of(each.displacement[after:]),
                 missed=off[after:] if each.clamped.any() else (),
             )
             missed = float(np.abs(off).max())

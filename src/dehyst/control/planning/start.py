@@ -211,6 +211,11 @@ class StartError:
         """Highest minus lowest displacement (n,) [m, or `units`]."""
         return self.highest - self.lowest
 
+    def left_of(self, expected: Array) -> Array:
+        """Return the largest distance (n,) from an `expected` displacement (n,), apart from a constant [m]."""
+        ways = (way - expected for way in (self.lowest, self.highest))
+        return np.asarray(np.max([np.abs(way - way.mean()) for way in ways], axis=0)) if expected.size else expected
+
     @property
     def first(self) -> float:
         """Difference at the first sample [m, or `units`]."""
@@ -256,8 +261,9 @@ class StartError:
 
 
 def model_error(actuator: Actuator) -> float:
-    """Return the largest error [m] of the model on its training records; a thousandth of the stroke if not known."""
+    """Return the largest error [m] of the model on its records without noise; a thousandth of the stroke if unknown."""
     known, stroke = actuator.identification, actuator.stroke
-    if known is None or known.largest_error is None:
-        return _MODEL_ERROR * stroke
-    return max(known.largest_error, _LEAST * stroke)
+    error = None if known is None else known.largest_error
+    if known is not None and known.validity is not None:
+        error = known.validity.largest
+    return _MODEL_ERROR * stroke if error is None else max(error, _LEAST * stroke)
