@@ -438,25 +438,16 @@ def promise(
 
 
 def promised(
-    actuator: Actuator,
-    voltage: ArrayLike | None = None,
-    time: ArrayLike | None = None,
-    *,
-    temperature: ArrayLike | None = None,
-    waits: float = 0.0,
-    begins: str = "",
-    opened: ArrayLike = (),
-    missed: ArrayLike = (),
+    actuator: Actuator, voltage: ArrayLike | None = None, time: ArrayLike | None = None, **options: Any
 ) -> Promise | None:
     """Return the promised error of a path of an `actuator`; None if it does not hold what its records tested.
 
-    The parameters are those of `promise`.
+    `options`: those of `promise`, but for the part of the model.
     """
     known = actuator.identification
     if known is None or known.validity is None:
         return None
-    options: dict[str, Any] = {"waits": waits, "begins": begins, "opened": opened, "missed": missed}
-    return promise(known.validity, voltage, time, thermal=actuator.thermal, temperature=temperature, **options)
+    return promise(known.validity, voltage, time, thermal=actuator.thermal, **options)
 
 
 def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:

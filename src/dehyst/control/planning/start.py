@@ -183,13 +183,7 @@ class StartError:
 
     @classmethod
     def along(
-        cls,
-        actuator: Actuator,
-        states: Sequence[State],
-        voltage: ArrayLike,
-        *,
-        time: ArrayLike | None = None,
-        first: int = 0,
+        cls, actuator: Actuator, states: Sequence[State], voltage: ArrayLike, *, time: Any = None, first: int = 0
     ) -> StartError:
         """Simulate an `actuator` with a `voltage` (n,) [V] from each of the `states` that bound its start.
 
@@ -202,9 +196,8 @@ class StartError:
             y = actuator.simulate(v, time=time, state=state, extrapolate=True).displacement[first:]
             np.minimum(lowest, y, out=lowest)
             np.maximum(highest, y, out=highest)
-        stroke = actuator.stroke
         kept = None if time is None else vector(time, "time")[first:]
-        return cls(lowest, highest, stroke, model_error(actuator), kept)
+        return cls(lowest, highest, actuator.stroke, model_error(actuator), kept)
 
     @property
     def difference(self) -> Array:
@@ -213,8 +206,8 @@ class StartError:
 
     def left_of(self, expected: Array) -> Array:
         """Return the largest distance (n,) from an `expected` displacement (n,), apart from a constant [m]."""
-        ways = (way - expected for way in (self.lowest, self.highest))
-        return np.asarray(np.max([np.abs(way - way.mean()) for way in ways], axis=0)) if expected.size else expected
+        ways = np.stack([self.lowest, self.highest]) - expected
+        return np.asarray(np.abs(ways - ways.sum(axis=1, keepdims=True) / max(expected.size, 1)).max(axis=0))
 
     @property
     def first(self) -> float:
@@ -263,7 +256,6 @@ class StartError:
 def model_error(actuator: Actuator) -> float:
     """Return the largest error [m] of the model on its records without noise; a thousandth of the stroke if unknown."""
     known, stroke = actuator.identification, actuator.stroke
-    error = None if known is None else known.largest_error
-    if known is not None and known.validity is not None:
-        error = known.validity.largest
-    return _MODEL_ERROR * stroke if error is None else max(error, _LEAST * stroke)
+    if known is None or (known.validity is None and known.largest_error is None):
+        return _MODEL_ERROR * stroke
+    return max(known.largest_error or 0.0 if known.validity is None else known.validity.largest, _LEAST * stroke)
