@@ -22,9 +22,10 @@ import batches
 import numpy as np
 import specimens
 import strategies
+from compensators import Life
 
 from dehyst import Actuator, Compensator, DehystError, Snapshot
-from dehyst.control import following
+from dehyst.model import needs_time
 
 HUGE = (1e308, -1e308, 1.7e308, 1e300, 1e30, -1e30, 10**400, -(10**30), 1e15, -1e15)
 TINY = (5e-324, 1e-300, 1e-30, 1e-15, 0, -0.0)
@@ -42,7 +43,7 @@ def bases():
         actuator = specimens.random_model(rng, kind)
         low, high = (float(v) for v in actuator.spring.voltage[[0, -1]])
         data = json.loads(json.dumps(actuator.as_dict()))
-        found.append({**data, "limits": {"voltage_V": [low, high]}, "load_stiffness_N_per_m": 1e6})
+        found.append({**data, "limits_V": [low, high], "load_stiffness_N_per_m": 1e6})
     return found
 
 
@@ -116,92 +117,66 @@ def damaged_text(text, rng):
     return "\ufeff" + text if kind < 0.08 else text
 
 
-class Trial:
-    """A model that has been loaded, used in every way."""
+def use(actuator, rng, note, folder):
+    """Use a model that has been loaded in every way; return what is wrong. What is refused is noted."""
+    dice, findings = np.random.default_rng(rng.randrange(2**32)), []
+    limits = actuator.limits or tuple(float(v) for v in actuator.spring.voltage[[0, -1]])
+    clock = {"time": np.arange(SAMPLES) * STEP} if needs_time(actuator) else {}
 
-    def __init__(self, actuator, rng, note, folder):
-        self.actuator, self.note, self.folder = actuator, note, folder
-        self.rng, self.numbers = rng, np.random.default_rng(rng.randrange(2**32))
-        self.low, self.high = actuator.limits or (float(v) for v in actuator.spring.voltage[[0, -1]])
-        self.change = (self.high - self.low) * 50 * STEP
-        self.time = np.arange(SAMPLES) * STEP
-        self.findings = []
+    def simulate():
+        voltage = dice.uniform(*limits, SAMPLES)
+        return np.isfinite(actuator.simulate(voltage, **clock).displacement).all()
 
-    def use(self):
-        """What is wrong; what is refused is noted."""
-        for use in (self.simulate, self.compensate, self.step, self.follow, self.go_on, self.come_back):
-            try:
-                use()
-            except DehystError:
-                self.note(f"{use.__name__}: refused")
-        return self.findings
+    def compensate():
+        path = actuator.spring.displacement[0] + strategies.span_of(actuator) * dice.uniform(0, 1, SAMPLES)
+        return np.isfinite(actuator.compensate(path, **clock).voltage).all()
 
-    @property
-    def course(self):
-        return {"time": self.time}
+    def begun(memory=None):
+        slew, preview = (limits[1] - limits[0]) * 50, rng.random() < 0.2
+        loop = Compensator(actuator, limits, slew, period=STEP, preview=preview)
+        if memory:
+            loop.restore(memory(loop))
+        return Life(dice, loop, "mutated", note, findings)
 
-    @property
-    def path(self):
-        span = strategies.span_of(self.actuator)
-        return self.actuator.spring.displacement[0] + span * self.numbers.uniform(0, 1, SAMPLES)
+    def step():
+        life = begun()
+        for _ in range(SAMPLES):
+            life.step()
+        life.finite(life.compensator)
+        return bool(repr(life.compensator))
 
-    def simulate(self):
-        voltage = self.low + (self.high - self.low) * self.numbers.uniform(0, 1, SAMPLES)
-        if not np.isfinite(self.actuator.simulate(voltage, **self.course).displacement).all():
-            self.findings.append("simulate: not finite")
+    def follow():
+        begun().trajectory()
+        return True
 
-    def compensate(self):
-        if not np.isfinite(self.actuator.compensate(self.path, **self.course).voltage).all():
-            self.findings.append("compensate: not finite")
-
-    def compensator(self):
-        preview = self.rng.random() < 0.2
-        return Compensator(self.actuator, (self.low, self.high), self.change / STEP, period=STEP, preview=preview)
-
-    def step(self):
-        self.steps(self.compensator(), "step")
-
-    def steps(self, loop, what):
-        before = loop.voltage
-        for wanted in self.path.tolist():
-            voltage = loop.step(wanted)
-            if not self.low <= voltage <= self.high:
-                self.findings.append(f"{what}: {voltage!r} outside {self.low!r} to {self.high!r}")
-            if abs(voltage - before) > self.change * (1 + 1e-9) + 1e-12 * (abs(self.low) + abs(self.high)):
-                self.findings.append(f"{what}: changes by {abs(voltage - before)!r}, {self.change!r} are allowed")
-            before = voltage
-        if not np.isfinite(loop.state.deformation):
-            self.findings.append(f"{what}: the state is no number")
-        repr(loop)
-
-    def follow(self):
-        command = following.follow(self.compensator(), self.path, time=self.time)
-        voltage = command.voltage
-        if not (np.isfinite(voltage).all() and voltage.min() >= self.low and voltage.max() <= self.high):
-            self.findings.append("trajectory: outside the limits")
-        if not np.isfinite(command.displacement).all():
-            self.findings.append("trajectory: a displacement that is no number")
-        most = self.change * (1 + 1e-6) + 1e-12 * (abs(self.low) + abs(self.high))
-        if (np.abs(np.diff(voltage)) > most).any():
-            self.findings.append("trajectory: over the slew rate")
-
-    def go_on(self):
+    def go_on():
         """From a snapshot that was mutated too."""
-        loop, path = self.compensator(), self.folder / "loop.json"
-        loop.snapshot().save(path)
-        path.write_text(json.dumps(mutated(json.loads(path.read_text()), self.rng)))
-        other = loop._clone()
-        other.restore(Snapshot.load(path))
-        self.note("restored")
-        self.steps(other, "after a snapshot")
 
-    def come_back(self):
+        def memory(loop):
+            path = folder / "loop.json"
+            loop.snapshot().save(path)
+            path.write_text(json.dumps(mutated(json.loads(path.read_text()), rng)))
+            return Snapshot.load(path)
+
+        life = begun(memory)
+        note("restored")
+        for _ in range(SAMPLES):
+            life.step()
+        return True
+
+    def come_back():
         """Saved and loaded it is the same."""
-        path = self.folder / "again.json"
-        self.actuator.save(path)
-        if json.dumps(Actuator.load(path).as_dict()) != json.dumps(self.actuator.as_dict()):
-            self.findings.append("another model after save and load")
-        repr(self.actuator)
+        actuator.save(folder / "again.json")
+        again = Actuator.load(folder / "again.json")
+        return json.dumps(again.as_dict()) == json.dumps(actuator.as_dict()) and bool(repr(actuator))
+
+    for way in (simulate, compensate, step, follow, go_on, come_back):
+        try:
+            if not way():
+                findings.append(f"{way.__name__}: not finite, or not the same")
+        except DehystError:
+            note(f"{way.__name__}: refused")
+    return findings
 
 
 def play(seed, case, note):
@@ -218,7 +193,7 @@ def play(seed, case, note):
             note("refused at load")
             return []
         note("loaded")
-        return Trial(actuator, rng, note, Path(name)).use()
+        return use(actuator, rng, note, Path(name))
 
 
 if __name__ == "__main__":

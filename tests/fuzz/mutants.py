@@ -34,11 +34,7 @@ import pytest
 
 ROOMS = ("core", "identification", "control", "records", "instruments")
 TESTS = ("contracts", "model", "trust", "virtual", "calibration", "operations", "cli")
-# By the folder of the source.
-CORE_TESTS = {
-    "core/src/records/": ("tests/model", "tests/identification/regression", "tests/identification/preprocessing"),
-    "core/src/": ("tests/core", "tests/model", "tests/control", "tests/contracts"),
-}
+CORE_TESTS = ("tests/core", "tests/model", "tests/control", "tests/contracts")
 FAST = ("-m", "not slow and not nightly and not fuzz")
 COMPARISONS = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "=="}
 ARITHMETIC = {"+": "-", "-": "+", "*": "/", "/": "*"}
@@ -421,8 +417,7 @@ class Mutants:
         if room == "core":
             name = ""
             line, before, after, text = c_mutant(source, where, kind, place)
-            folders = next(each for folder, each in CORE_TESTS.items() if file.startswith(folder))
-            entering = [test for test in self.tests if test["test"].startswith(folders)]
+            entering = [test for test in self.tests if test["test"].startswith(CORE_TESTS)]
         else:
             name, line, block, before, after, text = python_mutant(source, where, place)
             entering = self.entering[f"{file}:{block}"]

@@ -2,13 +2,12 @@
 
 import json
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from markup import Page
 
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst._io import read_json
@@ -20,7 +19,6 @@ from dehyst.records import largest
 pytestmark = pytest.mark.slow
 NUMBERS = range(3, 13)
 FIGURES = [f"fig{n:02d}" for n in NUMBERS]
-VOID = {"meta", "br", "hr", "img", "link", "input"}
 
 
 @pytest.fixture(scope="module")
@@ -49,41 +47,6 @@ def numbers(folder):
 
 def value(numbers, which, key, column):
     return next(row for row in numbers[which]["summary"] if row["key"] == key)[column]
-
-
-class Page(HTMLParser):
-    """Checks that every tag is closed in order; keeps tags, attributes and the cells of each table."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.tags, self.attributes, self.text, self.rows = [], [], [], [], []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes.extend((tag, key, value) for key, value in attrs)
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append([])
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes.extend((tag, key, value) for key, value in attrs)
-
-    def handle_endtag(self, tag):
-        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
-        self.open.pop()
-
-    def handle_data(self, data):
-        if {"td", "th"} & set(self.open):
-            self.rows[-1][-1].append(data)
-        if not {"style", "script"} & set(self.open):
-            self.text.append(data)
 
 
 @pytest.fixture(scope="module")
@@ -244,22 +207,5 @@ def test_without_matplotlib_nothing_is_written(monkeypatch, result, tmp_path):
     assert list((tmp_path / "new").iterdir()) == []
 
 
-def test_running_it_does_not_load_matplotlib():
-    code = "import sys, dehyst.paper.run; sys.exit('matplotlib' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_progress_is_told(monkeypatch):
-    monkeypatch.setattr(experiment, "PLANS", ())
-    said = []
-    experiment.run(experiment.virtual_actuator(), said.append)
-    assert said == ["recording loops, relaxed and pre-energised"]
-
-
 def test_each_drawing_is_reported(folder, reports):
     assert reports == [*(f"drawing Fig. {n} of 12" for n in NUMBERS), "writing"]
-
-
-def test_figures_stand_on_the_page_in_their_order(page):
-    names = [value for tag, key, value in page.attributes if (tag, key) == ("svg", "aria-label")]
-    assert [name.split(":")[0] for name in names] == [f"Fig. {n}" for n in NUMBERS]
