@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from command_line import DEHYST
 from command_line import run as run_command
+from emulated_stage import COUPLING, HIGHEST, served
 
 import dehyst
-from dehyst.model import slew_rate_of_records
+from dehyst.model import Stage, slew_rate_of_records
 from dehyst.records import read_table, write_columns
-from dehyst.virtual import PlayActuator
+from dehyst.virtual import PlayActuator, VirtualStage
 
 RIG = """
 from dehyst.instruments.simulated import SimulatedRig
@@ -125,6 +126,31 @@ def test_a_path_is_learnt_to_the_noise_and_its_voltages_play_again(folder):
     wanted = read_table(folder / "path.csv").column("displacement")
     error = 100 * (played - wanted) / truth.stroke
     assert np.sqrt(np.mean(error**2)) < 0.5 * errors[0]
+
+
+def test_several_axes_are_learnt_together(tmp_path):
+    time, widths = 0.01 * np.arange(2400), (16e-6, 20e-6, 12e-6)
+    truths = [PlayActuator(plays=60, highest=high, stroke=w) for high, w in zip(HIGHEST, widths, strict=True)]
+    stage = VirtualStage(truths, COUPLING, noise=2e-9)
+    actuators = []
+    for truth, high in zip(truths, HIGHEST, strict=True):
+        tops = np.interp(time, np.arange(0, 26, 2), high * np.array([0, 1, 0, 1, 0, 0.8, 0, 0.6, 0, 0.4, 0, 0.2, 0]))
+        record = dehyst.Record(time, tops, truth.play(tops, time=time, measured=False))
+        actuators.append(dehyst.identify(record, structure="maxwell_slip").actuator)
+        truth.relax()
+    Stage(tuple(actuators), COUPLING, axes=("1", "2", "3")).save(tmp_path / "stage.json")
+    phase = 2 * np.pi * np.arange(400) / 400
+    path = {f"{axis}_um": 6 - 3 * np.cos(phase + axis) for axis in (1, 2, 3)}
+    write_columns(tmp_path / "path.csv", {"time_s": 0.005 * np.arange(400), **path})
+    with served(stage=stage, speed=40.0) as (server, bench):
+        rig = f"pi://127.0.0.1:{server.port}/1,2,3"
+        words = ("follow", rig, "--model", "stage.json", "--path", "path.csv", "--learn", "--repeat", "4", "--json")
+        found = json.loads(run(*words, cwd=tmp_path)[1])
+        assert [one.voltage for one in bench.axes] == [0, 0, 0]
+    first, last = found["repetitions"][0], found["repetitions"][-1]
+    assert {*first} == {"1", "2", "3"}
+    assert all(last[axis]["rms_percent"] < max(0.6 * first[axis]["rms_percent"], 0.05) for axis in first)
+    assert len(read_table(tmp_path / "dehyst-follow" / "voltages.csv").column("voltage", "v2_V")) == 400
 
 
 def test_feedback_corrects_a_model_that_is_wrong(folder):

@@ -183,7 +183,8 @@ def _closed(wanted: Array) -> Array:
 class _Task:
     """A cycle `wanted` (n, axes) [m] on a rig, whose first `size` samples are the path, within `bounds`, at `rate`.
 
-    `tracked`: what was measured of each repetition. `clamped`: samples. `learnt`: voltages (n, axes) [V] or None.
+    `tracked`: what was measured of each repetition; `best`: of the best that was learnt, else of the last. `clamped`:
+    number of samples. `learnt`: voltages (n, axes) [V] of the best cycle, or None.
     """
 
     run: Run
@@ -202,11 +203,6 @@ class _Task:
         self.clamped = 0
         self.learnt: Array | None = None
         self.watcher: Any = None
-
-    @property
-    def best(self) -> TrackedPath:
-        """The best repetition if it was learnt, else the last."""
-        return self.tracked[-1] if self.learnt is None else min(self.tracked, key=_rms)
 
     def follow(self, folder: Path, times: int, lessons: int, *, feedback: bool) -> None:
         """Home, follow the path some `times` and learn in `lessons`; all samples are in files of the folder."""
@@ -231,6 +227,7 @@ class _Task:
             else:
                 self.clamped, reached = int(plan.clamped.sum()), self._play(*self._even(plan), len(wanted))
             self.tracked = [self._tracked(cycle) for cycle in np.split(reached, times)]
+            self.best = self.tracked[-1]
             if lessons:
                 self._learn(plan.state, lessons)
             self.rig.retreat()
@@ -243,13 +240,18 @@ class _Task:
         loop = self._compensator(None)
         return plan_path(loop, wanted[:, 0] if one else wanted, present=present[0] if one else present, **given)
 
-    def _compensator(self, states: Any) -> Compensator | StageCompensator:
-        """Return a compensator within the bounds that begins in these states, at the temperature of the path."""
+    def _compensator(self, states: Any, *, preview: bool = False) -> Compensator | StageCompensator:
+        """Return a compensator within the bounds that begins in these states, at the temperature of the path.
+
+        `preview`: of a single axis, whether it compensates lag and resonance.
+        """
         limits, slews = [(one.low, one.high) for one in self.bounds], [one.slew_rate for one in self.bounds]
         loop: Compensator | StageCompensator
         if self.known.stage is None:
             (actuator,) = self.known.actuators
-            loop = Compensator(actuator, limits[0], slews[0], period=1 / self.rate, state=states, warns=False)
+            ahead = preview and (actuator.delay > 0 or actuator.dynamics is not None)
+            given: dict[str, Any] = {"period": 1 / self.rate, "state": states, "preview": ahead, "warns": False}
+            loop = Compensator(actuator, limits[0], slews[0], **given)
         else:
             loop = StageCompensator(self.known.stage, limits, slews, period=1 / self.rate, states=states)
         for part in axes_of(loop) if self.warmth is not None else ():
@@ -301,25 +303,24 @@ class _Task:
 
     def _learn(self, states: Any, most: int) -> None:
         """Repeat the path from these states until the error no longer falls; keep the voltages of the best cycle."""
-        loop, size = self._compensator(states), len(self.wanted)
+        loop, size = self._compensator(states, preview=True), len(self.wanted)
         repetition = Repetition(loop, self.wanted if self.known.stage else self.wanted[:, 0])
+        errors: list[float] = []
         for number in range(1, most + 1):
             # The second cycle follows one like itself, as all later ones do.
             pair = [np.reshape(repetition.next(), self.wanted.shape) for _ in range(2)]
             reached = self._play(np.concatenate(pair), np.tile(self.wanted, (2, 1)), size)
             self.tracked.append(self._tracked(reached))
             self.run.say(f"Repetition {number}: {_words(self.tracked[-1], self.known)}")
+            errors.append(_rms(self.tracked[-1]))
+            if errors[-1] == min(errors):
+                self.learnt, self.best = pair[1], self.tracked[-1]
             repetition.learn(reached if self.known.stage else reached[:, 0])
-            errors = [_rms(one) for one in self.tracked]
             falls = len(errors) <= _LAST or min(errors[-_LAST:]) < (1 - _LOWER) * min(errors[:-_LAST])
             if not (repetition.believed and falls):
                 break
         self.clamped += _clamps(loop)
-        if repetition.errors and repetition.believed:
-            tables: Any = repetition.table()
-            each = tables if self.known.stage else (tables,)
-            self.learnt = np.column_stack([one.cycle.voltage for one in each])
-        else:
+        if not repetition.errors or not repetition.believed:
             stray = f"read more than {1e6 * repetition.bound:.3g} um from the model"
             self.run.note(f"nothing was learnt: voltages were clamped, or the sensor {stray}; try dehyst update")
 
