@@ -1,4 +1,4 @@
-"""What every reader of a file format must do: a sound file of each suffix, and damaged copies of it."""
+"""What every reader of a file format must do: a sound file of each suffix is read, and what is none is refused."""
 
 import io
 import random
@@ -37,8 +37,6 @@ FOREIGN = {
     "noise": random.Random(1).randbytes(1000),
     "page": b"<!DOCTYPE html><html><body><p>moved</p></body></html>\n",
 }
-# Damaged copies of a sound file that are read.
-DAMAGED = 60
 
 
 @cache
@@ -90,30 +88,6 @@ def test_an_empty_file_is_refused(path):
     path.write_bytes(b"")
     with pytest.raises(FileFormatError):
         read(path)
-
-
-def damaged(content, dice):
-    """Return a copy that is cut, or in which some bytes were changed, inserted, removed or repeated."""
-    copy = bytearray(content)
-    for _ in range(dice.choice((1, 1, 2, 8))):
-        start = dice.randrange(len(copy) + 1)
-        stop = min(len(copy), start + dice.choice((1, 4, 50)))
-        piece = (b"", dice.randbytes(stop - start), b"-", b"9" * 20, bytes(copy[start:stop]) * 2)
-        copy[start:stop] = dice.choice(piece)
-    return bytes(copy[: dice.randrange(len(copy) + 1)] if dice.random() < 0.2 else copy)
-
-
-def test_damaged_files_are_read_or_refused(path):
-    """Anything but an error of dehyst is a bug of the reader; so is one that does not end."""
-    sound = path.read_bytes()
-    for number in range(DAMAGED):
-        content = damaged(sound, random.Random(number))
-        path.write_bytes(content)
-        try:
-            record = read(path)
-        except DehystError:
-            continue
-        assert np.isfinite(record.displacement).all(), (number, content)
 
 
 def test_the_limit_of_bytes_holds(path):

@@ -79,29 +79,6 @@ def test_gain_and_offset_are_pythons(fmus):
         assert slave.run([60.0]) == [pytest.approx(1e-6 + 2 * y, rel=1e-14)]
 
 
-@pytest.mark.parametrize("model", ["plain", "mass"])
-def test_simulate_fmu_gives_the_same(fmus, model):
-    """The importer's own loop: inputs from a table, outputs a step later."""
-    count = 200
-    time = np.arange(count) * PERIOD
-    for kind, given, expected in (
-        ("compensator", PATH[:count], voltages(ALL[model], PATH[:count])[0]),
-        ("actuator", actuator_voltages(model)[:count], displacements(model, actuator_voltages(model)[:count])),
-    ):
-        source, sink = ("displacement", "voltage")[:: 1 if kind == "compensator" else -1]
-        table = np.array(list(zip(time, given, strict=True)), dtype=[("time", "f8"), (source, "f8")])
-        result = fmpy.simulate_fmu(
-            str(fmus(model, kind)[0]),
-            stop_time=time[-1],
-            step_size=PERIOD,
-            output_interval=PERIOD,
-            input=table,
-        )
-        assert result["time"].size == count
-        span = float(np.ptp(expected))
-        np.testing.assert_allclose(result[sink][1:], expected[:-1], rtol=0, atol=1e-12 * span)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
     fresh = ALL["mass"]._clone()

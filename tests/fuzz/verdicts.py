@@ -1,13 +1,11 @@
-"""What becomes of each laboratory file, trap and innocent twin: write the table once, and compare after each change.
+"""What becomes of each laboratory file, trap and innocent twin: the table of `tests/golden/verdicts.json`.
 
 A verdict is what `dehyst.read` makes of a file, with the columns that a user knows, then with those that the message
 proposes: the numbers of the record, or the class and the argument of the error.
 
-    python tests/fuzz/verdicts.py write FILE.json
-    python tests/fuzz/verdicts.py compare FILE.json
+    python tests/fuzz/verdicts.py FILE.json
 """
 
-import argparse
 import json
 import os
 import sys
@@ -82,23 +80,5 @@ def verdicts() -> dict[str, Any]:
     return found
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("action", choices=["write", "compare"])
-    parser.add_argument("file", type=Path)
-    arguments = parser.parse_args()
-    found = verdicts()
-    if arguments.action == "write":
-        arguments.file.write_text(json.dumps(found, indent=1, ensure_ascii=False, sort_keys=True) + "\n")
-        print(f"{len(found)} verdicts written")
-        return 0
-    before = json.loads(arguments.file.read_text())
-    changed = [name for name in sorted(before.keys() | found.keys()) if before.get(name) != found.get(name)]
-    for name in changed:
-        print(f"{name}:\n  before {before.get(name)}\n  now    {found.get(name)}")
-    print(f"{len(before) - len(changed)} of {len(before)} verdicts are the same")
-    return int(bool(changed))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    Path(sys.argv[1]).write_text(json.dumps(verdicts(), indent=1, ensure_ascii=False, sort_keys=True) + "\n")

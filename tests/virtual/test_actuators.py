@@ -89,13 +89,6 @@ def test_a_drive_goes_on_where_the_last_one_ended(kind):
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_at_rest_it_rests(kind):
-    truth = kind(**({"creep": 0.02} if kind is PlayActuator else {}))
-    y = truth.play(np.zeros(50), time=np.arange(50) * 1e-3, measured=False)
-    np.testing.assert_allclose(y, y[0], rtol=0, atol=1e-14)
-
-
 @settings(max_examples=20)
 @pytest.mark.parametrize("kind", TIMELESS)
 @given(SEEDS)
@@ -118,12 +111,6 @@ def test_wiping_out(kind, seed):
     one = kind().play([*start, *within, low, high, *after], measured=False)[-15:]
     other = kind().play([*start, *after], measured=False)[-15:]
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * 16e-6)
-
-
-def test_the_bouc_wen_equation_has_no_wiping_out_but_hardly_knows_a_rate_when_slow():
-    voltage = legs([0, 200, 0, 120, 40, 120, 0])
-    slow, slower = slowly(BoucWenActuator(), voltage), slowly(BoucWenActuator(), voltage, 100.0)
-    np.testing.assert_allclose(slow, slower, rtol=0, atol=2e-6 * 16e-6)
 
 
 def test_relays_switched_one_by_one_on_a_grid_say_the_same():

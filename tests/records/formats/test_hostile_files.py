@@ -207,10 +207,10 @@ def test_mutated_files(monkeypatch):
     monkeypatch.syspath_prepend(places.FUZZ)
     import files
 
-    found = files.attack(seed=13, count=150)
-    assert found["cases"] == 150
+    found = files.attack(seed=13, count=400)
+    assert found["cases"] == 400
     assert found["findings"] == []
-    assert found["counts"]["prepared"] > 5
+    assert found["counts"]["prepared"] > 20
 
 
 @pytest.mark.fuzz
