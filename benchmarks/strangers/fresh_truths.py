@@ -1,4 +1,4 @@
-"""Mechanisms made after the promise had its present numbers, to measure it once; see `strangers.truths`."""
+"""Mechanisms that showed a bolder promise to be false, then of those on which it is found; see `strangers.truths`."""
 
 from __future__ import annotations
 

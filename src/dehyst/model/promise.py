@@ -2,7 +2,7 @@
 
 A promise is a bound that nine of ten paths should keep (theory sections 18 and 29), for the error less its mean, as no
 record determines where the zero of the sensor will be later, and less a constant delay where the records leave open who
-lags. It follows from one length that the records show, a geometric mean of the error on held-out parts and of the
+lags. It is proportional to one length that the records show, a geometric mean of the error on held-out parts and of the
 distance of other models that explain the records. It grows with the distance of the path's branches from those of the
 records, with its speed beyond theirs, and depends on the kind of the path. Its numbers were found on virtual actuators
 whose mechanisms are not instances of the model, and are tested on others: `benchmarks/promise.py`.
@@ -56,20 +56,17 @@ _TURNS = 60
 
 
 # The bound of the largest error, and that of the RMS error: what the records show, times these.
-LARGEST, RMS = 1.9, 0.78
-# Powers of: the held-out error, beside the distance of other models; and of both, as parts of the stroke: records that
-# show little show less of what they lack.
-_HELD_OUT, _SHOWN = 0.4, 0.85
+LARGEST, RMS = 5.5, 2.2
 # What errors are of those promised where the path closes loops and fewer legs of the records than this part do; and
 # where the records leave open who lags.
-_CLOSING, _OPEN, _LAGGING = 0.2, 2.0, 1.35
+_CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
 # The largest constant offset of a path, of its largest error, if the sensor is zeroed at its first sample.
 _OFFSET = 0.4
 # Neither error that they show counts as smaller than this part of the stroke; and models that miss held-out parts do
 # not agree to less than this part of the held-out error.
 _LEAST, _AGREES = 1e-4, 0.3
 # The bound grows by this power of e with the newness of a path, a part of the range, up to a largest one.
-_GROWS, _NEWEST = 0.8, 0.3
+_GROWS, _NEWEST = 2.6, 0.3
 # A model with a larger error is not usable [% of the stroke].
 USELESS = 5.0
 # The bound grows by this power of the ratio of the path's fastest branch to that of the records, if it is faster; and
@@ -77,7 +74,7 @@ USELESS = 5.0
 _FASTER, _LAGS_FASTER = 0.4, 1.2
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
-_PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.75, 0.15, 20.0, 0.2
+_PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
 # Entries of a validity in a file, and their names.
@@ -253,10 +250,10 @@ class Validity:
 
     @property
     def shown(self) -> float:
-        """The error [m] that the records show, from the held-out error and from the disagreement."""
+        """The error [m] that the records show, from the held-out error and twice as much from the disagreement."""
         both = self.rms, max(self.disagreement, _AGREES * self.rms)
-        held_out, apart = (float(np.hypot(one / self.stroke, _LEAST)) for one in both)
-        return self.stroke * float(held_out**_HELD_OUT * apart ** (1 - _HELD_OUT)) ** _SHOWN
+        held_out, apart = (float(np.hypot(one, _LEAST * self.stroke)) for one in both)
+        return float((held_out * apart**2) ** (1 / 3))
 
     @property
     def turns_anywhere(self) -> bool:
