@@ -148,12 +148,19 @@ dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor);
 typedef struct dehyst_feedback {
     dehyst_real gain, bound, least;            /* of a reading, largest correction [m], motion that can be judged [m] */
     dehyst_real correction;                    /* added to the wanted displacement [m] */
-    dehyst_real back;                          /* how much of it is taken back in a period [m], once not believed */
-    dehyst_real low, high, last, travelled;    /* of the present cycle [m] */
+    dehyst_real rest, back; /* where it goes without a sensor, and how far in a period [m] */
+    dehyst_real low, high, last, travelled, sum; /* of the present cycle, and the sum of its corrections [m] */
+    dehyst_real blind;                           /* way since the last reading [m] */
     dehyst_real past[DEHYST_FEEDBACK_LATE + 1]; /* displacements that were meant [m] */
     int late, at;
     unsigned long samples; /* of the present cycle */
-    dehyst_fault fault;    /* DEHYST_BELIEVED, or why the sensor is not believed any more */
+    dehyst_real mismatch, spread; /* of readings and model in the present cycle: mean [m], sum of squares about it [m^2] */
+    dehyst_real usual;            /* mean square of the last mismatch that was no surprise [m^2]; 0: there is none */
+    dehyst_real moved;            /* range of the cycle before [m] */
+    unsigned long lasted;         /* samples of the cycle before */
+    int up;                       /* whether the present cycle began upwards */
+    int trial;                    /* 0: none; else its cycle: three without a correction, one with it again */
+    dehyst_fault fault;           /* DEHYST_BELIEVED, or why the sensor is not believed any more */
     dehyst_sensor sensor;
 } dehyst_feedback;
 /* Begin to feed back a sensor, without a correction; after a fault, this begins anew.
@@ -165,7 +172,10 @@ dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop
                                     dehyst_real gain, dehyst_real bound, int late, dehyst_feedback *feedback);
 /* Return the correction [m] to add to the wanted displacement of this period. Call it once a period, before the step or
  * the offer. A voltage that limits or slew rate changed makes no error. While the sensor says nothing, the correction is
- * held; after a cycle in which it contradicts the model it is taken back, and the sensor is not believed any more.
+ * held, after a cycle its mean; after a cycle in which the sensor contradicts the model it is taken back, and the sensor
+ * is not believed any more. On a path that repeats, a mismatch that grows starts a trial, three cycles without a
+ * correction and one with it: a mismatch that leaves after the correction, or comes back with it, is the echo of a sensor
+ * that is late by whole cycles.
  * @param measured displacement [m] after all voltages sent so far; not a number: nothing was measured */
 dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
                                     dehyst_feedback *feedback, dehyst_real measured);

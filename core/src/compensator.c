@@ -223,7 +223,7 @@ dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor)
 {
     const dehyst_sensor *s = sensor;
     if ((s->near_count + s->far_count) < LEAST_READINGS) { return DEHYST_BELIEVED; }
-    if (s->far_count > s->near_count) { return DEHYST_FAR; }
+    if ((3 * s->far_count) > s->near_count) { return DEHYST_FAR; }
     if (s->seen < (STUCK * s->moved)) { return DEHYST_STUCK; }
     if ((s->seen < (TOO_LITTLE * s->moved)) || (s->seen > (TOO_MUCH * s->moved))) { return DEHYST_SCALED; }
     if (!((s->common > 0) && ((s->common * s->common) > (CORRELATED * CORRELATED * s->moved * s->seen)))) {
@@ -254,32 +254,82 @@ dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop
     feedback->gain = gain;
     feedback->bound = bound;
     feedback->least = LEAST_MOTION * range;
-    feedback->correction = feedback->back = feedback->travelled = 0;
+    feedback->correction = feedback->rest = feedback->back = feedback->sum = feedback->travelled = feedback->blind = 0;
     feedback->low = feedback->high = feedback->last = meant(model, loop, memory);
     for (k = 0; k <= late; k++) { feedback->past[k] = feedback->last; }
     feedback->late = late;
     feedback->at = 0;
-    feedback->samples = 0;
+    feedback->samples = feedback->lasted = 0;
+    feedback->mismatch = feedback->spread = feedback->usual = feedback->moved = 0;
+    feedback->trial = feedback->up = 0;
     feedback->fault = DEHYST_BELIEVED;
     dehyst_sensor_begin(&feedback->sensor);
     return DEHYST_OK;
 }
 
-/* Judge the sensor after each way there and back, and begin another one. */
-static void judge_cycle(dehyst_feedback *f, dehyst_real expected)
+/* Cycles of a trial without a correction; another one has it again. */
+#define WITHOUT 3
+
+/* Return whether one mean square of noise exceeds another, each of `count` readings, by a quarter and four standard
+ * errors. */
+static int grew(dehyst_real now, dehyst_real before, dehyst_real count)
 {
+    const dehyst_real more = now - before;
+    return (more > (before / 4)) && ((more * more * count) > (64 * before * before));
+}
+
+/* Judge the answer to the correction in a path that repeats, where a sensor that is late by whole cycles shows the right
+ * motion. The mismatch between model and sensor does not depend on the correction unless the sensor is late. */
+static void judge_answer(dehyst_feedback *f)
+{
+    const dehyst_real count = (dehyst_real)f->sensor.near_count;
+    const dehyst_real mismatch = f->spread / count, moved = f->high - f->low, before = f->moved;
+    const unsigned long off = (f->samples > f->lasted) ? (f->samples - f->lasted) : (f->lasted - f->samples);
+    const int repeats = ((20 * off) <= f->samples) && ((8 * moved) <= (9 * before)) && ((8 * before) <= (9 * moved));
+    f->lasted = f->samples;
+    f->moved = moved;
+    if ((!repeats) || (!(f->usual > 0))) {
+        f->usual = repeats ? mismatch : 0;
+        f->trial = 0;
+    } else if (f->trial == 0) {
+        f->trial = grew(mismatch, f->usual, count);
+    } else {
+        /* What leaves cycles after the correction, or comes back with it, is its echo. */
+        const int left = (f->trial > 1) && (f->trial <= WITHOUT) && grew(f->usual, mismatch, count);
+        if (left || ((f->trial > WITHOUT) && grew(mismatch, f->usual, count))) { f->fault = DEHYST_CONTRADICTS; }
+        f->usual = mismatch;
+        f->trial = (f->trial > WITHOUT) ? 0 : (f->trial + 1);
+    }
+}
+
+/* Return whether there is to be no correction. */
+static int takes_back(const dehyst_feedback *f)
+{
+    return (f->fault != DEHYST_BELIEVED) || ((f->trial > 0) && (f->trial <= WITHOUT));
+}
+
+/* Judge the sensor after each way there and back of the displacement without a correction, and begin another one. */
+static void judge_cycle(dehyst_feedback *f, dehyst_real plain)
+{
+    const int up = plain > f->last;
+    if (f->samples == 0) { f->up = up; }
     f->samples++;
-    f->travelled += magnitude(expected - f->last);
-    f->last = expected;
-    f->low = (expected < f->low) ? expected : f->low;
-    f->high = (expected > f->high) ? expected : f->high;
-    if (((f->high - f->low) < f->least) || (f->travelled < (2 * (f->high - f->low)))) { return; }
+    f->travelled += magnitude(plain - f->last);
+    f->blind += magnitude(plain - f->last);
+    f->sum += f->correction;
+    f->last = plain;
+    f->low = (plain < f->low) ? plain : f->low;
+    f->high = (plain > f->high) ? plain : f->high;
+    if (((f->high - f->low) < f->least) || (f->travelled < (2 * (f->high - f->low))) || (up != f->up)) { return; }
     if ((f->sensor.near_count + f->sensor.far_count) < LEAST_READINGS) { return; }
     f->fault = dehyst_sensor_judge(&f->sensor);
-    /* Taken back within a quarter of the cycle, so that nothing jumps. */
-    f->back = 4 * magnitude(f->correction) / (dehyst_real)f->samples;
-    f->low = f->high = expected;
-    f->travelled = 0;
+    if ((f->fault == DEHYST_BELIEVED) && (f->sensor.near_count > 0)) { judge_answer(f); }
+    /* Taken back within a quarter of the cycle, so that nothing jumps; without readings the mean of the cycle stays. */
+    f->back = (4 * f->bound) / (dehyst_real)f->samples;
+    f->rest = takes_back(f) ? 0 : (f->sum / (dehyst_real)f->samples);
+    f->sum = 0;
+    f->low = f->high = plain;
+    f->travelled = f->mismatch = f->spread = 0;
     f->samples = 0;
     dehyst_sensor_begin(&f->sensor);
 }
@@ -289,19 +339,26 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
 {
     dehyst_feedback *f = feedback;
     dehyst_real expected;
+    int near;
     f->past[f->at] = meant(model, loop, memory);
     f->at = (f->at < f->late) ? (f->at + 1) : 0;
     expected = f->past[f->at];
-    if (f->fault != DEHYST_BELIEVED) {
-        const dehyst_real left = magnitude(f->correction) - f->back;
-        f->correction = (left > 0) ? ((f->correction > 0) ? left : -left) : 0;
-        return f->correction;
+    near = (f->fault == DEHYST_BELIEVED) && dehyst_sensor_read(&f->sensor, f->bound, expected, measured);
+    if (near) {
+        const dehyst_real change = measured - expected - f->mismatch;
+        f->mismatch += change / (dehyst_real)f->sensor.near_count;
+        f->spread += change * (measured - expected - f->mismatch);
+        f->blind = 0;
     }
-    /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
-    if (dehyst_sensor_read(&f->sensor, f->bound, expected, measured)) {
+    if (takes_back(f) || ((f->moved > 0) && (f->blind > (2 * f->moved)))) {
+        const dehyst_real left = f->rest - f->correction;
+        const dehyst_real step = (left > f->back) ? f->back : ((left < -f->back) ? -f->back : left);
+        f->correction += step;
+    } else if (near) {
+        /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
         f->correction -= f->gain * (measured - expected + f->correction);
     }
-    judge_cycle(f, expected);
+    if (f->fault == DEHYST_BELIEVED) { judge_cycle(f, expected - f->correction); }
     return f->correction;
 }
 

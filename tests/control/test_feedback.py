@@ -65,10 +65,38 @@ def test_a_sensor_that_contradicts_the_model_is_not_believed(lie):
     assert feedback.believed
 
 
+@pytest.mark.parametrize(("cycles", "steps"), [(0, 1), (1, 1), (2, 1)])
+def test_a_sensor_late_by_whole_cycles_is_not_believed(cycles, steps):
+    """Its motion is right; it answers the correction a cycle later. One in time is believed, noise and knocks too."""
+    path = np.tile(STROKE * (0.45 - 0.3 * np.cos(2 * np.pi * np.arange(600) / 600)), 25)
+    rng, told = np.random.default_rng(1), [float(path[0])] * 1200
+
+    def sensor(k, y):
+        knock = 0.02 * STROKE if cycles == 0 and 7000 <= k < 7100 else 0.0
+        told.append(float(y) + 1e-3 * STROKE * rng.standard_normal() + knock)
+        return told[-1 - 600 * cycles * (k > 3000)] if k % steps == 0 else None
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SensorWarning)
+        found, feedback = tracked(sensor, path=path)
+    errors = np.abs(found - path).reshape(25, 600).max(axis=1)
+    frozen = np.abs(AGED.simulate(PLANT.compensate(path).voltage, extrapolate=True).displacement - path).max()
+    assert feedback.believed is (cycles == 0) and errors.max() < 4 * frozen
+    assert errors[-1] < (0.5 if cycles == 0 else 1.1) * frozen
+
+
 def test_readings_that_are_no_numbers_hold_the_correction():
     _, feedback = tracked(lambda k, y: y if k < 1000 else (np.nan, np.inf, -np.inf)[k % 3])
     kept = tracked(lambda k, y: y if k < 1000 else None)[1].correction
     assert feedback.believed and feedback.correction == kept != 0
+
+
+def test_a_sensor_that_falls_silent_leaves_its_mean_correction():
+    path = np.tile(PATH, 3)
+    found, feedback = tracked(lambda k, y: y if k < 2250 else None, path=path)
+    frozen = tracked(lambda k, y: None, path=path)[0]
+    assert feedback.believed and 0 < abs(feedback.correction) < feedback.bound
+    assert np.abs(found - path)[-1000:].max() < np.abs(frozen - path)[-1000:].max()
 
 
 def test_nothing_winds_up_at_a_limit():

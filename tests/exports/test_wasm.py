@@ -24,7 +24,7 @@ from examples import at_night
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
 BUILDER = places.ROOT / "bindings" / "wasm" / "build.py"
-MOST = 25_500
+MOST = 26_200
 
 
 # The module

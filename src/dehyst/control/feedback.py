@@ -17,7 +17,9 @@ class Feedback:
 
     Each reading takes away a share `gain` of the error: wanted less measured displacement, or with clamped voltages
     what the sensor says more or less than the model. Nothing winds up, as the model knows the voltages that were really
-    sent. Without a reading the correction is held, so that a sensor may be slower than the loop::
+    sent. Without a reading the correction is held, so that a sensor may be slower than the loop; after a cycle of the
+    path without one, its mean stays. If the mismatch between sensor and model grows on a path that repeats, three
+    cycles go without a correction, to see whether it is an echo of a sensor that is late by whole cycles::
 
         feedback = dehyst.Feedback(compensator)
         for wanted in path:

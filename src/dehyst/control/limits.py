@@ -185,9 +185,12 @@ def assumed_start(voltage: float) -> str:
 class SensorFault(IntEnum):
     """Why a sensor is not believed.
 
-    `NONE`: it is believed. `FAR`: most readings lie farther from the model than the bound: another unit, scale or zero.
+    `NONE`: it is believed. `FAR`: over a quarter of the readings lie farther from the model than the bound: another
+    unit,
+    scale or zero.
     `STUCK`: it hardly moves while the actuator does. `SCALED`: it moves less than half, or more than twice, as much.
-    `CONTRADICTS`: it moves at other times: inverted, late by more than a sixth of a cycle, or noise.
+    `CONTRADICTS`: it moves at other times: inverted, late by more than a sixth of a cycle or by whole cycles, or
+    noise.
     """
 
     NONE = 0
@@ -205,8 +208,8 @@ class SensorWarning(UserWarning):
 
     def __init__(self, fault: SensorFault, bound: float) -> None:
         reasons = {
-            SensorFault.FAR: f"most readings are more than {bound * 1e6:.4g} um (bound) from the model: another unit, "
-            "scale or zero, or an aged actuator",
+            SensorFault.FAR: f"over a quarter of the readings are more than {bound * 1e6:.4g} um (bound) from the "
+            "model: another unit, scale or zero, or an aged actuator",
             SensorFault.STUCK: "it hardly moves while the actuator does",
             SensorFault.SCALED: "it moves less than half, or more than twice, as much as the actuator",
             SensorFault.CONTRADICTS: "it moves at other times than the actuator: inverted, late, or noise",
