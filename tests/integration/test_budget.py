@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1363,
     "cli": 680,
-    "control": 4600,
+    "control": 4590,
     "exports": 1300,
     "fleet": 312,
     "foundation": 1422,

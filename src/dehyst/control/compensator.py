@@ -16,22 +16,9 @@ from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, keep, number, vector
-from dehyst.control.limits import (
-    Clamps,
-    ClampWarning,
-    VoltageLimits,
-    stray_sentence,
-    warn_of_run,
-)
+from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, warn_of_run
 from dehyst.control.loop import ReadOnly, Snapshot, make_loop, memory_of, preview_filter, set_memory
-from dehyst.model import (
-    Actuator,
-    State,
-    demand_thermal,
-    evaluator_of,
-    major_loop,
-    state_within_limits,
-)
+from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits
 
 
 class Compensator(ReadOnly):
@@ -245,13 +232,13 @@ class Compensator(ReadOnly):
             raise
         return voltage
 
-    def _strays(self, displacement: ArrayLike, load: ArrayLike | None = None) -> str:
-        """Return why a `displacement` (n,) [m, or `units`] is implausible, with `load` as in `simulate`; else ""."""
-        return self._straying(self._in_model(self._in_metres(displacement)), load)
+    def _strays(self, displacement: ArrayLike) -> str:
+        """Return why a `displacement` (n,) [m, or `units`] is implausible; else ""."""
+        return self._straying(self._in_model(self._in_metres(displacement)))
 
-    def _straying(self, displacement: Array, load: ArrayLike | None = None) -> str:
+    def _straying(self, displacement: Array) -> str:
         """Return what `_strays` does for a `displacement` (n,) [m] of the model, without gain and offset."""
-        sentence = stray_sentence(self.actuator, self._bounds, displacement, load)
+        sentence = stray_sentence(self.actuator, self._bounds, displacement)
         if not sentence or self._per_metre == 1:
             return sentence
         return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
