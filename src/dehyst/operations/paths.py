@@ -61,9 +61,8 @@ class PathSlew(NamedTuple):
     @classmethod
     def chosen(cls, actuator: Actuator, given: Slew | None) -> PathSlew:
         """Return the given slew rate of a path; by default it is not limited."""
-        if given is None:
-            return cls(None, "default", slew_rate_of_records(actuator))
-        return cls(given.number, "none" if given.number is None else "option", slew_rate_of_records(actuator))
+        origin = "default" if given is None else "none" if given.number is None else "option"
+        return cls(None if given is None else given.number, origin, slew_rate_of_records(actuator))
 
     @property
     def times(self) -> float:
