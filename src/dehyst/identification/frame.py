@@ -65,11 +65,11 @@ class Frame:
         return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
 
     @cached_property
-    def rests(self) -> bool:
-        """Whether the voltage of a record rests for as long as the shortest cycle."""
+    def rests(self) -> list[list[tuple[float, float]]]:
+        """Begin and end [s] of each rest of the voltage that is as long as the shortest cycle, of each record."""
         records = [item.record for item in self.training]
         shortest = min(map(cycle_time, records))
-        return max(map(_longest_rest, records)) >= shortest
+        return [[rest for rest in _rests(record) if rest[1] - rest[0] >= shortest] for record in records]
 
     @cached_property
     def before(self) -> list[Prepared]:
@@ -149,12 +149,19 @@ class Frame:
         return replace(self, motion=moved(self.motion, names, found.numbers))
 
     def folds(self, program: Program) -> NDArray[np.intp]:
-        """Return the fold of each row (n,): sixths of the time of its record, two in each."""
+        """Return the fold of each row (n,): sixths of the time of its record, two in each, and of a long rest likewise.
+
+        Creep shows in rests: the error of each fold must see a part of each.
+        """
         fold = np.zeros(len(program.rows), dtype=np.intp)
-        for q in range(len(self.training)):
+        for q, (item, rests) in enumerate(zip(self.training, self.rests, strict=True)):
             own = program.rows.record == q
-            first, last = self.training[q].record.time[[0, -1]]
-            fold[own] = part_of((program.rows.time[own] - first) / (last - first)) % FOLDS
+            time, ends = program.rows.time[own], item.record.time[[0, -1]]
+            place = (time - ends[0]) / np.ptp(ends)
+            for begin, end in rests:
+                resting = (time >= begin) & (time <= end)
+                place[resting] = (time[resting] - begin) / (end - begin)
+            fold[own] = part_of(place) % FOLDS
         return fold
 
     def held_out_error(self, source: RowSource, program: Program, whole: Solution) -> float:
@@ -255,8 +262,9 @@ def part_of(place: Array) -> NDArray[np.intp]:
     return np.asarray(np.clip((_PARTS * place).astype(np.intp), 0, _PARTS - 1))
 
 
-def _longest_rest(record: Record) -> float:
-    """Return the longest time in which the voltage of a record stays within a step that counts as coarse [s]."""
+def _rests(record: Record) -> list[tuple[float, float]]:
+    """Return begin and end [s] of each rest of a voltage, within a step that counts as coarse."""
     levels = np.round(record.voltage / (RULES.coarse_voltage * np.ptp(record.voltage)))
     begins = np.flatnonzero(np.diff(levels, prepend=np.inf))
-    return float(np.max(record.time[np.append(begins[1:], levels.size) - 1] - record.time[begins]))
+    ends = np.append(begins[1:], levels.size) - 1
+    return list(zip(record.time[begins].tolist(), record.time[ends].tolist(), strict=True))

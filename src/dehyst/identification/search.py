@@ -107,7 +107,7 @@ class Fitted:
     @property
     def score(self) -> float:
         """The held-out error divided by what the parts must save."""
-        gains = _GAINS if self.frame.rests else _GAINS | {"creep": RULES.hidden_creep_gain}
+        gains = _GAINS if any(self.frame.rests) else _GAINS | {"creep": RULES.hidden_creep_gain}
         return self.held_out / prod(gains.get(name, 1.0) for name in self.names)
 
 
