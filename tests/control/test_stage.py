@@ -261,7 +261,7 @@ def test_what_one_axis_refuses_changes_no_axis():
 
 
 def test_a_file_keeps_every_bit(tmp_path):
-    known = {"provenance": {"record": "a.csv"}, "is_matrix": False, "recorded_columns": ("vx_V:x_um", "b", "c")}
+    known = {"provenance": {"record": "a.csv"}, "recorded_columns": ("vx_V:x_um", "b", "c")}
     model = replace(stage(), **known)
     model.save(tmp_path / "stage.json")
     again = Stage.load(tmp_path / "stage.json")
@@ -273,7 +273,6 @@ def test_a_file_keeps_every_bit(tmp_path):
     ("change", "words"),
     [
         ({"format": "dehyst-actuator"}, "need 'dehyst-stage'"),
-        ({"is_matrix": 1}, "is_matrix: got 1"),
         ({"recorded_columns": "x_um"}, "recorded_columns: got 'x_um'"),
         ({"extra": 1}, "unknown keys"),
         ({"axes": ["x", "x", "z"]}, "different names"),

@@ -175,4 +175,4 @@ def frame(records, **motion):
     volts = np.array([one.voltage_range for one in records])
     ends, widest = (float(volts[:, 0].min()), float(volts[:, 1].max())), int(np.argmax(spans))
     moved = replace(Motion.none(len(records)), **motion)
-    return Frame(training, moved, ends, 0.2, widest, spans[widest])
+    return Frame(training, moved, ends, widest, spans[widest])

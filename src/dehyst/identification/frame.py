@@ -26,6 +26,8 @@ from dehyst.records import Record, rms
 # Parts of the time of a record, of which two at a time are held out.
 _PARTS = 6
 FOLDS = _PARTS // 2
+# Least slope of the spring, of the mean slope of the widest loop.
+SLOPE_FLOOR = 0.2
 # If the last ranges hold less than this part of the samples, those before count too.
 _SOON = 0.5
 
@@ -40,8 +42,6 @@ class Frame:
     motion : Motion
     voltages : (float, float)
         Lowest and highest voltage of all records [V].
-    slope_floor : float
-        Least slope, of the mean slope of the widest loop.
     widest : int
         Record whose last constant is the spring's.
     stroke : float
@@ -53,7 +53,6 @@ class Frame:
     training: Sequence[Prepared]
     motion: Motion
     voltages: tuple[float, float]
-    slope_floor: float
     widest: int
     stroke: float
     denoised: bool = True
@@ -124,7 +123,7 @@ class Frame:
     ) -> Program:
         """Return the program of about `most` rows, with the parts of these names; `near`: a solution nearby."""
         rows = source.thinned(most)
-        floor = self.slope_floor * float(np.ptp(self.voltages)) / (self.span[1] - self.span[0])
+        floor = SLOPE_FLOOR * float(np.ptp(self.voltages)) / (self.span[1] - self.span[0])
         parts = [] if near is None else Parts(self.motion, self.training, rows).of(names)
         return Program(rows, source.grid, floor, structure.smoothing, tuple(parts), near)
 

@@ -177,7 +177,7 @@ class _Run:
         self.limits = float(ranges[:, 0].min()), float(ranges[:, 1].max())
         motion = replace(Motion.none(len(self.training)), delay=self.settings.delay or 0.0)
         items = [item.reduced for item in self.training]
-        self.frame = Frame(items, motion, self.limits, self.settings.slope_floor, self.widest, self.stroke)
+        self.frame = Frame(items, motion, self.limits, self.widest, self.stroke)
 
     def fit(self) -> Fit:
         """Identify an actuator, and judge it."""
@@ -286,12 +286,10 @@ class _Run:
         pieces = [(piece.time, piece.voltage) for item in self.training for piece in item.pieces]
         known = Identification(
             lag_of=settings.lags or "",
-            slope_floor=settings.slope_floor,
             shared_datum=settings.shared_datum,
             drift=settings.drift,
             sensor_lag=settings.sensor_lag or 0.0,
             ringing=self.ringing,
-            smoothing=None if structure is None else structure.smoothing,
             slew_rate=recorded_slew_rate(pieces),
         )
         return {
@@ -396,7 +394,6 @@ class _Run:
             outcome=outcome,
             largest_error=max(error.largest for error in trained),
             goal=self.goal,
-            validated=expected.tested,
             validity=validity,
         )
         options = {**self.provenance(made.structure), "delay_s": delay, "stroke_m": self.stroke}

@@ -95,13 +95,7 @@ class Deadline:
             raise _StepLeftError
 
     def watched(self, report: Progress) -> Progress:
-        """Wrap a progress report so that it also leaves the step once the deadline has passed.
-
-        Parameters
-        ----------
-        report : callable
-            Called with a few words.
-        """
+        """Wrap a progress `report` of a few words so that it also leaves the step once the deadline has passed."""
 
         def watched(words: str) -> None:
             self.check()
@@ -137,13 +131,7 @@ class Deadline:
         return otherwise
 
     def remarks(self, best: str) -> list[str]:
-        """Return a sentence about the steps that were cut; empty if all were done.
-
-        Parameters
-        ----------
-        best : str
-            The model that remained, in words.
-        """
+        """Return a sentence about the cut steps, empty if there is none; `best`: the model that remained, in words."""
         if not self.cut:
             return [f"{self._cause} came when all searches had ended: the model is complete."] if self.ended else []
         cut = self.cut[0] if len(self.cut) == 1 else f"{', '.join(self.cut[:-1])} and {self.cut[-1]}"
@@ -163,7 +151,6 @@ class Settings:
     shared_datum: bool = False
     drift: bool = True
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto"
-    slope_floor: float = 0.2
 
     def __post_init__(self) -> None:
         if self.delay is not None:

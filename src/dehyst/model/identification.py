@@ -95,8 +95,6 @@ class Identification:
     ----------
     lag_of : str
         Whose the lag of the records is, as in `dehyst.identify`; empty if not known.
-    slope_floor : float
-        Least allowed slope of the spring, as a part of the mean slope of the widest loop.
     shared_datum : bool
         Whether the sensor kept its zero from record to record.
     drift : bool
@@ -105,8 +103,6 @@ class Identification:
         First-order lag of the sensor [s] that was removed from the records.
     ringing : bool
         Whether the elements follow the ringing displacement after steps of the voltage.
-    smoothing : float or None
-        `Structure.smoothing`.
     outcome : Outcome or None
     provisional : bool
         Whether the model is an early one, before the end of its identification: a least-squares fit of few samples that
@@ -115,8 +111,6 @@ class Identification:
         Largest error of the training records, simulated whole [m].
     goal : float or None
         Allowed largest error of a path [% of the stroke].
-    validated : bool
-        Whether the errors in `validity` come from validation records.
     slew_rate : float or None
         Largest abs(dv/dt) [V/s] of the records, with a margin of 5 %.
     validity : Validity or None
@@ -129,17 +123,14 @@ class Identification:
     """
 
     lag_of: str = _entry("", _text)
-    slope_floor: float = _entry(0.2, _size)
     shared_datum: bool = _entry(False, _flag)
     drift: bool = _entry(True, _flag)
     sensor_lag: float = _entry(0.0, _size, "sensor_lag_s")
     ringing: bool = _entry(False, _flag)
-    smoothing: float | None = _entry(None, _size_or_none)
     outcome: Outcome | None = _entry(None, _outcome)  # noqa: RUF009
     provisional: bool = _entry(False, _flag)
     largest_error: float | None = _entry(None, _size_or_none, "largest_error_m")
     goal: float | None = _entry(None, _size_or_none, "goal_percent")
-    validated: bool = _entry(False, _flag, "tested")
     slew_rate: float | None = _entry(None, _rate_or_none, "slew_rate_V_per_s")
     validity: Validity | None = _entry(None, _validity)  # noqa: RUF009
 

@@ -24,7 +24,7 @@ from dehyst.records import Record
 # A stage whose inverse multiplies errors by more cannot be driven.
 _WORST_CONDITION = 1e3
 FORMAT = "dehyst-stage"
-_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "is_matrix", "recorded_columns"}
+_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "recorded_columns"}
 
 
 def inverse(coupling: Array) -> Array:
@@ -101,8 +101,6 @@ class Stage(JsonFile):
     name : str, optional
     provenance : Mapping, optional
         Source of the numbers, for people; JSON values only. It has no effect on any result.
-    is_matrix : bool, optional
-        Whether a constant matrix described the coupling completely at the identification.
     recorded_columns : tuple of str, optional
         Columns of the records that the stage was identified from, such as "vx_V:x_um", one entry for each axis;
         default: not known.
@@ -118,7 +116,6 @@ class Stage(JsonFile):
     axes: tuple[str, ...] = DEFAULT_AXES
     name: str = "stage"
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    is_matrix: bool = True
     recorded_columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -296,7 +293,7 @@ class Stage(JsonFile):
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values in SI units; `from_dict` reads them back without loss."""
-        keys = "name axes coupling actuators is_matrix recorded_columns"
+        keys = "name axes coupling actuators recorded_columns"
         described = {"format": FORMAT, "version": VERSION, **json_values(self, keys)}
         return described | {"provenance": dict(self.provenance)}
 
@@ -319,12 +316,10 @@ class Stage(JsonFile):
                 argument="coupling", got=f"rows of {[row.size for row in rows]} numbers", need="rows of one length"
             )
         actuators = tuple(Actuator.from_dict(one) for one in data["actuators"])
-        is_matrix, columns = data["is_matrix"], data["recorded_columns"]
+        columns = data["recorded_columns"]
         if not isinstance(columns, list) or not all(isinstance(one, str) for one in columns):
             raise ModelError(f"stage: recorded_columns: got {columns!r}, need a list of text")
-        if not isinstance(is_matrix, bool):
-            raise ModelError(f"stage: is_matrix: got {is_matrix!r}, need true or false")
-        described = data["name"], data["provenance"], is_matrix, tuple(columns)
+        described = data["name"], data["provenance"], tuple(columns)
         return cls(actuators, np.array(rows), tuple(data["axes"]), *described)
 
 

@@ -251,8 +251,7 @@ class _Refit:
             # The old model is still that of its own records.
             made = self.given
             after, held_out, own = before, before, self.recheck.before or before[0]
-        known: dict[str, Any] = {"validity": self._validity(after[0], held_out[1]), "validated": False}
-        made = with_identification(made, largest_error=own, **known)
+        made = with_identification(made, largest_error=own, validity=self._validity(after[0], held_out[1]))
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
     def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:
