@@ -22,7 +22,7 @@ def folder(tmp_path_factory):
 
 def test_a_table_the_figures_and_a_page(folder):
     chosen = [word for name in ("dehyst", "Two Branches", "linear ratio") for word in ("--only", name)]
-    outputs = ["-o", "all.json", "--report", "page.html"]
+    outputs = ["--verbose", "-o", "all.json", "--report", "page.html"]
     status, out, err = run("compare", "tops.csv", "--validate", "three.csv", *chosen, *outputs, cwd=folder)
     assert status == 0
     # A slow machine shows progress.

@@ -42,7 +42,7 @@ def test_identify_prints_json_that_tells_the_errors_of_both_records(folder):
 
 
 def test_identify_prints_a_table_and_writes_a_report(folder):
-    status, out, err = run("identify", "loops.csv", *PLAIN, "--report", "r.html", "--all", cwd=folder)
+    status, out, err = run("identify", "loops.csv", *PLAIN, "--report", "r.html", "--verbose", cwd=folder)
     assert status == 0
     assert re.search(r"loops +training +\d+ +\d+ +\d\.\d+ % +\d\.\d+ %", out)
     verdict, *_ = out.splitlines()
@@ -121,7 +121,7 @@ def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
     straight = dehyst.Record(record.time, record.voltage, 8e-8 * record.voltage + 1e-9 * np.sin(record.voltage))
     write_record(folder / "straight.csv", straight)
     # A given structure: which is chosen is not the question.
-    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", *PLAIN, "--all", cwd=folder)
+    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", *PLAIN, "--verbose", cwd=folder)
     assert (status, "misses a held-out record" in out) == (1, True)
 
 
@@ -178,7 +178,7 @@ def test_homing_of_a_model_is_certified(folder):
 )
 def test_insight_of_loops_that_determine_everything_warns_of_nothing(folder, model, told):
     arguments = [model, "loops.csv", "--trajectory", "path.csv", "--report", "i.html"]
-    status, out, err = run("insight", *arguments, "--all", cwd=folder)
+    status, out, err = run("insight", *arguments, "--verbose", cwd=folder)
     assert (status, out.count("WARNING")) == (0, 0), err
     assert told in out
     assert "data-chart=" in (folder / "i.html").read_text()
@@ -188,7 +188,7 @@ def test_the_newcomers_trap_is_caught(folder):
     loops = read_table(folder / "loops.csv")
     rows = np.column_stack([loops.column("time"), loops.column("voltage"), loops.column("displacement") * 1e6])[:1200]
     np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
-    out = run("identify", "major.csv", "-o", "major.json", "--all", cwd=folder)[1]
+    out = run("identify", "major.csv", "-o", "major.json", "--verbose", cwd=folder)[1]
     assert "do not determine all stiffnesses" in out
     status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
     found = json.loads(out)

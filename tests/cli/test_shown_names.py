@@ -57,7 +57,7 @@ def loops(tmp_path_factory):
 def test_a_name_that_a_terminal_would_obey_is_escaped_wherever_it_is_shown(tmp_path, loops):
     name = f"{NASTY}.csv"
     (tmp_path / name).write_text(loops)
-    quick = ["--all", "--structure", "maxwell_slip"]
+    quick = ["--verbose", "--structure", "maxwell_slip"]
     status, out, err = run("identify", name, "-o", "m.json", "--report", "r.html", *quick, cwd=tmp_path)
     assert status == 0
     assert SAID in out and not UNSAFE.search(out + err)
@@ -98,7 +98,7 @@ def test_a_model_with_such_a_name_is_escaped_in_every_output(tmp_path, loops, mo
 def test_names_that_are_no_utf8_and_streams_of_ascii(tmp_path, loops):
     name = os.fsdecode(b"caf\xe9 \xc2\xb5.csv")
     (tmp_path / name).write_text(loops)
-    quick = ["--all", "--structure", "maxwell_slip", "-o", "m.json", "--report", "r.html"]
+    quick = ["--verbose", "--structure", "maxwell_slip", "-o", "m.json", "--report", "r.html"]
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
     for more in ({}, ascii_only):
         status, out, err = run_as_process("identify", name, *quick, cwd=tmp_path, env={**os.environ, **more})

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import pytest
 from click.testing import CliRunner
 
-from dehyst.cli.commands import OperationCommand
+from dehyst.cli.command import OperationCommand
 from dehyst.operations.axes import Limit, Slew
 from dehyst.operations.declaration import Input, OperationError, Output, beside, operation
 from dehyst.operations.paths import Zero

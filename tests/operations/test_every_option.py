@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from command_line import run
 
-from dehyst.cli.commands import OperationCommand
+from dehyst.cli.command import OperationCommand
 from dehyst.operations.files import RECORD
 from dehyst.operations.registry import ENTRIES, find
 from dehyst.operations.run import Result

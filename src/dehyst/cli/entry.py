@@ -3,9 +3,7 @@
 import sys
 
 try:
-    from dehyst.cli.commands import main
+    from dehyst.cli.commands import main  # noqa: F401
 except KeyboardInterrupt:
     sys.stderr.write("dehyst: stopped by Ctrl-C\n")
     sys.exit(130)
-
-__all__ = ["main"]

@@ -9,18 +9,16 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 import click
 
-from dehyst._io import finite
 from dehyst._text import escaped
-from dehyst.operations.run import InterruptibleRun
 
+INTERRUPTED = 130  # exit status after Ctrl-C
 # Seconds between lines of progress where there is no terminal, and before the first one.
 _FEW_SECONDS = 5.0
-_ENDING = b"dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
 
 
 class UnprintedError(Exception):
@@ -34,45 +32,14 @@ def echo(line: object = "", *, err: bool = False) -> None:
 
 def echo_json(value: Any) -> None:
     """Print JSON values, with null for numbers that are not finite."""
+    from dehyst._io import finite
+
     _write(f"{json.dumps(finite(value), indent=1)}\n", err=False)
 
 
 def note(sentence: object) -> None:
     """Print a warning or an error on standard error."""
     echo(f"dehyst: {sentence}", err=True)
-
-
-class TerminalRun(InterruptibleRun):
-    """A run that shows its progress on standard error, and that Ctrl-C ends; `quiet`: nothing on standard output."""
-
-    def __init__(self, *, quiet: bool = False) -> None:
-        super().__init__()
-        self._quiet, self._show = quiet, progress_line()
-
-    def progress(self, words: str) -> None:
-        """Show the present activity; an empty text ends this."""
-        self._show(words)
-
-    def note(self, sentence: object) -> None:
-        """Print a warning on standard error."""
-        note(sentence)
-
-    def say(self, line: object) -> None:
-        """Print a line on standard output."""
-        if not self._quiet:
-            echo(line)
-            sys.stdout.flush()
-
-    def ending(self) -> None:
-        """Say that it ends; not through the stream, which may be in the middle of a line."""
-        with suppress(OSError):
-            os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
-
-    def watch(self) -> AbstractContextManager[Any]:
-        """Show the steps of a calibration."""
-        from dehyst.cli.progress import Progress
-
-        return Progress()
 
 
 def progress_line() -> Callable[[str], None]:
@@ -82,7 +49,7 @@ def progress_line() -> Callable[[str], None]:
 
     def progress(words: str) -> None:
         line = f"{escaped(words)}{' ...' if words else ''}"
-        _write(f"\r\033[K{_fitted(line, shutil.get_terminal_size().columns - 1)}", err=True)
+        _write(f"\r\033[K{line[: shutil.get_terminal_size().columns - 1]}", err=True)
 
     return progress
 
@@ -98,14 +65,6 @@ def _every_few_seconds() -> Callable[[str], None]:
             note(words)
 
     return progress
-
-
-def _fitted(line: str, width: int) -> str:
-    """Return a line without its middle if it is wider than a terminal, which cannot overwrite two lines."""
-    if len(line) <= width:
-        return line
-    half = max((width - 5) // 2, 0)
-    return f"{line[:half]} ... {line[len(line) - half :]}"
 
 
 def _write(text: str, *, err: bool) -> None:

@@ -60,7 +60,6 @@ def workbench(
 
 
 def _open(door: Door) -> None:
-    # The printed link is there too.
     with suppress(OSError):
         webbrowser.open(door.page().as_uri())
 

@@ -162,7 +162,7 @@ class StageFit:
         )
 
     def summary(self, full: bool = False) -> str:
-        """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--all`."""
+        """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--verbose`."""
         return "\n".join(escaped(line) for line in (self._lines if full else self._brief)())
 
     def as_dict(self) -> dict[str, Any]:

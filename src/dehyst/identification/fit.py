@@ -78,7 +78,7 @@ class Fit(Plotted):
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
 
-        `full` returns what `--all` prints: also errors, structures, parts, repairs and all remarks.
+        `full` returns what `--verbose` prints: also errors, structures, parts, repairs and all remarks.
         """
         return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
 

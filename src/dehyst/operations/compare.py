@@ -17,7 +17,7 @@ from dehyst.trust import compare as run_comparison
 from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
 
 
-@operation(run_comparison)
+@operation(run_comparison, details=True)
 def compare(
     run: Run,
     records: tuple[Input, ...],
@@ -50,7 +50,8 @@ def compare(
     if report is not None:
         write_comparison(report, found, command=run.command)
     good = not any(row.failure for row in found.rows if row.name == OURS)
-    return Result(found.as_dict(), [*_lines(found), *files(Figures=output, Report=report)], good=good)
+    written = files(Figures=output, Report=report)
+    return Result(found.as_dict(), *([*_lines(found, full=full), *written] for full in (False, True)), good=good)
 
 
 def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
@@ -64,22 +65,20 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
     return {names[name.casefold()]: known[names[name.casefold()]] for name in only} or known
 
 
-def _lines(found: ModelComparison) -> Iterator[str]:
-    """Yield who is best, a row for each model, then the failures."""
+def _lines(found: ModelComparison, *, full: bool) -> Iterator[str]:
+    """Yield who is best and by how much, a row for each model if `full` or without a best one, then the failures."""
     if found.best is not None:
-        yield from (str(found.best), "")
-    width = max(len("model"), *(len(row.name) for row in found.rows))
-    groups = ["held out", "no constant", "training"]
-    yield f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups)
-    heads = len(groups) * f"  {'largest':>8}{'RMS':>7}"
-    yield f"{'model':<{width}}{heads}{'fit, s':>9}"
-    yield from (_line(row, width) for row in found.rows)
-    yield ""
-    yield (
-        f"Errors in % of the stroke, {found.stroke * 1e6:.4g} um, of the record with the largest error; held out and "
-        "training: with one free constant for each record."
-    )
-    yield found.note
+        yield str(found.best)
+    if full or found.best is None:
+        width = max(len("model"), *(len(row.name) for row in found.rows))
+        groups = ["held out", "no constant", "training"]
+        yield f"{'':<{width}}" + "".join(f"  {group:^15}" for group in groups)
+        heads = len(groups) * f"  {'largest':>8}{'RMS':>7}"
+        yield f"{'model':<{width}}{heads}{'fit, s':>9}"
+        yield from (_line(row, width) for row in found.rows)
+        yield f"Errors in % of the stroke, {found.stroke * 1e6:.4g} um, of the record with the largest error; held out"
+        yield "and training: with one free constant for each record."
+        yield found.note
     yield from (f"{row.name}: {row.failure}" for row in found.rows if row.failure)
     if found.hint:
         yield found.hint

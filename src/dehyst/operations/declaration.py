@@ -12,10 +12,10 @@ import sys
 import tomllib
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, Self, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from dehyst._errors import DehystError
 from dehyst._io import read_json, reading_errors
@@ -70,21 +70,12 @@ def one_of(name: str, choices: Collection[str]) -> Only:
     return Only(lambda given: given[name] in choices, f"without {' or '.join(choices)}")
 
 
-class Value(Protocol):
-    """A type with a text of its own: `str` writes what `parse` reads."""
-
-    metavar: str
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the value of a text; raise ValueError that says what is needed."""
-
-
 @dataclass(frozen=True)
 class Kind:
     """Kind of a parameter's values: how a value is read from a text, and shown.
 
-    `count`: number of words of one value. `several`: whether there may be any number of values, in a tuple.
+    A type with a `parse` of its own has a text that `str` writes. `count`: number of words of one value. `several`:
+    whether there may be any number of values, in a tuple.
     """
 
     type: Any
@@ -178,7 +169,8 @@ def _text(value: Any) -> str:
 class Parameter:
     """A parameter of an operation.
 
-    `positional`: an argument of the command line, otherwise an option. `rare`: only in a file of options.
+    `positional`: an argument of the command line, otherwise an option. `rare`: only in a file of options. `texts`: its
+    help for each choice of another parameter, if they differ.
     """
 
     name: str
@@ -188,6 +180,14 @@ class Parameter:
     positional: bool = False
     rare: bool = False
     conditions: tuple[Only, ...] = ()
+    texts: Mapping[str, str] = field(default_factory=dict)
+
+    def of_choice(self, given: Values) -> Parameter | None:
+        """Return the parameter as its choice has it, `given` one value or none; None if it has no effect then."""
+        if not all(one.holds(given) for one in self.conditions):
+            return None
+        text = next((self.texts[value] for value in given.values() if value in self.texts), self.help)
+        return replace(self, help=text)
 
     @property
     def required(self) -> bool:
@@ -255,7 +255,8 @@ def _joined(by: str, owners: Mapping[str, Parameter]) -> Parameter:
         texts.setdefault(one.help if same else one.whole_help, []).append(word)
     text = " ".join(f"{', '.join(words)}: {text}" for text, words in texts.items())
     default = first.default if same and not first.required else None
-    return replace(first, default=default, help=text, conditions=(one_of(by, owners),))
+    own = {word: one.whole_help for word, one in owners.items()}
+    return replace(first, default=default, help=text, conditions=(one_of(by, owners),), texts=own)
 
 
 # Of a parameter in a running text: "`steps`: number of tops." or "`lowest` [V]: the last one."

@@ -131,11 +131,9 @@ def demo(run: Run, *, output: Continued = Path("dehyst-demo"), report: bool = Tr
     run.progress("writing")
     written = write(result, output, report=report)
     numbers = result.as_dict()
-    lines = [*result.fit.summary().split("\n"), ""]
-    lines.append("Tracking a path with nine reversals, largest error in % of the stroke")
+    lines = [result.fit.summary().split("\n")[0], "", "A path with nine reversals, largest error in % of the stroke"]
     for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
         largest, rms = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
-        paper = numbers["paper"][f"{key}_largest_percent"]
-        lines.append(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %   (paper {paper:5.2f} %)")
+        lines.append(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %")
     lines += ["", f"Written to {output}/: {', '.join(path.name for path in written)}"]
     return Result({**numbers, "written": [str(path) for path in written]}, lines)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from dehyst._errors import DehystError
+from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
 from dehyst.identification.results import write_traces
@@ -23,6 +24,9 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, read
 from dehyst.report import write_report, write_stage_report
 from dehyst.trust import insight
+
+# Remarks beside the promise; the others need --verbose.
+_REMARKS = 2
 
 
 def _several(given: Values) -> bool:
@@ -108,8 +112,16 @@ def identify(
         where = "was printed" if output is None else f"is in {output}"
         warnings = [f"stopped by Ctrl-C; the best model so far {where}"]
     written = files(Model=output, Report=report)
-    lines, more = ([*fit.summary(full).split("\n"), *written] for full in (False, True))
+    lines, more = [*_answer(fit), *written], [*fit.summary(full=True).split("\n"), *written]
     return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
+
+
+def _answer(fit: Fit | StageFit) -> list[str]:
+    """Return the promise and the first remarks of a good fit; of another one, all that says why it is not."""
+    brief = fit.summary().split("\n")
+    if not isinstance(fit, Fit) or not fit.good:
+        return brief
+    return [brief[0], *(f"  - {escaped(remark)}" for remark in fit.remarks[:_REMARKS])]
 
 
 def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -> tuple[list[Record], list[Record]]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from dehyst.operations.declaration import Operation, OperationError
+if TYPE_CHECKING:
+    from dehyst.operations.declaration import Operation
 
 
 class Entry(NamedTuple):
@@ -49,6 +50,8 @@ ENTRIES = {name: entry for entries in JOURNEY.values() for name, entry in entrie
 def find(name: str) -> Operation:
     """Return an operation; raise OperationError if there is no such operation."""
     if name not in ENTRIES:
+        from dehyst.operations.declaration import OperationError
+
         raise OperationError(argument="operation", got=repr(name), need=f"one of {', '.join(ENTRIES)}")
     module, _, function = ENTRIES[name].place.partition(":")
     found: Operation = getattr(import_module(f"dehyst.operations.{module}"), function)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError, Terminated
-from dehyst._io import format_of, is_draft
+from dehyst._io import is_draft
 from dehyst.operations.declaration import Operation, OperationError, Role
 
 # Formats of models, of one axis and several.
@@ -141,7 +141,6 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
         A parameter has no effect, an output is an input or exists, or the operation's own error.
     """
     operation.check(values)
-    _demand_order(operation, values)
     run.command, run.force = shlex.join(operation.command(values)), force
     outputs = list(operation.paths(values, Role.OUTPUT))
     others = operation.paths({**operation.defaults, **values}, Role.FOLDER, Role.CONTINUED)
@@ -152,20 +151,6 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
         _demand_empty(folder, force)
     result: Result = operation.function(run, **values)
     return result
-
-
-def _demand_order(operation: Operation, values: Mapping[str, Any]) -> None:
-    """Raise an error if a model comes after other files."""
-    files = [
-        path
-        for one in operation.parameters
-        if one.positional
-        for path in operation.paths({one.name: values.get(one.name)}, Role.INPUT)
-    ]
-    if files and operation.parameter("model") is not None and format_of(files[0]) not in MODELS:
-        for other in files[1:]:
-            if format_of(other) in MODELS:
-                raise FileFormatError(f"{files[0]}: is no model, but {other} is one; give MODEL first, then {files[0]}")
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], *, force: bool) -> None:

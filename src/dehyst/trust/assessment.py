@@ -155,7 +155,7 @@ class Insight(Plotted):
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
 
-        With `full`, return what `--all` prints: also the directions.
+        With `full`, return what `--verbose` prints: also the directions.
         """
         return "\n".join(escaped(line) for line in lines(self, full=full))
 
