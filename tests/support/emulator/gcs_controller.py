@@ -141,7 +141,7 @@ class Controller:
         # Of each recorder table: the name of the axis, and what is recorded.
         kinds = [(name, kind) for name in self.named for kind in (_POSITION, _VOLTAGE)]
         self.records = dict(enumerate(kinds, 1))
-        self.trigger, self.record_divider, self.stride = ("1", "0"), 1, 1
+        self.record_divider, self.stride = 1, 1
         self.record_period = instrument.servo_period
         # The read-only parameters by number: value, type and name.
         self.parameters = {
@@ -278,10 +278,10 @@ def _list_commands(_controller: Controller, _: _Words) -> list[str]:
 def _write_wave(controller: Controller, words: _Words) -> None:
     """Do WAV table X|& shape ...: write a table, or append to it."""
     number, how, kind = _whole(words[0], 1, len(controller.tables)), words[1].upper(), words[2].upper()
-    _demand(how in ("X", "&") and kind in ("PNT", *_CURVES), GcsError.PARAMETER_RANGE)
+    _demand(how in ("X", "&") and kind in ("PNT", "SIN_P"), GcsError.PARAMETER_RANGE)
     for one in controller.axes:
         _demand(one.table != number or not one.bench.playing, GcsError.WAVE_RUNNING)
-    segment = _points(words[3:]) if kind == "PNT" else _curve(kind, words[3:])
+    segment = _points(words[3:]) if kind == "PNT" else _cosine(words[3:])
     ranges = (one.bench.limits for one in controller.axes)
     if not any(low <= segment.min() and segment.max() <= high for low, high in ranges):
         controller.axes[0].bench.log.refused += 1
@@ -301,30 +301,16 @@ def _points(words: _Words) -> Array:
     return np.array([_real(word) for word in words[2:]])
 
 
-# The arguments of each shape after its size, amplitude, offset and length.
-_CURVES = {"SIN_P": "start centre", "LIN": "start speed", "RAMP": "start speed centre"}
-
-
-def _curve(kind: str, words: _Words) -> Array:
-    """Read a curve: one raised cosine (SIN_P), a rise (LIN), or up and down with sharp corners (RAMP)."""
-    names = _CURVES[kind].split()
-    _demand(len(words) >= 4 + len(names), GcsError.MISSING)
-    _demand(len(words) == 4 + len(names), GcsError.PARAMETER_COUNT)
+def _cosine(words: _Words) -> Array:
+    """Read one raised cosine: SIN_P size amplitude offset length start centre."""
+    _demand(len(words) >= 6, GcsError.MISSING)
+    _demand(len(words) == 6, GcsError.PARAMETER_COUNT)
     size, amplitude, offset = _whole(words[0], 1, _MOST), _real(words[1]), _real(words[2])
     length = _whole(words[3], 1, size)
-    given = {name: _whole(word, 0, size) for name, word in zip(names, words[4:], strict=True)}
-    point = np.arange(size, dtype=np.float64) - given["start"]
-    if kind == "LIN":
-        share = np.clip(point / max(1, length - 1), 0.0, 1.0)
-    else:
-        _demand(0 < given["centre"] < length, GcsError.PARAMETER_RANGE)
-        phase = np.interp(np.clip(point, 0, length), [0.0, given["centre"], length], [0.0, 0.5, 1.0])
-        share = 0.5 * (1 - np.cos(2 * np.pi * phase)) if kind == "SIN_P" else 1 - np.abs(1 - 2 * phase)
-    return np.asarray(offset + amplitude * share)
-
-
-def _clear_wave(controller: Controller, words: _Words) -> None:
-    controller.tables[_whole(words[0], 1, len(controller.tables))] = np.zeros(0)
+    start, centre = _whole(words[4], 0, size), _whole(words[5], 1, length - 1)
+    point = np.clip(np.arange(size, dtype=np.float64) - start, 0, length)
+    phase = np.interp(point, [0.0, centre, length], [0.0, 0.5, 1.0])
+    return np.asarray(offset + amplitude * 0.5 * (1 - np.cos(2 * np.pi * phase)))
 
 
 def _wave_lengths(controller: Controller, words: _Words) -> list[str]:
@@ -411,7 +397,6 @@ def _set_trigger(controller: Controller, words: _Words) -> None:
     """Do DRT table trigger value; a wave triggers the recorder in any case."""
     _whole(words[0], 0, len(controller.records), GcsError.RECORD_TABLE)
     _whole(words[1], 0, 4)
-    controller.trigger = (words[1], words[2])
 
 
 def _slow_recorder(controller: Controller, words: _Words) -> None:
@@ -511,58 +496,34 @@ def _of_record_tables(words: str, value: Callable[[Controller, int], str]) -> Gc
 
 COMMANDS: dict[str, GcsCommand] = {
     "*IDN?": GcsCommand("Get device identification", lambda c, _: [c.identity]),
-    "CST?": _of_axes("Get assignment of stages to axes", lambda _: "DEHYST"),
     "CSV?": GcsCommand("Get syntax version", lambda *_: ["2.0"]),
     "DRC": GcsCommand("Set data recorder configuration {table source option}", _set_record, (3, 3)),
-    "DRC?": _of_record_tables("Get data recorder configuration", lambda c, n: "{} {}".format(*c.records[n])),
     "DRL?": _of_record_tables("Get number of recorded points", lambda c, _: str(c.recorded)),
     "DRR?": GcsCommand("Get recorded data {[first [count [table]]]}", _recorded_array, (0, None)),
     "DRT": GcsCommand("Set data recorder trigger source {table trigger value}", _set_trigger, (3, 3)),
-    "DRT?": _of_record_tables("Get data recorder trigger source", lambda c, _: " ".join(c.trigger)),
     "ERR?": GcsCommand("Get error number", _take_error),
     "HDR?": GcsCommand("Get help for data recording", _recorder_help),
     "HLP?": GcsCommand("Get list of commands", _list_commands),
-    "HLT": GcsCommand("Halt motion", _stop, (0, None)),
     "HPA?": GcsCommand("Get list of parameters", _list_parameters),
     "MOV": _to_axes("Set target position {axis position}", lambda one, value: _move(one, 1e-6 * value)),
-    "MOV?": _of_axes("Get target position", lambda one: 1e6 * one.target),
-    "MVR": _to_axes(
-        "Set target relative to present target {axis distance}",
-        lambda one, value: _move(one, one.target + 1e-6 * value),
-    ),
-    "ONT?": _of_axes("Get on-target state", lambda one: int(one.bench.servo and one.bench.arrived)),
     "POS?": _of_axes("Get real position", lambda one: 1e6 * one.bench.displacement()),
-    "PUN?": _of_axes("Get unit of position", lambda _: "um"),
     "RTR": GcsCommand("Set record table rate {divider}", _slow_recorder, (1, 1)),
-    "RTR?": GcsCommand("Get record table rate", lambda c, _: [str(c.record_divider)]),
     "SAI?": GcsCommand("Get list of axes {[ALL]}", _name_axes, (0, None)),
     "SPA?": GcsCommand("Get parameters {[item parameter]}", _read_parameters, (0, None)),
-    "SSN?": GcsCommand("Get serial number", lambda c, _: [c.serial]),
     "STP": GcsCommand("Stop all axes", _stop, (0, None)),
     "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
-    "SVA?": _of_axes("Get open-loop value", lambda one: one.bench.target),
     "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
     "SVO?": _of_axes("Get servo mode", lambda one: int(one.bench.servo)),
-    "SVR": _to_axes(
-        "Set relative open-loop value {axis voltage}", lambda one, value: _set_voltage(one, one.bench.voltage + value)
-    ),
     "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),
-    "TMN?": _of_axes("Get lowest position", lambda _: 0.0),
-    "TMX?": _of_axes("Get highest position", lambda one: 1e6 * one.bench.stroke),
     "TNR?": GcsCommand("Get number of record tables", lambda c, _: [str(len(c.records))]),
-    "VER?": GcsCommand("Get versions", lambda c, _: [f"FW: {_FIRMWARE}", f"GCS: {c.identity}"]),
     "VMA?": _of_axes("Get highest voltage", lambda one: one.reported[1]),
     "VMI?": _of_axes("Get lowest voltage", lambda one: one.reported[0]),
     "VOL?": _of_axes("Get voltage of output channel", lambda one: one.monitor(one.bench.voltage)),
     "WAV": GcsCommand("Set waveform {table X|& shape ...}", _write_wave, (4, None)),
     "WAV?": GcsCommand("Get wave tables", _wave_lengths, (0, 2)),
-    "WCL": GcsCommand("Clear wave table {table}", _clear_wave, (1, 1)),
     "WGC": GcsCommand("Set number of cycles {generator cycles}", _repeat_waves, (2, None)),
-    "WGC?": _of_generators("Get number of cycles", lambda one: one.cycles),
     "WGO": GcsCommand("Start or stop wave generator {generator mode}", _run_waves, (2, None)),
     "WGO?": _of_generators("Get wave generator state", lambda one: int(one.bench.playing)),
     "WSL": GcsCommand("Set connection of wave table {generator table}", _select_waves, (2, None)),
-    "WSL?": _of_generators("Get connection of wave table", lambda one: one.table),
     "WTR": GcsCommand("Set wave generator rate {generator divider interpolation}", _slow_waves, (3, None)),
-    "WTR?": _of_generators("Get wave generator rate", lambda one: f"{one.divider} {one.interpolation}"),
 }
