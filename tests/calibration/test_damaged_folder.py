@@ -12,14 +12,15 @@ from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
 from dehyst.virtual import PlayActuator
 
-LOOK = ExcitationPlan(0, 200, 200.0, hold=0.5).look()
+LOOK = ExcitationPlan(0, 200, 400.0).homing()
 RECORD = "records/look.csv"
 
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
     folder = tmp_path_factory.mktemp("base") / "out"
-    Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()).record(LOOK, "look")
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+        job.record(LOOK, "look")
     return folder
 
 
@@ -30,8 +31,8 @@ def folder(base, tmp_path):
 
 def go_on(folder, aside=None):
     """Go on in a folder; returns whether its record was kept. `aside`: files that must be reported as moved."""
-    job = Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress())
-    record = job.record(LOOK, "look")
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+        record = job.record(LOOK, "look")
     assert len(record) == len(read(folder / RECORD)) == len(LOOK)
     assert job.kept + job.played == ["look"]
     assert aside is None or job.aside == aside
@@ -129,8 +130,8 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(files, "content_of", refuse)
-        job = Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress())
-        assert not job.is_complete(LOOK, "look")
+        with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+            assert not job.is_whole(LOOK, "look")
     assert go_on(folder)
 
 
@@ -140,8 +141,8 @@ def test_an_undamaged_record_is_kept(folder, base):
 
 
 def test_a_record_of_another_name_copied_over_is_not_taken(folder):
-    job = Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress())
-    job.record(ExcitationPlan(0, 200, 200.0).homing(), "homing")
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+        job.record(ExcitationPlan(0, 200, 200.0).homing(), "homing")
     shutil.copy(folder / "records" / "homing.csv", folder / RECORD)
     assert not go_on(folder)
 
@@ -156,11 +157,6 @@ def test_a_strangers_file_is_left_alone(folder):
 # The folder
 
 
-def to_a_folder(path):
-    path.unlink()
-    path.mkdir()
-
-
 def records_a_file(folder):
     shutil.rmtree(folder / "records")
     (folder / "records").write_text("x")
@@ -172,15 +168,12 @@ def aside_a_file(folder):
 
 
 REFUSED = {
-    "campaign.json empty": (lambda folder: (folder / "campaign.json").write_text(""), r"campaign\.json"),
-    "campaign.json a list": (lambda folder: (folder / "campaign.json").write_text("[]"), "object .* is needed"),
-    "campaign.json of zeros": (lambda folder: (folder / "campaign.json").write_bytes(bytes(300)), "no valid JSON"),
-    "campaign.json too deep": (lambda folder: (folder / "campaign.json").write_text("[" * 10**5), r"campaign\.json"),
-    "campaign.json of others": (lambda folder: (folder / "campaign.json").write_text('{"rig": [1]}'), "give another"),
-    "campaign.json a folder": (lambda folder: to_a_folder(folder / "campaign.json"), "this is a folder"),
     "records a file": (records_a_file, r"records: is a file where a folder is needed"),
     "set-aside a file": (aside_a_file, r"set-aside: is a file where a folder is needed"),
-    "comparisons a file": (lambda folder: (folder / "records/comparisons").write_text("x"), "comparisons: is a file"),
+    "records of another axis": (
+        edited(lambda lines: ['# dehyst-record: {"rig": "x", "axis": "2"}\n', *lines[1:]]),
+        "axis 2",
+    ),
 }
 
 
@@ -192,8 +185,3 @@ def test_a_folder_that_cannot_be_used_is_refused_in_a_sentence(folder, name):
     with pytest.raises(FileFormatError, match=message):
         go_on(folder)
     assert sorted(folder.rglob("*")) == before
-
-
-def test_a_folder_without_its_claim_is_claimed_again(folder):
-    (folder / "campaign.json").unlink()
-    assert go_on(folder)

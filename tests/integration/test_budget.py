@@ -13,7 +13,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1363,
+    "calibration": 1015,
     "cli": 680,
     "control": 4590,
     "exports": 1300,

@@ -1,7 +1,6 @@
 """Files of every format in `tests/golden/` are read with the same numbers; another version is refused."""
 
 import json
-import shutil
 
 import numpy as np
 import places
@@ -10,7 +9,6 @@ from command_line import run
 
 import dehyst
 from dehyst import Actuator, Compensator, FileFormatError, ModelError, Stage
-from dehyst.calibration.session import claimed
 from dehyst.control import Snapshot
 from dehyst.workbench.folder import Folder
 
@@ -61,14 +59,6 @@ def test_the_path_of_a_scan_and_its_wave_table(tmp_path):
     old, new = (dehyst.read(folder / name) for folder, name in ((GOLDEN, "wave-table-1.csv"), (tmp_path, "t.csv")))
     assert old.voltage.tolist()[:3] == pytest.approx([7.02727272727273, 12.8837320574, 19.7765550239])
     assert new.voltage == pytest.approx(old.voltage, rel=1e-9)
-
-
-def test_the_folder_of_a_calibration(tmp_path):
-    folder = tmp_path / "calibration"
-    shutil.copytree(GOLDEN / "calibration-1", folder)
-    assert claimed(folder, "simulated 0123", "1") == folder / "records"
-    with pytest.raises(FileFormatError, match="holds a calibration of simulated 0123"):
-        claimed(folder, "another", "1")
 
 
 MODELS = [(Actuator, "actuator-1.json"), (Stage, "stage-1.json"), (Snapshot, "loop-1.json")]
@@ -137,11 +127,6 @@ def test_another_version_of_records_and_paths_is_refused(tmp_path):
 
 
 def test_another_version_of_folders_and_tables_is_refused(tmp_path):
-    shutil.copytree(GOLDEN / "calibration-1", tmp_path / "calibration-1")
-    path = tmp_path / "calibration-1" / "campaign.json"
-    path.write_text(path.read_text().replace('"version": 1', '"version": 99'))
-    with pytest.raises(FileFormatError, match=OTHER):
-        claimed(path.parent, "simulated 0123", "1")
     folder = Folder(tmp_path / "bench")
     folder.save({"version": 99})
     with pytest.raises(FileFormatError, match=OTHER):

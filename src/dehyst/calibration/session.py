@@ -1,4 +1,4 @@
-"""A session: a folder of records that loses no sample, and does not repeat complete records of one axis."""
+"""A session: a folder of records that loses no sample, and does not repeat records that are whole."""
 
 from __future__ import annotations
 
@@ -8,20 +8,17 @@ from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from dehyst._errors import FileFormatError, RecordError
-from dehyst._io import PathLike, demand_version, made_folder, read_json, unwritten, write_json
+from dehyst._io import PathLike, lock, made_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.calibration.comparison_loop import Agreement, agreement, replay
 from dehyst.instruments import AbstractRig, Samples
 from dehyst.records import Record, Recording, about_of, demand_disk_space, read, unused_path
 from dehyst.waveforms import Excitation
-
-FORMAT = "dehyst-calibration"
 
 
 class ProgressListener(Protocol):
@@ -53,85 +50,100 @@ class NullProgress:
 class Session:
     """Records from one rig in one folder: ``records/NAME.csv``, or for several axes ``records/NAME-AXIS.csv``.
 
-    Complete records of one axis are kept, so a session continues in the folder of an earlier calibration of the same
-    instrument. Records of several axes are moved to ``records/set-aside`` before the first one is played. The listener
-    receives the samples; with several axes, the samples of the axis with the largest error.
+    The records are its only state: those that are whole, of the same excitation and of the same instrument are kept,
+    so a session goes on in the folder of an interrupted one. Close it, or use it in a with-statement.
 
     `sequence`: the requested records, in order. `played`, `kept`: names of the records that were played, and that were
-    on disk. `agreement`: comparison of a loop on disk with its replay; None if no record on disk was kept. Raise
-    `FileFormatError` if the folder cannot be made, or belongs to another instrument.
+    on disk. `aside`: files that are cut off, damaged or of another plan, moved to ``records/set-aside``. Raise
+    `FileFormatError` if the folder cannot be made, another calibration writes into it, or it holds records of another
+    instrument.
     """
 
     def __init__(self, folder: PathLike, rig: AbstractRig, listener: ProgressListener) -> None:
         self.folder, self.rig, self._listener = Path(folder), rig, listener
-        self.records = claimed(self.folder, rig.identity, rig.axis)
-        self._several = len(rig.axes) > 1
-        self._comparisons = self.records / "comparisons"
+        self.records = made_folder(self.folder / "records")
         self.played: list[str] = []
         self.kept: list[str] = []
         self.aside: list[Path] = []
         self.sequence: list[Record] = []
-        self.agreement: Agreement | None = None
-        self._replayed: Record | None = None
+        # Windows opens no folders; there nothing is locked.
+        self._lock = -1 if os.name == "nt" else os.open(self.records, os.O_RDONLY)
+        try:
+            self._demand_own()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let another session use the folder."""
+        if self._lock >= 0:
+            os.close(self._lock)
+        self._lock = -1
 
     def record(
         self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = None, again: bool = False
     ) -> Record:
         """Play an excitation and write its record, unless the record is on disk already and `again` is false.
 
-        Before the first record on disk is kept, one of its loops is played again and must agree. Raise `RecordError` or
-        `RigError` as `AbstractRig.play`; RecordError also if the record on disk seems to belong to another actuator.
-        Raise `FileFormatError` if nothing can be written.
+        Raise `RecordError` or `RigError` as `AbstractRig.play`, and `FileFormatError` if nothing can be written.
 
         For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN if there is none, and the
         `stroke` [m] of each axis, the reference of the error.
         """
-        paths = self._paths(name)
-        stored = None if again else self._stored(name, excitation)
-        if stored is not None and self._agrees(replace(stored, name=name), excitation):
+        record = None if again else self._stored(name, excitation)
+        if record is not None:
             self.kept.append(name)
-            self.sequence.append(stored)
-            return stored
-        self._begin(excitation)
-        for path in paths:
-            self.aside += set_aside(path)
-        record = self._play(paths, name, excitation, wanted, stroke)
-        if name in self.kept:
-            self.kept.remove(name)
-        self.played.append(name)
-        if self._replayed is not None:
-            self.sequence.append(self._replayed)
-            self._replayed = None
+        else:
+            demand_disk_space(self.records, len(self.rig.axes) * len(excitation))
+            if not self.played:
+                # The wave of a killed process may still play.
+                self.rig.retreat()
+            for path in self._paths(name):
+                self.aside += set_aside(path)
+            record = self._play(name, excitation, wanted, stroke)
+            self.kept = [other for other in self.kept if other != name]
+            self.played.append(name)
         self.sequence.append(record)
         return record
 
-    def is_complete(self, excitation: Excitation, name: str) -> bool:
-        """Return whether the complete record of an excitation is on disk."""
+    def is_whole(self, excitation: Excitation, name: str) -> bool:
+        """Return whether the whole record of an excitation is on disk."""
         return self._stored(name, excitation) is not None
 
-    def hashes(self) -> dict[str, str]:
-        """Return the SHA-256 of the file of each requested record."""
-        paths = [path for name in dict.fromkeys((*self.kept, *self.played)) for path in self._paths(name)]
-        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
-
-    def _begin(self, excitation: Excitation) -> None:
-        """Bring the voltage to a safe value once, at first, because the wave of a killed process may still play."""
-        demand_disk_space(self.records, len(self.rig.axes) * len(excitation))
-        if self.played or self.agreement is not None:
-            return
-        self.rig.retreat()
-        if self._several:
-            # Not before it is known that something can be played.
-            for path in sorted(self.records.glob("*.csv")):
-                self.aside += set_aside(path)
+    def _demand_own(self) -> None:
+        """Lock the folder, and refuse records of another instrument."""
+        try:
+            if self._lock >= 0:
+                lock(self._lock)
+        except BlockingIOError as error:
+            raise FileFormatError(
+                f"{self.folder}: another calibration writes into it; wait until it has ended, or give another folder"
+            ) from error
+        for path in sorted(self.records.glob("*.csv")):
+            try:
+                about = about_of(path)
+            except (FileFormatError, RecordError):
+                continue
+            if {"rig", "axis"} <= set(about) and (
+                about["rig"] != self.rig.identity or about["axis"] not in self.rig.axes
+            ):
+                raise FileFormatError(
+                    f"{self.folder}: holds a record of {about['rig']}, axis {about['axis']}, and this is "
+                    f"{self.rig.identity}, axis {self.rig.axis}; give another folder with -o"
+                )
 
     def _paths(self, name: str) -> list[Path]:
         """Return the files of a record: one for each axis."""
-        return [self.records / f"{name}{f'-{axis}' if self._several else ''}.csv" for axis in self.rig.axes]
+        several = len(self.rig.axes) > 1
+        return [self.records / f"{name}{f'-{axis}' if several else ''}.csv" for axis in self.rig.axes]
 
-    def _play(
-        self, paths: list[Path], name: str, excitation: Excitation, wanted: Array | None = None, stroke: Any = None
-    ) -> Record:
+    def _play(self, name: str, excitation: Excitation, wanted: Array | None, stroke: Any) -> Record:
         """Play an excitation and record each axis to its file."""
         self._listener.step(name, excitation.duration)
         about = {
@@ -144,30 +156,30 @@ class Session:
         rows = self.rig.rows(len(excitation))
         files = [
             Recording(path, about={"axis": axis, **about}, others=self.rig.others)
-            for path, axis in zip(paths, self.rig.axes, strict=True)
+            for path, axis in zip(self._paths(name), self.rig.axes, strict=True)
         ]
         try:
             with ExitStack() as stack:
-                for one in files:
-                    stack.enter_context(one)
+                for file in files:
+                    stack.enter_context(file)
 
                 def listen(samples: Samples) -> None:
                     indices = rows[files[0].samples : files[0].samples + samples.time.size]
-                    for j, one in enumerate(files):
-                        one.add(samples.axis(j))
+                    for j, file in enumerate(files):
+                        file.add(samples.axis(j))
                     self._report(samples, None if wanted is None else wanted[indices], stroke)
 
-                played = self.rig.play(excitation, listen)
+                self.rig.play(excitation, listen)
         except BaseException:
-            for one in files:
-                if not one.samples:
-                    one.path.unlink(missing_ok=True)
+            for file in files:
+                if not file.samples:
+                    file.path.unlink(missing_ok=True)
             raise
-        return replace(played, name=name) if self._several else _recorded(paths[0])
+        return self._read(name)
 
     def _report(self, samples: Samples, wanted: Array | None, stroke: Any) -> None:
         """Pass samples to the listener: with several axes, the samples of the axis with the largest error."""
-        if wanted is None or not self._several:
+        if wanted is None or len(self.rig.axes) == 1:
             self._listener.samples(samples.axis(0), wanted, stroke)
             return
         # Nothing is wanted during a homing.
@@ -175,72 +187,31 @@ class Session:
         worst = int(error.max(axis=0).argmax())
         self._listener.samples(samples.axis(worst), wanted[:, worst], float(stroke[worst]))
 
-    def _agrees(self, stored: Record, excitation: Excitation) -> bool:
-        """Return whether a record on disk may be kept; once per session, replay one of its loops and compare.
-
-        False if the record has no loop to compare. Raise RecordError if it belongs to another actuator.
-        """
-        if self.agreement is not None or stored.name in self.played:
-            return True
-        loop = replay(excitation)
-        if loop is None:
-            return False
-        folder = made_folder(self._comparisons)
-        self._begin(loop)
-        played = self._play([unused_path(folder / f"{loop.name}.csv")], loop.name, loop)
-        rows = self.rig.rows(len(excitation)), self.rig.rows(len(loop))
-        result = agreement(stored, excitation, played, *rows)
-        if not result.good:
-            raise RecordError(f"{self.folder}: {result.refusal}")
-        self._listener.message(result.words)
-        self.agreement, self._replayed = result, played
-        return True
+    def _read(self, name: str) -> Record:
+        """Return a record from its files, with what its recording states."""
+        each = [read(path) for path in self._paths(name)]
+        first = replace(each[0], name=name, meta={**each[0].meta, **about_of(self._paths(name)[0])})
+        if len(each) == 1:
+            return first
+        voltage, displacement = (
+            np.column_stack([getattr(record, column) for record in each]) for column in ("voltage", "displacement")
+        )
+        return replace(first, voltage=voltage, displacement=displacement, axes=self.rig.axes)
 
     def _stored(self, name: str, excitation: Excitation) -> Record | None:
-        """Return the record of one axis on disk if it is complete, and of this excitation and instrument."""
-        if self._several:
-            return None
+        """Return the record on disk if it is whole, and of this excitation and instrument."""
         try:
-            record = _recorded(self._paths(name)[0])
-        except (FileFormatError, RecordError):
+            record = self._read(name)
+            keys = {str(about_of(path).get("key")) for path in self._paths(name)}
+        except (FileFormatError, RecordError, ValueError):
             return None
-        complete = len(record) == self.rig.rows(len(excitation)).size
-        return record if complete and record.meta.get("key") == self._key(excitation) else None
+        whole = len(record) == self.rig.rows(len(excitation)).size
+        return record if whole and keys == {self._key(excitation)} else None
 
     def _key(self, excitation: Excitation) -> str:
         """Return a digest that identifies this excitation on this instrument."""
         header = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
-
-
-def _recorded(path: Path) -> Record:
-    """Return the record in a file, with what its recording states."""
-    record = read(path)
-    return replace(record, meta={**record.meta, **about_of(path)})
-
-
-def claimed(folder: Path, rig: str, axis: str) -> Path:
-    """Make a `folder` for records and assign it to an instrument: its identity `rig` and its `axis` or axes.
-
-    Returns the folder of records. Raise `FileFormatError` if it cannot be made, or belongs to another instrument.
-    """
-    records, path = folder / "records", folder / "campaign.json"
-    made_folder(records)
-    instrument: dict[str, Any] = {"rig": rig, "axis": axis}
-    if not os.path.lexists(path):
-        write_json(path, {"format": FORMAT, "version": 1, **instrument})
-        return records
-    try:
-        owner = read_json(path)
-    except FileFormatError as error:
-        raise FileFormatError(f"{error}; or delete it, if the folder is one of this instrument") from error
-    demand_version(owner, f"{path}")
-    if {key: owner.get(key) for key in instrument} != instrument:
-        raise FileFormatError(
-            f"{folder}: holds a calibration of {owner.get('rig')}, axis {owner.get('axis')}, and this is "
-            f"{rig}, axis {axis}; give another folder with -o"
-        )
-    return records
 
 
 def set_aside(path: Path) -> list[Path]:

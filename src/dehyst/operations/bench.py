@@ -12,7 +12,6 @@ from dehyst._io import demand_own_folder
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.plan import entries, read_voltage
-from dehyst.calibration.session import FORMAT
 from dehyst.identification import Fit, StageFit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
@@ -35,7 +34,7 @@ def _names(given: Values) -> list[str] | None:
 _single = Only(lambda given: _names(given) is None, "with several axes")
 
 
-@operation(Plan, rare=("rounds",))
+@operation(Plan)
 def calibrate(
     run: Run,
     rig: str,
@@ -44,10 +43,8 @@ def calibrate(
     axes: str | None = None,
     limits: tuple[Limit, ...] = (),
     slew_rate: tuple[Slew, ...] = (),
-    frequency: float = 1.0,
-    hold: Annotated[float | None, _single] = None,
+    frequency: float | None = None,
     protocol: Annotated[tuple[Input, ...], _single] = (),
-    rounds: Annotated[int, _single] = 2,
     goal: float = 1.0,
     dry_run: bool = False,
 ) -> Result:
@@ -56,14 +53,13 @@ def calibrate(
     RIG: pi://HOST:PORT, epics://PREFIX, sim://, or FILE.py:FUNCTION, which returns a rig of your own. Several axes
     of one rig: pi://HOST:PORT/1,2,3, or --axes 1,2,3.
 
-    Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk, or with several axes
-    begins again.
+    Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk.
 
     Parameters
     ----------
     output
-        Folder for records, model and report: new, empty, or an earlier calibration's. With one axis, complete records
-        in it are not played again, except one loop that must agree with them.
+        Folder for records, model and report: new, empty, or an earlier calibration's, whose whole records are not
+        played again.
     axes
         Calibrate these axes of one body together, as 1,2,3: coupling, model and path of all axes; default: one axis.
     limits
@@ -80,14 +76,14 @@ def calibrate(
     allowed, rates = limits_of(every, limits), slews_of(every, slew_rate)
     steepest = [None if one is None else one.number for one in rates]
     played = tuple(read_voltage(path).excitation for path in protocol)
-    plan = Plan(protocol=played, frequency=frequency, hold=hold, rounds=rounds, goal=goal)
-    if not dry_run:
-        demand_own_folder(output, "campaign.json", FORMAT, force=run.force)
+    plan = Plan(protocol=played, frequency=frequency, goal=goal)
+    if not dry_run and not (output / "records").is_dir():
+        demand_own_folder(output, "records", "", force=run.force)
     # A rig of one axis need not know lists.
     several = len(every) > 1
     bounds, steep = allowed if several else allowed[0], steepest if several else steepest[0]
     with (
-        _left(output, again=names is None),
+        _left(output),
         open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument,
     ):
         if len(instrument.axes) != len(every):
@@ -100,10 +96,8 @@ def calibrate(
             return _planned(instrument, plan)
         calibration = _calibrated(run, instrument, output, plan)
     kept = calibration.kept
-    warnings = [] if calibration.agreement is None else [calibration.agreement.words]
-    if kept and not calibration.played:
-        warnings.append(f"nothing else was played; the rest comes from records on disk, {calibration.since}; {_ANEW}")
-    elif kept:
+    warnings = []
+    if kept:
         warnings.append(f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}; {_ANEW}")
     fields = {**calibration.as_dict(), "output": str(output)}
     warnings += calibration.warnings()
@@ -114,7 +108,7 @@ _ANEW = "give another -o to measure anew"
 
 
 @contextmanager
-def _left(output: Path, *, again: bool) -> Iterator[None]:
+def _left(output: Path) -> Iterator[None]:
     """Add to the error that ends a calibration where its records are, and whether the same command continues."""
     try:
         yield
@@ -123,7 +117,7 @@ def _left(output: Path, *, again: bool) -> Iterator[None]:
         if any(records.glob("*.csv")):
             # A full disk may have room later; a folder of another instrument remains one.
             temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
-            continues = again and (not isinstance(error, Exception) or temporary)
+            continues = not isinstance(error, Exception) or temporary
             end = "; the same command goes on from there" if continues else ""
             error.add_note(f"the records so far are in {records}{end}")
         raise
@@ -140,12 +134,11 @@ def _planned(rig: AbstractRig, plan: Plan) -> Result:
     }
     allowed = columns if several else {name: values[0] for name, values in columns.items()}
     bounds = "; ".join(f"axis {one.axis}: {one.limits.words}, at most {one.slew_rate:.6g} V/s" for one in rig.rigs)
-    more = "" if several else ", and further recordings that are suggested on the way"
-    seconds = sum(entry.get("seconds", 0.0) for entry in planned)
+    seconds = sum(entry["seconds"] for entry in planned)
     lines = [
         f"{rig.name}, {bounds}; nothing was sent",
         *_step_lines(planned),
-        f"up to {seconds:.0f} s of playing in all{more}",
+        f"up to {seconds:.0f} s of playing in all",
     ]
     return Result({"rig": rig.name, **allowed, "steps": planned}, lines)
 
@@ -155,13 +148,11 @@ def _step_lines(planned: Sequence[dict[str, Any]]) -> Iterator[str]:
         return ", ".join(f"{value:.{digits}g}" for value in (values if isinstance(values, list) else [values]))
 
     for entry in planned:
-        numbers = ""
-        if "samples" in entry:
-            numbers = (
-                f"{entry['seconds']:8.1f} s {entry['samples']:7d} samples, {joined(entry['lowest_V'])} to "
-                f"{joined(entry['highest_V'])} V, up to {joined(entry['steepest_V_per_s'], 4)} V/s; "
-            )
-        yield f"  {entry['step']:12s}{numbers}{entry['what']}"
+        yield (
+            f"  {entry['step']:12s}{entry['seconds']:8.1f} s {entry['samples']:7d} samples, "
+            f"{joined(entry['lowest_V'])} to {joined(entry['highest_V'])} V, "
+            f"up to {joined(entry['steepest_V_per_s'], 4)} V/s; {entry['what']}"
+        )
 
 
 def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
@@ -172,8 +163,7 @@ def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibra
         calibration = run_calibration(rig, output, plan=plan, watcher=watcher)
         watcher.step("report")
         if isinstance(calibration.fit, StageFit):
-            records = [*calibration.training, *calibration.held_out]
-            write_stage_report(output / REPORT, calibration.fit, records, command=run.command)
+            write_stage_report(output / REPORT, calibration.fit, calibration.training, command=run.command)
         else:
             write_calibration(output / REPORT, calibration, command=run.command)
         return calibration
@@ -194,4 +184,7 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
         for axis, one in zip(path.axes or ("",), path.each, strict=True):
             word = f"axis {axis:6s} " if axis else ""
             yield f"  {name:12s} {word}largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %"
-    yield f"{'stage' if several else 'model'}.json, report.html, calibration.json and records: {output}"
+    checked = calibration.checked
+    for axis, recheck in zip(path.axes or ("",), getattr(checked, "rechecks", (checked,)), strict=True):
+        yield f"axis {axis}: {recheck.sentence}" if axis else recheck.sentence
+    yield f"{'stage' if several else 'model'}.json, report.html and records: {output}"
