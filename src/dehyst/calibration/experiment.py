@@ -18,11 +18,9 @@ from dehyst.calibration.session import NullProgress, ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification import Fit, StageFit, identify
 from dehyst.instruments import AbstractRig
-from dehyst.instruments.samples import columns_of
 from dehyst.model import Actuator, Stage
 from dehyst.records import Record
 from dehyst.trust import Insight, Recheck, check, insight
-from dehyst.trust.recheck import StageRecheck
 from dehyst.waveforms import Excitation
 
 # The model, next to the folder of records: of one axis, and of several.
@@ -36,7 +34,7 @@ class Calibration:
     """The result of a calibration.
 
     `fit`: a Fit, or a StageFit of several axes; these have no `insight`. `nominal` and `compensated`: the measured path
-    with a constant ratio and with the model; `checked`: the check of the model by the record of the latter. `goal`:
+    with a constant ratio and with the model; `checked`: the check of each axis by the record of the latter. `goal`:
     allowed error on the path [% of the stroke]. `remarks`: sentences on a rig that warms or drifts, and on where the
     voltage could not follow. `training`: the records of the identification; records in `kept` were on disk already,
     those in `played` were played; files in `aside` were there too, but cut off, damaged, or of another plan.
@@ -47,7 +45,7 @@ class Calibration:
     training: tuple[Record, ...]
     nominal: TrackedPath
     compensated: TrackedPath
-    checked: Recheck | StageRecheck
+    checked: tuple[Recheck, ...]
     goal: float
     remarks: tuple[str, ...] = ()
     instrument: dict[str, Any] = field(default_factory=dict)
@@ -93,7 +91,8 @@ class Calibration:
             **json_values(self, "good goal_percent=goal stroke_m=nominal.stroke"),
             "records": [record.name for record in self.training],
             "warnings": list(self.warnings()),
-            **json_values(self, "nominal compensated check=checked kept played fit"),
+            **json_values(self, "nominal compensated kept played fit"),
+            "check": [recheck.as_dict() for recheck in self.checked],
             "aside": [str(path) for path in self.aside],
         }
 
@@ -156,6 +155,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         before = play(linear, again=True)
         modelled = planner.compensated(fit.model, session.sequence)
     after = play(modelled)
+    checked: Any = check(fit.model, after, goal=plan.goal)
     rows = rig.rows(len(modelled.excitation))
     limits, rates = [[one.limits.low, one.limits.high] for one in rig.rigs], [one.slew_rate for one in rig.rigs]
     return Calibration(
@@ -163,7 +163,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         training=tuple(training),
         nominal=TrackedPath.of(linear, before, rig.rows(len(linear.excitation))),
         compensated=TrackedPath.of(modelled, after, rows),
-        checked=check(fit.model, after, goal=plan.goal),
+        checked=getattr(checked, "rechecks", (checked,)),
         goal=plan.goal,
         remarks=(*modelled.warnings, *_unsteady(session.sequence, planner.homing, rows)),
         instrument={
@@ -202,9 +202,8 @@ def _unsteady(records: Sequence[Record], homing: Excitation, rows: NDArray[np.in
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))
         yield f"The rig warmed or cooled during the calibration, from {low:.2f} to {high:.2f} degC in all."
     last = (rows > len(homing) // 2) & (rows < len(homing))
-    for axis, first, second in zip(
-        records[-1].axes or ("",), *(columns_of(record.displacement[last]) for record in records[-2:]), strict=True
-    ):
+    for k, axis in enumerate(records[-1].axes or ("",)):
+        first, second = (record.axis(k).displacement[last] for record in records[-2:])
         stroke, of = float(np.ptp(first)), f" of axis {axis}" if axis else ""
         gain = float(np.ptp(second)) / stroke - 1
         moved = float(second.mean() - first.mean()) / stroke

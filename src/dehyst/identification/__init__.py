@@ -23,7 +23,7 @@ from dehyst.identification.motion import Parts
 from dehyst.identification.preparation import Prepared, as_list, prepare
 from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import epochs
-from dehyst.identification.results import Check, RecordErrors, Trace, Verdict, write_traces
+from dehyst.identification.results import Check, RecordErrors, Trace, Verdict
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Grid, Structure
 from dehyst.model import Outcome

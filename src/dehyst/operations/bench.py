@@ -184,7 +184,6 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
         for axis, one in zip(path.axes or ("",), path.each, strict=True):
             word = f"axis {axis:6s} " if axis else ""
             yield f"  {name:12s} {word}largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %"
-    checked = calibration.checked
-    for axis, recheck in zip(path.axes or ("",), getattr(checked, "rechecks", (checked,)), strict=True):
+    for axis, recheck in zip(path.axes or ("",), calibration.checked, strict=True):
         yield f"axis {axis}: {recheck.sentence}" if axis else recheck.sentence
     yield f"{'stage' if several else 'model'}.json, report.html and records: {output}"

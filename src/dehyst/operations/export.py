@@ -10,7 +10,7 @@ from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
-from dehyst.exports.targets import TARGETS, Target, target_of
+from dehyst.exports.targets import TARGETS, target_of
 from dehyst.exports.targets import export as write
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
@@ -25,15 +25,15 @@ _NEAR = 0.01
 _TOP = Start("top")
 
 
-def _target(given: Values) -> Target:
-    """Return the kind of export of an output."""
-    return target_of(given["directory"], coupled=is_stage(given["model"]))
-
-
 def _of(option: str) -> Only:
     """Return the condition that the target supports an option."""
     takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
-    return Only(lambda given: option in _target(given).options, f"on anything but {takers}")
+
+    def supports(given: Values) -> bool:
+        suffix = "" if is_stage(given["model"]) else given["directory"].suffix
+        return option in TARGETS.get(suffix, TARGETS[""]).options
+
+    return Only(supports, f"on anything but {takers}")
 
 
 _of_loop = Only(lambda given: given.get("kind") != "actuator", "on an FMU of the actuator")
@@ -82,7 +82,7 @@ def export(
     start
         Initial state of the memory, as in compensate.
     """
-    target = _target({"model": model, "directory": directory})
+    target = target_of(directory, coupled=is_stage(model))
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
