@@ -25,7 +25,7 @@ ROOMS = {
     "operations": 4312,
     "paper": 1168,
     "records": 5430,
-    "report": 1890,
+    "report": 1883,
     "testing": 492,
     "trust": 2569,
     "virtual": 828,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import cycle
 from typing import TypeAlias
@@ -199,8 +199,8 @@ def loops(fit: Fit) -> Charts:
     """Return the loops off a straight line, measured and simulated, so that hysteresis fills the height."""
     shown = _shown(fit)
     caption = (
-        "Displacement minus a straight line, so that the hysteresis fills the height. Where the thin line (simulated) "
-        "leaves the broad one (measured), the model is wrong; look at the turning points and at the minor loops."
+        "Displacement minus a straight line, so that the hysteresis fills the height. Where the line (simulated) "
+        "leaves the dots (measured), the model is wrong; look at the turning points and at the minor loops."
     )
     return Charts(
         "Loops, off a straight line", caption + _only(fit), [hysteresis_chart([one], len(shown)) for one in shown]
@@ -221,30 +221,41 @@ def hysteresis_chart(traces: Sequence[Trace], records: int = 1) -> Chart:
 def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str, records: int) -> Chart:
     """Return a chart over voltage of what was measured and of what was simulated, which is less by the residual."""
     factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
-    broad, thin = [], []
+    dots, lines = [], []
     for trace, shown in zip(traces, measured, strict=True):
         at = _drawn(trace, records)
         first, second = (_broken(trace, one * factor)[at] for one in (shown, shown - trace.residual))
-        broad.append(Series("measured", trace.voltage[at], first, "measured", width=3, opacity=0.5))
-        thin.append(Series("simulated", trace.voltage[at], second, "simulated", width=1))
+        dots.append(Series("measured", trace.voltage[at], first, "measured", "points", 3, 0.5))
+        lines.append(Series("simulated", trace.voltage[at], second, "simulated", width=1.2))
     axes = Axis("voltage", "V"), Axis(quantity, unit)
-    return Chart(traces[0].record, *axes, [*broad, *thin], role=traces[0].role)
+    return Chart(traces[0].record, *axes, [*dots, *lines], role=traces[0].role)
 
 
 def residuals(fit: Fit) -> Charts | str:
-    """Return the residuals of the records, in time and over displacement, all on one scale."""
+    """Return the residuals of the records in time."""
+    caption = (
+        "Measured minus simulated. A slow trend in time is drift or creep. Grey parts of the time were not compared; "
+        "the list of repairs and omissions names them. All charts share one scale."
+    )
+    return _residuals(fit, "Residuals in time", caption, residual_in_time)
+
+
+def residuals_over_displacement(fit: Fit) -> Charts | str:
+    """Return the residuals of the records over displacement."""
+    caption = (
+        "A mean (line) outside of the noise band, or a distance between the means of rising and falling branches, is a "
+        "limit of the model."
+    )
+    return _residuals(fit, "Residuals over displacement", caption, residual_over_displacement)
+
+
+def _residuals(fit: Fit, title: str, caption: str, chart: Callable[..., Chart]) -> Charts | str:
+    """Return a chart of residuals of each record, all on one scale."""
     shown, stroke = _shown(fit), stroke_of(fit)
     if not shown:
         return ""
     limit = 1.1 * max(100 * largest(trace.residual) / stroke for trace in shown) or 1.0
-    kinds = residual_in_time, residual_over_displacement
-    charts = [chart([trace], stroke, len(shown), limit) for trace in shown for chart in kinds]
-    caption = (
-        "A slow trend in time is drift or creep. A mean (line) outside of the noise band, or a distance between the "
-        "means of rising and falling branches, is a limit of the model. Grey parts of the time were not compared; the "
-        "list of repairs and omissions names them. All charts share one scale."
-    )
-    return Charts("Residuals: measured minus simulated", caption + _only(fit), charts)
+    return Charts(title, caption + _only(fit), [chart([trace], stroke, len(shown), limit) for trace in shown])
 
 
 def residual_in_time(traces: Sequence[Trace], stroke: float, records: int = 1, limit: float | None = None) -> Chart:
@@ -275,7 +286,7 @@ def residual_over_displacement(
     for name, branch in branches:
         shown = branch & some
         clouds.append(Series(name, place[shown], off[shown], name, "points", 2.0, 0.45))
-        means.append(Series(f"mean, {name}", *_means(place[branch], off[branch]), name, width=2.4))
+        means.append(Series(name, *_means(place[branch], off[branch]), name, width=2.4))
     return _residual(traces, Axis("displacement", unit), [*clouds, *means], stroke, limit)
 
 

@@ -19,7 +19,6 @@ escape = notebook.escape
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"
 
 MINUS = "\N{MINUS SIGN}"
-_FEWEST_CONTENTS = 4
 # The policy forbids the browser any request, whatever a name or a sentence contains.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
@@ -75,23 +74,8 @@ def document(title: str, parts: Iterable[Part]) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
         f"<title>{escape(title)}</title>\n<style>{files.text('style.css')}{files.text('report.css')}</style>\n</head>\n"
-        f"<body>\n<main>\n{_with_contents(body)}\n</main>\n{script}</body>\n</html>\n"
+        f"<body>\n<main>\n{body}\n</main>\n{script}</body>\n</html>\n"
     )
-
-
-def _with_contents(body: str) -> str:
-    """Give each heading an id, and list all of them before the first."""
-    titles: list[str] = []
-
-    def numbered(match: re.Match[str]) -> str:
-        titles.append(match[1])
-        return f'<h2 id="part-{len(titles)}">{match[1]}</h2>'
-
-    body = re.sub(r"<h2>(.*?)</h2>", numbered, body)
-    if len(titles) < _FEWEST_CONTENTS:
-        return body
-    links = "\n".join(f'<a href="#part-{i}">{title}</a>' for i, title in enumerate(titles, 1))
-    return body.replace('<h2 id="part-1">', f'<nav aria-label="Contents">\n{links}\n</nav>\n<h2 id="part-1">', 1)
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -94,8 +94,10 @@ def render(
         of_fit.verdict(fit),
         *followed_sections(followed),
         of_fit.before_and_after(fit),
-        of_fit.loops(fit),
         of_fit.residuals(fit),
+        "<details>\n<summary>All that was found</summary>",
+        of_fit.loops(fit),
+        of_fit.residuals_over_displacement(fit),
         of_fit.remaining_error(fit),
         *trust,
         of_fit.candidates(fit),
@@ -105,6 +107,7 @@ def render(
         bullets("Remarks", map(words, fit.remarks), "No remarks."),
         *(made_of(actuator) if actuator else []),
         _reproduce(fit, actuator, command),
+        "</details>",
     ]
     return document(f"{name}: identification", parts)
 
