@@ -27,7 +27,7 @@ ROOMS = {
     "records": 5430,
     "report": 1883,
     "testing": 492,
-    "trust": 2569,
+    "trust": 2509,
     "virtual": 828,
     "waveforms": 1393,
     "web": 50,

@@ -69,7 +69,6 @@ def test_an_unchanged_actuator_is_still_true(seed):
     assert recheck.good
     assert recheck.changed == ()
     assert recheck.without_noise < 1e-3 * STROKE
-    assert 0.5 < recheck.ratio < 1.5
 
 
 def test_two_changes_are_told_apart():
@@ -148,9 +147,7 @@ def test_a_model_that_never_met_the_goal_is_not_blamed_for_it():
     assert recheck.standing is Standing.NEVER_MET
     assert not recheck.good
     unknown = replace(loops.model(), identification=None)
-    recheck = dehyst.check(unknown, loops.later(), goal=1e-3)
-    assert recheck.standing is Standing.RECALIBRATE
-    assert (recheck.before, recheck.ratio) == (None, None)
+    assert dehyst.check(unknown, loops.later(), goal=1e-3).standing is Standing.RECALIBRATE
 
 
 def test_the_goal_is_that_of_the_identification():

@@ -42,8 +42,6 @@ _EARLY = 0.1
 SLOW = ("creep", "drift")
 # Names of the changes that an update learns.
 LEARNT = ("gain", "width")
-# What to do about them if they last: an update, or after one that did not help another identification.
-UPDATE, IDENTIFY = "dehyst update", "identify the model again from new records"
 # Columns whose range is their largest effect; of others it is the largest value.
 _RANGING = ("gain", *SLOW)
 # Factor and unit in which each is shown.
@@ -89,11 +87,10 @@ class Change:
         """What may have changed: one name, or several that the record cannot tell apart."""
         return tuple(self.name.split(_AND))
 
-    def sentence(self, stroke: float, *, lasting: str | None = UPDATE, tells: str = "") -> str:
+    def sentence(self, stroke: float, tells: str = "") -> str:
         """Return the change as a sentence with what to do; creep and drift relative to `stroke` [m].
 
-        `lasting`: what to do about a gain or a width that stays changed; None: leave out what to do. `tells`: the
-        command of a record that tells several changes apart.
+        `tells`: the command of a record that tells several changes apart.
         """
         if len(self.parts) > 1:
             words = " from ".join(_NOUNS[part] for part in self.parts)
@@ -101,8 +98,7 @@ class Change:
             return f"{text} Record the loops of `{tells}`, which tell them apart." if tells else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
-        text = f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke."
-        return text if lasting is None else f"{text} {_REMEDIES[self.name].format(lasting=lasting)}"
+        return f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke. {_REMEDIES[self.name]}"
 
     def amount(self, stroke: float) -> str:
         """Return size and standard error as text; creep and drift relative to `stroke` [m]."""
@@ -125,8 +121,8 @@ _WORDS = {
     "drift": ("The displacement drifts up by {}", "The displacement drifts down by {}"),
 }
 _REMEDIES = {
-    "gain": "Check the sensor's and the amplifier's gain, the load and the preload. If it lasts: {lasting}.",
-    "width": "Check the temperature, the load and the range of the voltage. If it lasts (ageing): {lasting}.",
+    "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
+    "width": "Check the temperature, the load and the range of the voltage.",
     "offset": "Zero the sensor or home the actuator; that needs no new model.",
     "delay": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",

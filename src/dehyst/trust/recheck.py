@@ -31,18 +31,15 @@ from dehyst.model import (
     Identification,
     Promise,
     Stage,
-    TemperatureCost,
     by_axis,
     excite_command,
     major_loop,
     promised,
-    tested_temperatures,
+    untested,
 )
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, turning_points
-from dehyst.trust.changes import LEARNT, SLOW, UPDATE, Change, Known, find_changes
+from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
-# An error this many times that of the identification is another one.
-_WORSE = 1.5
 # Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
 ANOTHER = 50.0
 # Changes that the error sets aside.
@@ -77,8 +74,6 @@ class Recheck(Plotted):
         without creep, without a drift.
     noise : float
         Standard deviation of the sensor [m].
-    before : float or None
-        Largest error on the records that the model was identified from [m]; None if the model file lacks it.
     stroke : float
         Displacement between the model's limits [m], the reference of percentages.
     goal : float
@@ -106,7 +101,6 @@ class Recheck(Plotted):
     largest: float
     rms: float
     noise: float
-    before: float | None
     stroke: float
     goal: float
     drift: float
@@ -121,11 +115,6 @@ class Recheck(Plotted):
     def without_noise(self) -> float:
         """`settled` minus the peaks of the sensor's noise [m]; it is compared with the goal and the promise."""
         return max(self.settled - NOISE_PEAK * self.noise, 0.0)
-
-    @property
-    def ratio(self) -> float | None:
-        """Largest error relative to the largest error at the identification; None if the latter is not known."""
-        return self.largest / self.before if self.before else None
 
     @property
     def changed(self) -> tuple[Change, ...]:
@@ -147,10 +136,8 @@ class Recheck(Plotted):
 
     @property
     def kept(self) -> bool:
-        """Whether the promise was kept; without a promise, whether the error is near that of the identification."""
-        if self.promise is not None:
-            return self.without_noise <= self.promise.largest
-        return self.ratio is not None and self.ratio <= _WORSE
+        """Whether the promise was kept; not without one."""
+        return self.promise is not None and self.without_noise <= self.promise.largest
 
     @property
     def good(self) -> bool:
@@ -181,10 +168,6 @@ class Recheck(Plotted):
         if not self.without_noise:
             error = "within the sensor's noise"
         text = f"{self.standing.value.capitalize()}: the largest error is {error} (goal {self.goal:g} %)"
-        if self.ratio is not None and self.before is not None:
-            text += (
-                f"; with noise {self._percent(self.largest)}, and {self._percent(self.before)} when it was identified"
-            )
         if self.promise is not None and not self.mismatch:
             promised = f"{self._percent(self.promise.largest)} on {self.promise.path}"
             text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"
@@ -223,17 +206,13 @@ class Recheck(Plotted):
     def _percent(self, length: float) -> str:
         return lines.percent(length, self.stroke)
 
-    def change_sentences(self, *, lasting: str | None = UPDATE) -> tuple[str, ...]:
-        """Return a sentence for each change that counts, the largest effect first; none of another actuator.
-
-        `lasting`: as in `Change.sentence`.
-        """
+    def change_sentences(self) -> tuple[str, ...]:
+        """Return a sentence for each change that counts, the largest effect first; none of another actuator."""
         changed = () if self.mismatch else self.changed
-        return tuple(change.sentence(self.stroke, lasting=lasting, tells=self.tells) for change in changed)
+        return tuple(change.sentence(self.stroke, self.tells) for change in changed)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
-        ratio = self.ratio
         return {
             "standing": self.standing.name,
             "sentence": self.sentence,
@@ -247,8 +226,6 @@ class Recheck(Plotted):
             "rms_percent": percent(self.rms, self.stroke),
             "without_noise_percent": percent(self.without_noise, self.stroke),
             "promise": None if self.promise is None else self.promise.as_dict(),
-            "before_percent": None if self.before is None else percent(self.before, self.stroke),
-            "ratio": None if ratio is None or not np.isfinite(ratio) else ratio,
             "goal_percent": self.goal,
             "drift_percent": percent(self.drift, self.stroke),
             "largest_m": self.largest,
@@ -303,9 +280,8 @@ _MANY, _TURN = 20, 0.02
 _STEPS, _CLOSE = 8, 1e-5
 # A coupling that differs by more than this, and by so many standard errors, has changed.
 _COUPLED, _ERRORS = 0.005, 3.0
-# Parts of the range of voltages: beyond the limits by more, the record says little of the model; less than so much of
-# them, it says nothing of the longest elements.
-_BEYOND, _LITTLE = 1e-3, 0.5
+# A record of less than this part of the model's voltages says nothing of the longest elements.
+_LITTLE = 0.5
 
 
 @overload
@@ -364,7 +340,6 @@ def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> R
     error, drift = (
         _steadied(trace) if slow and actuator.creep is None else (trace.residual - trace.residual.mean(), 0.0)
     )
-    before = origin.largest_error or None
     promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
     # As many turns as the excitation for an identification: another record of the kind tells no more.
     tells = (
@@ -372,7 +347,7 @@ def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> R
         if turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
         else excite_command(*actuator.voltage_range[::-1], f"--frequency {1 / cycle:.2g} ")
     )
-    own = (before or 0.0) / NOISE_PEAK if promise is None else promise.rms
+    own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
     known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
     changes = find_changes(trace, known, _PART * goal / 100 * stroke)
     return Recheck(
@@ -383,12 +358,11 @@ def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> R
         largest=largest(error),
         rms=rms(error),
         noise=prepared.noise,
-        before=before,
         stroke=stroke,
         goal=goal,
         drift=drift,
         changes=changes,
-        remarks=(*_warmth(actuator, record), *_remarks(actuator, record), *prepared.sentences),
+        remarks=(*untested(actuator, promise, record.temperature), *_uncovered(actuator, record), *prepared.sentences),
         trace=trace,
         settled=largest(error[-trace.settled.time.size :]),
         promise=promise,
@@ -452,37 +426,11 @@ def _doubt(actuator: Actuator, record: Record) -> float:
     return held / slope + 0.5 * record.stroke * before
 
 
-def _warmth(actuator: Actuator, record: Record) -> list[str]:
-    """Return a remark if the record has no temperature on which the model depends, or one that was not tested."""
-    if record.temperature is not None:
-        stroke, tested = actuator.stroke, tested_temperatures(actuator)
-        sentence = TemperatureCost(actuator.thermal, tested, stroke, record.temperature).sentence
-        return [f"{record.name}: {sentence}"] if sentence else []
-    if actuator.thermal is None:
-        return []
-    return [
-        f"{record.name}: has no temperature, on which the model depends; it is taken for the reference, "
-        f"{actuator.thermal.reference:.3g} degC"
-    ]
-
-
-def _remarks(actuator: Actuator, record: Record) -> list[str]:
-    """Return sentences on voltages outside of the model's limits, and on voltages that the record does not cover."""
-    if actuator.limits is None:
-        return []
-    (low, high), (least, most) = actuator.limits, record.voltage_range
-    remarks, width = [], high - low
-    if least < low - _BEYOND * width or most > high + _BEYOND * width:
-        part = 100 * float(np.mean((record.voltage < low) | (record.voltage > high)))
-        remarks.append(
-            f"{record.name}: its voltages, {least:.4g} to {most:.4g} V, leave the model's limits, {low:.4g} to "
-            f"{high:.4g} V, at {part:.2g} % of the samples: there the model is extrapolated, and an error is no sign "
-            "of a change."
-        )
-    covered = (min(most, high) - max(least, low)) / width
-    if covered < _LITTLE:
-        remarks.append(
-            f"{record.name}: covers {100 * max(covered, 0.0):.0f} % of the model's voltages: what lies beyond was not "
-            "checked. Record a loop over the whole range."
-        )
-    return remarks
+def _uncovered(actuator: Actuator, record: Record) -> tuple[str, ...]:
+    """Return a sentence if the record covers little of the model's voltages."""
+    (low, high), (least, most) = actuator.voltage_range, record.voltage_range
+    covered = max((min(most, high) - max(least, low)) / (high - low), 0.0)
+    beyond = (
+        f"covers {100 * covered:.0f} % of the model's voltages: what lies beyond was not checked. Record a loop over"
+    )
+    return (f"{record.name}: {beyond} the whole range.",) if covered < _LITTLE else ()

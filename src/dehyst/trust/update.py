@@ -27,7 +27,7 @@ from dehyst.identification import (
 )
 from dehyst.model import Actuator, Creep, Promise, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
 from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
-from dehyst.trust.changes import IDENTIFY, Change
+from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
 
 # How much alike the changes of neighbours are held, by a record of a few loops and by one that turns in many places:
@@ -111,7 +111,7 @@ class Update:
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
-        found = list(self.recheck.change_sentences(lasting=None if self.used else IDENTIFY))
+        found = list(self.recheck.change_sentences())
         if not self.good:
             tells = f": `{self.recheck.tells}` tells more" if self.recheck.tells else ""
             found.append(f"The updated model is not within the goal of {self.recheck.goal:g} % on any path{tells}.")
@@ -243,15 +243,15 @@ class _Refit:
         before, after = self._errors(self.recheck.trace), self._errors(self._trace(made))
         held_out = self._held_out(held_out_models)
         used = held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
-        own = after[0]
+        known: dict[str, Any] = {}
         if used:
+            known["largest_error"] = after[0]
             source = {"updated_from": self.old.name, "updated_with": self.record.name}
             made = replace(made, provenance={**self.old.provenance, **source})
         else:
             # The old model is still that of its own records.
-            made = self.given
-            after, held_out, own = before, before, self.recheck.before or before[0]
-        made = with_identification(made, largest_error=own, validity=self._validity(after[0], held_out[1]))
+            made, after, held_out = self.given, before, before
+        made = with_identification(made, validity=self._validity(after[0], held_out[1]), **known)
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
     def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:
