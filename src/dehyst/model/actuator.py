@@ -308,8 +308,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         start = self._start(state)
         v = self._evaluator.core.voltage(self._evaluator.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
-        # What rounding leaves of 0 V.
-        return 0.0 if abs(v) < _ROUNDING * float(np.ptp(self.spring.voltage)) else v
+        rounding = _ROUNDING * min(np.ptp(self.spring.voltage), np.ptp(self.limits or self.spring.voltage))
+        return 0.0 if abs(v) < rounding else v  # What rounding leaves of 0 V.
 
     def displacement(self, state: State | None = None) -> float:
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
