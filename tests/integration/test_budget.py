@@ -38,7 +38,7 @@ HOUSE = {
     "files of Python": 206,
     "lines of C and C++": 5863,
     "lines of JavaScript and CSS": 3088,
-    "lines of tests": 41335,
+    "lines of tests": 39900,
     "lines of benchmarks": 6240,
     "words of docs": 36105,
     "public names": 127,
