@@ -152,3 +152,21 @@ def test_the_table_of_a_fleet_shows_what_is_odd_and_what_drifts(tmp_path, monkey
     assert "S03/1.csv" in space["odd"].index
     assert len(space["odd"]) <= 2
     assert list(space["drifting"].index) == ["S05"]
+
+
+def code_of(page, capsys):
+    """Run the code of a page as it is; return its names and the last line that it printed."""
+    space = {}
+    exec("\n".join(blocks(page)), space)
+    return space, capsys.readouterr().out.splitlines()[-1]
+
+
+def test_fringes_alone_make_a_model_whose_promise_is_kept(capsys):
+    space, last = code_of("tutorials/no_sensor.md", capsys)
+    assert last == "True"
+    assert not space["record"].measured.all() and space["fit"].good
+
+
+def test_a_scan_learns_to_a_tenth_of_its_error(capsys):
+    errors = code_of("tutorials/learning_scan.md", capsys)[0]["repetition"].errors
+    assert errors[-1] < 0.1 * errors[0]
