@@ -20,7 +20,7 @@ ROOMS = {
     "fleet": 312,
     "foundation": 1422,
     "identification": 6262,
-    "instruments": 2866,
+    "instruments": 2864,
     "model": 3926,
     "operations": 4312,
     "paper": 1168,

@@ -60,21 +60,6 @@ def open_rig(
     return rig
 
 
-def _made(address: str, make: Callable[..., Any], *given: Any, **options: Any) -> AbstractRig:
-    """Return the rig that a function makes, which may be code of others; raises RigError."""
-    try:
-        rig = make(*given, **options)
-    except (DehystError, Terminated):
-        raise
-    except (Exception, SystemExit) as error:  # code of others may raise anything
-        raise RigError(
-            f"{address}: raised {type(error).__name__}: {error}; dehyst calls it with limits and slew_rate"
-        ) from error
-    if not isinstance(rig, AbstractRig):
-        raise RigError(f"{address}: returned a {type(rig).__name__}, need an AbstractRig (see dehyst.instruments)")
-    return rig
-
-
 def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
     """Return the rig if the limits of its axes lie within the requested ones; raises RigError."""
     if getattr(rig, "axes", None) is None:
@@ -153,7 +138,17 @@ def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
     make = getattr(_module(path), name, None)
     if not callable(make):
         raise RigError(f"{path}: has no function {name!r}; need one that takes limits and slew_rate and returns a rig")
-    return _made(f"{path}:{name}", make, **options)
+    try:
+        rig = make(**options)
+    except (DehystError, Terminated):
+        raise
+    except (Exception, SystemExit) as error:  # code of others may raise anything
+        raise RigError(
+            f"{path}:{name}: raised {type(error).__name__}: {error}; dehyst calls it with limits and slew_rate"
+        ) from error
+    if not isinstance(rig, AbstractRig):
+        raise RigError(f"{path}:{name}: returned a {type(rig).__name__}, need an AbstractRig (see dehyst.instruments)")
+    return rig
 
 
 def _module(path: Path) -> ModuleType:

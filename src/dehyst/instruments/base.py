@@ -19,7 +19,7 @@ from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, Reco
 from dehyst._types import Array
 from dehyst._validation import for_each, interval, number
 from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.instruments.interrupts import shielded
+from dehyst.instruments.interrupts import by_signal, shielded
 from dehyst.instruments.output import Output, ReadbackError
 from dehyst.instruments.samples import (
     Listener,
@@ -68,14 +68,19 @@ BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand
 
 
 class VoltageNote(str):
-    """A note on an error that says where the voltage was left; `safe`: whether this is the safe voltage."""
+    """A note on an error that says where the voltage was left.
+
+    `safe`: whether this is the safe voltage. `voltages`: those of the axes [V] by what was sent and taken, which a wave
+    that cannot be stopped leaves; NaN where nothing was sent.
+    """
 
     safe: bool
+    voltages: tuple[float, ...]
 
-    def __new__(cls, text: str, *, safe: bool) -> Self:
+    def __new__(cls, text: str, *, safe: bool, voltages: Sequence[float]) -> Self:
         """Return the text with its outcome."""
         note = super().__new__(cls, text)
-        note.safe = safe
+        note.safe, note.voltages = safe, tuple(voltages)
         return note
 
 
@@ -126,7 +131,7 @@ class AbstractRig(ABC):
         identity: str | None = None,
         others: Sequence[str] = (),
     ) -> None:
-        # Here too: a class may have been changed since, or its bases have an __init_subclass__ of their own.
+        # Here too: its bases may have an __init_subclass__ of their own.
         _refuse_replacements(type(self))
         self.others = tuple(others)
         self.name, self.longest, self.identity = name, longest, identity or name
@@ -364,7 +369,11 @@ class AbstractRig(ABC):
         `RigError` if the device fails, or the safe voltage was sent and a reading contradicts what was sent.
         """
         self._refuse_closed()
-        return self._retreat(anywhere=False)
+        try:
+            return self._retreat(anywhere=False)
+        except Exception as error:
+            error.add_note(self._note(error, error))
+            raise
 
     def _retreat(self, *, anywhere: bool) -> Any:
         """Retreat; `anywhere`: the device may have stopped its wave by itself."""
@@ -374,13 +383,21 @@ class AbstractRig(ABC):
             begin = time.monotonic()
             for one in self.rigs:
                 try:
-                    with driver_errors(one.name, "_halt"), _foreseen(errors):
+                    try:
                         one._halt()
-                except Exception as error:  # the other axes go on
-                    # A driver reports a wave that it cannot stop; after a mistake in its code, a ramp is still best.
-                    if error in errors:
-                        continue
-                    errors.append(DeviceError(f"{error}; the voltage was ramped there, but a wave may go on"))
+                    except LinkError:
+                        # By a second connection, or after one wrong answer.
+                        one._halt()
+                except DehystError as error:
+                    # A driver reports a wave that it cannot stop, and the other axes go on.
+                    errors.append(error)
+                    continue
+                except BaseException as error:
+                    if by_signal(error):
+                        raise
+                    # After a mistake in its code, a ramp is still best.
+                    what = f"{one.name}: _halt of the rig raised {type(error).__name__}: {error}; check its code"
+                    errors.append(DeviceError(f"{what}; the voltage was ramped there, but a wave may go on"))
                     errors[-1].__cause__ = error
                 ramps.append(one._output.retreat(one.safe, begin, anywhere=anywhere))
             self._ramp(ramps, errors, retreating=True)
@@ -517,24 +534,31 @@ class AbstractRig(ABC):
 
     def _retreated(self, cause: BaseException) -> VoltageNote:
         """Retreat after a `cause` if the link still works, else close it; return the outcome."""
-        of, to = (f" {word} the axes {', '.join(self.axes)}" if self._parts else "" for word in ("of", "to"))
-        safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
+        failed: Exception | None = None
         try:
             self._retreat(anywhere=isinstance(cause, RigError) and not isinstance(cause, SensorError))
-            if any(one._output.unread for one in self.rigs):
-                return VoltageNote(f"{safe} V was sent{to}, and the voltage could not be read.", safe=True)
-            return VoltageNote(f"The voltage{of} was brought to {safe} V.", safe=True)
         except Exception as error:  # a driver's library may raise anything; the first error is the one to report
+            failed = error
             with suppress(Exception):
                 self.close()
-            if isinstance(error, ReadbackError):
-                wrong = f"the readback gave {error.read:.6g} V where {error.sent:.6g} V had been sent"
-                return VoltageNote(f"{safe} V was sent{to}, but {wrong}; see to it by hand.", safe=False)
+        return self._note(cause, failed)
+
+    def _note(self, cause: BaseException, failed: Exception | None) -> VoltageNote:
+        """Return where the voltage is after a `cause`, and a retreat that may have `failed`."""
+        of, to = (f" {word} the axes {', '.join(self.axes)}" if self._parts else "" for word in ("of", "to"))
+        safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
+        said = f"The voltage{of} was brought to {safe} V."
+        if isinstance(failed, ReadbackError):
+            wrong = f"the readback gave {failed.read:.6g} V where {failed.sent:.6g} V had been sent"
+            said = f"{safe} V was sent{to}, but {wrong}; see to it by hand."
+        elif failed is not None:
             # The cause of the first error may prevent the retreat too, and is not repeated.
-            why = "" if str(error) == str(cause) else f" ({error})"
+            why = "" if str(failed) == str(cause) else f" ({failed})"
             known = "; ".join(f"{one.axis + ': ' if self._parts else ''}{one._output.words}" for one in self.rigs)
-            failure = f"The voltage{of} could not be brought to {safe} V{why}"
-            return VoltageNote(f"{failure}: {known}, and {BY_HAND}.", safe=False)
+            said = f"The voltage{of} could not be brought to {safe} V{why}: {BY_HAND}; {known}."
+        elif any(one._output.unread for one in self.rigs):
+            said = f"{safe} V was sent{to}, and the voltage could not be read."
+        return VoltageNote(said, safe=failed is None, voltages=[one._output.likely for one in self.rigs])
 
 
 # Methods and properties that belong to the base class alone.
@@ -555,16 +579,6 @@ def _refuse_replacements(kind: type[AbstractRig]) -> None:
     if found:
         drivers = ", ".join(_DRIVERS)
         raise TypeError(f"{kind.__name__}: replaces {', '.join(found)} of AbstractRig; a rig writes only {drivers}")
-
-
-@contextmanager
-def _foreseen(errors: list[Exception]) -> Iterator[None]:
-    """Note an error of dehyst in a list, and raise it again."""
-    try:
-        yield
-    except DehystError as error:
-        errors.append(error)
-        raise
 
 
 def played_rate(rig: AbstractRig, sample_rate: float) -> float:
@@ -635,19 +649,9 @@ def _common_limits(device: VoltageLimits, limits: tuple[float, float] | None, sl
     """Return the limits that device and user both allow, always with a slew rate; refuse ramps of over an hour."""
     given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
     low, high = max(device.low, given.low), min(device.high, given.high)
-    if not low < high:
-        raise RigError(
-            f"got {given.words}, but the device has {device.words}",
-            argument="limits",
-            hint="nothing is left, give others",
-        )
-    if high - low < _LEAST_RANGE:
-        raise RigError(
-            argument="limits",
-            got=f"{low:g} to {high:g} V",
-            need=f"a range of {_LEAST_RANGE:g} V at least",
-            hint="widen them",
-        )
+    if not low + _LEAST_RANGE <= high:
+        hint = f"nothing is left, give others, {_LEAST_RANGE:g} V apart at least"
+        raise RigError(f"got {given.words}, but the device has {device.words}", argument="limits", hint=hint)
     rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
     rate = min(rates, default=(high - low) / _SHORTEST_SWEEP)
     if high - low > _LONGEST_RAMP * rate:

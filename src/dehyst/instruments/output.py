@@ -67,14 +67,18 @@ class Output:
         self._arrived.append((time.monotonic(), count))
 
     @property
+    def likely(self) -> float:
+        """The likeliest voltage [V] now; NaN if nothing was sent."""
+        return math.nan if self._sent is None else self.stopped(time.monotonic(), anywhere=True)[0]
+
+    @property
     def words(self) -> str:
         """What is known of the output, for a message."""
         if self._sent is None:
             return "nothing was sent yet"
         if self._sent.size == 1:
-            return f"{self._sent[0]:.6g} V was the last that it took"
-        likely, *_ = self.stopped(time.monotonic(), anywhere=True)
-        return f"it was at about {likely:.4g} V of a wave that ends at {self._sent[-1]:.6g} V"
+            return f"{self.likely:.6g} V was the last that it took"
+        return f"it was at about {self.likely:.4g} V of a wave that ends at {self._sent[-1]:.6g} V"
 
     def stopped(self, begin: float, *, anywhere: bool) -> tuple[float, float, float]:
         """Return the likeliest voltage, lowest and highest [V] of an output that was stopped between `begin` and now.

@@ -59,14 +59,6 @@ def columns_of(values: Array) -> list[Array]:
     return [values] if values.ndim == 1 else list(values.T)
 
 
-def astray(difference: float) -> str:
-    """Return the words for an output that is read at a `difference` [V] from what was sent."""
-    return (
-        f"its output is {abs(difference):.4g} V away from what was sent; is the amplifier on, the servo off and the "
-        "channel the right one?"
-    )
-
-
 @contextmanager
 def driver_errors(name: str, method: str) -> Iterator[None]:
     """Re-raise what a driver's `method` raises as DeviceError; errors of dehyst and of signals pass unchanged."""
@@ -127,7 +119,10 @@ def inspected(
             if (differences > slack).any():
                 worst = int(np.argmax(differences - slack))
                 where = f"{name}, axis {axes[worst]}" if axes else name
-                raise DeviceError(f"{where}: {astray(np.ravel(differences)[worst])}")
+                raise DeviceError(
+                    f"{where}: its output is {np.ravel(differences)[worst]:.4g} V away from what was sent; is the "
+                    "amplifier on, the servo off and the channel the right one?"
+                )
     finally:
         if isinstance(batches, Generator):
             with driver_errors(name, "_wave"):
