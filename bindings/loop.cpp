@@ -333,6 +333,24 @@ struct Bank {
 
     using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
     using Live = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+    // One sample (M,) of voltages for wanted displacements; if one of them were clamped or refused, nothing is sent.
+    bool step(Input in, nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> out) {
+        const size_t m = loops.size();
+        if (busy) throw std::runtime_error("this bank is running in another thread; give each thread its own");
+        if (in.size() != m || out.size() != m) demand(DEHYST_ERR_SIZE);
+        bool free = true;
+        for (size_t i = 0; i < m; i++) {
+            Loop &loop = *loops[i];
+            out.data()[i] = dehyst_loop_offer(&loop.model, &loop.loop, loop.memory.data(), in.data()[i]);
+            free = free && loop.loop.offer == DEHYST_CANDIDATE;
+        }
+        for (size_t i = 0; i < m; i++) {
+            Loop &loop = *loops[i];
+            if (free) dehyst_loop_commit(&loop.model, &loop.loop, loop.memory.data(), out.data()[i]);
+            else loop.loop.offer = DEHYST_NOTHING;
+        }
+        return free;
+    }
     // A column a loop, (n, M): wanted displacements to voltages, or voltages to displacements. Counts of all loops since
     // their beginning: limited, slewed, refused.
     std::tuple<unsigned long, unsigned long, unsigned long> run(Rows in, Live out, bool plays) {
@@ -406,5 +424,5 @@ void bind_loop(nb::module_ &m) {
         .def_prop_ro("correction", [](const Feedback &f) { return f.memory.correction; })
         .def_prop_ro("fault", [](const Feedback &f) { return int(f.memory.fault); });
     m.def("judge", &judge);
-    nb::class_<Bank>(m, "Bank").def(nb::init<nb::list>(), nb::keep_alive<1, 2>()).def("run", &Bank::run);
+    nb::class_<Bank>(m, "Bank").def(nb::init<nb::list>(), nb::keep_alive<1, 2>()).def("step", &Bank::step).def("run", &Bank::run);
 }

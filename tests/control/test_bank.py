@@ -242,3 +242,21 @@ def test_simulate_undoes_compensate():
     back.reset()
     span = np.ptp([one.spring.displacement[[0, -1]] for one in actuators], axis=1)
     assert np.max(np.abs(back.simulate(voltage) - wanted) / span) < 1e-10
+
+
+def test_a_warning_that_is_an_error_changes_nothing():
+    bank = Bank(mixed(5, 4), slew_rate=1.0, period=PERIOD)
+    here = np.array([compensator.displacement for compensator in bank._compensators])
+    away = here - np.array([0, 0, 0.1, 0]) * [np.ptp(actuator.spring.displacement) for actuator in bank.actuators]
+    bank.step(here)
+    before = bank.snapshot()
+    for refused in (bank.step, lambda row: bank.compensate([here, row])):
+        with pytest.raises(ClampWarning), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            refused(away)
+        assert [repr(snapshot) for snapshot in bank.snapshot()] == [repr(snapshot) for snapshot in before]
+        for one, two in zip(bank._compensators, before, strict=True):
+            assert one.state.deformation == two.state.deformation and one.clamps == (0, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert bank.step(away)[2] != bank.step(here)[2]

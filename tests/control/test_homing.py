@@ -1,5 +1,6 @@
 """A homing leads from any state to a known state, through the limits or the range of the records."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import plain_records
 import pytest
 from rest_states import PLANT, equilibrium
 
-from dehyst import Actuator, Creep, MaxwellSlip, ModelError, RecordError, Spring, plan_path
+from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.control import Compensator, shortest_homing
 from dehyst.model import with_identification
 from dehyst.waveforms import Sampling
@@ -78,6 +79,25 @@ def test_a_plan_offers_a_homing_that_fits_its_path_and_keeps_the_one_that_is_ask
     assert short.error.largest > long.error.largest
     before = long.phase < 2
     assert np.abs(np.diff(long.voltage[before]) / np.diff(long.time[before])).max() <= 200.0 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("step", [1e-6, 1e-4, 0.02])
+@pytest.mark.parametrize("actuator", [CREEPING, replace(CREEPING, dynamics=Dynamics(500.0, 0.02))])
+def test_a_homing_that_is_offered_is_taken(actuator, step):
+    wanted = np.linspace(0.3, 0.6, 200) * plain_records.STROKE
+    loop, time = Compensator(actuator, period=step), np.arange(200) * step
+    offered = re.search("home within ([0-9.e+-]+) s", " ".join(plan_path(loop, wanted, time=time).warnings))
+    seconds = float(offered[1])
+    played = plan_path(loop, wanted, time=time, home_within=seconds).homing.played
+    assert 0 < played.duration <= seconds + 2 / played.sample_rate
+    for bad in (0.0, -1.0, np.nan):
+        with pytest.raises(ModelError, match="home_within"):
+            plan_path(loop, wanted, time=time, home_within=bad)
+
+
+def test_more_time_leaves_less():
+    left = [shortest_homing(CREEPING, within=seconds).spread for seconds in (300.0, 1000.0, 3000.0)]
+    assert left[0] > left[1] > left[2]
 
 
 @pytest.mark.parametrize(

@@ -210,19 +210,26 @@ class Bank:
 
     def _follow(self, wanted: Array, voltage: Array) -> None:
         """Compute the `voltage` (n, M) [V] for displacements (n, M) [m], and warn of the first clamps of each kind."""
-        before, self._counts = self._counts, self._loops.run(wanted, voltage, False)
+        if len(wanted) == 1 and self._loops.step(wanted[0], voltage[0]):
+            return
+        before, memory = self._counts, () if len(self._warned) == 2 else self.snapshot()
+        self._counts = self._loops.run(wanted, voltage, False)
         if self._counts == before:
             return
         each, kinds = np.array(self.clamps), ("at a limit", "by the slew rate")
         for kind, now, then, clamped in zip(kinds, self._counts[:2], before[:2], each.T, strict=True):
             if now == then or kind in self._warned:
                 continue
-            self._warned.add(kind)
             i = int(np.argmax(clamped))
             sentence = self._compensators[i]._straying(wanted[:, i])
             more = f". {sentence}" if sentence else ""
             words = f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}"
-            warnings.warn(words, ClampWarning, 3)
+            try:
+                warnings.warn(words, ClampWarning, 3)
+            except ClampWarning:
+                self.restore(memory)
+                raise
+            self._warned.add(kind)
 
     def _table(self, values: ArrayLike, what: str) -> Array:
         """Return samples (n, M); raise `ModelError` if they have another shape, or one is not a finite number."""

@@ -124,11 +124,8 @@ class Compensator(ReadOnly):
 
     def _options(self) -> dict[str, Any]:
         options = {name: getattr(self, name) for name in ("actuator", "limits", "slew_rate", "period", "units")}
-        return options | {
-            "preview": self._previews,
-            "state": None if self._assumed else self._initial_state,
-            "warns": self._warns,
-        }
+        state = None if self._assumed else self._initial_state
+        return options | {"preview": self._previews, "state": state, "warns": self._warns}
 
     def step(self, displacement: float, temperature: float | None = None) -> float:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
@@ -172,16 +169,10 @@ class Compensator(ReadOnly):
 
         The displacement is None if the voltage is not clamped. A mass is assumed to be at rest. Raises and warns as
         `offer`.
-
-        `displacement`: [m, or `units`].
         """
         voltage = self.offer(displacement)
         reached, clamped = self._loop.trial()
         return voltage, reached * self._per_metre if clamped else None
-
-    def _withdraw(self) -> None:
-        """Withdraw the voltage on offer, if there is one: it was not sent."""
-        self._loop.withdraw()
 
     def commit(self, voltage: float) -> None:
         """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.

@@ -159,7 +159,7 @@ class StageCompensator(ReadOnly):
     def _offered(self, displacement: ArrayLike) -> list[float]:
         # As with one axis, a displacement that is refused takes the place of the one on offer.
         for one in self.compensators:
-            one._withdraw()
+            one._loop.withdraw()
         wanted = self._values(displacement, "displacement")
         voltage, alone = [0.0] * len(wanted), [dot(row, wanted) for row in self._table]
 

@@ -37,8 +37,8 @@ _LEG, _PERIODS = 0.05, 50.0
 _RESTS = 12.0
 # Most legs; two more are added if they reduce the spread to less than this share.
 _MOST_LEGS, _FEWER = 12, 0.7
-# Samples of a leg in rough simulations.
-_SAMPLES = 60
+# Samples of a leg in rough simulations; fewest samples that a `Sampling` takes for a cycle.
+_SAMPLES, _LEAST_CYCLE = 60, 8
 # Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
 _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
 # A homing is long if it takes this many times the path that follows; a shorter one has this many times its error.
@@ -75,10 +75,8 @@ class Homing:
     spread: float
 
     def __repr__(self) -> str:
-        turns, word = (
-            ", ".join(f"{volt:.6g}" for volt in self.turns),
-            "certified" if self.certified else "not certified",
-        )
+        turns = ", ".join(f"{volt:.6g}" for volt in self.turns)
+        word = "certified" if self.certified else "not certified"
         return f"<Homing: {turns} V in {self.played.duration:.4g} s, {word}, leaves {_micro(self.spread)}>"
 
 
@@ -115,7 +113,8 @@ def shortest_homing(
         Time [s] to wait at the last visit of either limit. Default: as long as the tolerance requires; if no hold
         suffices, the longest time constant of creep.
     within : float, optional
-        Longest duration [s]: holds are shorter, and legs faster, than the tolerance requires. Default: not limited.
+        Longest duration [s]: holds are shorter, and legs faster, than the tolerance requires, or with creep holds are
+        longer. Default: as long as the tolerance requires.
 
     Returns
     -------
@@ -133,16 +132,16 @@ def shortest_homing(
     if not isinstance(actuator, Actuator):
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
     allowed = allowed_limits(actuator, limits)
-    ends = tuple(
-        _inside(v, what, allowed) for v, what in ((present, "present"), (present if end is None else end, "end"))
-    )
+    bounds = VoltageLimits(*allowed)
+    ends = bounds.within(present, "present"), bounds.within(present if end is None else end, "end")
     range_ = float(np.ptp(actuator.spring.displacement))
     least = _TOLERANCE * range_ if tolerance is None else number(tolerance, "tolerance")
     if least <= 0:
         raise ModelError(argument="tolerance", got=least, need="a positive number")
-    for name, seconds in {"hold": hold, "within": within}.items():
-        if seconds is not None and number(seconds, name) < 0:
-            raise ModelError(argument=name, got=seconds, need="a positive number")
+    if hold is not None and number(hold, "hold") < 0:
+        raise ModelError(argument="hold", got=hold, need="0 or more seconds")
+    if within is not None and number(within, "home_within") <= 0:
+        raise ModelError(argument="home_within", got=within, need="a positive number of seconds")
     sampling = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
@@ -152,15 +151,6 @@ def shortest_homing(
         if found.certified:
             break
     return found
-
-
-def _inside(voltage: float, what: str, limits: tuple[float, float]) -> float:
-    v = number(voltage, what)
-    if not limits[0] <= v <= limits[1]:
-        raise ModelError(
-            argument=what, got=f"{v:.6g} V", need=f"a voltage within the limits {limits[0]:.6g} to {limits[1]:.6g} V"
-        )
-    return v
 
 
 class _TimedHoming:
@@ -189,7 +179,7 @@ class _TimedHoming:
         """Return the shortest homing; with a `hold` [s] this is given, and it may take no longer than `within` [s]."""
         start, stop = self.ends
         known, spread = self.left(np.array([start]), np.zeros(1))
-        if start == stop and spread <= self.tolerance:
+        if start == stop and spread <= self.tolerance and hold is None:
             return Homing((start,), known, True, (), self.sampling.play("homing", [Leg(start, start, 0.0)]), spread)
         wait = _rest_seconds(self.actuator) if hold is None else float(hold)
         if hold is None and self.longest:
@@ -199,6 +189,10 @@ class _TimedHoming:
         excitation = self.sampling.play("homing", self.path(legs, wait))
         if within is not None and excitation.duration > within:
             legs, wait, excitation = self.shortened(within)
+        elif within is not None and self.longest:
+            # What time is left lets creep come to rest.
+            wait += (within - excitation.duration) / self.holds(legs)
+            excitation = self.sampling.play("homing", self.path(legs, wait))
         state, spread = self.left(excitation.voltage, excitation.time)
         return Homing(
             self.turns(legs), state, spread <= self.tolerance, tuple(self.remarks(wait, spread)), excitation, spread
@@ -208,20 +202,21 @@ class _TimedHoming:
         """Return legs, holds [s] and voltage of a homing that takes no longer than `within` [s]."""
         excitation = self.sampling.play("homing", self.path(2, 0.0))
         if excitation.duration > within:
-            frequency = self.sampling.frequency * excitation.duration / max(within, 1e-9)
+            frequency = self.sampling.frequency * excitation.duration / within
+            if self.sampling.sample_rate is not None:
+                frequency = min(frequency, max(self.sampling.frequency, self.sampling.sample_rate / _LEAST_CYCLE))
             self.sampling = replace(self.sampling, frequency=frequency)
             excitation = self.sampling.play("homing", self.path(2, 0.0))
             if excitation.duration > within + 2 / self.sampling.rate:
                 need = f"{excitation.duration:.4g} s at least, by the slew rate or the sample rate"
                 raise RecordError(argument="home_within", got=f"{within:g} s", need=need)
             return 2, 0.0, excitation
-        holds = sum(leg.start == leg.end for leg in self.path(2, 1.0))
-        wait = (within - excitation.duration) / max(holds, 1)
+        wait = (within - excitation.duration) / self.holds(2)
         return 2, wait, self.sampling.play("homing", self.path(2, wait))
 
     def remarks(self, wait: float, spread: float) -> Iterator[str]:
         """Yield remarks on a homing with holds [s] that leaves a `spread` [m]."""
-        reasons, longest = time_dependence(self.actuator), self.longest
+        reasons = time_dependence(self.actuator)
         if spread > self.tolerance:
             remedy = "no hold suffices within these limits; wider limits may, or a larger tolerance"
             if (needed := self.needed(wait)) is not None:
@@ -231,10 +226,6 @@ class _TimedHoming:
                 f"not certified to {_micro(self.tolerance)}: the history may leave {_micro(spread)} ({share:.2g} % of "
                 f"the range){reasons and f', as this actuator {reasons}'}; {remedy}"
             )
-        elif longest and wait > 0.1 * longest:
-            shorter = [seconds for seconds in (0.0, 0.1 * longest, longest) if seconds < 0.9 * wait]
-            left = ", ".join(f"{_micro(self.best(seconds)[1])} after {seconds:.3g} s" for seconds in shorter)
-            yield f"shorter holds would leave more: {left}"
         if not keeps_order(self.actuator):
             yield (
                 f"simulated from {len(self.states)} extreme and random histories to end in a known state, not proven: "
@@ -280,12 +271,17 @@ class _TimedHoming:
     def path(self, legs: int, hold: float) -> list[Leg]:
         """Return the legs through the turns, with a hold at the last visit of either limit."""
         turns = self.turns(legs)
-        last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold > 0}
+        # A hold below a sample is none.
+        last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold * self.sampling.rate > 1}
         path: list[Leg] = []
         for k, leg in enumerate([None, *self.sampling.legs(turns)]):
             path += [] if leg is None else [leg]
             path += [Leg(turns[k], turns[k], hold)] if last.get(turns[k]) == k else []
         return path
+
+    def holds(self, legs: int) -> int:
+        """Return the number of holds in a path, or 1."""
+        return max(1, len(self.path(legs, math.inf)) - len(self.path(legs, 0.0)))
 
     def left(self, voltage: Array, time: Array) -> tuple[State, float]:
         """Return the middle of the states at the end, and the spread [m] there and along a further cycle."""
@@ -358,9 +354,11 @@ def _micro(length: float) -> str:
 
 def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
     """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` outside the limits."""
-    if present is None:
-        return bounds.nearest(0.0)
-    return bounds.within(volts(present, "present"), "present", error=RecordError)
+    return (
+        bounds.nearest(0.0)
+        if present is None
+        else bounds.within(volts(present, "present"), "present", error=RecordError)
+    )
 
 
 def played_homing(
@@ -388,7 +386,7 @@ def played_homing(
         drive = Sampling(frequency=0.5 / leg_seconds(actuator, leg), sample_rate=rate)
     drive = replace(drive, base=now, present=now, limits=limits, slew_rate=pace(compensator))
     # A long homing has a sample rate of its own: that of the path over a whole number.
-    needed = 2 * _LEG_SAMPLES * drive.frequency
+    needed = 2 * _LEG_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
     if actuator.dynamics is not None:
         needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
     drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
@@ -408,9 +406,11 @@ def played_homing(
         # Without holds, and with the fewest legs as no tolerance asks for more.
         short = found(drive, hold=0.0, tolerance=1.0)
         if short.played.duration < seconds / _LONG:
-            left, least = (100 * one.spread / actuator.stroke for one in (short, homing))
+            left, least = (100 * each.spread / actuator.stroke for each in (short, homing))
+            digit = 10.0 ** (math.floor(math.log10(short.played.duration)) - 2)
+            enough = digit * math.ceil(short.played.duration / digit)
             remarks += (
-                f"the homing takes {seconds:.4g} s; home within {short.played.duration:.3g} s leaves up to {left:.2g} "
+                f"the homing takes {seconds:.4g} s; home within {enough:.3g} s leaves up to {left:.2g} "
                 f"% of the stroke open, this one {least:.2g} %",
             )
     # No remark on legs that take longer to keep the slew rate: no speed was requested.
