@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1015,
     "cli": 680,
-    "control": 4590,
+    "control": 4588,
     "exports": 1300,
     "fleet": 312,
     "foundation": 1422,
