@@ -58,7 +58,6 @@ from dehyst.model.states import (
 )
 from dehyst.model.summary import Slopes, bend, parts_of, step_response
 from dehyst.model.temperatures import (
-    TemperatureCover,
     demand_thermal,
     temperature_columns,
     temperature_range,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,47 +67,6 @@ def temperatures_to_record(
         ends = min(low, tested[0]), max(high, tested[1])
         needed.append(0.5 * (ends[0] + ends[1]))
     return tuple(sorted(set(needed)))
-
-
-@dataclass(frozen=True)
-class TemperatureCover:
-    """Temperatures [degC] that records tested, and those in use.
-
-    `tested`, `used`: lowest and highest, or None. `reference`: that of a model that depends on temperature, or None.
-    """
-
-    tested: tuple[float, float] | None = None
-    used: tuple[float, float] | None = None
-    reference: float | None = None
-
-    @property
-    def missing(self) -> tuple[float, ...]:
-        """Temperatures to record at [degC]; empty if the records cover those in use."""
-        return temperatures_to_record(self.tested, self.used, self.reference)
-
-    @property
-    def sentence(self) -> str:
-        """What is tested, and what is missing; empty if the records have no temperature and none is asked for."""
-        known = "The records have no temperature."
-        if self.tested is not None:
-            known = "The records have {:.3g} to {:.3g} degC.".format(*self.tested)
-        if self.used is None:
-            return "" if self.tested is None else known
-        low, high = self.used
-        if not self.missing:
-            used = " to ".join(dict.fromkeys((f"{low:.3g}", f"{high:.3g}")))
-            return f"{known} That covers the {used} degC of the use."
-        gaps = [(low, high)]
-        if self.tested is not None:
-            below, above = (low, min(high, self.tested[0])), (max(low, self.tested[1]), high)
-            gaps = [gap for gap in (below, above) if gap[0] < gap[1]] or gaps
-        words = " and ".join(f"{first:.3g} to {last:.3g}" for first, last in gaps)
-        return f"{known} Not tested: {words} degC. Record at {words_of(self.missing)} too."
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        lists = {"tested_degC": self.tested, "used_degC": self.used, "record_at_degC": self.missing}
-        return {name: None if values is None else list(values) for name, values in lists.items()}
 
 
 def words_of(temperatures: Iterable[float]) -> str:

@@ -31,7 +31,7 @@ _of_one = Only(_single, "with a model of several axes")
 _of_path = Only(lambda given: _single(given) and "trajectory" in given, "without --trajectory, on a model of one axis")
 
 
-@operation(insight_one, rare=("temperatures",), details=True)
+@operation(insight_one, details=True)
 def insight(
     run: Run,
     model: Input,
@@ -42,7 +42,6 @@ def insight(
     start: Annotated[Start | None, _of_path] = None,
     limits: tuple[float, float] | None = None,
     slew_rate: Annotated[Slew | None, _of_path] = None,
-    temperatures: tuple[float, float] | None = None,
     report: Output | None = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
@@ -67,7 +66,7 @@ def insight(
     keys = RECORD if trajectory is None else (*RECORD, "wanted", "temperature")
     known.demand(columns, keys, "on records")
     training = [read(path, known.of_records(columns)) for path in records]
-    asked: dict[str, Any] = {"limits": limits, "temperatures": temperatures, "progress": run.progress}
+    asked: dict[str, Any] = {"limits": limits, "progress": run.progress}
     if known.stage is not None:
         whole = insight_one(known.stage, training, **asked)
         assessed: Insight | StageInsight = whole

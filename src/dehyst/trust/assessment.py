@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from dehyst._errors import ModelError
@@ -20,13 +20,9 @@ from dehyst.model import (
     Actuator,
     Promise,
     Stage,
-    TemperatureCover,
     excite_command,
     promised,
-    temperature_range,
-    tested_temperatures,
     unusable,
-    words_of,
 )
 from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
@@ -46,7 +42,6 @@ def insight(
     *,
     plan: PathPlan | None = None,
     limits: tuple[float, float] | None = None,
-    temperatures: tuple[float, float] | None = None,
     progress: Progress = lambda _: None,
 ) -> Any:
     """Assess an identified model by its records: its promise, what they do not test, and what to record next.
@@ -62,9 +57,6 @@ def insight(
         like the records.
     limits : (float, float), optional
         Voltages allowed [V]; default: those of the model.
-    temperatures : (float, float), optional
-        Lowest and highest temperature in use [degC]; default: those of the path. What the records do not cover causes a
-        warning.
     progress : callable, optional
         Called with a short text at each step.
 
@@ -82,23 +74,15 @@ def insight(
     if isinstance(model, Stage):
         from dehyst.trust.stage_assessment import stage_insight
 
-        options: dict[str, Any] = {"limits": limits, "temperatures": temperatures, "progress": progress}
+        options: dict[str, Any] = {"limits": limits, "progress": progress}
         return stage_insight(model, [records] if isinstance(records, Record) else records, plan, **options)
     if not isinstance(model, Actuator):
         raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
     actuator = model
     progress("reading the records beside the model")
     allowed = actuator.limits if limits is None else interval(limits)
-    warmth = None if plan is None else plan.temperature
-    used = temperatures
-    if used is None and warmth is not None and warmth.size:
-        used = float(warmth.min()), float(warmth.max())
-    reference = None if actuator.thermal is None else actuator.thermal.reference
-    tested = tested_temperatures(actuator) or temperature_range([records] if isinstance(records, Record) else records)
-    cover = TemperatureCover(tested, used, reference)
-    _ = cover.missing  # refuses an impossible range
     with one_thread():
-        return Insight(Evidence.from_records(actuator, records), allowed, plan, cover)
+        return Insight(Evidence.from_records(actuator, records), allowed, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +96,11 @@ class Insight(Plotted):
         Voltages allowed [V].
     plan : PathPlan or None
         The path that is judged; None: any path like the records.
-    temperatures : TemperatureCover
-        Temperatures of the records, those in use, and those to record at.
     """
 
     evidence: Evidence
     limits: tuple[float, float] | None
     plan: PathPlan | None = None
-    temperatures: TemperatureCover = field(default_factory=TemperatureCover)
 
     @property
     def actuator(self) -> Actuator:
@@ -179,7 +160,6 @@ class Insight(Plotted):
             self._of_others(),
             self._open(),
             self._beyond(),
-            self.temperatures.sentence if self.temperatures.missing else "",
         ]
         return tuple(remark for remark in remarks if remark)
 
@@ -229,7 +209,6 @@ class Insight(Plotted):
             "warnings": list(self.warnings()),
             **json_values(self, "promise record_next turns"),
             "directions": directions,
-            "temperatures": self.temperatures.as_dict(),
         }
 
 
@@ -239,8 +218,6 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
         yield from found.promise.lines
     for warning in found.warnings():
         yield f"WARNING: {warning}"
-    if found.temperatures.sentence and not found.temperatures.missing:
-        yield found.temperatures.sentence
     if full:
         identifiability = found.identifiability
         values = " ".join(f"{value:.2g}" for value in identifiability.values)
@@ -250,8 +227,6 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
             f"{identifiability.determined} of {identifiability.of}"
         )
         yield f"  singular values, V for each volt of breakaway voltages: {values}"
-    if found.temperatures.missing:
-        yield f"To record at {words_of(found.temperatures.missing)}: the excitation of the records."
     commands = found.record_next
     yield "To record next:" if commands else "To record next: nothing; no excitation tests more."
     yield from (f"    {command}" for command in commands)
