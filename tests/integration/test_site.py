@@ -37,6 +37,8 @@ RUN_ELSEWHERE = (
     "how_to/python.md",
     "how_to/simulink.md",
     "tutorials/first_calibration.md",
+    "tutorials/learning_scan.md",
+    "tutorials/no_sensor.md",
 )
 
 

@@ -81,7 +81,7 @@ class PathSlew(NamedTuple):
     def missed_words(self, limits: tuple[float, float], voltage: Array, missed: float) -> str:
         """Return as text why, and by how much [m], a path is missed with its clamped voltages (n,) [V]."""
         at_limit = voltage.min() <= limits[0] or voltage.max() >= limits[1]
-        reasons = (at_limit and "cut at the limits", self.bound is not None and "held back by the slew rate")
+        reasons = (at_limit and "cut at the limits", self.bound is not None and "slewed")
         return f", {' or '.join(one for one in reasons if one)}: missed by up to {missed * 1e6:.4g} um"
 
     def fields(self) -> dict[str, Any]:

@@ -89,8 +89,8 @@ export function judged(planned, { stroke, band, light, speed }) {
   const { voltage, steepest, missed, straightMissed, clamps } = planned;
   const share = (um) => `${length(um)} (${percent((100 * um) / stroke)} of the stroke)`;
   const cut = [
-    clamps.limited && `${whole(clamps.limited)} samples are cut at a limit`,
-    clamps.slewed && `${whole(clamps.slewed)} samples are held back by the slew rate`,
+    clamps.limited && `${whole(clamps.limited)} samples are clamped`,
+    clamps.slewed && `${whole(clamps.slewed)} samples are slewed`,
   ].filter(Boolean);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
   const followed = `The path can be followed${band ? `: expect it within ${share(band)}` : ""}.`;
