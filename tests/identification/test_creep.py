@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
+import structured_records as wide
 
 import dehyst
 from dehyst import DisplacementCreep, Record
-from dehyst.identification import compare, errors_of, initial_state, prepare, state_after
+from dehyst.identification import compare, errors_of, initial_state, prepare, search, state_after
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, recommended, staircase
 
@@ -108,3 +110,23 @@ def test_means_of_samples_creep_from_where_the_record_began(block):
     moved, whole = (one.without_creep(part).record for one in (reduced, item))
     expected = np.interp(moved.time, whole.time, whole.displacement)
     assert np.abs(moved.displacement - expected).max() < 1e-3 * np.ptp(expected)
+
+
+def with_holds(places, *, creep=0.0, drift=0.0, seed=33):
+    """Random turns with holds of 40 s after two of them; the sensor drifts by a part of the stroke."""
+    levels = np.concatenate([[0, 100, 0], np.random.default_rng([seed, 7]).uniform(0, 100, 24), [0]])
+    counts = np.maximum(np.abs(np.diff(levels)) * (1 + np.arange(27) % 3) / 3, 4).astype(int)
+    legs = [np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(levels), counts, strict=True)]
+    voltage = np.concatenate([np.append(leg, np.full(400 * (k in places), leg[-1])) for k, leg in enumerate(legs)])
+    time = np.arange(voltage.size) / RATE
+    y = actuator(creep).play(voltage, time=time)
+    return Record(time, voltage, y + drift * 12e-6 * np.log10(1 + time / 5), "holds")
+
+
+@pytest.mark.parametrize("places", [(3, 15), (5, 9), (12, 24)])
+def test_creep_is_found_wherever_the_voltage_rests_and_a_drift_of_the_sensor_is_not_creep(places):
+    for kind, options in {"creep": {"creep": 0.01}, "drift": {"drift": 0.01}}.items():
+        frame = wide.frame([with_holds(places, **options)])
+        assert len(frame.rests[0]) == 2
+        names = search.moving(frame, lambda _: None, lag=True, drift=True, more=True)[1]
+        assert kind in names and ("creep" in names) == (kind == "creep")

@@ -19,7 +19,7 @@ ROOMS = {
     "exports": 1300,
     "fleet": 312,
     "foundation": 1422,
-    "identification": 6262,
+    "identification": 6261,
     "instruments": 2864,
     "model": 3883,
     "operations": 4312,

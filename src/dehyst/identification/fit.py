@@ -73,7 +73,17 @@ class Fit(Plotted):
         return escaped(_one_line(self))
 
     def _repr_html_(self) -> str:
-        return _as_html(self)
+        verdict = self.promise
+        return html.block(
+            "Fit" if verdict is None else f"Fit: {verdict.readiness.value}",
+            html.line(_one_line(self)),
+            html.line(self.outcome.value) if verdict is not None else "",
+            html.table(_HEAD, _error_rows(self.errors)) if self.errors else "",
+            html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence in _parts_of(self.actuator)]),
+            html.folded("Checks", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in self.checks]),
+            *(html.folded(title, sentences) for title, sentences in _lists(self)),
+            colour="red" if not self.good else "" if verdict is None else _COLOURS[verdict.readiness],
+        )
 
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
@@ -193,18 +203,3 @@ def _parts_of(actuator: Actuator) -> list[tuple[str, str]]:
 def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:
     causes = [one.sentence(fit.errors[0].stroke) for one in fit.remaining]
     return ("Repaired or left out", fit.repairs), ("Remaining error", causes), ("Remarks", fit.remarks)
-
-
-def _as_html(fit: Fit) -> str:
-    """Return a fit for a notebook: verdict, errors, and what opens with a click."""
-    verdict = fit.promise
-    return html.block(
-        "Fit" if verdict is None else f"Fit: {verdict.readiness.value}",
-        html.line(_one_line(fit)),
-        html.line(fit.outcome.value) if verdict is not None else "",
-        html.table(_HEAD, _error_rows(fit.errors)) if fit.errors else "",
-        html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence in _parts_of(fit.actuator)]),
-        html.folded("Checks", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in fit.checks]),
-        *(html.folded(title, sentences) for title, sentences in _lists(fit)),
-        colour="red" if not fit.good else "" if verdict is None else _COLOURS[verdict.readiness],
-    )

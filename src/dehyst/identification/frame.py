@@ -14,7 +14,7 @@ from dehyst._types import Array
 from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.comparison import without_offset
 from dehyst.identification.denoising import derivatives, left_of
-from dehyst.identification.motion import Motion, Parts, moved
+from dehyst.identification.motion import Motion, Parts
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import Epoch, NumberedEpoch, Piece, RowSource
@@ -143,10 +143,6 @@ class Frame:
             thermal=at.thermal,
         )
 
-    def with_numbers(self, names: Sequence[str], found: Solution) -> Frame:
-        """Return the records with the numbers that a solution found for parts."""
-        return replace(self, motion=moved(self.motion, names, found.numbers))
-
     def folds(self, program: Program) -> NDArray[np.intp]:
         """Return the fold of each row (n,): sixths of the time of its record, two in each, and of a long rest likewise.
 
@@ -182,6 +178,17 @@ class Frame:
             missed = [left[counted & away & (rows.record == q)] for q in range(len(self.training))]
             errors += [rms(one) for one in missed if one.size]
         return self.motion.at_rest * float(np.median(errors)) if errors else 0.0
+
+    def error_in_rests(self, source: RowSource, program: Program, whole: Solution) -> float:
+        """Return the RMS error [m] of held-out parts of rests, each less its mean; 0 without a rest."""
+        rows, errors = program.rows, [np.zeros(1)]
+        for k in range(FOLDS):
+            left = self.residual(source, program, program.solved(whole, without=k), whole, k)
+            for q, rests in enumerate(self.rests):
+                own = (program.fold == k) & (rows.record == q) & np.isfinite(left)
+                parts = (left[own & (rows.time >= begin) & (rows.time <= end)] for begin, end in rests)
+                errors += [part - part.mean() for part in parts if part.size]
+        return rms(np.concatenate(errors))
 
     def residual(
         self, source: RowSource, program: Program, found: Solution, whole: Solution, without: int | None = None

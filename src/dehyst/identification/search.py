@@ -20,7 +20,7 @@ from dehyst._views.fields import json_values
 from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.expectation import new_legs
 from dehyst.identification.frame import FOLDS, Frame, part_of
-from dehyst.identification.motion import creep_times
+from dehyst.identification.motion import creep_times, moved
 from dehyst.identification.program import SMALLEST_GAIN, Program, Solution, with_folds
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.resonance import tuned
@@ -90,6 +90,11 @@ class Fitted:
         return self.frame.held_out_error(self.source, self.program, self.found)
 
     @cached_property
+    def in_rests(self) -> float:
+        """Error of held-out parts of rests of the voltage [m]."""
+        return self.frame.error_in_rests(self.source, self.program, self.found)
+
+    @cached_property
     def actuator(self) -> Actuator:
         """Without limits and name."""
         return self.frame.actuator(self.program, self.found)
@@ -135,7 +140,7 @@ def fitted(
     for _ in range(turns):
         program = frame.program(source, structure, rows, names, found)
         found = program.solved()
-        frame = frame.with_numbers(names, found)
+        frame = replace(frame, motion=moved(frame.motion, names, found.numbers))
         source = frame.source(structure)
     program = frame.program(source, structure, rows, names, found)
     program = with_folds(program, frame.folds(program))
@@ -194,10 +199,15 @@ def moving(
         for one, words in drifts:
             best = search.better(best, one, (*names, "drift"), words)
     if more:
-        creeping = _creeping(frame)
+        tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
+        begun = np.zeros((len(frame.training), tau.size))
+        motion = replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun)
+        creeping = replace(frame, motion=motion)
         # Behind a turn a fast relaxation looks like a lag: with creep a lag must show itself again.
         lags = "delay" in best.names
-        best = search.better(best, creeping, ("creep", "begun"))
+        made = search.tried(creeping, ("creep", "begun"))
+        if made.score < best.score or _creeps_in_rests(made, best):
+            best = made
         if lags:
             best = search.better(best, creeping, ("delay", "creep", "begun"))
     if "delay" in best.names:
@@ -210,19 +220,19 @@ def moving(
     return best.frame, best.names, search.trials
 
 
+def _creeps_in_rests(creeping: Fitted, other: Fitted) -> bool:
+    """Whether rests show creep that the whole record hides: a drift can stand for creep, but not in rests."""
+    if not any(creeping.frame.rests) or RULES.creep_gain * creeping.held_out >= other.held_out:
+        return False
+    return creeping.in_rests < RULES.creep_gain * other.in_rests
+
+
 def _as_low_pass(search: _Search, best: Fitted) -> Fitted:
     """Return the better of a solution with a delay and one with a low-pass of first order as slow."""
     at, names = best.frame.motion, tuple(name for name in search.own(best) if name != "delay")
     slow = replace(best.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
     low_pass = search.tried(slow, names, ", behind a low-pass")
     return low_pass if low_pass.held_out < RULES.lag_gain * best.held_out else best
-
-
-def _creeping(frame: Frame) -> Frame:
-    """Return the records with branches of creep whose gains are not known yet."""
-    tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
-    begun = np.zeros((len(frame.training), tau.size))
-    return replace(frame, motion=replace(frame.motion, time_constants=tau, gains=np.zeros(tau.size), begun=begun))
 
 
 def _steady(frame: Frame) -> Frame:

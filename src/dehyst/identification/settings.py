@@ -76,14 +76,9 @@ class Deadline:
         return f"{self.so_far:.0f} s so far" + (f", {self.left:.0f} s left" if self.left < inf else "")
 
     def end(self, cause: str = "A request", *, leave_step: bool = False) -> None:
-        """End the searches.
+        """End the searches; `cause` is the subject of the sentence that reports it: "Ctrl-C".
 
-        Parameters
-        ----------
-        cause : str, optional
-            Subject of the sentence that reports it: "Ctrl-C".
-        leave_step : bool, optional
-            Leave the running step too. Only for a signal handler of the thread that identifies.
+        `leave_step` leaves the running step too: only for a signal handler of the thread that identifies.
         """
         self.ended, self._cause = True, cause
         if leave_step:
@@ -104,17 +99,9 @@ class Deadline:
         return watched
 
     def attempt(self, step: Callable[[], _T], otherwise: _U, name: str) -> _T | _U:
-        """Return the result of a step; if the deadline passes before its end, note its `name` and return `otherwise`.
+        """Return the result of a step; if the deadline passes before its end, add its `name` to `cut`: `otherwise`.
 
-        Parameters
-        ----------
-        step : callable
-            A function that may be left where it calls `check`, or by a signal. A nested step is left together with its
-            outer step.
-        otherwise : object
-            Result if the step is left.
-        name : str
-            For `cut`.
+        `step` may be left where it calls `check`, or by a signal; a nested step is left together with its outer one.
         """
         if self._inside:
             self.check()
