@@ -14,6 +14,8 @@ import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
 from dehyst.model import MaxwellSlip, Spring, with_identification
 from dehyst.trust.recheck import Standing
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, raised_cosine, recommended
 
 STROKE = 16.152e-6
 
@@ -176,6 +178,17 @@ def test_a_sensor_may_have_its_zero_far_away(zero):
     assert recheck.standing is Standing.STILL_TRUE
     assert [change.name for change in recheck.changed] == ["offset"]
     assert abs(of(recheck, "offset").value - zero) < 3 * of(recheck, "offset").error
+
+
+def test_no_zero_is_stated_that_creep_from_before_the_record_moves():
+    twice = raised_cosine([100.0], cycles=2, drive=Sampling(0.1, sample_rate=20.0))
+    excitation = recommended(100.0, drive=Sampling(0.1, sample_rate=20.0))
+    voltage = np.append(twice.voltage, excitation.voltage)
+    time, truth = np.arange(voltage.size) / 20.0, PlayActuator(highest=100.0, plays=40, creep=0.01, seed=1)
+    driven = Record(time, voltage, truth.play(voltage, time=time))[twice.voltage.size :]
+    model = dehyst.identify(driven).actuator
+    rested = PlayActuator(highest=100.0, plays=40, creep=0.01, seed=2).play(twice.voltage, time=twice.time)
+    assert dehyst.check(model, Record(twice.time, twice.voltage, rested)).changed == ()
 
 
 def test_a_narrow_record_leaves_the_offset_open():

@@ -61,6 +61,10 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert any("gain" in sentence for sentence in made.sentences())
     known = made.actuator.identification
     assert known.validity.anywhere.rms == made.promise.rms
+    assert (
+        made.good
+        and not replace(made, recheck=replace(made.recheck, goal=99 * made.promise.largest / made.stroke)).good
+    )
     assert known.validity.rms >= old.identification.validity.rms
     assert len(known.validity.legs) > len(old.identification.validity.legs)
     assert made.actuator.provenance["updated_from"] == old.name
