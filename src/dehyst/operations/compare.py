@@ -51,7 +51,8 @@ def compare(
         write_comparison(report, found, command=run.command)
     good = not any(row.failure for row in found.rows if row.name == OURS)
     written = files(Figures=output, Report=report)
-    return Result(found.as_dict(), *([*_lines(found, full=full), *written] for full in (False, True)), good=good)
+    lines, more = ([*_lines(found, full=full), *written] for full in (False, True))
+    return Result(found.as_dict(), lines, more, good=good)
 
 
 def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
