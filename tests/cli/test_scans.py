@@ -143,6 +143,7 @@ def test_wrong_options_of_compensate_are_named(folder, arguments, argument):
 @pytest.mark.parametrize(
     ("arguments", "argument"),
     [
+        ((*TRIANGLE, "--cycles", 0), "cycles"),
         ((*TRIANGLE, "--lines", 3), "lines"),
         ((*TRIANGLE, "--cycles", 0, "--turns", 2), "turns"),
         ((*TRIANGLE, "--acceleration", 1000), "acceleration"),

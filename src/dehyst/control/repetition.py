@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._native import judge
 from dehyst._types import Array
-from dehyst._validation import plain
+from dehyst._validation import FARTHEST, plain
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
 from dehyst.control.planning.wave_table import StartUp, WaveTable
@@ -99,7 +99,7 @@ class Repetition:
         if compensator.period is None:
             raise ModelError("a repetition needs the time between steps", hint="give the period [s]")
         self.compensator, self.path = compensator, self._samples(path, "path")
-        if len(self.path) < 2 or not np.isfinite(self.path).all():
+        if len(self.path) < 2 or not (np.abs(self.path) <= FARTHEST).all():
             raise ModelError(argument="path", got=f"{len(self.path)} samples", need="two or more finite numbers")
         self.bound = min(
             sensor_bound(loop.reach, loop.actuator.stroke * loop._per_metre, bound) for loop in self._loops

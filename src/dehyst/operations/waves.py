@@ -103,8 +103,8 @@ def excite(
             raise ModelError(argument="homing", need="either a highest voltage or --model, not both")
         return _home(run, model, output, hold, _HOMING if frequency is None else frequency, sampled)
     several = kind in ("raised-cosine", "stage")
-    if not volts or not (several or len(volts) == 1):
-        words = "one for each peak or axis" if several else "one voltage"
+    if len(volts) < (2 if kind == "stage" else 1) or not (several or len(volts) == 1):
+        words = {"stage": "one for each of several axes", "raised-cosine": "one for each peak"}.get(kind, "one voltage")
         raise RecordError(argument="volts", got=f"{len(volts)} for {kind}", need=words)
     if kind == "stage":
         options["axes"] = None if axes is None else axes.split(",")
@@ -207,6 +207,8 @@ def refuse_cycles(made: Scan, cycles: int) -> None:
             need=f"at most {MOST_ROWS:g}",
             hint="try a lower sample rate, or a scan of fewer lines",
         )
+    if cycles < 1:
+        raise RecordError(argument="cycles", got=cycles, need="1 or more")
     if cycles * made.samples > MOST_ROWS:
         raise RecordError(
             argument="cycles",
