@@ -386,7 +386,6 @@ class AbstractRig(ABC):
                     try:
                         one._halt()
                     except LinkError:
-                        # By a second connection, or after one wrong answer.
                         one._halt()
                 except DehystError as error:
                     # A driver reports a wave that it cannot stop, and the other axes go on.

@@ -61,12 +61,14 @@ class TcpLink:
 
         Raise `LinkError` if that fails.
         """
+        # After a lost answer, none is waited for as long again: a retreat must not take minutes.
+        self._timeout = min(_LOST, self._timeout)
         if self._socket is not None and not self._half_sent:
             with suppress(LinkError):
                 self._await(identity)
                 return
         self.close()
-        deadline = time.monotonic() + min(_LOST, self._timeout)
+        deadline = time.monotonic() + self._timeout
         while True:
             try:
                 self._socket = self._connect()

@@ -27,7 +27,8 @@ TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
 # A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but so many.
-_ANSWERS, _FEWEST = 1.0, 3
+# A retreat sends so many steps again that were not taken.
+_ANSWERS, _FEWEST, _AGAIN = 1.0, 3, 3
 # Readings, a tick apart, in which the readback must come near what was sent, and seconds after which that is enough;
 # readings before a retreat.
 _SETTLING, _PATIENT, _HASTY = 100, 2.0, 3
@@ -157,13 +158,12 @@ class Output:
     def _steps(self, present: float, end: float, *, always: bool) -> Generator[float, float, None]:
         """Send voltages from `present` to `end` [V] within the slew rate; `always`: the end if it is there already.
 
-        A step is as large as the wait before it allows, which begins when the one before has been taken. In a retreat a
-        step that was not taken is sent once more.
+        A step is as large as the wait before it allows, which begins when the one before has been taken.
         """
         limits = self._rig.limits
         speed = min(self._rig.slew_rate, (limits.high - limits.low) / _GENTLE)
         gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
-        wait, again = TICK, always
+        wait, again = TICK, _AGAIN if always else 0
         while present != end or always:
             # Before the first step too: a wave may have been stopped just now.
             waited = yield wait
@@ -174,7 +174,7 @@ class Output:
             except RigError:
                 if not again:
                     raise
-                again = False
+                again -= 1
                 continue
             present, always = voltage, False
             self.puts(present)
