@@ -332,7 +332,7 @@ class RigContract:
 
         def listen(samples: Samples) -> None:
             if samples.voltage[-1] > 35.0:
-                vars(rig)["_read"] = reading
+                vars(rig).update(_read=reading, _read_voltage=lambda: reading().voltage)
                 sent[:] = [float(samples.voltage[-1])]
                 raise ValueError
 
@@ -341,7 +341,7 @@ class RigContract:
             if stopped == "wave":
                 rig.play(excitation(rig, 0, 60), listen)
             rig.set_voltage(40.0)
-            vars(rig)["_read"] = reading
+            vars(rig).update(_read=reading, _read_voltage=lambda: reading().voltage)
             rig.set_voltage(60.0)
         (note,) = caught.value.__notes__
         assert note.startswith("0 V was sent")
