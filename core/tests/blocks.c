@@ -270,6 +270,8 @@ static void go_on_from_snapshots(bench *b)
     demand(other.sent == other.voltage && other.w == m->start.w, "a refused snapshot has changed the loop", (long)at);
     kept[at / 8] ^= (unsigned char)(1u << at % 8);
     demand(dehyst_loop_restore(m, &other, fresh, kept, below(size)) != DEHYST_OK, "a snapshot cut off", (long)size);
+    demand(dehyst_loop_save(m, &loop, memory, NULL, 0) == 0, "a snapshot to nowhere", 0);
+    demand(dehyst_loop_restore(m, &other, fresh, NULL, size) != DEHYST_OK, "a snapshot from nowhere", 0);
     demand(dehyst_loop_restore(m, &other, fresh, kept, size) == DEHYST_OK, "a snapshot", (long)size);
     for (i = 0; i < STEPS; i++) {
         const dehyst_real u = (dehyst_real)between(-0.2, 1.2);
