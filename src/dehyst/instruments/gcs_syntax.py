@@ -288,7 +288,6 @@ _ERRORS = {
     15: "it has no such axis",
     17: "a parameter is out of its range",
     23: "it has no such axis or channel",
-    54: "it does not have the parameter",
     58: "it cannot record that",
     66: "the voltage is out of its limits",
     67: "its memory does not hold the wave",
