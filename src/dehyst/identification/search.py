@@ -89,7 +89,7 @@ class Fitted:
         """Error of held-out time [m]."""
         return self.frame.held_out_error(self.source, self.program, self.found)
 
-    @cached_property
+    @property
     def in_rests(self) -> float:
         """Error of held-out parts of rests of the voltage [m]."""
         return self.frame.error_in_rests(self.source, self.program, self.found)
@@ -201,8 +201,7 @@ def moving(
     if more:
         tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
         begun = np.zeros((len(frame.training), tau.size))
-        motion = replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun)
-        creeping = replace(frame, motion=motion)
+        creeping = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun))
         # Behind a turn a fast relaxation looks like a lag: with creep a lag must show itself again.
         lags = "delay" in best.names
         made = search.tried(creeping, ("creep", "begun"))
@@ -222,7 +221,8 @@ def moving(
 
 def _creeps_in_rests(creeping: Fitted, other: Fitted) -> bool:
     """Whether rests show creep that the whole record hides: a drift can stand for creep, but not in rests."""
-    if not any(creeping.frame.rests) or RULES.creep_gain * creeping.held_out >= other.held_out:
+    hidden = "drift" in other.names and any(creeping.frame.rests)
+    if not hidden or RULES.creep_gain * creeping.held_out >= other.held_out:
         return False
     return creeping.in_rests < RULES.creep_gain * other.in_rests
 
