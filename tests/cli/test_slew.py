@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
-from command_line import run
+from command_line import result, run
 
 import dehyst
 from dehyst.model import Identification, Stage, slew_rate_of_records, with_identification
@@ -182,3 +182,11 @@ def test_an_identification_stores_the_speed_of_its_records():
     record = dehyst.Record(time, voltage, plain_records.plant(6).simulate(voltage, state=truth).displacement)
     fit = dehyst.identify(record, structure="maxwell_slip")
     assert slew_rate_of_records(fit.actuator) == pytest.approx(1.05 * 20, rel=0.02)
+
+
+@pytest.mark.parametrize("limit", [(), ("--slew-rate", 50)])
+def test_an_excitation_states_the_speed_that_it_needs(tmp_path, limit):
+    _, made = result("excite", "recommended", 100, *limit, "-o", "v.csv", cwd=tmp_path)
+    time, voltage = np.loadtxt(tmp_path / "v.csv", delimiter=",", skiprows=1).T
+    assert made["slew_rate_V_per_s"] == pytest.approx(np.abs(np.diff(voltage) / np.diff(time)).max(), rel=1e-3)
+    assert made["slew_rate_V_per_s"] < (50.1 if limit else 800)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
@@ -165,6 +167,7 @@ def _written(
     write_table(output, {"time_s": excitation.time, **voltages})
     low, high = excitation.voltage_range
     first, last = (excitation.voltage[k].tolist() for k in (0, -1))
+    fastest = excitation.sample_rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
     fields = {
         "kind": excitation.name,
         "samples": len(excitation),
@@ -172,6 +175,7 @@ def _written(
         "sample_rate_Hz": excitation.sample_rate,
         "lowest_V": low,
         "highest_V": high,
+        "slew_rate_V_per_s": fastest,
         "first_V": first,
         "last_V": last,
         **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
@@ -189,7 +193,7 @@ def _written(
             ("Before recording, play one cycle on all axes, so that the record begins within the loops.",),
         )
     else:
-        what += f", from {first:.6g} to {last:.6g} V"
+        what += f", from {first:.6g} to {last:.6g} V, at {fastest:.4g} V/s at most"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
     if temperatures:
         advice = (*advice, f"Record it at {words_of(temperatures)}, each with a column temperature_C.")
