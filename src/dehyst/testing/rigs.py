@@ -109,11 +109,10 @@ class RigContract:
     @pytest.fixture
     def bench(self, candidate: RigCandidate) -> Iterator[Bench]:
         """Return a function that opens a rig with options; it returns the rig and the instrument behind it."""
-        self._waits = [_TICK]
 
         def opened(**options: Any) -> Any:
             made = stack.enter_context(candidate.open(**options))
-            wait = made[0]._wait
+            wait, self._waits = made[0]._wait, [_TICK]
             vars(made[0])["_wait"] = lambda seconds: (self._waits.append(seconds), wait(seconds))
             return made
 
