@@ -112,8 +112,8 @@ class RigContract:
 
         def opened(**options: Any) -> Any:
             made = stack.enter_context(candidate.open(**options))
-            wait, self._waits = made[0]._wait, [_TICK]
-            vars(made[0])["_wait"] = lambda seconds: (self._waits.append(seconds), wait(seconds))
+            wait, self._waits = made[0]._wait, {_TICK: _TICK}
+            vars(made[0])["_wait"] = lambda seconds: wait(self._waits.setdefault(seconds, seconds))
             return made
 
         with ExitStack() as stack:
