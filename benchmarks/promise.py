@@ -8,7 +8,7 @@ there: it is kept if it is not above the promise and the promised offset.
 
     python benchmarks/promise.py [found] [made] [--jobs N] [--rows FOLDER]
 
-found  27 mechanisms, on which the numbers in `dehyst.model.promise` were found; prints the factors they ask for
+found  mechanisms on which the numbers in `dehyst.model.promise` were found; prints the factors they ask for
 made   three more, made and run once when these numbers were final
 """
 
@@ -33,10 +33,7 @@ from dehyst.waveforms import Sampling, raised_cosine, recommended
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from strangers.disturbances import QUIET, Raw, Scale, filtered
 from strangers.fresh_truths import FRESH
-from strangers.last_truths import LAST
-from strangers.made_truths import MADE
 from strangers.more_truths import MORE, UNSEEN
-from strangers.newest_truths import NEWEST
 from strangers.protocols import PROTOCOLS, Part, Protocol, leg_samples, random_turns, through
 from strangers.truths import TRUTHS, Bench
 from strangers.unspent_truths import UNSPENT
@@ -45,7 +42,7 @@ OUTPUT = Path(__file__).with_suffix(".json")
 CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "unknown start")
 KINDS = ("one sine", "triangles", "tops", "curves", "growing", "random", "tops and random", "staircase", "speeds")
 SHARE = 0.9
-PARTS = {"found": {**TRUTHS, **MORE, **UNSEEN, **LAST, **NEWEST, **MADE, **FRESH}, "made": UNSPENT}
+PARTS = {"found": {**TRUTHS, **MORE, **UNSEEN, **FRESH}, "made": UNSPENT}
 DRIVE = Sampling(1.0, sample_rate=200.0)
 
 
