@@ -65,7 +65,7 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch):
     for code in re.findall(r"```python\n(.*?)```", (places.DOCS / "how_to" / "python.md").read_text(), re.DOTALL):
         exec(code, space)
     pyplot.close("all")
-    assert space["command"].units == "um"
+    assert space["plan"].units == "um"
     assert len(space["same"]) == len(record)
 
 
