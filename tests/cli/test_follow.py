@@ -104,6 +104,17 @@ def test_the_path_is_followed_and_its_record_is_written(folder):
     assert "Measured along a path" in (folder / "once" / "report.html").read_text()
 
 
+def test_a_promise_is_compared_apart_from_the_noise_of_the_sensor(folder):
+    for noise, stroke, kept in ((60e-9, 1.0, True), (2e-9, 1.03, False)):
+        options = f"PlayActuator(noise={noise}, stroke={stroke} * PlayActuator().stroke)"
+        (folder / "loud.py").write_text(RIG.replace("PlayActuator(),", f"{options},"))
+        status, out, _ = run("follow", "loud.py:make", *WORDS[2:], "--json", cwd=folder)
+        found = json.loads(out)
+        assert found["largest_m"] > found["promise"]["largest_m"]
+        assert (status, found["kept"]) == (0 if kept else 1, kept)
+        assert found["noise_m"] == pytest.approx(noise, rel=0.2)
+
+
 def test_a_repeated_path_has_a_way_back_and_an_error_each_time(folder):
     write_columns(folder / "ramp.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": 3 + 0.04 * np.arange(200)})
     words = ("follow", "rig.py:make", "--model", "model.json", "--path", "ramp.csv", "--repeat", "3", "--json")

@@ -48,7 +48,7 @@ def filled(record: Record) -> Record:
                 levels[turn] = side * max(side * levels[turn], *(side * y[a + own]).tolist())
     for a, b, x in branches:
         knots = np.unique([0, *np.flatnonzero(known[a:b]), x.size - 1])
-        new[a:b] = interpolate(x[knots], levels[a + knots], x, "pchip")
+        new[a:b] = interpolate(x[knots], levels[a + knots], x)
     return replace(record, displacement=np.where(known, y, new))
 
 

@@ -224,7 +224,7 @@ class Prepared:
             late = piece
             if delay:
                 times = np.clip(piece.time - delay, piece.time[0], piece.time[-1])
-                late = replace(piece, voltage=interpolate(piece.time, piece.voltage, times, "pchip"))
+                late = replace(piece, voltage=interpolate(piece.time, piece.voltage, times))
             if lag:
                 strain = Creep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
                 late = replace(late, voltage=late.voltage - strain)

@@ -26,9 +26,9 @@ from dehyst.operations.declaration import Folder, Input, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, write_table
 from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Recording, demand_disk_space, table_of
+from dehyst.records import Recording, beyond_noise, demand_disk_space, largest, percent, table_of
 from dehyst.report.actuator_section import followed_sections
-from dehyst.report.html import document
+from dehyst.report.html import document, words
 from dehyst.waveforms import Excitation
 
 # Part by which a rate may differ without a remark.
@@ -184,7 +184,7 @@ class _Task:
     """A cycle `wanted` (n, axes) [m] on a rig, whose first `size` samples are the path, within `bounds`, at `rate`.
 
     `tracked`: what was measured of each repetition; `best`: of the best that was learnt, else of the last. `clamped`:
-    number of samples. `learnt`: voltages (n, axes) [V] of the best cycle, or None.
+    number of samples. `learnt`: voltages (n, axes) [V] of the best cycle, or None. `noise`: of each sensor [m].
     """
 
     run: Run
@@ -200,6 +200,7 @@ class _Task:
         self.files: list[Recording] = []
         self.tracked: list[TrackedPath] = []
         self.promises: list[Any] = []
+        self.noise: list[float] = []
         self.clamped = 0
         self.learnt: Array | None = None
         self.watcher: Any = None
@@ -286,6 +287,7 @@ class _Task:
         excitation = Excitation("path", voltage if self.known.stage else voltage[:, 0], self.rate)
         self.watcher.step("path", excitation.duration)
         record = self.rig.play(excitation, listen, step=step)
+        self.noise = [record.axis(j).noise for j in range(len(self.files))]
         reached = np.empty(voltage.shape)
         reached[rows] = record.displacement.reshape(rows.size, -1)
         return reached[len(voltage) - size :]
@@ -311,7 +313,7 @@ class _Task:
             pair = [np.reshape(repetition.next(), self.wanted.shape) for _ in range(2)]
             reached = self._play(np.concatenate(pair), np.tile(self.wanted, (2, 1)), size)
             self.tracked.append(self._tracked(reached))
-            self.run.say(f"Repetition {number}: {_words(self.tracked[-1], self.known)}")
+            self.run.say(f"Repetition {number}: {_errors(self.tracked[-1], self.known)}")
             errors.append(_rms(self.tracked[-1]))
             if errors[-1] == min(errors):
                 self.learnt, self.best = pair[1], self.tracked[-1]
@@ -343,7 +345,7 @@ def _clamps(loop: Compensator | StageCompensator) -> int:
     return sum(one.clamps.limited + one.clamps.slewed for one in axes_of(loop))
 
 
-def _words(tracked: TrackedPath, known: AxesModel) -> str:
+def _errors(tracked: TrackedPath, known: AxesModel) -> str:
     """Return the errors of each axis in words."""
     each = [[f"largest error {one.largest_percent:.3f} %, RMS {one.rms_percent:.3f} %"] for one in tracked.each]
     return "; ".join(known.prefixed(each))
@@ -353,11 +355,20 @@ def _result(task: _Task, folder: Path) -> Result:
     """Write picture and voltages; return errors, whether they keep the promise, and the files."""
     known, best, report = task.known, task.best, folder / "report.html"
     # A promise is apart from a constant offset.
-    apart = [float(np.abs(one.error - one.error.mean()).max()) for one in best.each]
-    kept = [None if one is None else error <= one.largest for one, error in zip(task.promises, apart, strict=True)]
-    parts: list[Any] = [f"<h1>A path on {escape(task.rig.name)}</h1>"]
-    for axis, first, last in zip(best.axes or ("",), task.tracked[0].each, best.each, strict=True):
-        parts += [axis and f"<h2>Axis {escape(axis)}</h2>", *followed_sections({"first": first, "last": last})]
+    apart = [largest(tracked.error - tracked.error.mean()) for tracked in best.each]
+    kept = [
+        None if promise is None else beyond_noise(error, noise) <= promise.largest
+        for promise, error, noise in zip(task.promises, apart, task.noise, strict=True)
+    ]
+    head = _head(task, kept)
+    parts: list[Any] = [f"<h1>A path on {escape(task.rig.name)}</h1>", f"<p>{words(head)}</p>"]
+    shown = {"first cycle": task.tracked[0]}
+    if best is not task.tracked[0]:
+        number = task.tracked.index(best)
+        shown[f"repetition {number}, the best" if task.learnt is not None else f"cycle {number + 1}, the last"] = best
+    for j, axis in enumerate(best.axes or ("",)):
+        followed = {name: tracked.each[j] for name, tracked in shown.items()}
+        parts += [axis and f"<h2>Axis {escape(axis)}</h2>", *followed_sections(followed)]
     write_atomically(report, document("A path on a rig", parts))
     voltages = None
     if task.learnt is not None:
@@ -370,15 +381,23 @@ def _result(task: _Task, folder: Path) -> Result:
         "slew_V_per_s": known.by_axis(one.slew_rate for one in task.bounds),
         "promise": known.by_axis(None if one is None else one.as_dict() for one in task.promises),
         "kept": known.by_axis(kept),
+        "noise_m": known.by_axis(task.noise),
         **best.as_dict(),
         "repetitions": [one.as_dict() for one in task.tracked],
         "clamped": task.clamped,
         "output": str(folder),
     }
-    head = f"Followed: {_words(best, known)} of the stroke"
+    lines = [head, *(f"Record: {one.path}" for one in task.files), *files(Voltages=voltages, Report=report)]
+    return Result(fields, lines, good=not task.clamped and False not in kept)
+
+
+def _head(task: _Task, kept: Sequence[bool | None]) -> str:
+    """Return the result in words: errors, noise of the sensor, clamped samples, and a promise that is not kept."""
+    strokes = (actuator.stroke for actuator in task.known.actuators)
+    noise = ", ".join(f"{percent(value, stroke):.3f}" for value, stroke in zip(task.noise, strokes, strict=True))
+    head = f"Followed: {_errors(task.best, task.known)} of the stroke; the sensor's noise is {noise} % RMS"
     if task.clamped:
         head += f"; {task.clamped} samples were clamped at a limit or by the slew rate"
     if False in kept:
         head += "; that is more than was promised: dehyst check tells what has changed"
-    lines = [head, *(f"Record: {one.path}" for one in task.files), *files(Voltages=voltages, Report=report)]
-    return Result(fields, lines, good=not task.clamped and False not in kept)
+    return head

@@ -11,6 +11,7 @@ from dehyst.records.recording import Recording, about_of, demand_disk_space, unu
 from dehyst.records.signals import (
     NOISE_PEAK,
     bandwidth,
+    beyond_noise,
     counting,
     gaps,
     interpolate,

@@ -21,14 +21,11 @@ from dehyst._views import html, tables
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
 from dehyst.records.formats.columns import Column
-from dehyst.records.signals import white_noise
 from dehyst.records.tables import Table
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from pandas import DataFrame
-
-__all__ = ["Array", "Channel", "Record", "Span", "white_noise"]
 
 Span: TypeAlias = "slice[int, int, None]"
 

@@ -37,8 +37,12 @@ def largest(error: ArrayLike) -> float:
 
 def rms(error: ArrayLike) -> float:
     """Return the root mean square error; 0 without errors."""
-    values = np.asarray(error, dtype=np.float64)
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    return float(np.sqrt(np.mean(np.square(error, dtype=np.float64)))) if np.size(error) else 0.0
+
+
+def beyond_noise(largest_: float, noise: float) -> float:
+    """Return the part of a largest error that the peaks of white noise do not explain; `noise`: its deviation."""
+    return max(largest_ - NOISE_PEAK * noise, 0.0)
 
 
 def percent(error: float, stroke: float) -> float:
@@ -120,10 +124,8 @@ def resolution(values: Array) -> tuple[float, float]:
     return float(moving.min()), float(moving.min()) / span
 
 
-def interpolate(x: Array, y: Array, places: Array, kind: str) -> Array:
-    """Return the signal y(x) at places (m,); kind is "linear" or "pchip"."""
-    if kind == "linear":
-        return np.interp(places, x, y)
+def interpolate(x: Array, y: Array, places: Array) -> Array:
+    """Return the signal y(x) at places (m,), with the shape of its samples (PCHIP)."""
     from scipy.interpolate import PchipInterpolator
 
     return np.asarray(PchipInterpolator(x, y)(places), dtype=np.float64)
@@ -186,7 +188,7 @@ _INTERVALS, _DEVIATIONS, _CODES = 4, 50.0, 20.0
 # Largest share of that change in one interval: what changes at once is a step or a glitch, whose speed is not known.
 _AT_ONCE = 0.4
 # Share of all travel that does not exceed the speed of the records, and a margin for what windows average away.
-_TRAVEL, MARGIN = 0.95, 1.05
+_TRAVEL, _MARGIN = 0.95, 1.05
 # A longer record is read in longer intervals.
 _MOST = 1 << 18
 
@@ -198,12 +200,12 @@ def recorded_slew_rate(parts: Iterable[tuple[Array, Array]]) -> float | None:
     effect. `parts`: time (n,) [s] and voltage (n,) [V] of each record.
     """
     found = [_speeds(time, voltage) for time, voltage in parts]
-    speed, travel = (np.concatenate(column) for column in zip(*found, strict=True)) if found else (np.zeros(0),) * 2
-    if not speed.size:
+    if not any(speed.size for speed, _ in found):
         return None
+    speed, travel = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.argsort(speed)
     within = np.searchsorted(np.cumsum(travel[order]), _TRAVEL * float(travel.sum()))
-    return MARGIN * float(speed[order[min(int(within), speed.size - 1)]])
+    return _MARGIN * float(speed[order[min(int(within), speed.size - 1)]])
 
 
 def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:

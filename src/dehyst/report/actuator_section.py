@@ -211,7 +211,7 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
     """Return a table and charts of the wanted and the reached path and of the errors; empty without a path."""
     if not followed:
         return []
-    head = ("Voltage", "Largest error, % of the stroke", "RMS, %", "Largest")
+    head = ("", "Largest error, % of the stroke", "RMS, %", "Largest")
     rows = [
         ((name, _WORDS.get(name, "")), number(one.largest_percent), number(one.rms_percent), length(largest(one.error)))
         for name, one in followed.items()
@@ -228,7 +228,7 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
         # The errors differ too much for one scale.
         error = Series("", one.time, 100 * one.error / one.stroke, colour, exact=True)
         role = _WORDS.get(name, "")
-        errors.append(Chart(name, time, Axis("error", "% of the stroke"), [error], role=role, zero=True))
+        errors.append(Chart(f"Error, {name}", time, Axis("error", "% of the stroke"), [error], role=role, zero=True))
     wanted = Series("wanted", first.time, first.wanted * factor, "ink", exact=True, width=1, dashed=True)
     path = Chart("Path", time, Axis("displacement", unit), [*reached, wanted])
     return [

@@ -37,7 +37,7 @@ from dehyst.model import (
     promised,
     untested,
 )
-from dehyst.records import NOISE_PEAK, Record, largest, percent, rms, turning_points
+from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, rms, turning_points
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
 # Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
@@ -114,7 +114,7 @@ class Recheck(Plotted):
     @property
     def without_noise(self) -> float:
         """`settled` minus the peaks of the sensor's noise [m]; it is compared with the goal and the promise."""
-        return max(self.settled - NOISE_PEAK * self.noise, 0.0)
+        return beyond_noise(self.settled, self.noise)
 
     @property
     def changed(self) -> tuple[Change, ...]:

@@ -26,7 +26,7 @@ from dehyst.identification import (
     prepare_for,
 )
 from dehyst.model import Actuator, Creep, Promise, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
-from dehyst.records import NOISE_PEAK, Record, largest, percent, rms
+from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
 
@@ -106,7 +106,7 @@ class Update:
     def good(self) -> bool:
         """Whether the error on held-out parts, without the sensor's noise, and the promise are within the goal."""
         allowed, promise = self.recheck.goal / 100 * self.stroke, self.promise
-        seen = self.held_out[0] - NOISE_PEAK * self.recheck.noise
+        seen = beyond_noise(self.held_out[0], self.recheck.noise)
         return max(seen, 0.0 if promise is None else promise.largest) <= allowed
 
     def sentences(self) -> tuple[str, ...]:
@@ -327,7 +327,7 @@ class _Refit:
         """Return the validity of the model after the old records and the new one; its errors as measured [m]."""
         noise, known = self.recheck.noise, self.old.identification
         rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
-        largest_ = max(largest - NOISE_PEAK * noise, 0.0)
+        largest_ = beyond_noise(largest, noise)
         if known is None or known.validity is None:
             stroke = self.recheck.stroke
             played = self.record.time, self.record.voltage
