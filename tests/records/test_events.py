@@ -10,8 +10,9 @@ from truths import BoucWenActuator
 
 import dehyst
 from dehyst import Record, RecordError
-from dehyst.records import columns_of, counting
+from dehyst.records import counting
 from dehyst.records.events import counted_events, record_of_periodic
+from dehyst.records.record import columns_of
 from dehyst.report.pages import time_charts
 from dehyst.virtual import PlayActuator
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.records import columns_of, write_columns
+from dehyst.records import write_columns
+from dehyst.records.record import columns_of
 
 RECORD, _ = coupled_stage.excited(steps=2, cycles=3)
 
