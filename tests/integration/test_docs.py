@@ -1,7 +1,9 @@
-"""The documents on rigs keep their word: their code runs."""
+"""The documents keep their word: their code and their commands run, and print the numbers of the page."""
 
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -10,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import places
 import pytest
+from command_line import run
 
 from dehyst import read
 from dehyst.instruments import open_rig
@@ -110,12 +113,6 @@ def test_the_calibration_in_python_runs(tmp_path, monkeypatch):
     assert len(read(tmp_path / "stage-1" / "records" / "recommended.csv")) > 1000
 
 
-@pytest.mark.parametrize("page", ["how_to/instruments.md", "tutorials/first_calibration.md", "explanation/safety.md"])
-def test_what_they_refer_to_is_there(page):
-    for target in re.findall(r"\]\(([^)#]+)\)", (DOCS / page).read_text()):
-        assert target.startswith("http") or ((DOCS / page).parent / target).exists(), target
-
-
 def test_the_table_of_a_fleet_shows_what_is_odd_and_what_drifts(tmp_path, monkeypatch):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     monkeypatch.chdir(tmp_path)
@@ -154,3 +151,48 @@ def test_fringes_alone_make_a_model_whose_promise_is_kept(capsys):
 def test_a_scan_learns_to_a_tenth_of_its_error(capsys):
     errors = code_of("tutorials/learning_scan.md", capsys)[0]["repetition"].errors
     assert errors[-1] < 0.1 * errors[0]
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    assert run("demo", "-o", "stage", "--no-report", cwd=folder)[0] == 0
+    return folder / "stage"
+
+
+def steps(page):
+    """Yield the code and the commands of a page in order, each command with the numbers printed below it."""
+    command, numbers = None, []
+    for code, line in re.findall(
+        r"```python\n(.*?)```|^ {4}(\S[^\n]*)$", (DOCS / page).read_text(), re.DOTALL | re.MULTILINE
+    ):
+        if code or re.match(r"dehyst [a-z]|cd |make |pip ", line):
+            yield command, numbers
+            command, numbers = code or shlex.split(line, comments=True), []
+        else:
+            numbers += numbers_of(line)
+    yield command, numbers
+
+
+def numbers_of(text):
+    return [float(number) for number in re.findall(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e-?\d+)?\b", text)]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("page", ["measured_stage", "first_stage", "scan", "firmware", "learning_scan"])
+def test_the_commands_of_a_tutorial_print_what_the_page_says(page, demo, tmp_path, monkeypatch):
+    """Numbers may differ by a tenth: other processors round otherwise."""
+    shutil.copytree(demo, tmp_path / "stage")
+    shutil.copytree(places.EXAMPLES / "measured", tmp_path / "examples" / "measured")
+    monkeypatch.chdir(tmp_path)
+    for command, numbers in steps(f"tutorials/{page}.md"):
+        if isinstance(command, str):
+            exec(command, {})
+        elif command and command[0] == "cd":
+            os.chdir(command[1])
+        elif command and command[0] == "dehyst":
+            status, *texts = run(*command[1:], keep=True)
+            assert status in (0, 1), (command, texts)
+            printed = iter(numbers_of("\n".join(texts)))
+            for number in numbers:
+                assert any(value == pytest.approx(number, rel=0.1) for value in printed), (command, number, texts)

@@ -67,9 +67,3 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch):
     pyplot.close("all")
     assert space["plan"].units == "um"
     assert len(space["same"]) == len(record)
-
-
-@pytest.mark.parametrize("page", ["python.md", "command_line.md"])
-def test_what_the_pages_refer_to_is_there(page):
-    for target in re.findall(r"\]\(([^)#]+)\)", (places.DOCS / "how_to" / page).read_text()):
-        assert (places.DOCS / "how_to" / target).exists(), target
