@@ -62,7 +62,7 @@ FACES = {
             PlayActuator VirtualBench VirtualStage
         """,
         "waveforms": """
-            Excitation MotionLimits Raster Sampling Scan ScanPath Steps
+            Excitation Raster Sampling Scan ScanPath Steps
             Triangle descending_tops homing raised_cosine recommended stage_excitation staircase
         """,
         "web": "",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
 from dehyst.waveforms import Raster, ScanPath, Steps, Triangle
-from dehyst.waveforms.scan import Bridge, PathPoint
+from dehyst.waveforms.scan import Step
 
 UM = 1e-6
 # Height of an edge without a straight part, over acceleration and the square of its time.
@@ -154,15 +154,14 @@ def test_steps_keep_their_limits(levels, speed, acceleration):
     assert kept(path, speed, acceleration)
 
 
-@given(st.lists(st.floats(-1, 1), min_size=6, max_size=6), st.floats(0.1, 10))
-def test_a_bridge_joins_two_motions_and_knows_its_peaks(numbers, seconds):
-    bridge = Bridge(PathPoint(*numbers[:3]), PathPoint(*numbers[3:]), seconds)
-    travel = bridge.at(np.linspace(0, seconds, 4001))
-    for row, first, last in zip(travel, numbers[:3], numbers[3:], strict=True):
-        assert row[0] == pytest.approx(first, abs=1e-9) and row[-1] == pytest.approx(last, abs=1e-8)
-    for peak, row in zip(bridge.peaks, travel[1:], strict=True):
-        found = np.abs(row).max()
-        assert found <= peak * (1 + 1e-9) and peak <= found + 1e-3 * (1 + peak)
+@given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 10))
+def test_a_step_goes_from_rest_to_rest_and_knows_its_peaks(start, end, seconds):
+    step = Step(start, end, seconds)
+    travel = step.at(np.linspace(0, seconds, 4001))
+    for row, ends in zip(travel, [(start, end), (0, 0), (0, 0)], strict=True):
+        assert row[[0, -1]] == pytest.approx(ends, abs=1e-11)
+    for peak, row in zip(step.peaks, travel[1:], strict=True):
+        assert np.abs(row).max() == pytest.approx(peak, rel=1e-5, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst._validation import FARTHEST, plain
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
-from dehyst.control.planning.wave_table import StartUp, WaveTable
+from dehyst.control.planning.wave_table import Cycle, WaveTable
 from dehyst.control.stage_compensator import StageCompensator, axes_of
 from dehyst.model import State, mechanical_response
 
@@ -205,22 +205,13 @@ class Repetition:
         tables = []
         for j, loop in enumerate(self._loops):
             wanted, measured = self.path[:, j] / loop._per_metre, best.measured[:, j] / loop._per_metre
-            error, state = float(np.abs(wanted - measured).max()), best.states[j]
+            error = float(np.abs(wanted - measured).max())
             tables.append(
                 WaveTable(
-                    homing=None,
-                    start_up=StartUp(np.zeros(0), np.zeros(0), np.zeros(0), rate),
-                    cycle=StartUp(best.voltage[:, j], wanted, measured, rate),
-                    cycles=0,
+                    Cycle(best.voltage[:, j], wanted, measured, rate),
                     error=error,
                     tolerance=error,
-                    unknown=0.0,
-                    certified=True,
-                    state=state,
-                    start=state,
-                    actuator=loop.actuator,
-                    clamped=0,
-                    warnings=(),
+                    state=best.states[j],
                 )
             )
         return tables[0] if isinstance(self.compensator, Compensator) else tuple(tables)

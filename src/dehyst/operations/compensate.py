@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,10 +12,10 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import PathPlan, PossibleStart, VoltageLimits, WaveTable, plan_path, wave_table
+from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
 from dehyst.control.planning.homing import present_voltage
-from dehyst.control.planning.path import MOST_ROWS, needed_slew_rate, speed_remark
-from dehyst.model import Actuator, promised, untested, unusable
+from dehyst.control.planning.path import MOST_ROWS
+from dehyst.model import Actuator, unusable
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Present, Slew, is_stage, limits_of, numbers_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
@@ -76,7 +76,7 @@ _homes = Only(lambda given: given.get("start") is None and given.get("home") is 
 _without_table = Only(lambda given: "table" not in given, "with --table, which is at the reference temperature")
 
 
-@operation(plan_path, rare=("approach", "cycles", "on_time", "start_up"))
+@operation(plan_path, rare=("cycles", "on_time", "start_up"))
 def compensate(
     run: Run,
     model: Input,
@@ -94,7 +94,6 @@ def compensate(
     temperature: Annotated[float | None, _without_table] = None,
     table: Annotated[Output | None, _of_scan] = None,
     cycles: Annotated[int, _of_table] = 1,
-    approach: Annotated[float | None, _of_table] = None,
     start_up: Annotated[int | None, _of_table] = None,
     columns: Columns = AS_FOUND,
 ) -> Result:
@@ -141,8 +140,6 @@ def compensate(
         start-up, 2 steady cycles.
     cycles
         Steady cycles in the output.
-    approach
-        Time to the first sample [s]; default: as short as possible.
     start_up
         Cycles before the steady ones; default: from the tolerance.
     """
@@ -180,8 +177,8 @@ def compensate(
         return _follow(run, known, axes, moved, time, rates, warmth, output, zero, how, [*remarks, *made.warnings])
     remarks += reach_remarks(axes[0].actuator, made.path(axis).displacement, axes[0].limits, zero)
     refuse_cycles(made, cycles)
-    options = {"approach": approach, "cycles": start_up}
-    return _tabulate(run, axes[0], made, axis, cycles, (output, table), home, options, remarks)
+    how = {"home": home, "home_within": home_within, "cycles": start_up}
+    return _tabulate(run, known, axes[0], made, axis, cycles, (output, table), how, remarks)
 
 
 def _axes_of(
@@ -269,12 +266,25 @@ def _follow(
         start=[one.start for one in axes],
         present=[one.present for one in axes],
     )
-    samples = paths[0].voltage.size
-    run.progress(f"writing {samples} rows")
+    run.progress(f"writing {paths[0].voltage.size} rows")
     write_table(output, _written(known, paths, time))
+    return _told(known, axes, paths, output, how["home"], remarks)
+
+
+def _told(
+    known: AxesModel,
+    axes: Sequence[_AxisRequest],
+    paths: Sequence[PathPlan],
+    output: Path,
+    home: bool | None,
+    remarks: list[str],
+) -> Result:
+    """Return what is printed of the plans of all axes."""
+    samples, slews = paths[0].voltage.size, [request.slew for request in axes]
     each = list(zip(axes, slews, paths, strict=True))
     remarks += known.prefixed(
-        starts.path_warnings(one.actuator, path, one.place, slew.bound, stands=one.stands) for one, slew, path in each
+        starts.path_warnings(request.actuator, path, request.place, slew.bound, stands=request.stands)
+        for request, slew, path in each
     )
     clamped = [int(path.clamped.sum()) for path in paths]
     misses = [float(path.missed) for path in paths]
@@ -285,7 +295,7 @@ def _follow(
         "missed_um": known.by_axis(miss * 1e6 for miss in misses),
         "lowest_V": known.by_axis(low for low, _ in spans),
         "highest_V": known.by_axis(high for _, high in spans),
-        "limits_V": known.by_axis(list(one.allowed) for one in axes),
+        "limits_V": known.by_axis(list(request.allowed) for request in axes),
         **known.merged([slew.fields() for slew in slews]),
         **known.merged([starts.path_start_fields(path) for path in paths]),
         "promise": known.by_axis(None if path.promise is None else path.promise.as_dict() for path in paths),
@@ -294,12 +304,14 @@ def _follow(
         "output": str(output),
     }
     words = []
-    for (one, slew, path), (low, high), count, miss in zip(each, spans, clamped, misses, strict=True):
-        begin = path.start.within(one.actuator, one.place)
+    for (request, slew, path), (low, high), count, miss in zip(each, spans, clamped, misses, strict=True):
+        begin = path.start.within(request.actuator, request.place)
         before = (
-            starts.start_words(one.actuator, path.start, begin) if path.homing is None else starts.homed_words(path)
+            starts.start_words(request.actuator, path.start, begin) if path.homing is None else starts.homed_words(path)
         )
-        missed = slew.missed_words(one.allowed, path.voltage[path.first :], miss) if count and not path.followed else ""
+        missed = ""
+        if count and not path.followed:
+            missed = slew.missed_words(request.allowed, path.voltage[path.first :], miss)
         words.append([f"{low:.6g} to {high:.6g} V {before}{missed}"])
     lines = [
         f"{counted(samples, 'sample')}, {', '.join(known.prefixed(words))}: {output}",
@@ -310,8 +322,8 @@ def _follow(
         *known.prefixed([] if path.promise is None else [path.promise.sentence] for path in paths),
     ]
     certified = all(path.certified for path in paths)
-    usable = not any(unusable(one.actuator, path.promise) for one, path in zip(axes, paths, strict=True))
-    good = usable and all(path.followed for path in paths) and (certified or not how["home"])
+    usable = not any(unusable(request.actuator, path.promise) for request, path in zip(axes, paths, strict=True))
+    good = usable and all(path.followed for path in paths) and (certified or not home)
     return Result(fields, lines, warnings=remarks, good=good)
 
 
@@ -327,124 +339,58 @@ def _written(known: AxesModel, paths: Sequence[PathPlan], time: Mapping[str, Arr
 
 def _tabulate(
     run: Run,
-    one: _AxisRequest,
+    known: AxesModel,
+    request: _AxisRequest,
     scan: Scan,
     axis: str,
     cycles: int,
     outputs: tuple[Path, Path],
-    home: bool | None,
-    options: Mapping[str, Any],
+    how: Mapping[str, Any],
     remarks: list[str],
 ) -> Result:
     """Write the wave table of a scan with its start-up, and with its homing unless a start or --no-home is given."""
-    actuator, slew, path = one.actuator, one.slew, scan.path(axis)
-    bounds = one.limits or actuator.limits
-    start = one.start or (
-        PossibleStart.unknown_near(actuator, float(path.displacement[0]), bounds)
-        if one.present is None
-        else PossibleStart.unknown(actuator, one.present, bounds)
-    )
-    homes = one.start is None and home is not False
     run.progress("homing, and the steady cycle")
-    begin: dict[str, Any] = {"state": None if homes else start.within(actuator, one.place), "present": one.present}
+    options = {"limits": request.limits, "slew_rate": request.slew.bound, "present": request.present, **how}
     try:
-        table = wave_table(actuator, scan, axis=axis, limits=one.limits, slew_rate=slew.bound, **begin, **options)
+        table = wave_table(request.actuator, scan, axis=axis, start=request.start, **options)
     except RecordError as error:
         if error.argument == "cycles":
             error.argument = "start_up"
         raise
-    _note_duration(run, table, cycles)
-    played, cycle = table.played(cycles), table.cycle
-    run.progress(f"writing {table.rows(cycles)} rows")
+    rows, rate, cycle, plan = table.rows(cycles), table.sample_rate, table.cycle, table.plan
+    if plan is None or rows > MOST_ROWS:
+        raise RecordError(
+            argument="output",
+            got=f"{rows} rows at {rate:g} Hz",
+            need=f"at most {MOST_ROWS:g} rows",
+            hint="try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands",
+        )
+    played = table.played(cycles)
+    homing = f"{plan.seconds or 0.0:.4g} s of homing and way, " if plan.first else ""
+    start_up = table.cycles * len(cycle) / rate
+    run.note(f"{homing}{start_up:.4g} s of start-up, {cycles * len(cycle) / rate:.4g} s of cycles: {rows} rows")
+    run.progress(f"writing {rows} rows")
     write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
     write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
-    first = table.homing_rows.size
-    rates = {"velocity": path.velocity, "acceleration": path.acceleration}
-    needed = needed_slew_rate(actuator, path.displacement, path.time, one.allowed, **rates)
-    warnings = [*table.warnings, *remarks, *speed_remark(actuator, needed, slew.bound)]
-    if table.homing is None:
-        first_volts, state = float(table.start_up.voltage[0]), begin["state"] if one.stands else None
-        warnings += starts.file_warnings(actuator, first_volts, start, state, slew.bound)
-    warnings += starts.delay_warnings(actuator)
-    left = None
-    if not start.known:
-        left = start.error_along(actuator, played.voltage, one.allowed, time=played.time, first=first)
-    low, high = float(played.voltage.min()), float(played.voltage.max())
-    promise = promised(
-        actuator,
-        played.voltage[first:],
-        played.time[first:],
-        begins="homed" if homes else start.name,
-        opened=() if left is None else left.left_of(played.expected[first:]),
-        missed=np.concatenate([np.zeros(len(table.start_up)), cycle.expected - cycle.displacement]),
-    )
-    warnings += untested(actuator, promise)
+    told = _told(known, [request], [replace(plan, warnings=table.warnings)], outputs[0], True, remarks)
     fields = {
-        "samples": played.voltage.size,
-        "sample_rate_Hz": table.sample_rate,
+        **told.fields,
+        "samples": rows,
+        "sample_rate_Hz": rate,
         "frequency_Hz": 1 / scan.period,
-        "start_up_samples": len(table.start_up),
         "start_up_cycles": table.cycles,
         "cycle_samples": len(cycle),
         "error_um": table.error * 1e6,
-        "unknown_um": table.unknown * 1e6,
-        **starts.start_fields(
-            start.name, left, samples=first, seconds=_homing_seconds(table), certified=table.certified
-        ),
         "settled": table.settled,
-        "clamped": table.clamped,
-        "lowest_V": low,
-        "highest_V": high,
-        "limits_V": list(one.allowed),
-        **slew.fields(),
-        "promise": None if promise is None else promise.as_dict(),
-        "warnings": warnings,
-        "state": table.state.as_dict(),
-        "output": str(outputs[0]),
         "table": str(outputs[1]),
     }
-    start_up = f"{counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um"
-    if table.clamped:
-        missed = float(abs(cycle.expected - cycle.displacement).max())
-        start_up += slew.missed_words(one.allowed, cycle.voltage, missed)
-    lines = [
-        f"{counted(played.voltage.size, 'sample')}, {low:.6g} to {high:.6g} V, the steady table after {start_up}: "
-        f"{outputs[0]}; {counted(len(cycle), 'sample')} a cycle: {outputs[1]}",
-        slew.words,
-        *starts.error_lines(start.name, left, homed=homes),
-        *([] if promise is None else [promise.sentence]),
-    ]
-    good = table.settled and table.certified and not table.clamped and not unusable(actuator, promise)
-    return Result(fields, lines, warnings=warnings, good=good)
+    line = (
+        f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "
+        f"{counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
+    )
+    lines = [told.lines[0], line, *told.lines[1:]]
+    return replace(told, fields=fields, lines=lines, good=told.good and table.settled and not plan.clamped.any())
 
 
 def _path_columns(part: Any) -> dict[str, Array]:
     return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
-
-
-def _homing_seconds(table: WaveTable) -> float:
-    return 0.0 if table.homing is None else table.homing.duration
-
-
-def _note_duration(run: Run, table: WaveTable, cycles: int) -> None:
-    """Note the duration of the written voltage; raise RecordError if there are too many rows for a file."""
-    rows, rate, homing = table.rows(cycles), table.sample_rate, table.homing
-    parts = (
-        (_homing_seconds(table), "homing"),
-        (len(table.start_up) / rate, "start-up"),
-        (cycles * len(table.cycle) / rate, "cycles"),
-    )
-    durations = ", ".join(f"{seconds:.4g} s of {name}" for seconds, name in parts if seconds)
-    if rows > MOST_ROWS:
-        raise RecordError(
-            argument="output",
-            got=f"{durations}, {rows} rows at {rate:g} Hz",
-            need=f"at most {MOST_ROWS:g} rows",
-            hint="try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands",
-        )
-    run.note(f"{durations}: {rows} rows")
-    if homing is not None and table.homing_rows.size < homing.duration * rate - 0.5:
-        run.note(
-            f"the homing has {table.homing_rows.size} rows, {1 / homing.sample_rate:.3g} s or more apart: play it "
-            "by its time column, straight from row to row"
-        )

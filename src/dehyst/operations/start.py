@@ -205,20 +205,15 @@ def error_lines(name: str, error: StartError | None, *, homed: bool) -> list[str
     return [f"{line}, and less than the model's error of {least} after {after}: {remedy}"]
 
 
-def start_fields(
-    name: str, error: StartError | None, *, samples: int = 0, seconds: float | None = 0.0, certified: bool | None = None
-) -> dict[str, Any]:
-    """Return a start, and the homing before it, as JSON values."""
-    start = {"name": name, **({} if error is None else error.as_dict())}
-    return {"start": start, "homing_samples": samples, "homing_s": seconds, "certified": certified}
-
-
 def path_start_fields(path: PathPlan) -> dict[str, Any]:
-    """Return the start of a path as JSON values."""
-    homed: dict[str, Any] = (
-        {} if path.homing is None else {"samples": path.first, "seconds": path.seconds, "certified": path.certified}
-    )
-    return start_fields(path.start.name, path.left_open, **homed)
+    """Return the start of a path, and the homing before it, as JSON values."""
+    error, homed = path.left_open, path.homing is not None
+    return {
+        "start": {"name": path.start.name, **({} if error is None else error.as_dict())},
+        "homing_samples": path.first if homed else 0,
+        "homing_s": path.seconds if homed else 0.0,
+        "certified": path.certified if homed else None,
+    }
 
 
 def file_warnings(
@@ -247,16 +242,6 @@ def file_warnings(
             "(dehyst excite homing --model) and use --start homed"
         )
     return warnings
-
-
-def delay_warnings(actuator: Actuator) -> list[str]:
-    """Warn of the delay of the stage, if it has one."""
-    if not actuator.delay:
-        return []
-    return [
-        f"the displacement lagged by {actuator.delay * 1e3:.4g} ms in the records: expect it that much later, unless "
-        "it was the sensor that lagged"
-    ]
 
 
 def path_warnings(actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, *, stands: bool) -> list[str]:

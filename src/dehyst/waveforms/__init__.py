@@ -2,7 +2,7 @@
 
 from dehyst.waveforms import standard
 from dehyst.waveforms.excitation import STEEPEST, Excitation, Leg, Sampling, positive, refuse_long, volts
-from dehyst.waveforms.scan import Bridge, MotionLimits, PathPoint, Scan, ScanPath, whole
+from dehyst.waveforms.scan import Scan, ScanPath, whole
 from dehyst.waveforms.scans import Raster, Steps, Triangle
 from dehyst.waveforms.standard import (
     FASTER,
@@ -19,7 +19,6 @@ from dehyst.waveforms.standard import (
 
 __all__ = [
     "Excitation",
-    "MotionLimits",
     "Raster",
     "Sampling",
     "Scan",

@@ -19,6 +19,8 @@ from dehyst.waveforms.excitation import positive, refuse_long
 
 # Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
 CYCLE_SAMPLES, LEG_SAMPLES = 400, 4
+# Largest speed and acceleration of the least jerk, over height per time and per time squared.
+FASTEST, HARDEST = 1.875, 10 / sqrt(3)
 # A limit may be exceeded by this share, so that a motion that meets it exactly passes.
 SLACK = 1e-9
 # Largest displacement [m] and whole number.
@@ -158,14 +160,6 @@ class Travel(NamedTuple):
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-class PathPoint(NamedTuple):
-    """Displacement [m], velocity [m/s] and acceleration [m/s^2] at one time."""
-
-    displacement: float
-    velocity: float = 0.0
-    acceleration: float = 0.0
-
-
 @dataclass(frozen=True)
 class Edge:
     """A motion from rest to rest: at constant speed except at both ends, where its acceleration is constant.
@@ -212,42 +206,24 @@ def least_blend(height: float, seconds: float, acceleration: float) -> float:
 
 
 @dataclass(frozen=True)
-class Bridge:
-    """The polynomial of fifth degree that joins two motions; from rest to rest it has the least jerk.
+class Step:
+    """The motion of least jerk from rest to rest, a polynomial of fifth degree: `start`, `end` [m], `seconds`."""
 
-    `start`, `end`: displacement, velocity and acceleration at its ends. `seconds`: duration.
-    """
-
-    start: PathPoint
-    end: PathPoint
+    start: float
+    end: float
     seconds: float
-
-    @property
-    def polynomial(self) -> np.polynomial.Polynomial:
-        """Displacement from the start [m] over time / `seconds`."""
-        t, (y, v, a), (y1, v1, a1) = self.seconds, self.start, self.end
-        way = (y1 - y) - v * t - 0.5 * a * t**2
-        speed, push = (v1 - v) * t - a * t**2, (a1 - a) * t**2
-        fourth = -15 * way + 7 * speed - push
-        return np.polynomial.Polynomial(
-            [0.0, v * t, 0.5 * a * t**2, 10 * way - 4 * speed + 0.5 * push, fourth, 6 * way - 3 * speed + 0.5 * push]
-        )
 
     def at(self, time: Array) -> Travel:
         """Return the motion at times (n,) [s] from its start."""
-        way, s, t = self.polynomial, np.asarray(time) / self.seconds, self.seconds
-        return Travel(self.start.displacement + way(s), way.deriv(1)(s) / t, way.deriv(2)(s) / t**2)
+        height, s, t = self.end - self.start, np.asarray(time) / self.seconds, self.seconds
+        way = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10 * height, -15 * height, 6 * height])
+        return Travel(self.start + way(s), way.deriv(1)(s) / t, way.deriv(2)(s) / t**2)
 
     @property
     def peaks(self) -> tuple[float, float]:
         """Largest abs(velocity) [m/s] and abs(acceleration) [m/s^2]."""
-        peaks = []
-        for order in (1, 2):
-            part = self.polynomial.deriv(order)
-            roots = part.deriv().trim().roots()
-            inside = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0) & (roots.real < 1)]
-            peaks.append(float(np.abs(part(np.concatenate([[0.0, 1.0], inside]))).max()) / self.seconds**order)
-        return peaks[0], peaks[1]
+        height = abs(self.end - self.start)
+        return FASTEST * height / self.seconds, HARDEST * height / self.seconds**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,16 +278,6 @@ class ScanPath:
         """Lowest and highest displacement [m]."""
         return float(self.displacement.min()), float(self.displacement.max())
 
-    @property
-    def first(self) -> PathPoint:
-        """The motion at the first sample."""
-        return PathPoint(*(float(row[0]) for row in self.rows))
-
-    @property
-    def last(self) -> ScanPath:
-        """The last sample alone."""
-        return ScanPath(*Travel(*(row[-1:] for row in self.rows)), self.sample_rate, periodic=False)
-
     def repeated(self, cycles: int) -> ScanPath:
         """Return a number of periods and the sample that closes the last period; for 0 periods the first sample.
 
@@ -323,10 +289,6 @@ class ScanPath:
         refuse_long(times * len(self) + 1, self.sample_rate)
         rows = Travel(*(np.append(np.tile(row, times), row[0]) for row in self.rows))
         return ScanPath(*rows, self.sample_rate, periodic=False)
-
-    def then(self, other: ScanPath) -> ScanPath:
-        """Return this path and the `other` one after it."""
-        return ScanPath(*Travel.joined([self.rows, other.rows]), self.sample_rate, periodic=False)
 
 
 class Scan(ABC):

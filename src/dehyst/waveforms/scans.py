@@ -15,7 +15,7 @@ import dehyst.waveforms.scan as base
 from dehyst._errors import RecordError
 from dehyst._validation import keep
 from dehyst.waveforms.excitation import refuse_long
-from dehyst.waveforms.scan import Bridge, Edge, MotionLimits, PathPoint, Scan, ScanOption, Travel
+from dehyst.waveforms.scan import Edge, MotionLimits, Scan, ScanOption, Step, Travel
 
 _TURNS = 0.1
 
@@ -100,8 +100,6 @@ class Triangle(Scan):
 
 
 _EDGE_SAMPLES = 50
-# Largest speed and acceleration of the least jerk, over height per time and per time squared.
-_FASTEST, _HARDEST = 1.875, 10 / sqrt(3)
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ class Steps(Scan):
         still = np.zeros(self._dwell_samples)
         rests = [Travel(still + level, still, still) for level in self.levels]
         edges = [
-            Bridge(PathPoint(a), PathPoint(b), count / self.rate).at(np.arange(count) / self.rate)
+            Step(a, b, count / self.rate).at(np.arange(count) / self.rate)
             for (a, b), count in zip(self._ends, self._counts, strict=True)
         ]
         parts = [part for pair in zip(rests, edges, strict=True) for part in pair]
@@ -193,8 +191,8 @@ class Steps(Scan):
 
     def _least(self, height: float) -> float:
         """Return the least seconds that the limits allow for an edge of this height [m]."""
-        by_speed = 0.0 if self.speed is None else _FASTEST * height / self.speed
-        by_acceleration = 0.0 if self.acceleration is None else sqrt(_HARDEST * height / self.acceleration)
+        by_speed = 0.0 if self.speed is None else base.FASTEST * height / self.speed
+        by_acceleration = 0.0 if self.acceleration is None else sqrt(base.HARDEST * height / self.acceleration)
         return max(by_speed, by_acceleration)
 
 
@@ -295,15 +293,15 @@ class Raster(Scan):
         return self.fast.rate
 
     @property
-    def _step(self) -> Bridge:
+    def _step(self) -> Step:
         """Return y of a staircase from one line to the next, from 0."""
-        return Bridge(PathPoint(0.0), PathPoint(self._height / (self.lines - 1)), self.fast.legs[1] / self.rate)
+        return Step(0.0, self._height / (self.lines - 1), self.fast.legs[1] / self.rate)
 
-    def _return(self, back: int) -> Bridge:
+    def _return(self, back: int) -> Step:
         """Return y on its way back to the first line, in `back` periods of x and the rest of the last line."""
         seconds = (back * self.fast.samples + self.fast.legs[1]) / self.rate
         low, high = self._ends
-        return Bridge(PathPoint(high), PathPoint(low), seconds)
+        return Step(high, low, seconds)
 
     @property
     def _ends(self) -> tuple[float, float]:

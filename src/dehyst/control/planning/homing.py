@@ -362,29 +362,22 @@ def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
 
 
 def played_homing(
-    compensator: Compensator,
-    rate: float,
-    leg: float,
+    actuator: Actuator,
+    drive: Sampling,
     *,
-    present: float | None = None,
-    drive: Sampling | None = None,
-    tolerance: float | None = None,
-    within: float | None = None,
-    path: float = math.inf,
+    tolerance: float,
+    within: float | None,
+    path: float,
 ) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
     """Return the shortest homing as an excitation (None if the state is known already), its `Homing`, and remarks.
 
-    Raise `RecordError` if the present voltage lies outside of the limits, or there are too many samples.
+    Raise `RecordError` if there are too many samples.
 
-    `compensator`: source of actuator, limits and slew rate. `rate` [Hz]: sample rate. `leg` [s]: duration of a leg;
-    with creep, the default of `shortest_homing` replaces it. `present` [V]: by default 0 V or the nearest limit.
-    `drive`: speed and shape, instead of `leg`. `tolerance`, `within`: as in `shortest_homing`. `path` [s]: duration of
-    what follows; beside a homing that is long for it, a remark offers a shorter one.
+    `drive`: speed and shape, with the sample rate of the path, the present
+    voltage and limits. `tolerance`, `within`: as in `shortest_homing`. `path` [s]: duration of what follows; beside a
+    homing that is long for it, a remark offers a shorter one.
     """
-    actuator, limits, now = compensator.actuator, compensator.limits, present_voltage(compensator._bounds, present)
-    if drive is None:
-        drive = Sampling(frequency=0.5 / leg_seconds(actuator, leg), sample_rate=rate)
-    drive = replace(drive, base=now, present=now, limits=limits, slew_rate=pace(compensator))
+    rate = drive.rate
     # A long homing has a sample rate of its own: that of the path over a whole number.
     needed = 2 * _LEG_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
     if actuator.dynamics is not None:
@@ -393,7 +386,7 @@ def played_homing(
 
     def found(drive: Sampling, **more: float | None) -> Homing:
         given = {"tolerance": tolerance, "within": within} | more
-        return shortest_homing(actuator, limits=limits, present=now, drive=drive, **given)
+        return shortest_homing(actuator, limits=drive.limits, present=drive.start, drive=drive, **given)
 
     homing = found(drive)
     if len(homing.turns) < 2:

@@ -136,17 +136,17 @@ def plan_path(
     >>> plan.voltage[plan.first :].shape
     (50,)
     """
-    task = _Task(_compensator(model, limits, slew_rate), path, "displacement", time, temperature)
+    task = Task(_compensator(model, limits, slew_rate), path, "displacement", time, temperature)
     task.set_rates(velocity, acceleration)
     task.shift(on_time)
     task.home_within = home_within
     given, now = task.starts(start), task.each(present, "present")
     if home:
-        return task.result(task.led(task.begins([one if one and one.known else None for one in given], now), True))
-    unhomed = task.begun(task.begins(given, now, near=all(one is None for one in now)))
-    if home is None and not all(given) and any(one.error.matters for one in unhomed):
-        homed = task.led(task.begins(given, now), True)
-        return task.result([replace(one, unhomed=old.error) for one, old in zip(homed, unhomed, strict=True)])
+        return task.result(task.plans(*task.homed(task.unless_known(given, now))))
+    unhomed = task.plans(*task.begun(task.begins(given, now, near=all(volts is None for volts in now))))
+    if home is None and not all(given) and any(plan.error.matters for plan in unhomed):
+        homed = task.plans(*task.homed(task.begins(given, now)))
+        return task.result([replace(plan, unhomed=old.error) for plan, old in zip(homed, unhomed, strict=True)])
     return task.result(unhomed)
 
 
@@ -162,7 +162,7 @@ def plan_voltage(
 
     Default of `start`: unknown, at rest at the first voltage. Others, and errors, as in `plan_path`.
     """
-    task = _Task(_compensator(model, None, None), voltage, "voltage", time, temperature)
+    task = Task(_compensator(model, None, None), voltage, "voltage", time, temperature)
     starts = [
         known or PossibleStart.unknown(one.actuator, volts, one.limits)
         for known, one, volts in zip(task.starts(start), task.loops, task.firsts, strict=True)
@@ -221,7 +221,7 @@ class _Way(NamedTuple):
     waits: float = 0.0
 
 
-class _Task:
+class Task:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
     `moved` (n, axes): voltage [V], or displacement [m] without coupling. `firsts`: the voltage or displacement of each
@@ -353,6 +353,10 @@ class _Task:
                 raise ModelError(argument="start", got=repr(one), need="a State or a PossibleStart", hint=hint)
         return starts
 
+    def unless_known(self, given: Sequence[Any], present: Sequence[Any]) -> list[_Begin]:
+        """Return how each actuator stands before a homing, which makes an uncertain start useless."""
+        return self.begins([start if start and start.known else None for start in given], present)
+
     def begins(self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False) -> list[_Begin]:
         """Return how each actuator stands: as given, or unknown at a voltage [V], or `near` the first sample."""
         begins = []
@@ -370,8 +374,8 @@ class _Task:
             begins.append(_Begin(start, state, volts))
         return begins
 
-    def begun(self, begins: list[_Begin]) -> list[PathPlan]:
-        """Return the voltages of the path, with a way before it if its first step is a jump."""
+    def begun(self, begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
+        """Return what `after` does, with a way before the path only if its first step is a jump."""
         # An actuator stands at the first sample, or is brought there slowly.
         states = [
             state_at(one.actuator, begin.state, y)
@@ -381,9 +385,9 @@ class _Task:
         ]
         found = self.follow(states, [begin.volts for begin in begins], self.compensator.period)
         if any(self.jumps(one, begin.volts, each) for one, begin, each in zip(self.loops, begins, found, strict=True)):
-            return self.led(begins, False)
+            return self.after(self.ways(begins, False), begins)
         ways = [_Way(begin.start, begin.start.state) for begin in begins]
-        return self.plans(ways, np.zeros((0, len(ways))), found)
+        return ways, np.zeros((0, len(ways))), found
 
     def jumps(self, one: Compensator, volts: float | None, found: Followed) -> bool:
         """Return whether a path begins with a step that its slew rate does not allow, or a fast one unlike its own."""
@@ -394,9 +398,12 @@ class _Task:
         usual = max((pace(one) or math.inf) * self.step, float(np.abs(np.diff(found.voltage)).max(initial=0.0)))
         return abs(float(found.voltage[0]) - volts) > usual * (1 + _ROUNDING)
 
-    def led(self, begins: list[_Begin], home: bool) -> list[PathPlan]:
-        """Return the voltages of the path after a way to it; with `home`, a homing comes first from unknown starts."""
-        ways = self.ways(begins, home)
+    def homed(self, begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
+        """Return what `after` does, with a homing first from unknown starts."""
+        return self.after(self.ways(begins, True), begins)
+
+    def after(self, ways: list[_Way], begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
+        """Return the ways to the path, the displacement (k, axes) [m] along them, and the voltages of the path."""
         # A mass moves with the path from its first sample on.
         states = [
             state_at(one.actuator, way.state, y) if evaluator_of(one.actuator).has_dynamics else way.state
@@ -406,7 +413,7 @@ class _Task:
         before = self.lead(ways)
         # The way leads from one state of several possible ones.
         ways = [way if way.homing else way._replace(start=begin.start) for way, begin in zip(ways, begins, strict=True)]
-        return self.plans(ways, before, found)
+        return ways, before, found
 
     def follow(self, states: list[State], present: Sequence[float | None], period: float | None) -> list[Followed]:
         """Return the voltages of the path from given states; it begins one `period` after the present voltages."""
@@ -456,7 +463,7 @@ class _Task:
             least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
             options: dict[str, Any] = {"tolerance": least, "within": self.home_within}
             options["path"] = math.inf if self.time is None else float(np.ptp(self.time))
-            played, homing, remarks = played_homing(one, rate, leg, present=now, drive=drive, **options)
+            played, homing, remarks = played_homing(actuator, drive, **options)
             state = homing.state
         else:
             start = PossibleStart(start.name, (state,))
