@@ -25,7 +25,7 @@ ROOMS = {
     "operations": 4238,
     "paper": 1168,
     "records": 5430,
-    "report": 1883,
+    "report": 1882,
     "testing": 492,
     "trust": 2484,
     "virtual": 828,

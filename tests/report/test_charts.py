@@ -5,8 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from dehyst.report.charts import Axis, Chart, ChartData, Series, stems, steps
+from dehyst.report.charts import Axis, Chart, ChartData, Series, stems, steps, vertices
 
 
 def chart(*series, **kwargs):
@@ -16,32 +18,44 @@ def chart(*series, **kwargs):
 def columns(data):
     """What the page's script makes of the stored columns."""
     for stored in json.loads(data.json())["columns"]:
-        if "floats" in stored:
-            yield np.frombuffer(base64.b64decode(stored["floats"]), "<f4").astype(float)
-        else:
-            codes = np.frombuffer(base64.b64decode(stored["steps"]), "<u2")
-            yield np.where(codes == 65535, np.nan, stored["low"] + stored["step"] * codes)
+        codes = np.frombuffer(base64.b64decode(stored["steps"]), "<u2")
+        yield np.where(codes == 65535, np.nan, stored["low"] + stored["step"] * codes)
 
 
 def test_values_come_back_to_a_65_000th_of_their_range():
     rng = np.random.default_rng(0)
-    x, y = rng.normal(size=500), 1e-3 * rng.normal(size=500)
+    x, y = rng.normal(size=200), 1e-3 * rng.normal(size=200)
     y[[3, 77]] = np.nan
     data = ChartData()
     assert not data
     assert data.add(chart(Series("one", x, y, "measured"))) == 0
-    for given, stored in zip((x, y), columns(data), strict=True):
-        assert (np.isnan(given) == np.isnan(stored)).all()
-        assert np.nanmax(np.abs(given - stored)) <= 0.51 * np.nanmax(np.ptp(given[~np.isnan(given)])) / 65534
+    for values, stored in zip((x, y), columns(data), strict=True):
+        assert (np.isnan(values) == np.isnan(stored)).all()
+        assert np.nanmax(np.abs(values - stored)) <= 0.51 * np.nanmax(np.ptp(values[~np.isnan(values)])) / 65534
 
 
-def test_times_are_exact_enough_for_a_long_record():
-    time = np.arange(10_000) * 1e-3 + 100
-    data = ChartData()
-    data.add(chart(Series("one", time, np.zeros(10_000), "measured", exact=True)))
-    stored, flat = columns(data)
-    assert np.diff(stored).min() > 0.9e-3
-    assert (flat == 0).all()
+@given(st.integers(0, 99), st.sampled_from([0.0, 1e-3, 0.3]), st.integers(300, 60_000))
+@settings(max_examples=40, deadline=None)
+def test_a_line_keeps_what_its_picture_shows(seed, noise, size):
+    """A smooth line stays within a pixel of its samples; of a loud one the extremes of each part stay."""
+    rng, most = np.random.default_rng(seed), 600
+    x = np.linspace(0, 1, size)
+    y = 0.4 * np.sin(9 * x + seed) + noise * rng.normal(size=size)
+    at = vertices(x, y, most)
+    assert at.size <= most + 2
+    assert (np.diff(at) > 0).all() and {at[0], at[-1]} == {0, size - 1}
+    if not noise:
+        assert np.abs(np.interp(x, x[at], y[at]) - y).max() < 4e-3
+    assert np.ptp(y[at]) > np.ptp(y) - 0.01
+
+
+def test_long_series_share_what_a_page_holds():
+    x = np.linspace(0, 1, 100_000)
+    for count in (1, 12):
+        data, noise = ChartData(), np.random.default_rng(1).normal(size=x.size)
+        for kind in ("line", "points") * count:
+            data.add(chart(Series("", x, noise, "measured", kind)))
+        assert sum(column.size for column in columns(data)) <= 2 * 8000 * 1.05
 
 
 def test_a_column_that_charts_share_is_stored_once():

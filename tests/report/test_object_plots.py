@@ -150,7 +150,7 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
     figures = pyplot.get_fignums()
     with pytest.raises(RecordError, match="'loop' or 'time'"):
         things["record"].plot("loops")
-    with pytest.raises(ModelError, match="without creep"):
+    with pytest.raises(ModelError, match="creep"):
         things["actuator"].plot("creep")
     with pytest.raises(ModelError, match="'directions' or 'band'"):
         things["insight"].plot("loops")

@@ -224,12 +224,12 @@ def followed_sections(followed: Mapping[str, TrackedPath]) -> list[Part]:
     factor, unit = length_unit(first.stroke)
     reached, errors = [], []
     for (name, one), colour in zip(followed.items(), _COLOURS, strict=False):
-        reached.append(Series(name, one.time, one.reached * factor, colour, exact=True))
+        reached.append(Series(name, one.time, one.reached * factor, colour))
         # The errors differ too much for one scale.
-        error = Series("", one.time, 100 * one.error / one.stroke, colour, exact=True)
+        error = Series("", one.time, 100 * one.error / one.stroke, colour)
         role = _WORDS.get(name, "")
         errors.append(Chart(f"Error, {name}", time, Axis("error", "% of the stroke"), [error], role=role, zero=True))
-    wanted = Series("wanted", first.time, first.wanted * factor, "ink", exact=True, width=1, dashed=True)
+    wanted = Series("wanted", first.time, first.wanted * factor, "ink", width=1, dashed=True)
     path = Chart("Path", time, Axis("displacement", unit), [*reached, wanted])
     return [
         f"<h2>Measured along a path</h2>\n{html.table(head, rows, texts=1)}",

@@ -5,21 +5,27 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
+
+Indices: TypeAlias = NDArray[np.intp]
 
 # Names of colours in web/style.css, where each has a light and a dark form.
 Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink", "noise", "tested"]
 Kind: TypeAlias = Literal["line", "points", "area", "cells"]
 # Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
-# A line leaves out vertices that do not move by this part of its range.
-_CELLS = 2000
+# Samples of a page that are drawn of long series together, and what each of them has at least.
+_SAMPLES, _LEAST = 8000, 200
+# A line leaves out vertices that are this near to the line of their neighbours, in parts of the range: the first does
+# not show, the others count if there are too many. It begins with this multiple of what is drawn.
+_NEAR, _ROUGH = (5e-4, 1e-3, 2e-3, 4e-3, 8e-3), 20
 
 
 @dataclass(frozen=True)
@@ -47,8 +53,7 @@ class Series:
     """A curve, points, an area or cells: x and y (n,), in the units of the axes; NaN breaks a curve.
 
     `top` (n,): the other edge of an area. `values` (m, k): values of cells between m + 1 edges y and k + 1 edges x;
-    larger values are darker, up to `darkest`, by default the largest value. `names`: names of single points. An `exact`
-    x needs more than 16 bits, as the time of a long record does.
+    larger values are darker, up to `darkest`, by default the largest value. `names`: names of single points.
     """
 
     name: str
@@ -58,7 +63,6 @@ class Series:
     kind: Kind = "line"
     width: float = 1.4
     opacity: float = 1.0
-    exact: bool = False
     names: tuple[str, ...] = ()
     dashed: bool = False
     hollow: bool = False
@@ -79,17 +83,47 @@ def steps(edges: Array, values: Array) -> tuple[Array, Array]:
     return np.repeat(edges, 2)[1:-1], np.repeat(values, 2)
 
 
-def thinned(time: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return the vertices of a line through samples, fewer where they are dense, broken where samples are missing."""
-    gaps = np.diff(time)
-    cuts = np.flatnonzero(gaps > 3 * np.median(gaps)) + 1 if gaps.size else np.empty(0, np.intp)
-    cell = np.column_stack([(z - z.min()) * (_CELLS / (float(np.ptp(z)) or 1.0)) for z in (x, y)]).round()
-    keep = np.ones(x.size, bool)
-    keep[1:] = np.any(np.diff(cell, axis=0) != 0, axis=1)
-    keep[-1:] = keep[cuts] = keep[cuts - 1] = True
-    # A NaN interrupts the line.
-    where = np.cumsum(keep)[cuts - 1] if cuts.size else cuts
-    return np.insert(x[keep], where, np.nan), np.insert(y[keep], where, np.nan)
+def gaps(time: Array) -> Indices:
+    """Return the last sample before each gap in time."""
+    steps = np.diff(time)
+    return np.flatnonzero(steps > 3 * np.median(steps)) if steps.size else np.zeros(0, np.intp)
+
+
+def broken(time: Array, values: Array) -> Array:
+    """Return values (n,) with the last one before a gap missing, so that no line crosses it."""
+    out = np.array(values, dtype=np.float64)
+    out[gaps(time)] = np.nan
+    return out
+
+
+def vertices(x: Array, y: Array, most: int) -> Indices:
+    """Return the samples of a line (n,) that a picture shows, about `most`; x and y: in units of their ranges."""
+    at, place = _extremes(np.arange(x.size), y, _ROUGH * most), x + 1j * y
+    for near, first in product(_NEAR, (1, 2) * 4):
+        if at.size <= most and near > _NEAR[0]:
+            break
+        middle = np.arange(first, at.size - 1, 2)
+        way, whole = (place[at[middle + k]] - place[at[middle - 1]] for k in (0, 1))
+        part = np.clip(np.real(way * whole.conj()) / np.maximum(np.abs(whole) ** 2, 1e-300), 0, 1)
+        # NaN, which interrupts a line, is never near.
+        at = np.delete(at, middle[np.abs(way - part * whole) < near])
+    return _extremes(at, y, most)
+
+
+def _range(values: Array) -> float:
+    """Return the range of the finite values; 1 if they have none."""
+    good = values[np.isfinite(values)]
+    return float(np.ptp(good)) if good.size and np.ptp(good) else 1.0
+
+
+def _extremes(at: Indices, y: Array, most: int) -> Indices:
+    """Return the lowest and the highest of neighbouring samples, `most` in all, if there are more."""
+    if at.size <= most:
+        return at
+    each = -(-at.size // (most // 2))
+    rows = at[np.minimum(np.arange(-(-at.size // each) * each), at.size - 1)].reshape(-1, each)
+    picked = [np.take_along_axis(rows, pick(y[rows], axis=1)[:, None], 1) for pick in (np.argmin, np.argmax)]
+    return np.unique(np.concatenate([at[[0, -1]], *(column[:, 0] for column in picked)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +132,7 @@ class Chart:
 
     `right` is a second axis, of the numbers of y times a factor: (factor, quantity, unit). Parts of the abscissa are
     `shaded`, a part of the ordinate is the `band`, `zero` is marked if set; `notes` are words of the legend that belong
-    to no series, with their colours. `about` are further values for scripts of the page.
+    to no series, with their colours.
     """
 
     title: str
@@ -111,72 +145,91 @@ class Chart:
     band: tuple[float, float] | None = None
     zero: bool = False
     notes: Sequence[tuple[str, str]] = ()
-    about: Mapping[str, float] = field(default_factory=dict)
+
+    def shown(self, most: int) -> Chart:
+        """Return the chart with the samples that its picture shows, of a long series about `most`."""
+        sides = [(self.x, [one.x for one in self.series]), (self.y, [one.y for one in self.series])]
+        scales = [_range(axis.scaled(np.concatenate(values))) for axis, values in sides]
+        return replace(self, series=[self._thinned(one, most, scales) for one in self.series])
+
+    def _thinned(self, one: Series, most: int, scales: Sequence[float]) -> Series:
+        """Return a series with the samples that show in a picture whose axes have ranges `scales`."""
+        if one.x.size <= most or one.kind == "cells" or one.names:
+            return one
+        if one.kind == "points":
+            at = np.unique(np.linspace(0, one.x.size - 1, most).astype(np.intp))
+        else:
+            x, edges = self.x.scaled(one.x) / scales[0], [one.y] if one.top is None else [one.y, one.top]
+            each = [vertices(x, self.y.scaled(edge) / scales[1], most) for edge in edges]
+            at = np.unique(np.concatenate(each))
+        return replace(one, x=one.x[at], y=one.y[at], top=None if one.top is None else one.top[at])
 
 
 @dataclass(eq=False)
 class ChartData:
-    """The charts of one page: columns that several charts share are stored once."""
+    """The charts of one page: long series share what the page may hold, and columns of several charts are one."""
 
-    _columns: list[Mapping[str, Any]] = field(default_factory=list)
-    _charts: list[Mapping[str, Any]] = field(default_factory=list)
-    _places: dict[tuple[bytes, bool], int] = field(default_factory=dict)
+    _charts: list[Chart] = field(default_factory=list)
+    _places: dict[bytes, int] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self._charts)
 
     def add(self, chart: Chart) -> int:
-        """Store a chart, and return its number on the page."""
+        """Add a chart, and return its number on the page."""
+        self._charts.append(chart)
+        return len(self._charts) - 1
+
+    def json(self) -> str:
+        """Return all charts as JSON for use inside a page."""
+        long = sum(series.x.size > _LEAST for chart in self._charts for series in chart.series)
+        most = max(_LEAST, _SAMPLES // max(long, 1))
+        charts = [self._stored(chart.shown(most)) for chart in self._charts]
+        columns = [_column(np.frombuffer(values)) for values in self._places]
+        return in_page({"columns": columns, "charts": charts})
+
+    def _stored(self, chart: Chart) -> dict[str, Any]:
         stored: dict[str, Any] = {
             "title": chart.title,
             "role": chart.role,
             "label": f"{chart.title}: {chart.y.quantity} over {chart.x.quantity}",
             "x": _axis(chart.x),
             "y": _axis(chart.y),
-            "series": [self._series(one, chart) for one in chart.series],
+            "series": [self._series(series, chart) for series in chart.series],
             "shaded": [list(ends) for ends in chart.shaded],
             "levels": [{"value": 0}] if chart.zero else [],
             "notes": [[colour, words] for words, colour in chart.notes],
-            "about": chart.about,
         }
         if chart.right is not None:
             factor, quantity, unit = chart.right
             stored["right"] = {"factor": factor, "label": f"{quantity} ({unit})", "unit": unit}
         if chart.band is not None:
             stored["band"] = list(chart.band)
-        self._charts.append({key: value for key, value in stored.items() if value})
-        return len(self._charts) - 1
-
-    def json(self) -> str:
-        """Return all charts as JSON for use inside a page."""
-        return in_page({"columns": self._columns, "charts": self._charts})
+        return {key: value for key, value in stored.items() if value}
 
     def _series(self, one: Series, chart: Chart) -> dict[str, Any]:
         x, y = chart.x.scaled(one.x), chart.y.scaled(one.y)
         rising = one.kind == "line" and x.size > 1 and bool((np.diff(x) > 0).all())
         stored: dict[str, Any] = {
             "name": one.name,
-            "x": self._column(x, one.exact),
-            "y": self._column(y, False),
+            "x": self._place(x),
+            "y": self._place(y),
             "colour": one.colour,
             "kind": one.kind,
             "width": one.width,
             "opacity": one.opacity,
         }
         if one.top is not None:
-            stored["top"] = self._column(chart.y.scaled(one.top), False)
+            stored["top"] = self._place(chart.y.scaled(one.top))
         if one.values is not None:
-            stored["values"] = self._column(one.values.ravel(), False)
+            stored["values"] = self._place(one.values.ravel())
         flags: dict[str, Any] = {"rising": rising, "hollow": one.hollow, "darkest": one.darkest}
         flags |= {"names": list(one.names), "dash": [5, 4] * one.dashed}
         return stored | {key: value for key, value in flags.items() if value}
 
-    def _column(self, values: Array, exact: bool) -> int:
-        key = (np.ascontiguousarray(values, dtype=np.float64).tobytes(), exact)
-        if key not in self._places:
-            self._places[key] = len(self._columns)
-            self._columns.append(_stored(np.asarray(values, dtype=np.float64), exact))
-        return self._places[key]
+    def _place(self, values: Array) -> int:
+        """Return the number of a column on the page."""
+        return self._places.setdefault(np.asarray(values, dtype=np.float64).tobytes(), len(self._places))
 
 
 def _axis(axis: Axis) -> dict[str, Any]:
@@ -193,10 +246,8 @@ def in_page(data: Mapping[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _stored(values: Array, exact: bool) -> dict[str, Any]:
-    """Return a column as base64: 32-bit floats, or 16-bit steps above its least value."""
-    if exact:
-        return {"floats": base64.b64encode(values.astype("<f4").tobytes()).decode()}
+def _column(values: Array) -> dict[str, Any]:
+    """Return a column as base64 of 16-bit steps above its least value."""
     good = np.isfinite(values)
     low, high = (float(values[good].min()), float(values[good].max())) if good.any() else (0.0, 0.0)
     step = (high - low) / _STEPS or 1.0

@@ -5,20 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import cycle
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.records import largest, white_noise
 from dehyst.report import html
-from dehyst.report.charts import Axis, Chart, Colour, Series
+from dehyst.report.charts import Axis, Chart, Colour, Series, broken, gaps
 from dehyst.report.html import Charts, Row, escape, length, length_unit, number, words
-
-Indices: TypeAlias = NDArray[np.intp]
 
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
 
@@ -140,25 +136,7 @@ def checks(fit: Fit) -> str:
     )
 
 
-def constants(errors: Sequence[RecordErrors]) -> str:
-    """Show each record's nuisances: they are fitted to held-out records too."""
-    if not errors:
-        return ""
-    rows: list[Row] = [
-        (
-            (error.record, error.role),
-            *(number(x) for x in (error.offset, error.datum * 1e6, error.drifted_percent, error.decades)),
-        )
-        for error in errors
-    ]
-    head = ("Record", "Offset (V)", "Sensor's zero (µm)", "Drift (% of stroke)", "over decades of time")
-    title = "Constants found for each record, validation records too"
-    return html.folded(title, {"": html.table(head, rows, texts=1)})
-
-
 MOST_RECORDS = 6
-# Samples that are drawn of all records together.
-MOST_SAMPLES = 20_000
 _BINS = 40
 _FEWEST_IN_BIN = 5
 # The noise band holds 95 % of the samples of a perfect model.
@@ -175,13 +153,12 @@ def before_and_after(fit: Fit) -> Charts | str:
     (off,), slope = _off_line([trace])
     factor, unit = length_unit(float(np.ptp(trace.measured)))
     before, after = largest(off), largest(trace.residual)
-    at = _drawn(trace, len(shown))
     curves: tuple[tuple[str, Array, Colour], ...] = (
         ("straight scale factor", off, "without"),
         ("this model", trace.residual, "simulated"),
     )
     series = [
-        Series(name, trace.simulated[at] * factor, _broken(trace, 100 * error / stroke)[at], colour)
+        Series(name, trace.simulated * factor, broken(trace.time, 100 * error / stroke), colour)
         for name, error, colour in curves
     ]
     axes = Axis("displacement", unit), Axis("error", "% of stroke")
@@ -202,31 +179,28 @@ def loops(fit: Fit) -> Charts:
         "Displacement minus a straight line, so that the hysteresis fills the height. Where the line (simulated) "
         "leaves the dots (measured), the model is wrong; look at the turning points and at the minor loops."
     )
-    return Charts(
-        "Loops, off a straight line", caption + _only(fit), [hysteresis_chart([one], len(shown)) for one in shown]
-    )
+    return Charts("Loops, off a straight line", caption + _only(fit), [hysteresis_chart([one]) for one in shown])
 
 
 def loops_chart(traces: Sequence[Trace]) -> Chart:
     """Return measured and simulated displacement over voltage."""
-    return _both(traces, [trace.measured for trace in traces], "displacement", len(traces))
+    return _both(traces, [trace.measured for trace in traces], "displacement")
 
 
-def hysteresis_chart(traces: Sequence[Trace], records: int = 1) -> Chart:
-    """Return the loops minus the best straight line through all measured loops; `records`: number of drawn records."""
+def hysteresis_chart(traces: Sequence[Trace]) -> Chart:
+    """Return the loops minus the best straight line through all measured loops."""
     measured, slope = _off_line(traces)
-    return replace(_both(traces, measured, f"off a line of {number(slope * 1e6)} µm/V", records), zero=True)
+    return replace(_both(traces, measured, f"off a line of {number(slope * 1e6)} µm/V"), zero=True)
 
 
-def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str, records: int) -> Chart:
+def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str) -> Chart:
     """Return a chart over voltage of what was measured and of what was simulated, which is less by the residual."""
     factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
     dots, lines = [], []
     for trace, shown in zip(traces, measured, strict=True):
-        at = _drawn(trace, records)
-        first, second = (_broken(trace, one * factor)[at] for one in (shown, shown - trace.residual))
-        dots.append(Series("measured", trace.voltage[at], first, "measured", "points", 3, 0.5))
-        lines.append(Series("simulated", trace.voltage[at], second, "simulated", width=1.2))
+        first, second = (broken(trace.time, one * factor) for one in (shown, shown - trace.residual))
+        dots.append(Series("measured", trace.voltage, first, "measured", "points", 3, 0.5))
+        lines.append(Series("simulated", trace.voltage, second, "simulated", width=1.2))
     axes = Axis("voltage", "V"), Axis(quantity, unit)
     return Chart(traces[0].record, *axes, [*dots, *lines], role=traces[0].role)
 
@@ -255,37 +229,32 @@ def _residuals(fit: Fit, title: str, caption: str, chart: Callable[..., Chart]) 
     if not shown:
         return ""
     limit = 1.1 * max(100 * largest(trace.residual) / stroke for trace in shown) or 1.0
-    return Charts(title, caption + _only(fit), [chart([trace], stroke, len(shown), limit) for trace in shown])
+    return Charts(title, caption + _only(fit), [chart([trace], stroke, limit) for trace in shown])
 
 
-def residual_in_time(traces: Sequence[Trace], stroke: float, records: int = 1, limit: float | None = None) -> Chart:
+def residual_in_time(traces: Sequence[Trace], stroke: float, limit: float | None = None) -> Chart:
     """Return residuals [% of the stroke in m] against time; of one record the times that were not compared shaded."""
     colours: tuple[Colour, ...] = ("measured", "simulated", "rising", "falling")
     alone, series = len(traces) == 1, []
     for trace, colour in zip(traces, cycle(colours)):
-        at = _drawn(trace, records)
-        name, y = "residual" if alone else trace.record, 100 * trace.residual[at] / stroke
-        series.append(Series(name, trace.time[at], y, colour, "points", opacity=0.6, exact=True))
+        name, y = "residual" if alone else trace.record, 100 * trace.residual / stroke
+        series.append(Series(name, trace.time, broken(trace.time, y), colour, width=1))
     chart = _residual(traces, Axis("time", "s"), series, stroke, limit)
     if not alone:
         return chart
     return replace(chart, shaded=_left_out(traces[0]), notes=(*chart.notes, ("not compared", "shade")))
 
 
-def residual_over_displacement(
-    traces: Sequence[Trace], stroke: float, records: int = 1, limit: float | None = None
-) -> Chart:
+def residual_over_displacement(traces: Sequence[Trace], stroke: float, limit: float | None = None) -> Chart:
     """Return residuals [% of the stroke in m] against displacement, branches apart, with the means of bins."""
     factor, unit = length_unit(max(float(np.ptp(trace.measured)) for trace in traces))
     place = np.concatenate([trace.simulated * factor for trace in traces])
     off = np.concatenate([100 * trace.residual / stroke for trace in traces])
     up = np.concatenate([rising(trace) for trace in traces])
-    some = np.concatenate([np.isin(np.arange(trace.time.size), _drawn(trace, records)) for trace in traces])
     clouds, means = [], []
     branches: tuple[tuple[Colour, Mask], ...] = (("rising", up), ("falling", ~up))
     for name, branch in branches:
-        shown = branch & some
-        clouds.append(Series(name, place[shown], off[shown], name, "points", 2.0, 0.45))
+        clouds.append(Series(name, place[branch], off[branch], name, "points", 2.0, 0.45))
         means.append(Series(name, *_means(place[branch], off[branch]), name, width=2.4))
     return _residual(traces, Axis("displacement", unit), [*clouds, *means], stroke, limit)
 
@@ -337,28 +306,8 @@ def _off_line(traces: Sequence[Trace]) -> tuple[list[Array], float]:
 
 def _left_out(trace: Trace) -> list[tuple[float, float]]:
     """Return the parts of the time that were not compared: the time before the first sample, and gaps."""
-    parts = [(float(trace.time[i]), float(trace.time[i + 1])) for i in _gaps(trace)]
+    parts = [(float(trace.time[i]), float(trace.time[i + 1])) for i in gaps(trace.time)]
     return [(trace.began, float(trace.time[0])), *parts] if trace.began < trace.time[0] else parts
-
-
-def _broken(trace: Trace, values: Array) -> Array:
-    """Return values with the last one before a gap missing, so that no line crosses it."""
-    out = np.array(values, dtype=np.float64)
-    out[_gaps(trace)] = np.nan
-    return out
-
-
-def _gaps(trace: Trace) -> Indices:
-    """Return the last sample before each gap."""
-    steps = np.diff(trace.time)
-    return np.flatnonzero(steps > 3 * np.median(steps)) if steps.size else np.zeros(0, np.intp)
-
-
-def _drawn(trace: Trace, records: int) -> Indices:
-    """Return the samples of a record that are drawn, of `records` that share the limit."""
-    most = MOST_SAMPLES // records
-    size = trace.time.size
-    return np.arange(size) if size <= most else np.unique(np.linspace(0, size - 1, most).astype(np.intp))
 
 
 def _right(quantity: str, stroke: float, most: float) -> tuple[float, str, str]:

@@ -38,14 +38,12 @@ def record(found: Record, kind: str | None, ax: Axes | None) -> Axes:
 
 def actuator(found: Actuator, kind: str | None, ax: Axes | None) -> Axes:
     """Draw an actuator; see `Plotted`."""
-    if kind == "creep" and not creep_times(found).size:
-        raise ModelError(argument="kind", got="'creep' of an actuator without creep", need="'loop' or another part")
     kinds = {
         "loop": lambda: _actuator_loops(found),
         "elements": lambda: element_charts(found)[0],
         "spring": lambda: spring_charts(found.spring)[0],
         "slopes": lambda: slopes_chart(found),
-        "creep": lambda: creep_chart(found),
+        **({"creep": lambda: creep_chart(found)} if creep_times(found).size else {}),
     }
     return _drawn(kinds, kind, ax, found.name, ModelError)
 

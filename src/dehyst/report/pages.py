@@ -9,7 +9,7 @@ from dehyst._types import Array
 from dehyst.identification import StageFit
 from dehyst.records import Record
 from dehyst.report import html
-from dehyst.report.charts import Axis, Chart, Series, thinned
+from dehyst.report.charts import Axis, Chart, Series, broken
 from dehyst.report.html import Charts, Part, Row, bullets, length_unit, words
 
 
@@ -48,7 +48,7 @@ def loop_chart(record: Record) -> Chart:
 
 def _drawn(record: Record, x: Array, y: Array) -> list[Series]:
     """Return a line through all samples, and points at events."""
-    line, at = Series("", *thinned(record.time, x, y), "measured", exact=x is record.time), record.measured
+    line, at = Series("", x, broken(record.time, y), "measured"), record.measured
     return [line] if at is None else [line, Series("events", x[at], y[at], "simulated", "points", 4.0)]
 
 
@@ -107,7 +107,7 @@ def _axes(fit: StageFit, records: Sequence[Record]) -> list[Part]:
             shown = [one.displacement * 1e6 for one in records] if j == i else [one * 1e9 for one in fit.residuals]
             y = Axis(f"displacement {axis}", "µm") if j == i else Axis(f"residual of {axis}", "nm")
             lines = [
-                Series(record.name, *thinned(record.time, record.voltage[:, j], values[:, i]), "measured", width=1)
+                Series(record.name, record.voltage[:, j], broken(record.time, values[:, i]), "measured", width=1)
                 for record, values in zip(records, shown, strict=True)
             ]
             charts.append(Chart(y.quantity, Axis(f"voltage of {fit.axes[j]}", "V"), y, lines))

@@ -17,7 +17,7 @@ from dehyst._errors import MissingExtraError
 from dehyst._io import write_atomically
 from dehyst._text import escaped
 from dehyst._types import Array
-from dehyst.report.charts import Chart, Series, thinned
+from dehyst.report.charts import Chart, Series, vertices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,8 +38,8 @@ _COLOURS = {
 # Of journals: the width of a column and of a page [in], and the least resolution of a line drawing with greys.
 COLUMN, PAGE = 3.4, 7.0
 _JOURNAL_DPI = 600
-# More points than this become one image inside a figure: as vectors they would take 100 bytes each.
-_VECTOR_POINTS = 1500
+# More points than this become one image inside a figure: as vectors they would take 100 bytes each. Most samples.
+_VECTOR_POINTS, _MOST = 1500, 20_000
 # Points of print a pixel of a page.
 _POINTS = 0.75
 # Metadata that would make each SVG file different.
@@ -113,7 +113,8 @@ def drawing(
 
 def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
     """Draw a line through many samples with only the vertices that print can show."""
-    ax.plot(*thinned(np.arange(x.size, dtype=np.float64), x, y), **style)
+    at = vertices(x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0), _MOST)
+    ax.plot(x[at], y[at], **style)
 
 
 @contextmanager
@@ -154,7 +155,7 @@ def draw_chart(ax: Axes, chart: Chart) -> None:
     if chart.band is not None:
         ax.axhspan(*chart.band, color=MEASURED, alpha=0.12, lw=0)
     labels: set[str] = set()
-    for one in chart.series:
+    for one in chart.shown(_MOST).series:
         _draw_series(ax, one, "" if one.name in labels else one.name)
         labels.add(one.name)
     if chart.zero:

@@ -146,7 +146,7 @@ def _reproduce(fit: Fit, actuator: Actuator | None, command: str | None) -> str:
         for one in records
     ]
     sources = table(("Record", "File", "SHA-256"), rows, texts=3) if rows else ""
-    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{sources}\n{of_fit.constants(fit.errors)}"
+    return f"<h2>How to reproduce</h2>\n{shown}<dl>\n{listed}\n</dl>\n{sources}"
 
 
 def _value(value: Any) -> str:

@@ -171,7 +171,7 @@ def _turns_chart(plane: TurnPlane, path: Sequence[Turn]) -> Chart:
     """Return the plane of turning points with the tested cells, and where a path turns."""
     ends, cells = plane.edges[[0, -1]], plane.cells.astype(np.float64)
     series = [
-        Series("", plane.edges, plane.edges, "tested", "cells", values=cells, darkest=3.0, exact=True),
+        Series("", plane.edges, plane.edges, "tested", "cells", values=cells, darkest=3.0),
         Series("", ends, ends, "without", width=1),
         *_dots("records", plane.turns, "measured", 5),
         *_dots("this path", path, "simulated", 8),
@@ -180,7 +180,7 @@ def _turns_chart(plane: TurnPlane, path: Sequence[Turn]) -> Chart:
     shown = float(ends[0]) - edge, float(ends[1]) + edge
     x, y = (Axis(f"{which} turning point", "V", shown) for which in ("lower", "upper"))
     notes = [("tested, paler: one branch of the loop only", "tested")]
-    return Chart("Turning points", x, y, series, notes=notes, about={"fastest": plane.speeds[1]})
+    return Chart("Turning points", x, y, series, notes=notes)
 
 
 def _dots(name: str, turns: Sequence[Turn], colour: Colour, width: float) -> list[Series]:

@@ -13,6 +13,7 @@ COMPENSATOR = "dehyst.js"
 _FOLDER = Path(__file__).parent
 _IMPORT = re.compile(r'^import .*? from "\./([\w.]+)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export ", re.MULTILINE)
+_BLANK = re.compile(r"^\s*//.*\n|^\s+", re.MULTILINE)
 
 
 def names() -> list[str]:
@@ -26,11 +27,11 @@ def text(name: str) -> str:
     return shipped("compensator.js") if name == COMPENSATOR else (_FOLDER / name).read_text(encoding="utf-8")
 
 
-def script(*sources: str) -> str:
-    """Return modules and all their imports as one script, without import and export statements.
+def script(source: str) -> str:
+    """Return a module and all its imports as one script, without statements of import and export.
 
-    A source is the name of a module in this folder, or the text of another module. Top-level names of modules must
-    differ.
+    Comments and indents are left out. A source is the name of a module in this folder, or the text of another module.
+    Top-level names of modules must differ.
     """
     found: dict[str, str] = {}
 
@@ -40,8 +41,7 @@ def script(*sources: str) -> str:
         module = text(source) if source.endswith(".js") else source
         for name in _IMPORT.findall(module):
             add(name)
-        found[source] = _EXPORT.sub("", _IMPORT.sub("", module))
+        found[source] = _BLANK.sub("", _EXPORT.sub("", _IMPORT.sub("", module)))
 
-    for one in sources:
-        add(one)
+    add(source)
     return "\n".join(found.values())

@@ -4,10 +4,9 @@ import { Figure } from "./figure.js";
 
 const COLUMNS = ["x", "y", "top", "values"];
 
-// A column is 32-bit floats, or 16-bit steps from its lowest value with one code for a missing value.
+// A column is 16-bit steps from its lowest value, with one code for a missing value.
 export function column(stored) {
-  const bytes = Uint8Array.from(atob(stored.floats ?? stored.steps), (letter) => letter.charCodeAt(0)).buffer;
-  if (stored.floats !== undefined) return new Float32Array(bytes);
+  const bytes = Uint8Array.from(atob(stored.steps), (letter) => letter.charCodeAt(0)).buffer;
   const values = (code) => (code === 65535 ? NaN : stored.low + stored.step * code);
   return Float64Array.from(new Uint16Array(bytes), values);
 }
