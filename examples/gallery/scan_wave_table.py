@@ -17,7 +17,7 @@ record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="
 actuator = dehyst.identify(record).actuator
 
 # %%
-# 2 to 12 um at 10 Hz; a fifth of each leg is for the turns.
+# 2 to 12 um at 10 Hz; a fifth of each branch is for the turns.
 scan = Triangle(2e-6, 12e-6, frequency=10, turns=0.2)
 table = dehyst.wave_table(actuator, scan, limits=(0, 200), slew_rate=20_000)
 played = table.played(cycles=3)

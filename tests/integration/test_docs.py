@@ -179,7 +179,7 @@ def numbers_of(text):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("page", ["measured_stage", "first_stage", "scan", "firmware", "learning_scan"])
+@pytest.mark.parametrize("page", ["measured_stage", "first_stage", "scan", "firmware", "learning_scan", "first_calibration"])
 def test_the_commands_of_a_tutorial_print_what_the_page_says(page, demo, tmp_path, monkeypatch):
     """Numbers may differ by a tenth: other processors round otherwise."""
     shutil.copytree(demo, tmp_path / "stage")
