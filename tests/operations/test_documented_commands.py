@@ -4,12 +4,16 @@ import re
 import shlex
 
 import click
+import command_line
 import places
 import pytest
 
 from dehyst.cli import main
 
 PAGES = [places.ROOT / "README.md", *sorted(places.DOCS.rglob("*.md")), *sorted(places.EXAMPLES.rglob("*.md"))]
+
+PARAMETERS = [each for _, command in command_line.commands() for each in command.params]
+OPTIONS = {"--help", *(name for each in PARAMETERS for name in (*each.opts, *each.secondary_opts))}
 
 
 def commands(page):
@@ -45,6 +49,13 @@ def test_its_commands_are_understood(page):
             assert parsed(words[:end])
         except click.ClickException as error:
             pytest.fail(f"{line}: {error.format_message()}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(places.ROOT)))
+def test_options_in_its_sentences_exist(page):
+    if "decisions" not in page.parts:
+        code = " ".join(re.findall(r"`([^`\n]+)`", page.read_text()))
+        assert {*re.findall(r"(?<![\w-])--[a-z][\w-]*", code)} <= OPTIONS
 
 
 def test_pages_have_commands():
