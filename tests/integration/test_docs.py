@@ -21,6 +21,8 @@ from dehyst.waveforms import Sampling, raised_cosine
 from examples import at_night
 
 DOCS = places.DOCS
+# Tutorials whose commands are run, and their numbers compared.
+PLAYED = ("measured_stage", "first_stage", "scan", "firmware", "learning_scan", "first_calibration")
 MY_LAB = """
 from dehyst.virtual import PlayActuator
 truth, sent = PlayActuator(), [0.0]
@@ -179,7 +181,7 @@ def numbers_of(text):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("page", ["measured_stage", "first_stage", "scan", "firmware", "learning_scan", "first_calibration"])
+@pytest.mark.parametrize("page", PLAYED)
 def test_the_commands_of_a_tutorial_print_what_the_page_says(page, demo, tmp_path, monkeypatch):
     """Numbers may differ by a tenth: other processors round otherwise."""
     shutil.copytree(demo, tmp_path / "stage")
