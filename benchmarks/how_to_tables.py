@@ -56,7 +56,7 @@ def coupled() -> list[str]:
     found = data("coupled_axes")
     words = {
         "truths": "plays, Preisach, relays",
-        "set aside": "set aside: Jiles-Atherton domains, Stribeck slip, relays",
+        "set aside": "others: Jiles-Atherton domains, Stribeck slip, relays",
         "with Bouc-Wen": "plays, Preisach, Bouc-Wen",
     }
     rows = []

@@ -148,9 +148,7 @@ def speed() -> list[str]:
         for job in ("compensate", "simulate")
     ]
     jobs += [
-        (path, f"{job} {wider}, {what}", f"{job} with transformer and 8 creep")
-        for path, what in (("slow", swept), ("noisy", noisy))
-        for job in ("compensate", "simulate")
+        ("slow", f"{job} {wider}, {swept}", f"{job} with transformer and 8 creep") for job in ("compensate", "simulate")
     ]
     paths = data("speed")["paths"]
     rows = ([what, *(f"{paths[path][f'{key} {n}']['ratio']:.2f}" for n in (10, 100, 1000))] for path, what, key in jobs)
