@@ -47,8 +47,15 @@ def temperature() -> list[str]:
 def updates() -> list[str]:
     """Errors of updated models over those of models identified anew: median and worst."""
     head = ("record", "largest, median", "worst", "RMS, median", "worst")
-    found = {kind: data("ageing")[f"update to anew, {kind}"] for kind in ("2 sines", "4 triangles", "excitation")}
-    return table(head, ([kind, *(f"{one[k]:.2f}" for k in (0, 1) for one in pair)] for kind, pair in found.items()))
+    aged = data("ageing")
+    found = {kind: aged[f"update to anew, {kind}"] for kind in ("2 sines", "4 triangles", "excitation")}
+    return [
+        *table(head, ([kind, *(f"{one[k]:.2f}" for k in (0, 1) for one in pair)] for kind, pair in found.items())),
+        "",
+        f"`dehyst check` of {aged['truths']} aged stages: of {aged['stated']} changes stated, {len(aged['false'])} were "
+        f"false beyond twice their error; of {aged['over 2 %']} changes of over 2 % of the stroke, "
+        f"{len(aged['missed'])} were left unnamed.",
+    ]
 
 
 def coupled() -> list[str]:
