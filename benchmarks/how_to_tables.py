@@ -52,8 +52,8 @@ def updates() -> list[str]:
     return [
         *table(head, ([kind, *(f"{one[k]:.2f}" for k in (0, 1) for one in pair)] for kind, pair in found.items())),
         "",
-        f"`dehyst check` of {aged['truths']} aged stages: of {aged['stated']} changes stated, {len(aged['false'])} were "
-        f"false beyond twice their error; of {aged['over 2 %']} changes of over 2 % of the stroke, "
+        f"`dehyst check` of {aged['truths']} aged stages: of {aged['stated']} changes stated, {len(aged['false'])} "
+        f"were false beyond twice their error; of {aged['over 2 %']} changes of over 2 % of the stroke, "
         f"{len(aged['missed'])} were left unnamed.",
     ]
 
