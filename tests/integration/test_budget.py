@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1015,
     "cli": 680,
-    "control": 4391,
+    "control": 4388,
     "exports": 1300,
     "fleet": 312,
     "foundation": 1422,
