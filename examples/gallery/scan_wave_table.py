@@ -19,7 +19,7 @@ actuator = dehyst.identify(record).actuator
 # %%
 # 2 to 12 um at 10 Hz; a fifth of each branch is for the turns.
 scan = Triangle(2e-6, 12e-6, frequency=10, turns=0.2)
-table = dehyst.wave_table(actuator, scan, limits=(0, 200), slew_rate=20_000)
+table = dehyst.wave_table(actuator, scan.path(), limits=(0, 200), slew_rate=20_000)
 played = table.played(cycles=3)
 print(f"{table.cycles} cycle of start-up, then the table is steady to {1e9 * table.error:.2g} nm; {table.warnings=}")
 

@@ -74,14 +74,11 @@ def folder(tmp_path_factory):
         ("identify loops.csv --goal 1e6", "goal", "--goal: "),
         ("compensate creeps.json path.csv -o out.csv", "", "(--columns time=NAME, --columns rate=HZ)"),
         ("compensate plain.json path.csv -o out.csv --slew-rate -1 --columns rate=10", "slew_rate", "--slew-rate: "),
-        (
-            'insight plain.json loops.csv --options {"temperatures":[30,20]}',
-            "temperatures",
-            "temperatures in --options: ",
-        ),
         ("export creeps.json firmware", "", "(--period NUMBER)"),
         ("export plain.json firmware --period -1", "period", "--period: "),
         ("excite raised-cosine 0 -o out.csv", "peaks", "peaks: "),
+        ("excite recommended 100 -o out.csv --base -1e5", "base", "--base: "),
+        ("excite homing 100 -o out.csv --present 500", "present", "--present: "),
         ("excite staircase 100 -o out.csv --sample-rate 0.01", "sample_rate", "--sample-rate: "),
     ],
 )
@@ -119,3 +116,10 @@ def test_an_unknown_option_among_numbers_is_no_number(option):
     assert (done.exit_code, isinstance(done.exception, SystemExit)) == (2, True)
     assert option.partition("=")[0] in done.stderr
     assert "number" not in done.stderr
+
+
+def test_an_error_of_a_path_names_its_file(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "far.csv").write_text("time_s,displacement_um\n0,6000\n1,6000\n")
+    done = CliRunner().invoke(main, ["compensate", "plain.json", "far.csv", "-o", "no.csv", "--json"])
+    assert done.exit_code == 2 and json.loads(done.stdout)["error"]["message"].startswith("far.csv: ")

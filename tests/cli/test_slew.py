@@ -190,3 +190,4 @@ def test_an_excitation_states_the_speed_that_it_needs(tmp_path, limit):
     time, voltage = np.loadtxt(tmp_path / "v.csv", delimiter=",", skiprows=1).T
     assert made["slew_rate_V_per_s"] == pytest.approx(np.abs(np.diff(voltage) / np.diff(time)).max(), rel=1e-3)
     assert made["slew_rate_V_per_s"] < (50.1 if limit else 800)
+    assert len(made["warnings"]) == bool(limit)

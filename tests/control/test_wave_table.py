@@ -71,7 +71,7 @@ def test_without_time_the_second_cycle_is_the_steady_one(actuator, seed, kind, s
 @pytest.mark.parametrize("name", ACTUATORS)
 def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     actuator, state = ACTUATORS[name], None if homed else ACTUATORS[name].relaxed(20.0)
-    table = wave_table(actuator, SCANS[scan], start=state)
+    table = wave_table(actuator, SCANS[scan].path(), start=state)
     stroke, size = strokes(SCANS[scan]), len(table.cycle)
     assert (table.plan.homing is not None) == homed
     assert not table.plan.clamped.any() and table.error <= 1e-4 * stroke
@@ -93,7 +93,7 @@ def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
     errors = []
     for times in (1, 4):
         finer = replace(SCANS[scan], sample_rate=times * SCANS[scan].rate)
-        table = wave_table(actuator, finer, start=actuator.relaxed(20.0))
+        table = wave_table(actuator, finer.path(), start=actuator.relaxed(20.0))
         played = table.played(4)
         made = simulated(actuator, played, actuator.relaxed(20.0))
         size = len(table.cycle)
@@ -140,32 +140,32 @@ def test_creep_whose_time_constant_is_long_settles_at_once_in_the_table():
 
 def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     slow = replace(PLAIN, creep=Creep([5.0], [2e6]))
-    table = wave_table(slow, TRIANGLE, start=slow.relaxed(20.0), cycles=2)
+    table = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0), cycles=2)
     assert table.cycles == 2 and not table.settled
     assert "after 2 cycles" in table.warnings[-1]
     more = int(table.warnings[-1].split("creep takes ")[1].split()[0])
-    enough = wave_table(slow, TRIANGLE, start=slow.relaxed(20.0), cycles=2 + more)
+    enough = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0), cycles=2 + more)
     assert enough.error <= 1.01e-4 * strokes(TRIANGLE)
-    found = wave_table(slow, TRIANGLE, start=slow.relaxed(20.0))
+    found = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0))
     assert found.settled and enough.tolerance == pytest.approx(1e-4 * strokes(TRIANGLE))
     assert 0.8 * (2 + more) < found.cycles <= 2 + more
 
 
 def test_the_axes_of_a_scan_can_be_kept_together():
     scan = Raster(4 * UM, 12 * UM, 10, 4, y_low=5 * UM, y_high=11 * UM)
-    tables = [wave_table(PLAIN, scan, axis=axis, start=PLAIN.relaxed(20.0), cycles=2) for axis in "xy"]
+    tables = [wave_table(PLAIN, scan.path(axis), start=PLAIN.relaxed(20.0), cycles=2) for axis in "xy"]
     assert {table.rows(0) - table.plan.first for table in tables} == {2 * scan.samples}
 
 
 def test_a_scan_that_stands_where_it_begins_has_no_way():
-    table = wave_table(PLAIN, TRIANGLE, start=PLAIN.turned(2 * UM, rising=False))
+    table = wave_table(PLAIN, TRIANGLE.path(), start=PLAIN.turned(2 * UM, rising=False))
     assert table.rows(0) == table.cycles * TRIANGLE.samples
     assert np.array_equal(table.played(0).phase, np.ones(table.rows(0)))
 
 
 def test_a_start_up_that_cannot_lead_to_the_cycle_is_refused():
     with pytest.raises(RecordError) as caught:
-        wave_table(PLAIN, TRIANGLE, slew_rate=2500.0, start=PLAIN.turned(20 * UM), cycles=0)
+        wave_table(PLAIN, TRIANGLE.path(), slew_rate=2500.0, start=PLAIN.turned(20 * UM), cycles=0)
     assert caught.value.argument == "cycles"
 
 
@@ -173,7 +173,9 @@ def test_a_start_up_that_cannot_lead_to_the_cycle_is_refused():
 @pytest.mark.parametrize("limits, slew", [((0.0, 120.0), None), ((-50.0, 250.0), 2500.0)])
 def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     actuator = ACTUATORS[name]
-    table = wave_table(actuator, TRIANGLE, limits=limits, slew_rate=slew, start=actuator.relaxed(20.0), cycles=12)
+    table = wave_table(
+        actuator, TRIANGLE.path(), limits=limits, slew_rate=slew, start=actuator.relaxed(20.0), cycles=12
+    )
     assert table.plan.clamped.any() and not table.plan.followed and table.cycles == 12
     played = table.played(5)
     assert limits[0] <= played.voltage.min() and played.voltage.max() <= limits[1]
@@ -189,13 +191,13 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
 
 
 def test_a_homing_that_limits_forbid_is_said():
-    table = wave_table(PLAIN, TRIANGLE, limits=(0.0, 120.0))
+    table = wave_table(PLAIN, TRIANGLE.path(), limits=(0.0, 120.0))
     assert not table.plan.certified and unknown(table) > UM
     assert table.plan.voltage.max() <= 120.0
 
 
 def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
-    table = wave_table(PLAIN, TRIANGLE, slew_rate=8000.0, present=30.0)
+    table = wave_table(PLAIN, TRIANGLE.path(), slew_rate=8000.0, present=30.0)
     played = table.played(1)
     assert played.voltage[0] == 30.0
     assert np.abs(np.diff(played.voltage)).max() * table.sample_rate <= 8000.0 * (1 + 1e-6)
@@ -204,7 +206,7 @@ def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
 @pytest.mark.parametrize("parts", [{}, at_night({"dynamics": Dynamics(300, 0.03, 1e6)})])
 def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     slow = replace(PLAIN, creep=Creep([5.0, 50.0], [2e5, 2e5]), **parts)
-    table = wave_table(slow, TRIANGLE)
+    table = wave_table(slow, TRIANGLE.path())
     homing = table.plan.homing.played
     assert homing.duration * table.sample_rate > 8e5
     played = table.played(2)
@@ -222,7 +224,6 @@ def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
 @pytest.mark.parametrize(
     "options, said",
     [
-        ({"axis": "y"}, "axis: got 'y', need 'x'"),
         ({"cycles": -1}, "cycles: got -1, need a whole number from 0 to 10000000"),
         ({"start": None, "present": 900.0}, "present: got 900 V, but the limits are -50 to 250 V; ramp there first"),
         ({"cycles": 10**7}, "cycles: got 10000000, 4e[+]09 samples of start-up, need 12500 at most"),
@@ -231,10 +232,10 @@ def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
 )
 def test_what_cannot_be_is_refused(options, said):
     with pytest.raises(RecordError, match=said):
-        wave_table(PLAIN, **{"scan": TRIANGLE, "start": PLAIN.relaxed(20.0), **options})
+        wave_table(PLAIN, **{"path": TRIANGLE.path(), "start": PLAIN.relaxed(20.0), **options})
 
 
 def test_creep_without_clipping_is_followed_for_a_thousand_cycles():
     slow = replace(PLAIN, creep=Creep([500.0], [2e5]))
-    table = wave_table(slow, TRIANGLE, start=slow.relaxed(20.0))
+    table = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0))
     assert (table.cycles, table.settled, table.plan.clamped.any()) == (1000, False, False)

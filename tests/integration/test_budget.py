@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1015,
     "cli": 680,
-    "control": 4388,
+    "control": 4380,
     "exports": 1300,
     "fleet": 312,
     "foundation": 1422,
@@ -29,7 +29,7 @@ ROOMS = {
     "testing": 492,
     "trust": 2484,
     "virtual": 828,
-    "waveforms": 1351,
+    "waveforms": 1350,
     "web": 50,
     "workbench": 2629,
 }

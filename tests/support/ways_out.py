@@ -230,9 +230,9 @@ class Life:
             return
         low, high = (1e6 * (self.actuator.reach[0] + np.ptp(self.actuator.reach) * share) for share in (0.2, 0.8))
         options = {"low": low, "high": high, "frequency": 10 ** self.rng.uniform(-2.5, -1.5) / self.period}
-        scan = scan_of("triangle", options, 1 / self.period)
+        path = scan_of("triangle", options, 1 / self.period).path()
         state, present = self.state(), float(self.rng.uniform(self.low, self.high))
-        table = wave_table(self.actuator, scan, slew_rate=self.slew, start=state, present=None if state else present)
+        table = wave_table(self.actuator, path, slew_rate=self.slew, start=state, present=None if state else present)
         played = table.played(3)
         begin = present if state is None else self.held(state)
         intervals = np.diff(played.time, prepend=played.time[0] - self.period)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError, ModelError, RecordError
+from dehyst._errors import FileFormatError, ModelError, RecordError, of_part
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
@@ -33,8 +33,8 @@ from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Limits, Start
 from dehyst.operations.waves import refuse_cycles
 from dehyst.records import read_table, table_of
-from dehyst.waveforms import Scan
-from dehyst.waveforms.scans import OPTIONS, scan_of
+from dehyst.waveforms import Scan, ScanPath
+from dehyst.waveforms.scans import scan_of
 
 # Part of the reachable range by which a row of a scan's file may differ from the scan.
 _WRITTEN = 1e-9
@@ -160,8 +160,13 @@ def compensate(
         wanted = known.values(read, "displacement", columns) + places
         warmth = temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)
         clock = clock_of(read, columns)
-        return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, how, remarks)
-    made, axis = _declared_scan(trajectory, declared, columns, float(places[0]))
+        try:
+            return _follow(run, known, axes, wanted, clock, {}, warmth, output, zero, how, remarks)
+        except ModelError as error:
+            if error.change or error.argument not in ("", "displacement"):
+                raise
+            raise of_part(error, trajectory.name) from error
+    made, axis, period = _declared_scan(trajectory, declared, columns, float(places[0]))
     if len(made.axes) > 1 and not columns.displacement:
         others = " and ".join(one for one in made.axes if one != axis)
         remarks.append(
@@ -169,16 +174,15 @@ def compensate(
             f"--columns displacement={others.split()[0]}_um takes another"
         )
     if table is None:
-        path = made.path(axis)
-        path = path.repeated(declared["cycles"]) if path.periodic else path
+        path = period.repeated(declared["cycles"])
         rates = {"velocity": path.velocity, "acceleration": path.acceleration}
         moved, time = path.displacement[:, None], {"time_s": path.time}
         warmth = temperature_of(known, temperature, columns, remark=remarks.append)
         return _follow(run, known, axes, moved, time, rates, warmth, output, zero, how, [*remarks, *made.warnings])
-    remarks += reach_remarks(axes[0].actuator, made.path(axis).displacement, axes[0].limits, zero)
+    remarks += reach_remarks(axes[0].actuator, period.displacement, axes[0].limits, zero)
     refuse_cycles(made, cycles)
     how = {"home": home, "home_within": home_within, "cycles": start_up}
-    return _tabulate(run, known, axes[0], made, axis, cycles, (output, table), how, remarks)
+    return _tabulate(run, known, axes[0], period, cycles, (output, table), how, remarks)
 
 
 def _axes_of(
@@ -203,8 +207,10 @@ def _axes_of(
     return axes, remarks
 
 
-def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, zero: float) -> tuple[Scan, str]:
-    """Return the scan in the first line of a path file, relative to a zero [m], and the wanted axis.
+def _declared_scan(
+    path: Path, declared: Mapping[str, Any], columns: Columns, zero: float
+) -> tuple[Scan, str, ScanPath]:
+    """Return the scan in the first line of a path file, the wanted axis, and its period relative to a zero [m].
 
     Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
     """
@@ -221,21 +227,13 @@ def _declared_scan(path: Path, declared: Mapping[str, Any], columns: Columns, ze
     if wanted not in names:
         raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
     axis = names[wanted]
-    table, one = read_table(path, columns), made.path(axis)
-    rows = one.repeated(cycles) if one.periodic else one
+    table, period = read_table(path, columns), made.path(axis)
+    rows = period.repeated(cycles)
     written = next(column.data for column in table.columns if names.get(column.name) == axis)
     span = float(np.abs(rows.displacement).max())
     if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
         raise FileFormatError(f"{path}: its rows are not those of the scan in its first line", hint=hint)
-    if not zero:
-        return made, axis
-    shift = zero * 1e6
-    options |= {
-        name: [one + shift for one in value] if isinstance(value, list) else value + shift
-        for name, value in options.items()
-        if OPTIONS[name].unit == "um"
-    }
-    return scan_of(declared["kind"], options, declared["sample_rate"]), axis
+    return made, axis, replace(period, displacement=period.displacement + zero)
 
 
 def _follow(
@@ -341,8 +339,7 @@ def _tabulate(
     run: Run,
     known: AxesModel,
     request: _AxisRequest,
-    scan: Scan,
-    axis: str,
+    path: ScanPath,
     cycles: int,
     outputs: tuple[Path, Path],
     how: Mapping[str, Any],
@@ -352,7 +349,7 @@ def _tabulate(
     run.progress("homing, and the steady cycle")
     options = {"limits": request.limits, "slew_rate": request.slew.bound, "present": request.present, **how}
     try:
-        table = wave_table(request.actuator, scan, axis=axis, start=request.start, **options)
+        table = wave_table(request.actuator, path, start=request.start, **options)
     except RecordError as error:
         if error.argument == "cycles":
             error.argument = "start_up"
@@ -366,9 +363,7 @@ def _tabulate(
             hint="try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands",
         )
     played = table.played(cycles)
-    homing = f"{plan.seconds or 0.0:.4g} s of homing and way, " if plan.first else ""
-    start_up = table.cycles * len(cycle) / rate
-    run.note(f"{homing}{start_up:.4g} s of start-up, {cycles * len(cycle) / rate:.4g} s of cycles: {rows} rows")
+    run.note(f"{plan.seconds or 0.0:.4g} s before the scan, {table.cycles + cycles} cycles: {rows} rows")
     run.progress(f"writing {rows} rows")
     write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
     write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
@@ -377,7 +372,7 @@ def _tabulate(
         **told.fields,
         "samples": rows,
         "sample_rate_Hz": rate,
-        "frequency_Hz": 1 / scan.period,
+        "frequency_Hz": rate / len(cycle),
         "start_up_cycles": table.cycles,
         "cycle_samples": len(cycle),
         "error_um": table.error * 1e6,

@@ -31,8 +31,6 @@ _COMPUTED = (
 _MEASURED = ("voltage", "displacement")
 # Before the file of a record whose beginning, not whose end, is the start.
 _AS = "as:"
-# Seconds of a homing from which on its duration is a warning.
-_LONG = 60.0
 Limits = tuple[float, float] | None
 # Gives the start of an axis' actuator within limits.
 StartReader = Callable[[int, Actuator, Limits], PossibleStart]
@@ -261,14 +259,7 @@ def path_warnings(actuator: Actuator, path: PathPlan, limits: Limits, slew: floa
             *path.warnings,
             *file_warnings(actuator, first, path.start, begin if stands else None, slew),
         ]
-    warnings, without = [*path.warnings], path.unhomed
-    if without is not None and path.seconds is not None and path.seconds >= _LONG:
-        warnings.append(
-            f"without the homing of {path.seconds:.4g} s (--no-home) the unknown start leaves "
-            f"{without.percent(without.largest):.2g} % of the stroke open. If the last played voltages are in a file, "
-            "--start FILE needs no homing"
-        )
-    return warnings
+    return [*path.warnings]
 
 
 def clock_columns(path: PathPlan, time: Mapping[str, Array]) -> dict[str, Any]:

@@ -108,20 +108,35 @@ def excite(
     if len(volts) < (2 if kind == "stage" else 1) or not (several or len(volts) == 1):
         words = {"stage": "one for each of several axes", "raised-cosine": "one for each peak"}.get(kind, "one voltage")
         raise RecordError(argument="volts", got=f"{len(volts)} for {kind}", need=words)
+    if limits is None and (highest := max(volts)) > 0:
+        sampled["limits"] = (-highest, highest)
     if kind == "stage":
         options["axes"] = None if axes is None else axes.split(",")
     given = [volts] if several else volts
 
-    def make(hertz: float) -> Excitation:
-        return EXCITATIONS[kind](*given, drive=Sampling(hertz, **sampled), **options)
+    longest = _RECOMMENDED if kind == "recommended" else _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
 
+    def made(slew_rate: float | None) -> tuple[Excitation, float]:
+        def make(hertz: float) -> Excitation:
+            return EXCITATIONS[kind](*given, drive=Sampling(hertz, **sampled | {"slew_rate": slew_rate}), **options)
+
+        return _slow_enough(make, longest) if frequency is None else (make(frequency), frequency)
+
+    found, hertz = made(slew_rate)
+    free = found if slew_rate is None else made(None)[0]
+    remarks: tuple[str, ...] = ()
+    if not found.warnings and (_fastest(found) < _fastest(free) or found.duration > free.duration):
+        remarks = (f"slower than without {slew_rate:g} V/s: {found.duration:.4g} s, not {free.duration:.4g} s",)
     warmth = temperatures_to_record(None, temperatures)
     if frequency is not None:
-        return _written(make(frequency), output, temperatures=warmth)
-    longest = _RECOMMENDED if kind == "recommended" else _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
-    found, hertz = _slow_enough(make, longest)
+        return _written(found, output, warnings=remarks, temperatures=warmth)
     why = () if kind == "stage" else (_WHY,)
-    return _written(found, output, f"{hertz:g} Hz by default", why, temperatures=warmth)
+    return _written(found, output, f"{hertz:g} Hz by default", why, remarks, temperatures=warmth)
+
+
+def _fastest(excitation: Excitation) -> float:
+    """Return the largest abs(dv/dt) [V/s] of an excitation."""
+    return excitation.sample_rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
 
 
 def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[Excitation, float]:
@@ -167,7 +182,6 @@ def _written(
     write_table(output, {"time_s": excitation.time, **voltages})
     low, high = excitation.voltage_range
     first, last = (excitation.voltage[k].tolist() for k in (0, -1))
-    fastest = excitation.sample_rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
     fields = {
         "kind": excitation.name,
         "samples": len(excitation),
@@ -175,7 +189,7 @@ def _written(
         "sample_rate_Hz": excitation.sample_rate,
         "lowest_V": low,
         "highest_V": high,
-        "slew_rate_V_per_s": fastest,
+        "slew_rate_V_per_s": _fastest(excitation),
         "first_V": first,
         "last_V": last,
         **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
@@ -193,7 +207,7 @@ def _written(
             ("Before recording, play one cycle on all axes, so that the record begins within the loops.",),
         )
     else:
-        what += f", from {first:.6g} to {last:.6g} V, at {fastest:.4g} V/s at most"
+        what += f", from {first:.6g} to {last:.6g} V, at {_fastest(excitation):.4g} V/s at most"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
     if temperatures:
         advice = (*advice, f"Record it at {words_of(temperatures)}, each with a column temperature_C.")

@@ -305,7 +305,6 @@ class Sampling:
         low, high = self.limits or (-math.inf, math.inf)
         worst = max(values, key=lambda v: max(low - v, v - high))
         if not low <= worst <= high:
-            raise RecordError(
-                f"{what}: got {worst:.9g} V, but the limits are {low:g} to {high:g} V; ask for less, or widen the "
-                "limits if actuator and amplifier allow it"
-            )
+            hint = "ask for less, or widen the limits if actuator and amplifier allow it"
+            need = f"{low:g} to {high:g} V, the limits"
+            raise RecordError(argument=what, got=f"{worst:.9g} V", need=need, hint=hint)

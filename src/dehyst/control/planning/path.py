@@ -145,8 +145,7 @@ def plan_path(
         return task.result(task.plans(*task.homed(task.unless_known(given, now))))
     unhomed = task.plans(*task.begun(task.begins(given, now, near=all(volts is None for volts in now))))
     if home is None and not all(given) and any(plan.error.matters for plan in unhomed):
-        homed = task.plans(*task.homed(task.begins(given, now)))
-        return task.result([replace(plan, unhomed=old.error) for plan, old in zip(homed, unhomed, strict=True)])
+        return task.result(task.plans(*task.homed(task.begins(given, now))))
     return task.result(unhomed)
 
 

@@ -55,8 +55,6 @@ class PathPlan:
         The homing with its certificate; None if there is no homing.
     error : StartError *
         Error along the path due to the unknown start, from simulations of the whole voltage from all possible states.
-    unhomed : StartError or None *
-        Error due to the unknown start without a homing, if this error is the reason for the homing.
     promise : Promise or None *
         Promised error of the path [m] from its start, with that of clamped voltages; None if the model does not hold
         what its records tested.
@@ -87,7 +85,6 @@ class PathPlan:
     promise: Any
     followed: bool
     warnings: tuple[str, ...]
-    unhomed: Any = None
     temperature: Array | None = None
     units: str = "m"
     each: tuple[PathPlan, ...] = ()
@@ -99,7 +96,7 @@ class PathPlan:
         def all_of(name: str) -> Any:
             return tuple(getattr(one, name) for one in plans)
 
-        entries = ("state", "start", "homing", "error", "promise", "unhomed")
+        entries = ("state", "start", "homing", "error", "promise")
         joined: dict[str, Any] = {name: all_of(name) for name in entries}
         columns = ("voltage", "displacement", "expected", "clamped")
         joined |= {name: np.column_stack(all_of(name)) for name in columns}
@@ -150,7 +147,6 @@ class PathPlan:
             displacement=self.displacement * counts,
             expected=self.expected * counts,
             error=self.error.in_units(units),
-            unhomed=self.unhomed and self.unhomed.in_units(units),
             units=units,
         )
 

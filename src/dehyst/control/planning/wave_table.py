@@ -20,7 +20,7 @@ from dehyst.control.planning.path import MOST_ROWS, Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
 from dehyst.model import Actuator, DisplacementCreep, PathData, State, creep_times, evaluator_of
-from dehyst.waveforms import Scan, ScanPath, positive, refuse_long, whole
+from dehyst.waveforms import ScanPath, positive, refuse_long, whole
 
 # Enough for a contracting, piecewise smooth map; the linear one of Dahl's elements needs one.
 _ROUNDS = 100
@@ -269,9 +269,8 @@ class WaveTable:
 
 def wave_table(
     actuator: Actuator,
-    scan: Scan,
+    path: ScanPath,
     *,
-    axis: str = "x",
     limits: tuple[float, float] | None = None,
     slew_rate: float | None = None,
     start: State | PossibleStart | None = None,
@@ -281,7 +280,7 @@ def wave_table(
     cycles: int | None = None,
     tolerance: float | None = None,
 ) -> WaveTable:
-    """Compute the wave table of a periodic scan.
+    """Compute the wave table of a periodic path of one axis.
 
     Without creep and smooth elements, all cycles from the second on are equal, because the first one wipes out all
     memory that the scan can wipe out. Creep and smooth elements settle slowly: their steady cycle is computed directly
@@ -291,10 +290,8 @@ def wave_table(
     Parameters
     ----------
     actuator : Actuator
-    scan : Scan
-        Periodic.
-    axis : str
-        Axis of the scan; each axis has its own actuator.
+    path : ScanPath
+        One period, such as ``Triangle(2e-6, 12e-6, 10).path()``.
     limits, slew_rate
         Limits and slew rate of the voltage, as in `Compensator`.
     start, home_within, present
@@ -310,13 +307,13 @@ def wave_table(
     Raises
     ------
     RecordError
-        If the scan has no such axis, a number is impossible, or within the slew rate more cycles of start-up are
+        If the path is not periodic, a number is impossible, or within the slew rate more cycles of start-up are
         necessary.
     ModelError
-        If there are no limits, the start does not fit the actuator, or the scan lies more than one stroke outside of
+        If there are no limits, the start does not fit the actuator, or the path lies more than one stroke outside of
         its reach.
     """
-    path, compensator = scan.path(axis), Compensator(actuator, limits, slew_rate, period=1 / scan.rate)
+    compensator = Compensator(actuator, limits, slew_rate, period=1 / path.sample_rate)
     least = _TOLERANCE * (path.range[1] - path.range[0]) if tolerance is None else positive(tolerance, "tolerance")
     most = MOST_ROWS // len(path)
     count = 1 if cycles is None else whole(cycles, "cycles", 0)
