@@ -10,12 +10,13 @@ import pytest
 
 import dehyst
 from dehyst import FileFormatError, IdentifyError, Record, RecordError
+from dehyst.identification import prepare
 from dehyst.identification.regressors import epochs
 from dehyst.model import AbstractModel
 from dehyst.report import write_comparison
 from dehyst.trust import AbstractBaseline, ModelComparison, compare
 from dehyst.trust.baselines import Linear
-from dehyst.trust.comparison import OURS, HeldOut, ModelScore, contenders, scored
+from dehyst.trust.comparison import OURS, ModelScore, Played, contenders, scored
 
 PLANT = plain_records.plant()
 
@@ -74,7 +75,9 @@ def test_figures_are_those_of_the_residual_by_hand(records):
 
 
 def test_the_lead_is_played_and_not_counted(records):
-    whole, cut = (judged(records[0], HeldOut(records[1], lead), {"truth": plant})[0].scores[1] for lead in (0, 6.0))
+    whole, cut = (
+        judged(records[0], Played(prepare(records[1]), lead=lead), {"truth": plant})[0].scores[1] for lead in (0, 6.0)
+    )
     assert cut.samples < whole.samples
     assert cut.samples == np.count_nonzero(records[1].time >= 6.0)
     assert cut.samples + cut.left_out == len(records[1])
@@ -85,7 +88,7 @@ def test_the_lead_tells_ours_where_it_began(records):
     """A record that begins in the middle of a motion, but still goes through its range: that tells every cart."""
     middle = records[1][len(records[1]) // 6 :]
     lead = 0.5 * float(np.ptp(middle.time))
-    score = judged(records[0], HeldOut(middle, lead), {"truth": plant})[0].worst("validation")
+    score = judged(records[0], Played(prepare(middle), lead=lead), {"truth": plant})[0].worst("validation")
     assert (score.largest, score.rms) == pytest.approx((0, 0), abs=1e-6)
     assert score.largest_without == pytest.approx(0, abs=1e-6)
 
@@ -110,7 +113,7 @@ def test_the_lead_tells_any_other_model_a_constant(records):
         "shifted": lambda _: Stranger(0.25 * plain_records.STROKE),
         "line": lambda _: Linear(plain_records.STROKE / plain_records.VOLTS),
     }
-    silent, found = (judged(records[0], HeldOut(records[1], lead), chosen) for lead in (0, 6.0))
+    silent, found = (judged(records[0], Played(prepare(records[1]), lead=lead), chosen) for lead in (0, 6.0))
     before, after = (one[0].worst("validation") for one in (silent, found))
     assert before.largest_without == pytest.approx(25)
     assert after.largest_without == pytest.approx(0, abs=1e-6)
@@ -130,7 +133,7 @@ def test_the_lead_tells_any_other_model_a_constant(records):
 def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
     """It ends before the voltage has been through its range: what counts begins after that, and no sample before."""
     line = Linear(plain_records.STROKE / plain_records.VOLTS)
-    score = judged(records[0], HeldOut(records[1], 0.3), {"line": lambda _: line})[0].scores[1]
+    score = judged(records[0], Played(prepare(records[1]), lead=0.3), {"line": lambda _: line})[0].scores[1]
     first = score.left_out
     assert records[1].time[first] > 0.3 + records[1].time[0]
     assert epochs(records[1][: first + 1]) == []

@@ -71,6 +71,17 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert made.actuator.limits == old.limits
 
 
+@pytest.mark.parametrize("friction", [0.75, 1.3])
+def test_friction_that_changes_alone_changes_all_thresholds(old, friction):
+    slip, record = replace(TRUE.slip, breakaway=friction * TRUE.slip.breakaway), ONE_LOOP
+    stage = replace(TRUE, slip=slip, state=None)
+    made, test = dehyst.update(old, driven(stage, record, seed=1)), driven(stage, TEST, seed=2)
+    ratio = made.actuator.slip.breakaway / old.slip.breakaway
+    np.testing.assert_allclose(ratio, friction, rtol=0.05)
+    assert np.all(error(made.actuator, test) < [0.006, 0.0025])
+    assert np.all(error(old, test) > [0.01, 0.005])
+
+
 def test_one_loop_of_a_creeping_actuator_is_enough_too():
     """What creeps from before the record could take the place of a change of gain, if it could be any size."""
     creep = DisplacementCreep([0.5, 5.0, 50.0], np.full(3, 0.02))

@@ -48,8 +48,8 @@ SMALLEST_GAIN = 1e-5
 _NOTHING = 1e-9
 # Rounds of inequalities, inequalities that one adds at most, and how far [of the floor] one may be violated.
 _ROUNDS, _ADDED, _VIOLATED = 12, 40, 1e-6
-# Ridges of parts that move, and of what differs from a model nearby, relative to their columns.
-_RIDGE, _SMALL = 0.02, 1e-2
+# Ridge of parts that move, relative to their columns.
+_RIDGE = 0.02
 # Passes towards least absolute residuals; those below this part of the median one weigh alike.
 _REWEIGHTED, _LEAST_MISSED = 3, 0.1
 
@@ -233,7 +233,7 @@ class Program:
         static = slice(free, free + rows.shape[1])
         whole[static, static] = rows.T @ rows
         if self.toward is not None:  # Differences say nothing of a common change, and nothing of smooth elements.
-            whole[static, static] += np.diag((_SMALL * self.smoothing) ** 2 * np.mean(columns[:, static] ** 2, axis=0))
+            whole[static, static] += np.diag(self.smoothing**2 * np.mean(columns[:, static] ** 2, axis=0))
         first = self.numbers.size
         for part in (*moving, *held):
             if part is (held[0] if held else None):

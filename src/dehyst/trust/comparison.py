@@ -162,8 +162,8 @@ def contenders() -> dict[str, Identification]:
 
 def _own() -> dict[str, Identification]:
     """Return the models of this package."""
-    ours: Identification = lambda records: identify(records, structure="auto").actuator  # noqa: E731
-    return {OURS: ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
+    ours = {OURS: lambda records: identify(records, structure="auto").actuator}
+    return {**ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
 
 
 def _added() -> dict[str, Identification]:
@@ -220,32 +220,36 @@ def compare(
     training, given = as_list(records), as_list(validate)
     if not training:
         raise IdentifyError("got no records, need at least one loop of voltage and displacement")
-    held_out = [HeldOut(record) for record in given]
+    held_out = [Played(prepare(record)) for record in given]
     if not given:
         training, held_out = _kept_apart(training)
-    rows, stroke = scored(training, held_out, contenders() if models is None else models, progress or (lambda _: None))
-    judged = tuple(part.record.name for part in held_out)
+    fits, told = contenders() if models is None else models, progress or (lambda _: None)
+    rows, stroke = scored(training, held_out, fits, told)
+    judged = tuple(part.item.name for part in held_out)
     return ModelComparison(rows, stroke, tuple(record.name for record in training), judged, apart=not given)
 
 
-class HeldOut(NamedTuple):
-    """A record to judge by, and the seconds at its start [s] that are simulated but do not count.
+@one_thread()
+def scored(
+    training: list[Record], held_out: list[Played], fits: Mapping[str, Identification], progress: Progress
+) -> tuple[tuple[ModelScore, ...], float]:
+    """Fit and score every model; return a row for each, and the training stroke [m]; errors as `compare`."""
+    played = [*(Played(prepare(record), "training") for record in training), *held_out]
+    stroke = max(high - low for low, high in (part.item.span() for part in played[: len(training)]))
+    for part in held_out:
+        if not part.counted():
+            need = "need samples after the voltage has been through its range"
+            raise IdentifyError(f"{part.item.name}: no sample counts; {need}. Give a longer record")
+    return tuple(_row(name, fit, training, played, stroke, progress) for name, fit in fits.items()), stroke
 
-    From the displacement in these seconds, an actuator of this package takes its state and a voltage offset; any other
-    model takes a constant, its mean error there.
-    """
 
-    record: Record
-    lead: float = 0.0
-
-
-def _kept_apart(records: list[Record]) -> tuple[list[Record], list[HeldOut]]:
+def _kept_apart(records: list[Record]) -> tuple[list[Record], list[Played]]:
     """Return records without their last quarters, and these; a record too short for that stays whole."""
-    training, held_out = [], list[HeldOut]()
+    training, held_out = [], list[Played]()
     for record in records:
         lead = _TRAINING_PART * float(record.time[-1] - record.time[0])
-        whole = HeldOut(record, lead)
-        usable = bool(_Played.of(whole).counted())
+        whole = Played(prepare(record), lead=lead)
+        usable = bool(whole.counted())
         try:
             first = record[: int(np.searchsorted(record.time, record.time[0] + lead, side="right"))]
             prepare(first).span()
@@ -262,34 +266,16 @@ def _kept_apart(records: list[Record]) -> tuple[list[Record], list[HeldOut]]:
     return training, held_out
 
 
-@one_thread()
-def scored(
-    training: list[Record], held_out: Sequence[HeldOut], models: Mapping[str, Identification], progress: Progress
-) -> tuple[tuple[ModelScore, ...], float]:
-    """Fit and score every model; return a row for each, and the training stroke [m]; errors as `compare`."""
-    played = [_Played.of(HeldOut(record), "training") for record in training]
-    stroke = max(high - low for low, high in (record.item.span() for record in played))
-    for part in held_out:
-        played.append(_Played.of(part))
-        if not played[-1].counted():
-            raise IdentifyError(
-                f"{part.record.name}: no sample counts after {part.lead:g} s; need samples after the voltage has been "
-                "through its range. Give a longer record"
-            )
-    return tuple(_row(name, fit, training, played, stroke, progress) for name, fit in models.items()), stroke
+class Played(NamedTuple):
+    """A prepared record, and the seconds at its start [s] that are simulated but do not count.
 
-
-class _Played(NamedTuple):
-    """A prepared record, and the seconds at its start that do not count."""
+    From the displacement in these seconds, an actuator of this package takes its state and a voltage offset; any other
+    model takes a constant, its mean error there.
+    """
 
     item: Prepared
-    role: str
-    lead: float
-
-    @classmethod
-    def of(cls, part: HeldOut, role: str = "validation") -> _Played:
-        """Prepare a record."""
-        return cls(prepare(part.record), role, float(part.lead))
+    role: str = "validation"
+    lead: float = 0.0
 
     def score(self, model: AbstractModel, stroke: float) -> RecordScore:
         """Return the errors of a model [% of the stroke]."""
@@ -341,12 +327,7 @@ def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, str
 
 
 def _row(
-    name: str,
-    fit: Identification,
-    training: list[Record],
-    played: list[_Played],
-    stroke: float,
-    progress: Progress,
+    name: str, fit: Identification, training: list[Record], played: list[Played], stroke: float, progress: Progress
 ) -> ModelScore:
     """Fit one model and score it; report a failure as a sentence."""
     progress(f"fitting {name}")
@@ -354,23 +335,14 @@ def _row(
     # Models of others may fail in any way.
     failing = _FAILURES if name in _own() else Exception
     try:
-        model = _fitted(fit, training)
+        model = fit(list(training))  # A copy, as a function of others may change it.
+        if not all(callable(getattr(model, name, None)) for name in ("simulate", "compensate")):
+            raise TypeError(f"its fit returned a {type(model).__name__}, need a model with simulate and compensate")
         row = replace(row, seconds=time.perf_counter() - begin)
         progress(f"simulating {name}")
         return replace(row, scores=tuple(record.score(model, stroke) for record in played))
     except failing as error:
-        return replace(row, failure=_reason(error))
-
-
-def _fitted(fit: Identification, records: list[Record]) -> AbstractModel:
-    """Return the model of a copy of the list of records, which a function of others may change."""
-    model = fit(list(records))
-    if not all(callable(getattr(model, name, None)) for name in ("simulate", "compensate")):
-        raise TypeError(f"its fit returned a {type(model).__name__}, need a model with simulate and compensate")
-    return model
-
-
-def _reason(error: Exception) -> str:
-    """Return the words of an error, with its type for one of foreign code."""
-    words = str(error)
-    return words if words and isinstance(error, _FAILURES) else f"{type(error).__name__}: {words}".removesuffix(": ")
+        # With its type for an error of foreign code.
+        words, kind = str(error), type(error).__name__
+        known = bool(words) and isinstance(error, _FAILURES)
+        return replace(row, failure=words if known else f"{kind}: {words}".removesuffix(": "))

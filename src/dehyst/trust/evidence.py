@@ -42,19 +42,9 @@ class Evidence:
 
     @classmethod
     def from_records(cls, actuator: Actuator, records: Record | Sequence[Record]) -> Evidence:
-        """Compare records with a model.
+        """Compare with a model the records it was identified from, or others, to see what these would determine.
 
-        Parameters
-        ----------
-        actuator : Actuator
-            From `dehyst.identify` or a model file; without an `identification` the default options apply.
-        records : Record or sequence of Record
-            The records that it was identified from, or others, to see what these would determine.
-
-        Raises
-        ------
-        RecordError, IdentifyError
-            If a record cannot be used.
+        Raise `RecordError` or `IdentifyError` if a record cannot be used.
         """
         compared, stroke = compare_all(actuator, records)
         sliding = 2 * actuator.slip.breakaway < stroke * (1 - 1e-9)

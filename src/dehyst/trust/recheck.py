@@ -320,11 +320,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         return _check_stage(model, record, goal)
     if not isinstance(model, Actuator):
         raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage, as of a Fit")
-    return _check_actuator(model, record, goal)
-
-
-def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> Recheck:
-    """Simulate a record from a fitted start, and find what has changed."""
+    actuator = model
     origin = actuator.identification or Identification()
     goal = (origin.goal or _GOAL) if goal is None else goal
     goal = _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")

@@ -35,6 +35,9 @@ from dehyst.trust.recheck import Recheck, check
 _ALIKE, _ALIKE_BY_MANY, _ROWS = 0.1, 0.02, 6000
 # Voltages above the lowest one that count as it, as a part of the range.
 _BOTTOM = 0.02
+# Largest change of all thresholds, as a power of e, and how closely it is found; what a change of all stiffnesses by 1
+# beside it must explain, in errors of the model.
+_STRETCH, _STRETCHED, _BESIDE = 0.8, 0.02, 3.0
 # A sensor whose zero has moved by less than this part of the stroke is taken to have kept it.
 _KEPT = 0.15
 # Common changes that depend on one another to this part count as dependent.
@@ -166,9 +169,10 @@ def update(model: Actuator | Stage, record: Record, *, goal: float | None = None
     """Update a model from a new record of its actuator, even of one loop.
 
     Stiffnesses of slip and smooth elements, the spring and the transformer are solved for again, by the program of the
-    identification. Common changes of all elements and of the spring come first; what differs from these is small, and
-    alike for neighbours. Thresholds, inertia, limits, creep in displacement
-    and the effect of temperature stay; so does the delay, unless the record shows its change alone.
+    identification. Common changes come first: all thresholds by one factor, as friction that grows or falls changes
+    them, then the stiffness of all elements and the spring; what differs from these is small, and alike for neighbours.
+    Inertia, limits, creep in displacement and the effect of temperature stay; so does the delay, unless the record
+    shows its change alone.
 
     Of several axes each actuator is updated from what it has moved itself; the coupling stays, and is checked.
 
@@ -220,9 +224,8 @@ class _Refit:
         self.given, self.recheck, self.record = actuator, recheck, record
         self.prepared = prepare_for(actuator, record)
         self.drifts = self.prepared.can_drift and actuator.creep is None
-        self.datum = self._datum()
-        self.moving = np.any(np.reshape(actuator.slip.stiffness, (len(actuator.slip), -1)) > 0, axis=1)
-        self.moving |= 2 * actuator.slip.breakaway < np.ptp(actuator.spring.displacement) * (1 - 1e-9)
+        self.datum, known = self._datum(), actuator.identification
+        self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
 
     def _datum(self) -> float:
         """Return the shift [m] to the model's axis with which the lower turning points of both lie on one another."""
@@ -236,6 +239,7 @@ class _Refit:
 
     def update(self) -> Update:
         """Update, and judge."""
+        self.old = self._stretched()
         made, held_out_models = self._solved(self.old)
         if self.old.displacement_creep is not None:
             # Creep from before the record is known by the updated model.
@@ -254,24 +258,54 @@ class _Refit:
         made = with_identification(made, validity=self._validity(after[0], held_out[1]), **known)
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
+    def _stretched(self) -> Actuator:
+        """Return the old model with the friction that explains the record best: thresholds change in one ratio."""
+        from scipy.optimize import minimize_scalar
+
+        def scaled(power: float) -> Actuator:
+            slip, smooth, factor = self.old.slip, self.old.smooth, float(np.exp(power))
+            return replace(
+                self.old,
+                slip=replace(slip, breakaway=factor * slip.breakaway),
+                smooth=smooth and replace(smooth, length=factor * smooth.length),
+                state=None,
+            )
+
+        def missed(power: float) -> float:
+            program = self._program(made := scaled(power))
+            return self._in_common(program, program.unknowns_of(coefficients(made)), _BESIDE * self.own)[1]
+
+        found = minimize_scalar(missed, bounds=(-_STRETCH, _STRETCH), method="bounded", options={"xatol": _STRETCHED})
+        return scaled(float(found.x)) if abs(found.x) > _STRETCHED else self.old
+
+    def _program(self, near: Actuator) -> Program:
+        """Return the program of the record, near a model."""
+        compared = compare(near, self.prepared, self.recheck.stroke, datum=self.datum)
+        rho = near.slip.breakaway
+        moving = np.any(np.reshape(near.slip.stiffness, (rho.size, -1)) > 0, axis=1)
+        moving |= 2 * rho < np.ptp(near.spring.displacement) * (1 - 1e-9)
+        rows, grid = compared.program.rows.thinned(_ROWS), replace(compared.program.grid, sliding=moving)
+        fold = part_of((rows.time - self.record.time[0]) / float(np.ptp(self.record.time))) % FOLDS
+        alike = _ALIKE if self.recheck.tells else _ALIKE_BY_MANY
+        # A drift is solved for beside the changes: before them it would take a part of these.
+        drift = Parts(compared.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
+        return Program(rows, grid, compared.program.floor, alike, tuple(drift), coefficients(near), FOLDS, fold)
+
     def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:
         """Return the model of the whole record, and those without each part of it."""
-        # A drift is solved for beside the changes: before them it would take a part of these.
-        compared = compare(near, self.prepared, self.recheck.stroke, datum=self.datum)
-        rows, grid = compared.program.rows.thinned(_ROWS), replace(compared.program.grid, sliding=self.moving)
-        fold = part_of((rows.time - self.record.time[0]) / float(np.ptp(self.record.time))) % FOLDS
-        old = coefficients(self.old)
-        alike = _ALIKE if self.recheck.tells else _ALIKE_BY_MANY
-        drift = Parts(compared.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
-        program = Program(rows, grid, compared.program.floor, alike, tuple(drift), old, FOLDS, fold)
-        program = replace(program, toward=self._in_common(program, program.unknowns_of(old)))
+        program = self._program(near)
+        toward = self._in_common(program, program.unknowns_of(coefficients(self.old)))[0]
+        program = replace(program, toward=toward)
         whole = program.solved()
         others = [program.solved(whole, without=k) for k in range(FOLDS)]
         return self._model(program, whole, whole), [self._model(program, one, whole) for one in others]
 
     @staticmethod
-    def _in_common(program: Program, unknowns: Array) -> Array:
-        """Return the unknowns (q,) of a model whose elements change by a line over thresholds, its spring by a bend."""
+    def _in_common(program: Program, unknowns: Array, beside: float = 0.0) -> tuple[Array, float]:
+        """Return unknowns (q,) with a bend of the spring and a line of the elements, and what they miss [m].
+
+        `beside` [m]: what a change of all stiffnesses by 1 must explain.
+        """
         grid, places = program.grid, program.grid.places()
         columns, free = program.columns
         count = int(np.count_nonzero(grid.movable))
@@ -285,8 +319,11 @@ class _Refit:
             changes[-1][places["spring"]] = (unknowns[places["spring"]] + program.floor) * along**power
         fixed, basis = columns[:, free:], np.array(changes).T
         common = np.hstack([columns[:, :free], fixed @ basis])
-        sizes = np.linalg.lstsq(common, program.target - fixed @ unknowns, rcond=_DEPENDENT)[0][free:]
-        return np.asarray(np.maximum(unknowns + basis @ sizes, 0.0))
+        ridge = np.zeros((2, common.shape[1]))
+        ridge[:, free : free + 2] = beside * len(program) ** 0.5 * np.eye(2)
+        common, target = np.vstack([common, ridge]), np.append(program.target - fixed @ unknowns, np.zeros(2))
+        sizes = np.linalg.lstsq(common, target, rcond=_DEPENDENT)[0]
+        return np.maximum(unknowns + basis @ sizes[free:], 0.0), rms(common @ sizes - target)
 
     def _model(self, program: Program, found: Solution, whole: Solution) -> Actuator:
         """Return the old model with the coefficients of a solution; a constant without rows is that of the whole."""
@@ -359,5 +396,5 @@ class _Refit:
         kept = {"delay": actuator.delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
         names = [name for name, part in kept.items() if part]
         if names:
-            missing.append(f"Not fitted anew: {', '.join(names)} and thresholds.")
+            missing.append(f"Not fitted anew: {', '.join(names)} and the ratios of thresholds.")
         return missing
