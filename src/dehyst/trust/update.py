@@ -268,7 +268,7 @@ class _Refit:
                 self.old,
                 slip=replace(slip, breakaway=factor * slip.breakaway),
                 smooth=smooth and replace(smooth, length=factor * smooth.length),
-                state=None,
+                state=None,  # type: ignore[arg-type]
             )
 
         def missed(power: float) -> float:
