@@ -34,9 +34,9 @@ from rehearsal import (
 from dehyst._io import write_atomically
 
 HERE = Path(__file__).resolve().parent
-# Loops a second, and seconds of the device in each second: fast, and slow enough for a signal in mid-wave.
+# Loops a second. The device keeps time, by which its place in a wave is known; without a fault it hurries.
 _OPTIONS = ("--frequency", "5")
-_HURRIED, _FAST, _SLOW = ("--speed", "20"), ("--speed", "5"), ("--speed", "2")
+_HURRIED, _TRUE = ("--speed", "20"), ("--speed", "1")
 # Bytes that a file may have on a disk that is full.
 _FULL = 60_000
 
@@ -52,7 +52,7 @@ class Case:
 
 def struck(fault: str, *options: str) -> Callable[[Path], Outcome]:
     """Return a rehearsal of a fault of the emulator."""
-    return lambda folder: against(folder, (*_FAST, "--fault", fault), *options)
+    return lambda folder: against(folder, (*_TRUE, "--fault", fault), *options)
 
 
 def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = False, **how: object) -> Outcome:
@@ -79,7 +79,7 @@ def web(folder: Path) -> Outcome:
 
 
 def taken(folder: Path) -> Outcome:
-    with Served(*_FAST) as served:
+    with Served(*_TRUE) as served:
         with client_of(served.address):
             found = nobody(served.address, folder)
         found.put_out = served.end()
@@ -91,14 +91,14 @@ def beyond(folder: Path) -> Outcome:
     swing = 125 * (1 - np.cos(2 * np.pi * np.arange(401) / 400))
     lines = [f"{t:.6g},{v:.6g}\n" for t, v in zip(np.arange(401) / 400, swing, strict=True)]
     (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
-    return against(folder, _FAST, "--protocol", str(folder / "beyond.csv"))
+    return against(folder, _TRUE, "--protocol", str(folder / "beyond.csv"))
 
 
 def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
     """Return a rehearsal with a controller left in this state; it drops the connection unless stopped."""
 
     def run(folder: Path) -> Outcome:
-        with Served(*_FAST, *(() if act else ("--fault", "drop"))) as served:
+        with Served(*_TRUE, *(() if act else ("--fault", "drop"))) as served:
             spoken_to(served.address, *commands)
             found = calibrate(served.address, folder / "out", *_OPTIONS, *options, served=served, act=act)
             found.put_out = served.end()
@@ -109,7 +109,7 @@ def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) 
 
 def not_a_folder(folder: Path) -> Outcome:
     (folder / "out").write_text("a file")
-    return against(folder, _FAST)
+    return against(folder, _TRUE)
 
 
 CASES = (
@@ -152,20 +152,20 @@ CASES = (
     Case("saturate", "The sensor saturates", struck("saturate")),
     Case("unplug", "The sensor's cable comes off in mid-wave", struck("unplug")),
     Case("dead", "The sensor was never plugged in", struck("unplug@0s")),
-    Case("interrupt", "Ctrl-C in mid-wave", lambda folder: against(folder, _SLOW, act=sent(INTERRUPT))),
-    Case("impatient", "Ctrl-C three times", lambda folder: against(folder, _SLOW, act=sent(*3 * (INTERRUPT,)))),
-    Case("terminate", "SIGTERM in mid-wave", lambda folder: against(folder, _SLOW, act=sent(TERMINATE))),
-    Case("hang-up", "The terminal is closed", lambda folder: against(folder, _SLOW, act=sent(HANG_UP))),
-    Case("deaf", "Nobody reads its messages any more", lambda folder: against(folder, _FAST, deaf=True)),
+    Case("interrupt", "Ctrl-C in mid-wave", lambda folder: against(folder, _TRUE, act=sent(INTERRUPT))),
+    Case("impatient", "Ctrl-C three times", lambda folder: against(folder, _TRUE, act=sent(*3 * (INTERRUPT,)))),
+    Case("terminate", "SIGTERM in mid-wave", lambda folder: against(folder, _TRUE, act=sent(TERMINATE))),
+    Case("hang-up", "The terminal is closed", lambda folder: against(folder, _TRUE, act=sent(HANG_UP))),
+    Case("deaf", "Nobody reads its messages any more", lambda folder: against(folder, _TRUE, deaf=True)),
     Case(
         "kill",
         "`kill -9` in mid-wave, then the same again",
-        lambda folder: against(folder, _FAST, act=sent(KILL), again=True),
+        lambda folder: against(folder, _TRUE, act=sent(KILL), again=True),
     ),
     Case(
         "full",
         "The disk is full, and then is not",
-        lambda folder: against(folder, _FAST, largest_file=_FULL, again=True),
+        lambda folder: against(folder, _TRUE, largest_file=_FULL, again=True),
     ),
     Case("file", "The output folder is a file", not_a_folder),
 )

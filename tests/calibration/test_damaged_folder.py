@@ -7,7 +7,7 @@ import pytest
 
 from dehyst import FileFormatError, RecordError, read
 from dehyst.calibration.plan import ExcitationPlan
-from dehyst.calibration.session import NullProgress, Session
+from dehyst.calibration.session import ProgressListener, Session
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
 from dehyst.virtual import PlayActuator
@@ -19,7 +19,7 @@ RECORD = "records/look.csv"
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
     folder = tmp_path_factory.mktemp("base") / "out"
-    with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
         job.record(LOOK, "look")
     return folder
 
@@ -31,7 +31,7 @@ def folder(base, tmp_path):
 
 def go_on(folder, aside=None):
     """Go on in a folder; returns whether its record was kept. `aside`: files that must be reported as moved."""
-    with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
         record = job.record(LOOK, "look")
     assert len(record) == len(read(folder / RECORD)) == len(LOOK)
     assert job.kept + job.played == ["look"]
@@ -130,7 +130,7 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(files, "content_of", refuse)
-        with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+        with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
             assert not job.is_whole(LOOK, "look")
     assert go_on(folder)
 
@@ -141,7 +141,7 @@ def test_an_undamaged_record_is_kept(folder, base):
 
 
 def test_a_record_of_another_name_copied_over_is_not_taken(folder):
-    with Session(folder, SimulatedRig(PlayActuator(plays=30)), NullProgress()) as job:
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
         job.record(ExcitationPlan(0, 200, 200.0).homing(), "homing")
     shutil.copy(folder / "records" / "homing.csv", folder / RECORD)
     assert not go_on(folder)

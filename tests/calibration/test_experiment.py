@@ -10,7 +10,7 @@ from dehyst import Actuator, DehystError, FileFormatError, Record, RecordError, 
 from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.experiment import _unsteady
 from dehyst.calibration.plan import ExcitationPlan, steps
-from dehyst.calibration.session import NullProgress, Session
+from dehyst.calibration.session import ProgressListener, Session
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import about_of
@@ -96,10 +96,10 @@ def test_a_second_call_plays_nothing(finished):
 def test_two_calibrations_into_one_folder_are_refused(tmp_path):
     rig = SimulatedRig(PlayActuator())
     refused = pytest.raises(FileFormatError, match="another calibration")
-    with Session(tmp_path, SimulatedRig(PlayActuator()), NullProgress()), refused:
+    with Session(tmp_path, SimulatedRig(PlayActuator()), ProgressListener()), refused:
         calibrate(rig, tmp_path)
     assert rig.instrument.axis.log.highest == 0
-    Session(tmp_path, rig, NullProgress()).close()
+    Session(tmp_path, rig, ProgressListener()).close()
 
 
 @pytest.mark.parametrize(("gain", "offset", "degrees", "count"), [(1, 0, 0, 0), (1.01, 0, 0, 1), (1, 0.01, 1, 2)])

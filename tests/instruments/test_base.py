@@ -246,7 +246,7 @@ def test_a_clock_that_jumps_is_an_error_at_once(jump, act):
     assert rig.instrument.voltage == (0.0 if act == "play" else UP.voltage[-1])
 
 
-@pytest.mark.parametrize("answer", [0.05, 0.2])
+@pytest.mark.parametrize("answer", [0.05, 0.2, 0.35])
 def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(monkeypatch, answer):
     rig, clock = FakeRig((0.0, 100.0)), SimpleNamespace(now=0.0)
     clock.monotonic, clock.sleep = lambda: clock.now, None
@@ -273,8 +273,32 @@ def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(monkeypatch, 
     assert rig.instrument.voltage == 0.0
     assert sent[-1][0] - begin < 0.9 + 2.0
     times, volts = np.array([(begin, 90.0), *sent]).T
-    # A step is no larger than the time since the answer to the one before allows.
-    assert (np.abs(np.diff(volts)) <= 100.0 * (np.diff(times) - answer) + 1e-9)[1:].all()
+    # By the slew rate, a step is no larger than the time since the answer to the one before allows.
+    assert (np.abs(np.diff(volts)) <= rig.slew_rate * (np.diff(times) - answer) + 1e-9)[1:].all()
+    assert (np.abs(np.diff(volts)) <= 100.0 * np.diff(times) + 1e-9)[1:].all()
+
+
+def test_a_retreat_goes_on_though_every_command_is_complained_of():
+    rig = FakeRig((0.0, 100.0))
+    rig.set_voltage(90.0)
+    put = rig._put
+
+    def complaining(voltage):
+        put(voltage)
+        raise DeviceError("error 215")
+
+    rig._put = complaining
+    assert rig.retreat() == rig.instrument.voltage == 0.0
+    rig._put = put
+    rig.set_voltage(90.0)
+
+    def refusing(voltage):
+        raise DeviceError("error 302")
+
+    rig._put = refusing
+    with pytest.raises(DeviceError, match="302"):
+        rig.retreat()
+    assert rig.instrument.voltage == 90.0
 
 
 def test_what_shows_that_the_sensor_is_dead_is_heard_too():

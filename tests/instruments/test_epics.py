@@ -239,7 +239,7 @@ def test_limits_narrower_than_told(doomed):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
     rig = EpicsRig.connect(doomed.prefix)
     doomed.do("instrument.axis._limits = VoltageLimits(0, 80)")
-    with pytest.raises(DeviceError, match="reports: VOLTAGE: got 82") as caught:
+    with pytest.raises(DeviceError, match=r"reports: VOLTAGE: got 8\d") as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
     with pytest.raises(DeviceError, match=r"reports: start: got 0 to 99.* V, need 0 to 80 V"):

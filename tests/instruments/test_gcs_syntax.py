@@ -188,29 +188,9 @@ def test_record_options_are_found_by_their_words():
     st.floats(1e-6, 10.0),
 )
 def test_an_array_comes_back(columns, sample_time):
-    names = tuple(f"column {index}" for index in range(len(columns)))
-    found = gcs_syntax.table(array_text(columns, sample_time, names), len(columns[0]), len(columns))
+    found = gcs_syntax.table(array_text(columns, sample_time), len(columns[0]), len(columns))
     assert found.sample_time == sample_time
-    assert found.names == names
     assert np.array_equal(found.columns, columns)
-
-
-def test_the_columns_are_told_by_their_names():
-    columns = [[1.0, 2.0], [3.0, 4.0]]
-    straight = gcs_syntax.table(array_text(columns), 2, 2)
-    turned = ("Voltage of output chan 1", "Current Position of axis 1")
-    swapped = gcs_syntax.table(array_text(columns, names=turned), 2, 2)
-    nameless = gcs_syntax.table(array_text(columns, names=()), 2, 2)
-    for array, positions in ((straight, [1.0, 2.0]), (swapped, [3.0, 4.0]), (nameless, [1.0, 2.0])):
-        assert gcs_syntax.positions_and_voltages(array)[0].T.tolist() == [positions]
-
-
-def test_each_pair_of_columns_is_told_by_its_own_names():
-    names = ("Position of axis 1", "Voltage of axis 1", "Voltage of axis 2", "Position of axis 2")
-    pairs = gcs_syntax.table(array_text([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]], names=names), 2, 4)
-    positions, voltages = gcs_syntax.positions_and_voltages(pairs)
-    assert positions.T.tolist() == [[1.0, 2.0], [7.0, 8.0]]
-    assert voltages.T.tolist() == [[3.0, 4.0], [5.0, 6.0]]
 
 
 def test_an_array_cut_anywhere_is_refused():

@@ -20,7 +20,6 @@ from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, wave_table
 from dehyst.control.following import follow
-from dehyst.instruments.output import TICK
 from dehyst.model import Creep, Dynamics, Stage, with_identification
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of
@@ -278,14 +277,17 @@ class Life:
         # Its list of voltages begins at 0 V.
         limits = min(self.low, 0.0), max(self.high, 1.0)
         rig = FakeRig(limits, limits=limits, slew_rate=self.slew)
+        waits, wait = {}, rig._wait
+        # Before each voltage, by its number.
+        vars(rig)["_wait"] = lambda seconds: (
+            waits.update({(at := len(rig.instrument.sent)): waits.get(at, 0.0) + seconds}),
+            wait(seconds),
+        )
         command = follow(self.loop, self.path(40))
         with contextlib.suppress(DehystError):
             rig.play(Excitation("path", command.voltage, 1 / self.period), lambda _: None)
-        sent, done = np.array(rig.instrument.sent), rig.done
-        ramped = done.index("wave") if "wave" in done else len(done)
-        # After the wave, if the rig retreats, its ramp has ticks again.
-        sent = sent[: 1 + ramped + command.voltage.size]
-        intervals = np.where(np.arange(sent.size - 1) < ramped, TICK, self.period)
+        sent = np.array(rig.instrument.sent)
+        intervals = [waits.get(at, self.period) for at in range(1, sent.size)]
         own, (self.low, self.high) = (self.low, self.high), limits
         self.hold_against("rig", sent[1:], sent[0], intervals, slack=1e-5)
         self.low, self.high = own

@@ -14,7 +14,7 @@ from dehyst._io import PathLike
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.calibration.plan import Plan, steps
-from dehyst.calibration.session import NullProgress, ProgressListener, Session
+from dehyst.calibration.session import ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification import Fit, StageFit, identify
 from dehyst.instruments import AbstractRig
@@ -120,7 +120,7 @@ def calibrate(
         If the records cannot be used, the folder holds records of another instrument, another calibration writes into
         it, or it cannot be written.
     """
-    listener = watcher or NullProgress()
+    listener = watcher or ProgressListener()
     plan = plan or Plan()
     # All that is known before is checked before anything is sent.
     steps(rig, plan)
@@ -155,7 +155,8 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         before = play(linear, again=True)
         modelled = planner.compensated(fit.model, session.sequence)
     after = play(modelled)
-    checked: Any = check(fit.model, after, goal=plan.goal)
+    found: Any = check(fit.model, after, goal=plan.goal)
+    checked: tuple[Recheck, ...] = getattr(found, "rechecks", (found,))
     rows = rig.rows(len(modelled.excitation))
     limits, rates = [[one.limits.low, one.limits.high] for one in rig.rigs], [one.slew_rate for one in rig.rigs]
     return Calibration(
@@ -163,9 +164,9 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         training=tuple(training),
         nominal=TrackedPath.of(linear, before, rig.rows(len(linear.excitation))),
         compensated=TrackedPath.of(modelled, after, rows),
-        checked=getattr(checked, "rechecks", (checked,)),
+        checked=checked,
         goal=plan.goal,
-        remarks=(*modelled.warnings, *_unsteady(session.sequence, planner.homing, rows)),
+        remarks=(*modelled.warnings, *_unsteady(session.sequence, planner.homing, rows, checked)),
         instrument={
             "rig": rig.identity,
             **({"axes": list(rig.axes)} if several else {"axis": rig.axis}),
@@ -192,10 +193,13 @@ def _identified(
     return fit, insight(fit.actuator, training, limits=(rig.limits.low, rig.limits.high))
 
 
-def _unsteady(records: Sequence[Record], homing: Excitation, rows: NDArray[np.intp]) -> Iterator[str]:
+def _unsteady(
+    records: Sequence[Record], homing: Excitation, rows: NDArray[np.intp], checked: Sequence[Recheck] = ()
+) -> Iterator[str]:
     """Remark a rig that warms or drifts: by its temperature, and by the last loops of the two homings, which are alike.
 
-    `rows`: sample of the excitation of each sample of the last two records, which begin with the `homing`.
+    `rows`: sample of the excitation of each sample of the last two records, which begin with the `homing`. `checked`:
+    of each axis, the last record compared with the model of the first ones.
     """
     warmth = [record.temperature for record in records if record.temperature is not None]
     if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
@@ -211,3 +215,7 @@ def _unsteady(records: Sequence[Record], homing: Excitation, rows: NDArray[np.in
             yield f"The displacement{of} drifted by {100 * moved:+.2g} % of the stroke from one path to the next."
         if abs(gain) > _DRIFTS:
             yield f"The stroke{of} changed by {100 * gain:+.2g} % from one path to the next: does the rig warm?"
+        changes = checked[k].changes if checked else ()
+        slow = next((change.value for change in changes if change.name == "gain"), 0.0)
+        if abs(slow) > _DRIFTS:
+            yield f"The stroke{of} changed by {100 * slow:+.2g} % since the first records: does the rig warm slowly?"

@@ -225,28 +225,14 @@ def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:
     return listed
 
 
-class WantedVoltage(NamedTuple):
-    """An `excitation`, and the `wanted` displacement (n,) [m] at each of its samples, or None."""
+def read_voltage(path: Path) -> Excitation:
+    """Read a voltage to play, as `dehyst excite` and `dehyst compensate` write it: time [s] and voltage [V].
 
-    excitation: Excitation
-    wanted: Array | None
-
-
-def read_voltage(path: Path) -> WantedVoltage:
-    """Read a voltage to play, as `dehyst excite` and `dehyst compensate` write it.
-
-    The file is a table with time [s] and voltage [V], and perhaps the wanted displacement.
-    Raise `FileFormatError` if it cannot be read, or the times do not rise, or not evenly.
+    Raise `FileFormatError` if the file cannot be read, or its times do not rise evenly.
     """
     table = read_table(path)
     voltage = table.column("voltage")
-    rate = even_rate(path, table.column("time"))
-    excitation = Excitation(path.stem, voltage, rate)
-    try:
-        wanted = table.column("displacement")
-    except FileFormatError:
-        wanted = None
-    return WantedVoltage(excitation, wanted)
+    return Excitation(path.stem, voltage, even_rate(path, table.column("time")))
 
 
 def even_rate(path: Path, time: Array) -> float:

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -21,8 +21,8 @@ from dehyst.records import Record, Recording, about_of, demand_disk_space, read,
 from dehyst.waveforms import Excitation
 
 
-class ProgressListener(Protocol):
-    """A receiver of the progress of a calibration."""
+class ProgressListener:
+    """A receiver of the progress of a calibration; this one ignores it."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
         """Receive the beginning of step `name`, which plays for `seconds` [s]; 0 for a step that computes."""
@@ -32,19 +32,6 @@ class ProgressListener(Protocol):
 
     def message(self, text: str) -> None:
         """Receive a `text` on the present activity of the step."""
-
-
-class NullProgress:
-    """A listener that ignores the progress."""
-
-    def step(self, name: str, seconds: float = 0.0) -> None:
-        """Ignore the step."""
-
-    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
-        """Ignore the samples."""
-
-    def message(self, text: str) -> None:
-        """Ignore the message."""
 
 
 class Session:

@@ -554,7 +554,7 @@ class AbstractRig(ABC):
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(failed) == str(cause) else f" ({failed})"
             known = "; ".join(f"{one.axis + ': ' if self._parts else ''}{one._output.words}" for one in self.rigs)
-            said = f"The voltage{of} could not be brought to {safe} V{why}: {BY_HAND}; {known}."
+            said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {BY_HAND}."
         elif any(one._output.unread for one in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
         return VoltageNote(said, safe=failed is None, voltages=[one._output.likely for one in self.rigs])

@@ -18,8 +18,10 @@ IDENTITY = "*IDN?"
 # Most bytes of one line, and lines of one answer.
 _LONGEST = 1 << 16
 _MOST_LINES = 1 << 18
-# Most time of a whole answer, in timeouts, however slowly it arrives; and most time [s] to find a lost link again.
-_SLOWEST, _LOST = 2, 2.0
+# Most time of a whole answer, in timeouts, however slowly it arrives.
+_SLOWEST = 2
+# Most time [s] to find a lost link again: at first, and half of it after each failure, down to the second.
+_LOST, _LEAST = 2.0, 0.5
 # Seconds between two attempts to reconnect.
 _PAUSE = 0.02
 # Not a command of any controller: it makes a line that was sent in part invalid.
@@ -38,6 +40,7 @@ class TcpLink:
         self._address, self._timeout = (host, port), timeout
         self._buffer = bytearray()
         self._half_sent = False
+        self._search = _LOST
         self._socket: socket.socket | None = self._connect()
 
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
@@ -63,16 +66,17 @@ class TcpLink:
         """
         # After a lost answer, none is waited for as long again: a retreat must not take minutes.
         self._timeout = min(_LOST, self._timeout)
+        seconds, self._search = min(self._search, self._timeout), max(_LEAST, self._search / 2)
         if self._socket is not None and not self._half_sent:
             with suppress(LinkError):
-                self._await(identity)
+                self._await(identity, seconds)
                 return
         self.close()
-        deadline = time.monotonic() + self._timeout
+        deadline = time.monotonic() + seconds
         while True:
             try:
                 self._socket = self._connect()
-                self._await(identity)
+                self._await(identity, seconds)
                 return
             except LinkError:
                 self.close()
@@ -93,14 +97,15 @@ class TcpLink:
             with suppress(OSError):
                 link.close()
 
-    def _await(self, identity: str) -> None:
-        """Query the identity, and discard what was still on its way."""
+    def _await(self, identity: str, seconds: float) -> None:
+        """Query the identity, and discard what was still on its way, for some `seconds` [s]."""
         self._send([IDENTITY])
-        deadline = time.monotonic() + min(_LOST, self._timeout)
+        deadline = time.monotonic() + seconds
         wanted = identity.encode("ascii")
         # An answer that was cut off before has no line feed of its own.
         while not self._line(deadline).rstrip().endswith(wanted):
             pass
+        self._search = _LOST
 
     def _connect(self) -> socket.socket:
         host, port = self._address

@@ -220,14 +220,9 @@ def shown(got: object) -> str:
 
 
 class GcsArray(NamedTuple):
-    """A GCS array.
-
-    `sample_time`: [s] from one row to the next. `names`: name of each column; empty where the header has none.
-    `columns` (k, n): in the controller's units.
-    """
+    """A GCS array: `sample_time` [s] from one row to the next; `columns` (k, n) in the controller's units."""
 
     sample_time: float
-    names: tuple[str, ...]
     columns: Array
 
 
@@ -260,25 +255,13 @@ def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
     body = stripped[end + 1 :]
     if len(body) != rows:
         raise LinkError(f"got an array of {len(body)} rows, need {rows}; was the answer cut?")
-    names = tuple(header.get(f"NAME{index}", "") for index in range(columns))
     numbers = np.empty((rows, columns))
     for index, line in enumerate(body):
         words = line.split(None if separator in (9, 32) else chr(separator))
         if len(words) != columns:
             raise LinkError(f"got the row {shown(line)}, need {columns} numbers")
         numbers[index] = [real(word.strip()) for word in words]
-    return GcsArray(sample_time, names, np.ascontiguousarray(numbers.T))
-
-
-def positions_and_voltages(array: GcsArray) -> tuple[Array, Array]:
-    """Return positions and voltages (n, axes) of pairs of columns: by their names, else in the requested order."""
-    kinds = [("position" in name.lower(), "voltage" in name.lower()) for name in array.names]
-    positions, voltages = [], []
-    for first in range(0, len(kinds), 2):
-        turned = kinds[first : first + 2] == [(False, True), (True, False)]
-        positions.append(array.columns[first + turned])
-        voltages.append(array.columns[first + (not turned)])
-    return np.column_stack(positions), np.column_stack(voltages)
+    return GcsArray(sample_time, np.ascontiguousarray(numbers.T))
 
 
 # Numbers of the public list that the commands used here can lead to.

@@ -18,8 +18,8 @@ from dehyst.instruments.samples import READBACK_TOLERANCE, driver_errors
 if TYPE_CHECKING:
     from dehyst.instruments.base import AbstractRig
 
-# Batches by which the place in a wave is known; a device this much faster than time is a virtual one.
-_RECENT, _FASTER = 5, 1.5
+# Batches by which the place in a wave is known.
+_RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
 _LEAST_DELAY = 0.02
 # Seconds between two steps of a ramp; a host keeps no better time.
@@ -28,7 +28,7 @@ TICK = 0.01
 _GENTLE = 1.0
 # A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but so many.
 # A retreat sends so many steps again that were not taken.
-_ANSWERS, _FEWEST, _AGAIN = 1.0, 3, 3
+_ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
 # Readings, a tick apart, in which the readback must come near what was sent, and seconds after which that is enough;
 # readings before a retreat.
 _SETTLING, _PATIENT, _HASTY = 100, 2.0, 3
@@ -51,7 +51,7 @@ class Output:
         self._tolerance = READBACK_TOLERANCE * (rig.limits.high - rig.limits.low)
         # Voltages of the present wave, or the last one that was sent; None before that.
         self._sent: Array | None = None
-        self._rate, self._pace, self._began = 0.0, 0.0, 0.0
+        self._pace, self._began = 0.0, 0.0
         self._arrived: deque[tuple[float, int]] = deque(maxlen=_RECENT)
 
     def puts(self, voltage: float) -> None:
@@ -60,7 +60,7 @@ class Output:
 
     def plays(self, voltage: Array, rate: float, speed: float = 1.0) -> None:
         """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]; `speed`: seconds of the device in one."""
-        self._sent, self._rate, self._pace, self._began = voltage, rate, speed * rate, time.monotonic()
+        self._sent, self._pace, self._began = voltage, speed * rate, time.monotonic()
         self._arrived.clear()
 
     def observe(self, count: int) -> None:
@@ -79,7 +79,10 @@ class Output:
             return "nothing was sent yet"
         if self._sent.size == 1:
             return f"{self.likely:.6g} V was the last that it took"
-        return f"it was at about {self.likely:.4g} V of a wave that ends at {self._sent[-1]:.6g} V"
+        # Samples that came are certain; where the device was since, and stops, its clock alone tells.
+        left = self._sent[self._arrived[-1][1] - 1 if self._arrived else 0 :]
+        way = f"between {left.min():.6g} and {left.max():.6g} V"
+        return f"a wave went on from {left[0]:.6g} V, {way}, to its end at {left[-1]:.6g} V"
 
     def stopped(self, begin: float, *, anywhere: bool) -> tuple[float, float, float]:
         """Return the likeliest voltage, lowest and highest [V] of an output that was stopped between `begin` and now.
@@ -97,22 +100,15 @@ class Output:
         """Return the likeliest, the first and the last number of the voltage that is put out."""
         if not self._arrived:
             return 0, 0, self._pace * (end - self._began)
-        (oldest, old), (newest, count) = self._arrived[0], self._arrived[-1]
-        row, ahead = count - 1, self._pace * (end - self._began)
-        if len(self._arrived) > 1:
-            measured = (count - old) / max(newest - oldest, 1e-9)
-            if measured > _FASTER * self._pace:
-                # A virtual device has a time of its own.
-                return row + self._rate * (end - newest), row, row + measured * (end - self._arrived[-2][0])
-            ahead = row + self._pace * (end - oldest)
-
-        def reached(now: float) -> float:
-            """Return the row that was put out at a time, by the sample that came with the least delay."""
-            return max(number - 1 + self._pace * (now - came) for came, number in self._arrived)
-
+        row = self._arrived[-1][1] - 1
+        # By the sample that came with the least delay.
+        earlier, now = (
+            max(number - 1 + self._pace * (at - came) for came, number in self._arrived) for at in (begin, end)
+        )
         if anywhere:
-            return reached(end), row, max(ahead, reached(end))
-        return reached(end), reached(begin), reached(end) + self._pace * max(_LEAST_DELAY, end - begin)
+            oldest = self._arrived[0][0] if len(self._arrived) > 1 else self._began
+            return now, row, max(row + self._pace * (end - oldest), now)
+        return now, earlier, now + self._pace * max(_LEAST_DELAY, end - begin)
 
     def ramp(self, end: float) -> Generator[float, float, None]:
         """Ramp to `end` [V] from what was sent, or is read if nothing was; yield each wait [s], sent back as it was.
@@ -132,7 +128,7 @@ class Output:
 
         Raise `ReadbackError` at the end if a reading before or after it contradicts what was sent.
         """
-        contradiction: ReadbackError | None = None
+        contradiction, asked = None, time.monotonic()
         if self._sent is None:
             present = self._standing()
         else:
@@ -144,7 +140,7 @@ class Output:
                 contradiction = error
             except RigError:
                 pass
-        yield from self._steps(present, end, always=True)
+        yield from self._steps(present, end, always=True, answer=time.monotonic() - asked)
         self.unread = False
         try:
             yield from self._confirmed(end, end, end, _SETTLING)
@@ -155,31 +151,45 @@ class Output:
         if contradiction is not None:
             raise contradiction
 
-    def _steps(self, present: float, end: float, *, always: bool) -> Generator[float, float, None]:
+    def _steps(self, present: float, end: float, *, always: bool, answer: float = 0.0) -> Generator[float, float, None]:
         """Send voltages from `present` to `end` [V] within the slew rate; `always`: the end if it is there already.
 
-        A step is as large as the wait before it allows, which begins when the one before has been taken.
+        `answer`: seconds that an answer took.
+        A step is as large as the slew rate allows in the wait before it, which begins when the one before has been
+        taken. The ramp's own speed, where it is lower, counts from when that was sent.
         """
-        limits = self._rig.limits
-        speed = min(self._rig.slew_rate, (limits.high - limits.low) / _GENTLE)
+        limits, slew = self._rig.limits, self._rig.slew_rate
+        speed = min(slew, (limits.high - limits.low) / _GENTLE)
         gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
-        wait, again = TICK, _AGAIN if always else 0
+        sending, again = time.monotonic(), _AGAIN if always else 0
         while present != end or always:
-            # Before the first step too: a wave may have been stopped just now.
-            waited = yield wait
-            voltage, sending = gentle.towards(end, present, waited), time.monotonic()
+            # Before the first step too: a wave may have been stopped just now. It is so long that the slew rate allows
+            # what the ramp's speed does, or there are few waits.
+            enough = answer * speed / (slew - speed) if slew > speed else math.inf
+            waited = yield max(TICK, min(seconds / _FEWEST, seconds * answer / _ANSWERS, enough))
+            passed = max(waited, time.monotonic() - sending)
+            voltage, sending = limits.towards(gentle.towards(end, present, passed), present, waited), time.monotonic()
             try:
                 with driver_errors(self._rig.name, "_put"):
                     self._rig._put(limits.nearest(voltage))
-            except RigError:
+            except RigError as error:
                 if not again:
                     raise
-                again -= 1
-                continue
+                # A device may complain of something else, and have taken the voltage.
+                if not (isinstance(error, DeviceError) and self._took(voltage, present)):
+                    again -= 1
+                    continue
             present, always = voltage, False
             self.puts(present)
             answer = time.monotonic() - sending
-            wait = max(TICK, min(seconds / _FEWEST, seconds * answer / _ANSWERS))
+
+    def _took(self, voltage: float, present: float) -> bool:
+        """Return whether the output is read, and nearer to a `voltage` [V] than to the `present` one."""
+        try:
+            read = self._rig._voltage_read()
+        except RigError:
+            return False
+        return abs(read - voltage) < abs(read - present) or voltage == present
 
     def _standing(self) -> float:
         """Return the voltage [V] before anything was sent, as it is read; raise `DeviceError` outside the limits."""

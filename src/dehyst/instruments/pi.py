@@ -204,11 +204,11 @@ class PiRig(AbstractRig):
     def _read(self) -> Reading:
         now = self._clock.now()
         (position,) = self._client.numbers("POS?", self.axis)
+        # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
+        self._client.set()
         return Reading(now, self._read_voltage(), position * _METRES)
 
     def _read_voltage(self) -> float:
-        # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
-        self._client.set()
         return self._client.numbers("VOL?", self._channel)[0]
 
     def _put(self, voltage: float) -> None:
@@ -314,7 +314,7 @@ class PiRig(AbstractRig):
                         f"{client.name}: records every {array.sample_time:g} s, need {interval:g} s; check its servo "
                         "update time"
                     )
-                yield got, *gcs_syntax.positions_and_voltages(array)
+                yield got, array.columns[::2].T, array.columns[1::2].T
                 got, latest = got + number, time.monotonic()
             elif quiet > patience and not any(client.counts("WGO?", *(one._generator for one in self._pi_rigs))):
                 raise DeviceError(f"{client.name}: its wave generator stopped; {got} of {count} samples were recorded")

@@ -195,14 +195,11 @@ class SensorWatch:
             first = int(stuck[0])
             what = f"stays at {1e6 * displacement[starts[first]]:.6g} um while the voltage goes from "
             what += f"{low[first]:.6g} to {high[first]:.6g} V"
+            does, hint = "does not move", "is it plugged in, switched on, the right channel?"
             if self._moved or first:
-                raise SensorError(
-                    f"{self._name} hangs or is saturated: it {what}; shift its range, use less voltage (--limits), or "
-                    "look at its cable"
-                )
-            raise SensorError(
-                f"{self._name} does not move: it {what}; is it plugged in, switched on, the right channel?"
-            )
+                does = "hangs or is saturated"
+                hint = "shift its range, use less voltage (--limits), or look at its cable"
+            raise SensorError(f"{self._name} {does}: it {what}; {hint}")
         self._moved = self._moved or starts.size > 1
         self._value, self._low, self._high = float(displacement[-1]), float(low[-1]), float(high[-1])
 

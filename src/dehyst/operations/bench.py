@@ -75,7 +75,7 @@ def calibrate(
     every = names or [""]
     allowed, rates = limits_of(every, limits), slews_of(every, slew_rate)
     steepest = [None if one is None else one.number for one in rates]
-    played = tuple(read_voltage(path).excitation for path in protocol)
+    played = tuple(map(read_voltage, protocol))
     plan = Plan(protocol=played, frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():
         demand_own_folder(output, "records", "", force=run.force)

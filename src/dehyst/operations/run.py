@@ -52,9 +52,9 @@ class Run:
 
     def watch(self) -> AbstractContextManager[Any]:
         """Return the progress display of a calibration."""
-        from dehyst.calibration.session import NullProgress
+        from dehyst.calibration.session import ProgressListener
 
-        return nullcontext(NullProgress())
+        return nullcontext(ProgressListener())
 
 
 class InterruptibleRun(Run):
