@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 995,
     "cli": 680,
-    "control": 4380,
+    "control": 4379,
     "exports": 1300,
     "fleet": 312,
     "foundation": 1422,

@@ -360,7 +360,7 @@ class Compensator(ReadOnly):
         """
         if temperature is not None:
             values = demand_thermal(self.actuator.thermal).scale(number(temperature, "temperature"), 1)
-            checked(self._loop.scale, *(float(one[0]) for one in values))
+            checked(self._loop.scale, *(float(value[0]) for value in values))
         elif gain is not None:
             try:
                 self._loop.scale(number(gain, "gain"), number(offset, "offset") / self._per_metre)
@@ -466,12 +466,12 @@ def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[
 @contextmanager
 def same_scaling_after_errors(loops: Sequence[Compensator]) -> Iterator[None]:
     """Restore gain and offset of all `loops` if an error occurs in the block."""
-    before = [one._scaling_at(None, 1) for one in loops]
+    before = [loop._scaling_at(None, 1) for loop in loops]
     try:
         yield
     except BaseException:
-        for one, scaling in zip(loops, before, strict=True):
-            one._loop.scale(*scaling)
+        for loop, scaling in zip(loops, before, strict=True):
+            loop._loop.scale(*scaling)
         raise
 
 

@@ -88,7 +88,7 @@ class StageCompensator(ReadOnly):
             except ModelError as error:
                 raise of_part(error, f"axis {axis}") from error
         keep(self, stage=stage, compensators=tuple(made), period=made[0].period)
-        keep(self, limits=tuple(one.limits for one in made), slew_rate=tuple(one.slew_rate for one in made))
+        keep(self, limits=tuple(loop.limits for loop in made), slew_rate=tuple(loop.slew_rate for loop in made))
         keep(self, clamped=(False,) * len(made), _table=stage.decoupling.tolist())
 
     _table: list[list[float]]
@@ -102,25 +102,25 @@ class StageCompensator(ReadOnly):
     @property
     def voltage(self) -> Array:
         """The last voltages sent (axes,) [V]."""
-        return np.array([one.voltage for one in self.compensators])
+        return np.array([loop.voltage for loop in self.compensators])
 
     @property
     def states(self) -> tuple[State, ...]:
         """State of each actuator after all voltages sent."""
-        return tuple(one.state for one in self.compensators)
+        return tuple(loop.state for loop in self.compensators)
 
     @property
     def clamps(self) -> tuple[Clamps, ...]:
         """Numbers of samples clamped so far, of each axis."""
-        return tuple(one.clamps for one in self.compensators)
+        return tuple(loop.clamps for loop in self.compensators)
 
     @property
     def displacement(self) -> Array:
         """Displacement (axes,) [m] of the model after all voltages sent; a mass is assumed to follow at once."""
         moved = []
-        for one, state in zip(self.compensators, self.states, strict=True):
-            gain, offset = one._scaling
-            moved.append(offset + gain * evaluator_of(one.actuator).displacement(state, of_mass=False))
+        for loop, state in zip(self.compensators, self.states, strict=True):
+            gain, offset = loop._scaling
+            moved.append(offset + gain * evaluator_of(loop.actuator).displacement(state, of_mass=False))
         return np.asarray(apply(self.stage.coupling, np.array([moved]))[0])
 
     def step(self, displacement: ArrayLike, temperature: ArrayLike | None = None) -> Array:
@@ -136,8 +136,8 @@ class StageCompensator(ReadOnly):
                 self.set_temperature(temperature)
                 return self.step(displacement)
         voltage = self._offered(displacement)
-        for one, value in zip(self.compensators, voltage, strict=True):
-            one.commit(value)
+        for loop, value in zip(self.compensators, voltage, strict=True):
+            loop.commit(value)
         return np.array(voltage)
 
     def run(self, displacement: ArrayLike) -> Array:
@@ -158,8 +158,8 @@ class StageCompensator(ReadOnly):
 
     def _offered(self, displacement: ArrayLike) -> list[float]:
         # As with one axis, a displacement that is refused takes the place of the one on offer.
-        for one in self.compensators:
-            one._loop.withdraw()
+        for loop in self.compensators:
+            loop._loop.withdraw()
         wanted = self._values(displacement, "displacement")
         voltage, alone = [0.0] * len(wanted), [dot(row, wanted) for row in self._table]
 
@@ -170,12 +170,14 @@ class StageCompensator(ReadOnly):
         known = targets_and_clamped(self._table, wanted, offer)[1]
         keep(self, clamped=tuple(j in known for j in range(len(wanted))))
         for j in known:
-            one, name = self.compensators[j], self.stage.axes[j]
-            slewed = one.limits[0] < voltage[j] < one.limits[1]
+            loop, name = self.compensators[j], self.stage.axes[j]
+            slewed = loop.limits[0] < voltage[j] < loop.limits[1]
             # Once of each kind.
-            if not (one.clamps.slewed if slewed else one.clamps.limited):
-                given: dict[str, Any] = {"axis": name, "target": float(one._in_model(np.array(alone[j])))}
-                warn_of_sample(one.actuator, one._bounds, slewed, wanted[j], voltage[j], one._assumed_voltage, **given)
+            if not (loop.clamps.slewed if slewed else loop.clamps.limited):
+                given: dict[str, Any] = {"axis": name, "target": float(loop._in_model(np.array(alone[j])))}
+                warn_of_sample(
+                    loop.actuator, loop._bounds, slewed, wanted[j], voltage[j], loop._assumed_voltage, **given
+                )
         return voltage
 
     def set_temperature(self, temperature: ArrayLike) -> None:
@@ -187,9 +189,9 @@ class StageCompensator(ReadOnly):
         given = plain(temperature, "temperature")
         degrees = self.stage.temperatures(given if np.ndim(given) == 0 else np.atleast_2d(given), 1)
         pairs = zip(self.compensators, self.stage.actuators, degrees, strict=True)
-        scales = [(one, part.thermal.scale(own, 1)) for one, part, own in pairs if part.thermal and own is not None]
-        for one, (gain, offset) in scales:
-            one.scale(float(gain[0]), float(offset[0]))
+        scales = [(loop, part.thermal.scale(own, 1)) for loop, part, own in pairs if part.thermal and own is not None]
+        for loop, (gain, offset) in scales:
+            loop.scale(float(gain[0]), float(offset[0]))
 
     def commit(self, voltage: ArrayLike) -> None:
         """Commit `voltage` (axes,) [V] as sent: the offered voltages, perhaps rounded by a converter.
@@ -198,18 +200,18 @@ class StageCompensator(ReadOnly):
         """
         values = self._values(voltage, "voltage")
         with _unchanged_by_errors(self.compensators):
-            for one, value in zip(self.compensators, values, strict=True):
-                one.commit(value)
+            for loop, value in zip(self.compensators, values, strict=True):
+                loop.commit(value)
 
     def hold(self) -> None:
         """Commit a period in which nothing was sent."""
-        for one in self.compensators:
-            one.hold()
+        for loop in self.compensators:
+            loop.hold()
 
     def _clone(self) -> StageCompensator:
         """Return a copy in the state at construction or the last reset."""
         options: dict[str, Any] = {name: getattr(self, name) for name in ("period", "limits", "slew_rate")}
-        return StageCompensator(self.stage, **options, states=[one._initial_state for one in self.compensators])
+        return StageCompensator(self.stage, **options, states=[loop._initial_state for loop in self.compensators])
 
     def reset(self, states: Sequence[State | None] | State | None = None) -> None:
         """Start again in `states`, by default the states at construction; counts restart at 0.
@@ -218,12 +220,12 @@ class StageCompensator(ReadOnly):
         """
         given = for_each(states, len(self.compensators), "states")
         with _unchanged_by_errors(self.compensators):
-            for one, state in zip(self.compensators, given, strict=True):
-                one.reset(state)
+            for loop, state in zip(self.compensators, given, strict=True):
+                loop.reset(state)
 
     def snapshot(self) -> tuple[Snapshot, ...]:
         """Return the whole memory, one snapshot for each axis."""
-        return tuple(one.snapshot() for one in self.compensators)
+        return tuple(loop.snapshot() for loop in self.compensators)
 
     def restore(self, snapshots: Sequence[Snapshot]) -> None:
         """Continue from `snapshots`, one for each axis.
@@ -284,12 +286,12 @@ def to_release(
 @contextmanager
 def _unchanged_by_errors(loops: Sequence[Compensator]) -> Iterator[None]:
     """Restore the memory of all `loops` if an error occurs in the block."""
-    before = [one.snapshot() for one in loops]
+    before = [loop.snapshot() for loop in loops]
     try:
         yield
     except (ModelError, ClampWarning):
-        for one, snapshot in zip(loops, before, strict=True):
-            one.restore(snapshot)
+        for loop, snapshot in zip(loops, before, strict=True):
+            loop.restore(snapshot)
         raise
 
 
@@ -299,8 +301,8 @@ def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
     if given != len(loops):
         raise ModelError(argument="snapshots", got=str(given), need=f"{len(loops)}, one for each")
     with _unchanged_by_errors(loops):
-        for one, snapshot in zip(loops, snapshots, strict=True):
-            one.restore(snapshot)
+        for loop, snapshot in zip(loops, snapshots, strict=True):
+            loop.restore(snapshot)
 
 
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:

@@ -125,13 +125,13 @@ def options_of(scan: type[Scan]) -> dict[str, ScanOption]:
     """Return the options that the fields of a scan declare, by their names."""
     hints = get_type_hints(scan, include_extras=True)
     found = {}
-    for one in fields(scan):  # type: ignore[arg-type]
-        for hint in (hints[one.name], *get_args(hints[one.name])):
+    for entry in fields(scan):  # type: ignore[arg-type]
+        for hint in (hints[entry.name], *get_args(hints[entry.name])):
             if isinstance(option := getattr(hint, "__metadata__", (None,))[0], ScanOption):
                 kind, words = hint.__origin__, get_args(hint.__origin__)
                 if words:
                     kind = words if isinstance(words[0], str) else "numbers"
-                found[one.name] = option._replace(kind=kind)
+                found[entry.name] = option._replace(kind=kind)
     return found
 
 

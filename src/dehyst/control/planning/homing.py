@@ -362,12 +362,7 @@ def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
 
 
 def played_homing(
-    actuator: Actuator,
-    drive: Sampling,
-    *,
-    tolerance: float,
-    within: float | None,
-    path: float,
+    actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None, path: float
 ) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
     """Return the shortest homing as an excitation (None if the state is known already), its `Homing`, and remarks.
 

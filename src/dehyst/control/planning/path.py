@@ -163,8 +163,8 @@ def plan_voltage(
     """
     task = Task(_compensator(model, None, None), voltage, "voltage", time, temperature)
     starts = [
-        known or PossibleStart.unknown(one.actuator, volts, one.limits)
-        for known, one, volts in zip(task.starts(start), task.loops, task.firsts, strict=True)
+        known or PossibleStart.unknown(loop.actuator, volts, loop.limits)
+        for known, loop, volts in zip(task.starts(start), task.loops, task.firsts, strict=True)
     ]
     ways = [_Way(known, known.state) for known in starts]
     moved, states = task.motion(ways, task.rows)
@@ -252,7 +252,7 @@ class Task:
         self.warmth: list[Array | None] = [None] * len(actuators)
         if temperature is not None:
             self.temperature = temperature_columns(temperature, size, len(actuators))
-            if any(one.thermal for one in actuators) or not any(map(tested_temperatures, actuators)):
+            if any(actuator.thermal for actuator in actuators) or not any(map(tested_temperatures, actuators)):
                 self.warmth = self.stage.temperatures(self.temperature, size)
         self.moved, self.firsts = self.rows, self.rows[0].tolist()
         self.time = None if period is None else period * np.arange(size, dtype=np.float64)
@@ -270,15 +270,15 @@ class Task:
     def _decouple(self) -> None:
         """Find the displacements without coupling, and the first ones of the models."""
         self.moved = apply(self.stage.decoupling, self.rows)
-        scales = [one._scaling_at(warm, len(self.rows)) for one, warm in zip(self.loops, self.warmth, strict=True)]
-        for j, (one, (gain, offset)) in enumerate(zip(self.loops, scales, strict=True)):
-            if words := one._straying((self.moved[:, j] - offset) / gain):
+        scales = [loop._scaling_at(warm, len(self.rows)) for loop, warm in zip(self.loops, self.warmth, strict=True)]
+        for j, (loop, (gain, offset)) in enumerate(zip(self.loops, scales, strict=True)):
+            if words := loop._straying((self.moved[:, j] - offset) / gain):
                 raise ModelError(words if self.single else f"axis {self.stage.axes[j]}: {words}")
         gains, offsets = ([float(np.ravel(values)[0]) for values in column] for column in zip(*scales, strict=True))
 
         def nearest(j: int, target: float) -> float | None:
-            one = self.loops[j]
-            low, high = (offsets[j] + gains[j] * end for end in major_loop(one.actuator, one.limits))
+            loop = self.loops[j]
+            low, high = (offsets[j] + gains[j] * end for end in major_loop(loop.actuator, loop.limits))
             return None if low <= target <= high else min(max(target, low), high)
 
         # Axes within reach are corrected by what the others miss, as in each step.
@@ -295,10 +295,10 @@ class Task:
 
     def shift(self, on_time: bool | None) -> None:
         """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late."""
-        by = [one.actuator.identification for one in self.loops]
+        by = [loop.actuator.identification for loop in self.loops]
         lags = ["" if known is None else known.lag_of for known in by]
-        for j, (one, lag_of) in enumerate(zip(self.loops, lags, strict=True)):
-            delay = one.actuator.delay
+        for j, (loop, lag_of) in enumerate(zip(self.loops, lags, strict=True)):
+            delay = loop.actuator.delay
             leads = lag_of == "actuator" if on_time is None else on_time
             if not delay or (lag_of == "sensor" and not on_time):
                 continue
@@ -344,12 +344,13 @@ class Task:
     def starts(self, given: Any) -> list[Any]:
         """Return the start of each axis, None if none was given."""
         starts = [
-            PossibleStart("given", (one,)) if isinstance(one, State) else one for one in self.each(given, "start")
+            PossibleStart("given", (start,)) if isinstance(start, State) else start
+            for start in self.each(given, "start")
         ]
-        for one in starts:
-            if one is not None and not isinstance(one, PossibleStart):
+        for start in starts:
+            if start is not None and not isinstance(start, PossibleStart):
                 hint = 'PossibleStart.named(actuator, "top") makes one'
-                raise ModelError(argument="start", got=repr(one), need="a State or a PossibleStart", hint=hint)
+                raise ModelError(argument="start", got=repr(start), need="a State or a PossibleStart", hint=hint)
         return starts
 
     def unless_known(self, given: Sequence[Any], present: Sequence[Any]) -> list[_Begin]:
@@ -359,17 +360,17 @@ class Task:
     def begins(self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False) -> list[_Begin]:
         """Return how each actuator stands: as given, or unknown at a voltage [V], or `near` the first sample."""
         begins = []
-        for one, known, now, first in zip(self.loops, given, present, self.firsts, strict=True):
+        for loop, known, now, first in zip(self.loops, given, present, self.firsts, strict=True):
             if known is not None:
-                start, state = known, known.within(one.actuator, one.limits)
-                volts = one._held(state) if now is None else present_voltage(one._bounds, now)
+                start, state = known, known.within(loop.actuator, loop.limits)
+                volts = loop._held(state) if now is None else present_voltage(loop._bounds, now)
             elif near:
-                start = PossibleStart.unknown_near(one.actuator, first, one.limits)
-                state, volts = start.within(one.actuator, one.limits), None
+                start = PossibleStart.unknown_near(loop.actuator, first, loop.limits)
+                state, volts = start.within(loop.actuator, loop.limits), None
             else:
-                volts = present_voltage(one._bounds, now)
-                start = PossibleStart.unknown(one.actuator, volts, one.limits)
-                state = start.within(one.actuator, (volts, volts))
+                volts = present_voltage(loop._bounds, now)
+                start = PossibleStart.unknown(loop.actuator, volts, loop.limits)
+                state = start.within(loop.actuator, (volts, volts))
             begins.append(_Begin(start, state, volts))
         return begins
 
@@ -377,24 +378,25 @@ class Task:
         """Return what `after` does, with a way before the path only if its first step is a jump."""
         # An actuator stands at the first sample, or is brought there slowly.
         states = [
-            state_at(one.actuator, begin.state, y)
-            if begin.volts is None or evaluator_of(one.actuator).has_dynamics
+            state_at(loop.actuator, begin.state, y)
+            if begin.volts is None or evaluator_of(loop.actuator).has_dynamics
             else begin.state
-            for one, begin, y in zip(self.loops, begins, self.firsts, strict=True)
+            for loop, begin, y in zip(self.loops, begins, self.firsts, strict=True)
         ]
         found = self.follow(states, [begin.volts for begin in begins], self.compensator.period)
-        if any(self.jumps(one, begin.volts, each) for one, begin, each in zip(self.loops, begins, found, strict=True)):
+        pairs = zip(self.loops, begins, found, strict=True)
+        if any(self.jumps(loop, begin.volts, each) for loop, begin, each in pairs):
             return self.after(self.ways(begins, False), begins)
         ways = [_Way(begin.start, begin.start.state) for begin in begins]
         return ways, np.zeros((0, len(ways))), found
 
-    def jumps(self, one: Compensator, volts: float | None, found: Followed) -> bool:
+    def jumps(self, loop: Compensator, volts: float | None, found: Followed) -> bool:
         """Return whether a path begins with a step that its slew rate does not allow, or a fast one unlike its own."""
         if volts is None or self.time is None:
             return False
-        if one.slew_rate and found.clamped[0]:
+        if loop.slew_rate and found.clamped[0]:
             return True
-        usual = max((pace(one) or math.inf) * self.step, float(np.abs(np.diff(found.voltage)).max(initial=0.0)))
+        usual = max((pace(loop) or math.inf) * self.step, float(np.abs(np.diff(found.voltage)).max(initial=0.0)))
         return abs(float(found.voltage[0]) - volts) > usual * (1 + _ROUNDING)
 
     def homed(self, begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
@@ -405,8 +407,8 @@ class Task:
         """Return the ways to the path, the displacement (k, axes) [m] along them, and the voltages of the path."""
         # A mass moves with the path from its first sample on.
         states = [
-            state_at(one.actuator, way.state, y) if evaluator_of(one.actuator).has_dynamics else way.state
-            for one, way, y in zip(self.loops, ways, self.firsts, strict=True)
+            state_at(loop.actuator, way.state, y) if evaluator_of(loop.actuator).has_dynamics else way.state
+            for loop, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
         found = self.follow(states, [way.last for way in ways], ways[0].step)
         before = self.lead(ways)
@@ -425,36 +427,36 @@ class Task:
         It waits at its present voltage, so that its homing, which makes the state known, ends with the way to the path.
         """
         ways = [
-            self.way(one, begin, first, home and not begin.start.known)
-            for one, begin, first in zip(self.loops, begins, self.firsts, strict=True)
+            self.way(loop, begin, first, home and not begin.start.known)
+            for loop, begin, first in zip(self.loops, begins, self.firsts, strict=True)
         ]
-        ahead = np.unique(np.concatenate([one.time - one.seconds for one in ways]))
+        ahead = np.unique(np.concatenate([way.time - way.seconds for way in ways]))
         # Rows of two axes at one time may differ by rounding.
         ahead = ahead[np.diff(ahead, append=0.0) > _ROUNDING * np.abs(ahead).max(initial=0.0)]
         if self.single is not None or not ahead.size:
             return ways
-        homed = [(one.time - one.seconds)[one.phase == WAY] for one in ways]
+        homed = [(way.time - way.seconds)[way.phase == WAY] for way in ways]
         ends = max(own[0] if own.size else 0.0 for own in homed)
-        homes = any(one.homing is not None for one in ways)
+        homes = any(way.homing is not None for way in ways)
         phase = np.where(homes & (ahead < ends), HOMING, WAY)
         merged = []
-        for one in ways:
-            own, values = np.append(one.time - one.seconds, 0.0), np.append(one.voltage, one.goal)
+        for way in ways:
+            own, values = np.append(way.time - way.seconds, 0.0), np.append(way.voltage, way.goal)
             voltage = np.interp(ahead, own, values)
-            merged.append(one._replace(time=ahead - ahead[0], phase=phase, voltage=voltage, last=float(voltage[-1])))
+            merged.append(way._replace(time=ahead - ahead[0], phase=phase, voltage=voltage, last=float(voltage[-1])))
         states = self.motion(merged)[1]
         seconds = -float(ahead[0])
         return [
-            one._replace(seconds=seconds, state=state, waits=seconds - one.seconds)
-            for one, state in zip(merged, states, strict=True)
+            way._replace(seconds=seconds, state=state, waits=seconds - way.seconds)
+            for way, state in zip(merged, states, strict=True)
         ]
 
-    def way(self, one: Compensator, begin: _Begin, first: float, home: bool) -> _Way:
+    def way(self, loop: Compensator, begin: _Begin, first: float, home: bool) -> _Way:
         """Return the shortest homing of an axis, if it is to `home`, and the way from its end to the path."""
-        actuator, limits, start, state = one.actuator, one.limits, begin.start, begin.state
-        now = one._held(state) if begin.volts is None else begin.volts
+        actuator, limits, start, state = loop.actuator, loop.limits, begin.start, begin.state
+        now = loop._held(state) if begin.volts is None else begin.volts
         rate, leg = self.pace_of_legs(actuator)
-        drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=limits, slew_rate=pace(one))
+        drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=limits, slew_rate=pace(loop))
         played: Excitation | None = None
         homing: Homing | None = None
         remarks: tuple[str, ...] = ()
@@ -534,10 +536,10 @@ class Task:
         after = np.zeros((0, len(ways))) if rows is None else rows
         time = self.time_of(ways[0], len(after))
         moved, states = [], []
-        for one, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
+        for loop, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
             voltage = np.concatenate([way.voltage, volts])
-            motion = one.actuator.simulate(voltage, time=time, state=way.start.state, extrapolate=True)
-            gain, offset = one._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
+            motion = loop.actuator.simulate(voltage, time=time, state=way.start.state, extrapolate=True)
+            gain, offset = loop._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
             moved.append(offset + gain * motion.displacement)
             states.append(motion.state)
         return apply(self.stage.coupling, np.column_stack(moved)), states
@@ -545,20 +547,20 @@ class Task:
     def lead(self, ways: Sequence[_Way]) -> Array:
         """Return the displacement (k, axes) [m] along ways, from a state within the limits if the start is unknown."""
         begun = []
-        for one, way in zip(self.loops, ways, strict=True):
+        for loop, way in zip(self.loops, ways, strict=True):
             start = way.start
             if not start.known and way.voltage.size:
-                start = replace(start, states=(standing(one.actuator, float(way.voltage[0]), one.limits),))
+                start = replace(start, states=(standing(loop.actuator, float(way.voltage[0]), loop.limits),))
             begun.append(way._replace(start=start))
         return self.motion(begun)[0]
 
     def misses(self, found: Sequence[Followed]) -> Array:
         """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
-        miss = np.column_stack([one.displacement for one in found]) - self.moved
+        miss = np.column_stack([each.displacement for each in found]) - self.moved
         if self.time is not None:
             pairs = zip(self.delays, miss.T, strict=True)
             miss = np.column_stack(
-                [np.interp(self.time - delay, self.time, one) if delay else one for delay, one in pairs]
+                [np.interp(self.time - delay, self.time, column) if delay else column for delay, column in pairs]
             )
         return apply(self.stage.coupling, miss)
 
@@ -576,14 +578,14 @@ class Task:
         path, miss = (self.rows, self.misses(found)) if wanted is None else (wanted, np.zeros_like(wanted))
         columns = self.loops, ways, found, before.T, path.T, miss.T, self.warmth, temperatures
         plans = []
-        for j, (one, way, each, led, goal, off, warmth, temperature) in enumerate(zip(*columns, strict=True)):
+        for j, (loop, way, each, led, goal, off, warmth, temperature) in enumerate(zip(*columns, strict=True)):
             voltage = np.concatenate([way.voltage, each.voltage])
-            error = way.start.error_along(one.actuator, voltage, one.limits, time=time, first=first + self.ahead)
-            gain, offset = one._scaling_at(None if warmth is None else warmth[self.ahead :], size - self.ahead)
+            error = way.start.error_along(loop.actuator, voltage, loop.limits, time=time, first=first + self.ahead)
+            gain, offset = loop._scaling_at(None if warmth is None else warmth[self.ahead :], size - self.ahead)
             error = replace(error, lowest=offset + gain * error.lowest, highest=offset + gain * error.highest)
             after, degrees = self.ahead, None if temperature is None else temperature[self.ahead :]
             promise = promised(
-                one.actuator,
+                loop.actuator,
                 each.voltage[after:],
                 None if self.time is None else self.time[after:],
                 temperature=degrees,
@@ -593,13 +595,13 @@ class Task:
                 missed=off[after:] if each.clamped.any() else (),
             )
             missed = float(np.abs(off).max())
-            tolerated = _TOLERANCE * float(np.ptp(one.actuator.spring.displacement))
+            tolerated = _TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
             remarks = way.warnings
             if wanted is None:
-                remarks += shortfall(each.voltage, each.clamped, one._bounds, missed, tolerated)
-                remarks += outside_identified(one.actuator, each.voltage, refuse=False).warnings
+                remarks += shortfall(each.voltage, each.clamped, loop._bounds, missed, tolerated)
+                remarks += outside_identified(loop.actuator, each.voltage, refuse=False).warnings
                 remarks += self.remarks[j] + self.speeds(j, each)
             plans.append(
                 PathPlan(
@@ -615,7 +617,7 @@ class Task:
                     error=error,
                     promise=promise,
                     followed=missed <= tolerated,
-                    warnings=(*remarks, *untested(one.actuator, promise, degrees)),
+                    warnings=(*remarks, *untested(loop.actuator, promise, degrees)),
                     temperature=self.degrees(temperature, first, size),
                 )
             )
@@ -623,16 +625,16 @@ class Task:
 
     def speeds(self, j: int, found: Followed) -> tuple[str, ...]:
         """Return a remark if the path of an axis needs more than its slew rate, or than the speed of the records."""
-        one = self.loops[j]
+        loop = self.loops[j]
         if self.time is None or self.time.size < 2:
             return ()
         if not found.clamped.any():
             # Nothing was held back.
-            return speed_remark(one.actuator, float(np.abs(np.diff(found.voltage) / np.diff(self.time)).max()))
-        gain, offset = one._scaling_at(self.warmth[j], len(self.rows))
+            return speed_remark(loop.actuator, float(np.abs(np.diff(found.voltage) / np.diff(self.time)).max()))
+        gain, offset = loop._scaling_at(self.warmth[j], len(self.rows))
         rates = {name: values / gain for name, values in self.rates.items()}
-        needed = needed_slew_rate(one.actuator, (self.moved[:, j] - offset) / gain, self.time, one.limits, **rates)
-        return speed_remark(one.actuator, needed, one.slew_rate)
+        needed = needed_slew_rate(loop.actuator, (self.moved[:, j] - offset) / gain, self.time, loop.limits, **rates)
+        return speed_remark(loop.actuator, needed, loop.slew_rate)
 
     def result(self, plans: list[PathPlan]) -> PathPlan:
         """Return the plan of several axes, or that of the only axis in the units of its compensator."""

@@ -94,13 +94,13 @@ class PathPlan:
         """Return the plan of several axes from the plan of each."""
 
         def all_of(name: str) -> Any:
-            return tuple(getattr(one, name) for one in plans)
+            return tuple(getattr(plan, name) for plan in plans)
 
         entries = ("state", "start", "homing", "error", "promise")
         joined: dict[str, Any] = {name: all_of(name) for name in entries}
         columns = ("voltage", "displacement", "expected", "clamped")
         joined |= {name: np.column_stack(all_of(name)) for name in columns}
-        warnings = (f"{name}: {words}" for name, one in zip(names, plans, strict=True) for words in one.warnings)
+        warnings = (f"{name}: {words}" for name, plan in zip(names, plans, strict=True) for words in plan.warnings)
         warm = None if plans[0].temperature is None else np.column_stack(all_of("temperature"))
         return cls(
             plans[0].time,
@@ -136,7 +136,7 @@ class PathPlan:
     def certified(self) -> bool:
         """Whether there is no homing, or it is certified, or its error along the path is below the model's error."""
         if self.each:
-            return all(one.certified for one in self.each)
+            return all(plan.certified for plan in self.each)
         return self.homing is None or self.homing.certified or not self.error.matters
 
     def in_units(self, units: str) -> PathPlan:
@@ -179,12 +179,12 @@ class PathPlan:
         um = 1e6 / per_metre(self.units)
         columns: dict[str, Any] = {} if self.time is None else {"time_s": self.time}
         columns["phase"] = self.phase
-        for k, one in enumerate(self.each or (self,)):
+        for k, plan in enumerate(self.each or (self,)):
             number = k + 1 if self.each else ""
-            columns[f"voltage{number}_V"] = one.voltage
-            columns[f"displacement{number}_um"] = one.displacement * um
-            columns[f"expected{number}_um"] = one.expected * um
-            columns[f"clamped{number}"] = one.clamped
+            columns[f"voltage{number}_V"] = plan.voltage
+            columns[f"displacement{number}_um"] = plan.displacement * um
+            columns[f"expected{number}_um"] = plan.expected * um
+            columns[f"clamped{number}"] = plan.clamped
         return tables.frame(columns)
 
 

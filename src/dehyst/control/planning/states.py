@@ -56,7 +56,7 @@ def middle_of(states: Sequence[State]) -> State:
         values = np.array([getattr(state, name) for state in states])
         return np.asarray(0.5 * (values.min(axis=0) + values.max(axis=0)))
 
-    return State(float(middle("deformation")), *(middle(one.name) for one in fields(State)[1:]))
+    return State(float(middle("deformation")), *(middle(entry.name) for entry in fields(State)[1:]))
 
 
 def time_dependence(actuator: Actuator) -> str:
@@ -116,7 +116,7 @@ def possible_states(
         random, seconds = np.random.default_rng(0), np.cumsum(np.geomspace(0.01, 10, _TURNS) * half)
         turns = [random.uniform(low, high, _TURNS) for _ in range(_HISTORIES)]
         begun = list(states)
-        states += [played(played(begun[k % len(begun)], one, seconds), [v], now) for k, one in enumerate(turns)]
+        states += [played(played(begun[k % len(begun)], visited, seconds), [v], now) for k, visited in enumerate(turns)]
     if actuator.dynamics is None:
         return tuple(states)
     return tuple(replace(state, motion=np.array([state.deformation, 0.0])) for state in states)
