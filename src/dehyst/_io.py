@@ -10,7 +10,7 @@ import re
 import secrets
 import stat
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from math import isfinite
 from pathlib import Path
@@ -64,13 +64,14 @@ def unwritten(path: PathLike, error: OSError) -> FileFormatError:
     return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
 
 
-def write_atomically(path: PathLike, data: str | bytes) -> None:
+def write_atomically(path: PathLike, data: str | bytes | Iterable[str]) -> None:
     """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
 
-    Text is written as UTF-8, a lone surrogate as an escape. An existing file is replaced and keeps its mode.
+    Text, in one or in blocks, is UTF-8, a lone surrogate an escape. An existing file is replaced and keeps its mode.
     Raise `FileFormatError` if the folder is missing or not writable, or the path is a folder or a disk.
     """
-    content = data.encode(errors="backslashreplace") if isinstance(data, str) else data
+    blocks = [data] if isinstance(data, str | bytes) else data
+    content = (one.encode(errors="backslashreplace") if isinstance(one, str) else one for one in blocks)
     try:
         mode = _mode_of(path)
         if mode is not None and stat.S_ISDIR(mode):
@@ -79,7 +80,8 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
             raise FileFormatError(f"{path}: is a disk; give the name of a file")
         # A device such as /dev/null, or a pipe, is written to, never replaced.
         if mode is not None and not stat.S_ISREG(mode):
-            Path(path).write_bytes(content)
+            with Path(path).open("wb") as stream:
+                stream.writelines(content)
             return
         # A link keeps pointing at its file.
         target = Path(os.path.realpath(path))
@@ -92,7 +94,7 @@ def write_atomically(path: PathLike, data: str | bytes) -> None:
                     # Not every file system has modes.
                     with suppress(OSError):
                         draft.chmod(stat.S_IMODE(mode))
-                stream.write(content)
+                stream.writelines(content)
                 stream.flush()
                 settle(stream.fileno())
             draft.replace(target)
@@ -181,9 +183,7 @@ def made_folder(folder: PathLike) -> Path:
     except FileExistsError as error:
         raise FileFormatError(f"{folder}: is a file where a folder is needed; give another name, or move it") from error
     except OSError as error:
-        raise FileFormatError(
-            f"{folder}: cannot be made a folder ({error.strerror}); give another name, or check the rights"
-        ) from error
+        raise unwritten(folder, error) from error
     return Path(folder)
 
 

@@ -88,8 +88,8 @@ class Scale(NamedTuple):
         if self.kind:
             return "" if quantity == "displacement" else f"a {self.kind} shows a displacement only"
         if not self.unit:
-            known = not unit or quantity_of(unit) in (quantity, "voltage")
-            return "" if known else f"a factor for it needs units, {self.factor:g} {QUANTITIES[quantity].bare}/{unit}"
+            known, own = not unit or quantity_of(unit) in (quantity, "voltage"), QUANTITIES[quantity].units[0]
+            return "" if known else f"a factor for it needs units, {self.factor:g} {own}/{unit}"
         if quantity_of(self.unit) != quantity:
             return f"the scale {self} does not give a {quantity}, need {', '.join(FACTORS[quantity])} before the slash"
         same = _plain(self.per) == _plain(unit) or (
@@ -101,7 +101,7 @@ class Scale(NamedTuple):
         """Return a column of a `unit` in SI units of the quantity."""
         if not self.unit and quantity_of(unit) == quantity:
             return np.asarray(self.factor * in_si(data, symbol_of(unit)))
-        to = FACTORS[quantity][symbol_of(self.unit) or QUANTITIES[quantity].bare]
+        to = FACTORS[quantity][symbol_of(self.unit) or QUANTITIES[quantity].units[0]]
         per, unit = symbol_of(self.per or ("V" if quantity_of(unit) == "voltage" else "")), symbol_of(unit)
         known = FACTORS.get(quantity_of(per), {})
         return np.asarray(data * (self.factor * to * (known[unit] / known[per] if unit in known and per else 1.0)))

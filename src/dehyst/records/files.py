@@ -21,12 +21,15 @@ from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.file_content import content_of
 from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.record import Record, columns_of, further_channels
+from dehyst.records.signals import largest
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
 _MEASURED = ("voltage", "displacement")
 # Kinds of files whose numbers are text.
 _WITH_SIGNS = (*TEXT, ".lvm", ".asc", ".xlsx")
+# Rows that are written at once.
+_BLOCK = 1 << 14
 
 
 def read(path: PathLike, columns: Columns | str | None = None, *, name: str | None = None) -> Record:
@@ -101,8 +104,7 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     }
     meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}
     channels = tuple(channel for channel, _ in others)
-    stated = "sample" if first["voltage"].column.timing == "sample" else "line"
-    hold: Any = columns.hold or stated
+    hold: Any = columns.hold or ("sample" if first["voltage"].column.timing == "sample" else "line")
     y, scale = first["displacement"], first["displacement"].entry.scale
     if columns.axes and any((one := part["displacement"].entry.scale) and one.kind for part in parts.values()):
         need = "one voltage and one displacement; read each axis by itself"
@@ -197,7 +199,7 @@ def write_record(path: PathLike, record: Record) -> None:
     if Path(path).suffix.lower() == ".npz":
         write_atomically(path, packed({**columns_of(record, "m"), **({MEMBER: np.array(text)} if text else {})}))
     else:
-        write_atomically(path, "\n".join([*[LINE + text] * bool(text), *_lines(path, columns_of(record)), ""]))
+        write_columns(path, columns_of(record), head=[LINE + text] * bool(text))
 
 
 def write_columns(
@@ -210,7 +212,7 @@ def write_columns(
     write before the names. Raise `FileFormatError` if the suffix is not one of text, the columns differ in length, or
     the file cannot be written.
     """
-    write_atomically(path, "\n".join([*head, *_lines(path, columns, digits), ""]))
+    write_atomically(path, _blocks(path, columns, digits, head))
 
 
 def demand_text(path: PathLike) -> None:
@@ -219,8 +221,8 @@ def demand_text(path: PathLike) -> None:
         raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
 
 
-def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None = None) -> list[str]:
-    """Return a table as lines of text, the header first."""
+def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None, head: Sequence[str]) -> Iterator[str]:
+    """Yield a table as blocks of text, the lines before it and its header first."""
     demand_text(path)
     if any(set(name) & set(',;\t\n"') for name in columns):
         raise FileFormatError(f"{path}: column names {listed(tuple(columns))} hold a separator or a quote; rename them")
@@ -229,21 +231,26 @@ def _lines(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None 
         shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(columns, arrays, strict=True))
         raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
-    rows = zip(*(_texts(array, digits) for array in arrays), strict=True)
-    return [delimiter.join(columns), *map(delimiter.join, rows)]
+    yield "\n".join([*head, delimiter.join(columns), ""])
+    safe = [_safe(array, digits) for array in arrays]
+    for i in range(0, arrays[0].size, _BLOCK):
+        texts = [_texts(array[i : i + _BLOCK], ends, digits) for array, ends in zip(arrays, safe, strict=True)]
+        yield "".join(f"{delimiter.join(row)}\n" for row in zip(*texts, strict=True))
 
 
-def _texts(values: Array, digits: int | None) -> Iterator[str]:
-    """Return the texts of numbers, in full or with `digits` significant digits."""
-    known = np.isfinite(values)
-    if digits is None or not values.size:
-        texts = map(repr, values.tolist())
-        return texts if known.all() else ("" if text == "nan" else text for text in texts)
-    low, high = np.min(values, initial=np.inf, where=known), np.max(values, initial=-np.inf, where=known)
+def _safe(values: Array, digits: int | None) -> tuple[float, float]:
+    """Return the range in which rounding leads no number beyond the range of the values (n,)."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    lowest, highest = (float(f"{end:.{digits or 17}g}") for end in (low, high))
+    unit = largest(known) * 10.0 ** (1 - (digits or 17))
+    return low + unit * (lowest < low), high - unit * (highest > high)
 
-    def rounded(value: float) -> str:
-        text = f"{value:.{digits}g}"
-        # A voltage at a limit stays within it.
-        return text if low <= float(text) <= high else repr(value)
 
-    return map(rounded, values.tolist())
+def _texts(values: Array, safe: tuple[float, float], digits: int | None) -> list[str]:
+    """Return the texts of numbers (n,), rounded to `digits` in their `safe` range; without `digits` empty for NaN."""
+    found = (("%r " if digits is None else f"%.{digits}g ") * values.size % tuple(values.tolist())).split()
+    # A voltage at a limit stays within it.
+    for i in np.flatnonzero(~((safe[0] <= values) & (values <= safe[1]))).tolist():
+        found[i] = "" if digits is None and np.isnan(values[i]) else repr(float(values[i]))
+    return found

@@ -251,7 +251,7 @@ def _fault(quantity: str, column: Column, entry: Entry) -> tuple[str, str] | Non
         has = " has no unit"
         way = f"Name it like '{QUANTITIES[quantity].example}', or give its unit, as {quantity}={name}:UNIT"
     elif quantity != "time" and quantity_of(unit) in ("", "voltage"):
-        scaled = f"{quantity}={name}*{GAIN} {QUANTITIES[quantity].bare}/{unit}"
+        scaled = f"{quantity}={name}*{GAIN} {QUANTITIES[quantity].units[0]}/{unit}"
         way = f"Give its scale, {scaled}, or select another column"
     return has, f"known are {', '.join(known)}. {way}"
 
@@ -372,7 +372,7 @@ def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, 
     if scale is not None:
         return "" if scale.fault(quantity, unit) else f"{name}{guess}*{scale}"
     if unit not in FACTORS[quantity]:
-        return "" if quantity == "time" else f"{name}{guess}*{GAIN} {known.bare}/{unit}"
+        return "" if quantity == "time" else f"{name}{guess}*{GAIN} {known.units[0]}/{unit}"
     plug = quantity == "voltage" and (guessed or column.is_plug) and is_small(column.data * FACTORS["voltage"][unit])
     return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
 

@@ -18,18 +18,17 @@ class ColumnWords(NamedTuple):
     """Words and units by which the columns of a quantity are found.
 
     `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
-    in names, the usual `units`, and the plausible `range` in SI units: for proposals. `bare`: the unit of a factor
-    without units.
+    in names, the usual `units`, and the plausible `range` in SI units: for proposals. A bare factor
+    is in the first of the units.
     """
 
     example: str
     words: str
-    more: str
     parts: str
-    letters: str
     units: tuple[str, ...]
     range: tuple[float, float]
-    bare: str
+    more: str = ""
+    letters: str = ""
 
 
 # Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
@@ -43,7 +42,6 @@ QUANTITIES = {
         letters="t",
         units=("s", "ms"),
         range=(0.0, 1e7),
-        bare="s",
     ),
     "voltage": ColumnWords(
         example="voltage_V",
@@ -53,7 +51,6 @@ QUANTITIES = {
         letters="uv",
         units=("V", "mV"),
         range=(0.0, HIGHEST_VOLTAGE),
-        bare="V",
     ),
     "displacement": ColumnWords(
         example="displacement_um",
@@ -63,17 +60,13 @@ QUANTITIES = {
         letters="yxzdw",
         units=("um", "nm", "mm", "m"),
         range=STROKES,
-        bare="um",
     ),
     "temperature": ColumnWords(
         example="temperature_C",
         words="temperature, temp",
-        more="",
         parts="temp",
-        letters="",
         units=("degC",),
         range=(0.0, 100.0),
-        bare="degC",
     ),
 }
 # A stroke of many piezo actuators [m].
