@@ -266,19 +266,20 @@ def _follow(
     )
     run.progress(f"writing {paths[0].voltage.size} rows")
     write_table(output, _written(known, paths, time))
-    return _told(known, axes, paths, output, how["home"], remarks)
+    return _told(known, axes, paths, len(paths[0].voltage), output, how["home"], remarks)
 
 
 def _told(
     known: AxesModel,
     axes: Sequence[_AxisRequest],
     paths: Sequence[PathPlan],
+    samples: int,
     output: Path,
     home: bool | None,
     remarks: list[str],
 ) -> Result:
-    """Return what is printed of the plans of all axes."""
-    samples, slews = paths[0].voltage.size, [request.slew for request in axes]
+    """Return what is printed of the plans of all axes, in a file of `samples` rows."""
+    slews = [request.slew for request in axes]
     each = list(zip(axes, slews, paths, strict=True))
     remarks += known.prefixed(
         starts.path_warnings(request.actuator, path, request.place, slew.bound, stands=request.stands)
@@ -367,10 +368,9 @@ def _tabulate(
     run.progress(f"writing {rows} rows")
     write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
     write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
-    told = _told(known, [request], [replace(plan, warnings=table.warnings)], outputs[0], True, remarks)
+    told = _told(known, [request], [replace(plan, warnings=table.warnings)], rows, outputs[0], True, remarks)
     fields = {
         **told.fields,
-        "samples": rows,
         "sample_rate_Hz": rate,
         "frequency_Hz": rate / len(cycle),
         "start_up_cycles": table.cycles,
