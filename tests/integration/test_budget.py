@@ -22,7 +22,7 @@ ROOMS = {
     "identification": 6261,
     "instruments": 2859,
     "model": 3883,
-    "operations": 4238,
+    "operations": 4228,
     "paper": 1168,
     "records": 5430,
     "report": 1882,
