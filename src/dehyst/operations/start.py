@@ -190,17 +190,17 @@ def error_lines(name: str, error: StartError | None, *, homed: bool) -> list[str
 
     largest, first, least = map(percent, (error.largest, error.first, error.model_error))
     if homed:
-        return [f"unknown start: after the homing it leaves {largest} of the stroke open; the model's error is {least}"]
+        return [f"unknown start: after the homing it leaves {largest} of the stroke open"]
     words = "unknown start: it leaves" if name == "unknown" else f"start after {name}: these voltages leave"
     line = f"{words} {largest} of the stroke open"
     if not error.matters:
-        return [f"{line}, the model's error is {least}"]
+        return [line]
     remedy = "give --start or --home" if name == "unknown" else "give --home instead of --start"
     line += f", {first} at the first sample"
     if error.settled is None:
-        return [f"{line}, and more than the model's error of {least} to the end: {remedy}"]
+        return [f"{line}, and more than {least} to the end: {remedy}"]
     after = f"sample {error.settled}" if error.settled_seconds is None else f"{error.settled_seconds:.4g} s"
-    return [f"{line}, and less than the model's error of {least} after {after}: {remedy}"]
+    return [f"{line}, and less than {least} after {after}: {remedy}"]
 
 
 def path_start_fields(path: PathPlan) -> dict[str, Any]:

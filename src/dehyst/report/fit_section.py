@@ -33,7 +33,7 @@ def verdict(fit: Fit) -> str:
         f"the goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{fit.outcome.value}"
     )
-    why = "".join(f"<li>{words(one[0].upper() + one[1:])}.</li>" for one in expected.why_not_ready)
+    why = "".join(f"<li>{words(reason[0].upper() + reason[1:])}.</li>" for reason in expected.why_not_ready)
     return (
         f'<div class="outcome {_COLOURS[expected.readiness]}" role="status">'
         f"<strong>{expected.readiness.value.capitalize()}</strong>"
@@ -53,18 +53,18 @@ def errors_table(errors: Sequence[RecordErrors]) -> str:
         "RMS, drift left in": "rms_with_drift",
     }
 
-    def cell(one: RecordErrors, name: str) -> tuple[str, str]:
-        error = float(getattr(one, name))
-        return f"{number(100 * error / one.stroke)} %", length(error)
+    def cell(row: RecordErrors, name: str) -> tuple[str, str]:
+        error = float(getattr(row, name))
+        return f"{number(100 * error / row.stroke)} %", length(error)
 
     rows: list[Row] = [
         (
-            (one.record, one.role),
-            *(cell(one, name) for name in kinds.values()),
-            str(one.samples),
-            str(one.left_out),
+            (row.record, row.role),
+            *(cell(row, name) for name in kinds.values()),
+            str(row.samples),
+            str(row.left_out),
         )
-        for one in errors
+        for row in errors
     ]
     return (
         "<h2>Errors by record</h2>\n"
@@ -105,12 +105,12 @@ def remaining_error(fit: Fit) -> str:
     swatch = '<span class="note"><i style="background:var(--{})"></i>{}</span>'
     bar = '<span style="width:{1:.1f}%;background:var(--{0})" title="{2}: {1:.0f} %"></span>'
     bars = "".join(
-        f'<h3>{escape(one.record)} <span>{escape(one.role)}</span></h3>\n<div class="share">'
-        f"{''.join(bar.format(key, 100 * getattr(one, key), cause) for key, cause in _CAUSES.items())}</div>\n"
-        f'<p class="muted">{words(one.causes(fit.errors[0].stroke))}</p>'
-        for one in fit.remaining
+        f'<h3>{escape(left.record)} <span>{escape(left.role)}</span></h3>\n<div class="share">'
+        f"{''.join(bar.format(key, 100 * getattr(left, key), cause) for key, cause in _CAUSES.items())}</div>\n"
+        f'<p class="muted">{words(left.causes(fit.errors[0].stroke))}</p>'
+        for left in fit.remaining
     )
-    keys = "".join(swatch.format(*one) for one in _CAUSES.items())
+    keys = "".join(swatch.format(*cause) for cause in _CAUSES.items())
     return (
         '<h2>Where the remaining error comes from</h2>\n<p class="muted">Shares of the power of the residual.</p>\n'
         f'<div class="shares"><p class="legend">{keys}</p>\n{bars}</div>'
@@ -148,7 +148,7 @@ def before_and_after(fit: Fit) -> Charts | str:
     shown = _shown(fit)
     if not shown:
         return ""
-    trace = next((one for one in shown if one.role == "validation"), shown[0])
+    trace = next((trace for trace in shown if trace.role == "validation"), shown[0])
     stroke = stroke_of(fit)
     (off,), slope = _off_line([trace])
     factor, unit = length_unit(float(np.ptp(trace.measured)))
@@ -179,7 +179,7 @@ def loops(fit: Fit) -> Charts:
         "Displacement minus a straight line, so that the hysteresis fills the height. Where the line (simulated) "
         "leaves the dots (measured), the model is wrong; look at the turning points and at the minor loops."
     )
-    return Charts("Loops, off a straight line", caption + _only(fit), [hysteresis_chart([one]) for one in shown])
+    return Charts("Loops, off a straight line", caption + _only(fit), [hysteresis_chart([trace]) for trace in shown])
 
 
 def loops_chart(traces: Sequence[Trace]) -> Chart:
@@ -198,7 +198,7 @@ def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str) -> 
     factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
     dots, lines = [], []
     for trace, shown in zip(traces, measured, strict=True):
-        first, second = (broken(trace.time, one * factor) for one in (shown, shown - trace.residual))
+        first, second = (broken(trace.time, length * factor) for length in (shown, shown - trace.residual))
         dots.append(Series("measured", trace.voltage, first, "measured", "points", 3, 0.5))
         lines.append(Series("simulated", trace.voltage, second, "simulated", width=1.2))
     axes = Axis("voltage", "V"), Axis(quantity, unit)
