@@ -33,7 +33,7 @@ QUANTILES = ("median", "one_in_100", "one_in_10000", "worst")
 def models() -> dict[str, Actuator]:
     return {
         "plain": actuator(10),
-        "with transformer and 8 creep": replace(actuator(10), transformer=transformer(), creep=creep()),
+        "with transformer and 8 creep": replace(actuator(10), transformer=transformer(), displacement_creep=creep()),
     }
 
 

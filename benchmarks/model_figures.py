@@ -45,7 +45,7 @@ def parameters_of(model: AbstractModel) -> int | None:
     if not isinstance(inner, Actuator):
         return getattr(inner, "parameters", None)
     tables = [inner.slip.stiffness, inner.spring.voltage]
-    tables += [part.stiffness for part in (inner.creep, inner.smooth) if part is not None]
+    tables += [] if inner.smooth is None else [inner.smooth.stiffness]
     rest = 0 if inner.transformer is None else inner.transformer.drive.size - 2
     rest += 0 if inner.dynamics is None else 3
     return sum(table.size for table in tables) + rest + bool(inner.lag)

@@ -45,7 +45,11 @@ def actuator(wide: bool) -> dehyst.Actuator:
         return plain
     volts = np.linspace(-20, 120, 29)
     bent = Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100))
-    return replace(plain, transformer=bent, creep=dehyst.Creep(np.geomspace(0.01, 10, 6), np.full(6, 2e5)))
+    return replace(
+        plain,
+        transformer=bent,
+        displacement_creep=dehyst.DisplacementCreep(np.geomspace(0.01, 10, 6), np.full(6, 0.02)),
+    )
 
 
 def record(samples: int, wide: bool) -> dehyst.Record:
@@ -112,7 +116,7 @@ def small(wide: bool) -> dehyst.Compensator:
         graded,
         spring,
         transformer=Transformer(volts, volts - 6 * np.sin(np.pi * volts / 100)),
-        creep=dehyst.Creep(np.geomspace(0.01, 10, 4), np.full(4, 2e5)),
+        displacement_creep=dehyst.DisplacementCreep(np.geomspace(0.01, 10, 4), np.full(4, 0.02)),
         dynamics=dehyst.Dynamics(955.0, 0.05, 2e6),
         smooth=dehyst.model.SmoothSlip(STROKE * np.array([0.05, 0.2]), np.array([0.5, 0.8]), np.array([1e6, 5e5])),
     )

@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, Spring
+from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, Spring
 from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 SAMPLES = 1_000_000
@@ -49,8 +49,8 @@ def transformer() -> Transformer:
     return Transformer(volts, volts + 0.05 * np.sin(volts))
 
 
-def creep() -> Creep:
-    return Creep(np.geomspace(1e-3, 10, 8), 0.1 * np.random.default_rng(8).random(8))
+def creep() -> DisplacementCreep:
+    return DisplacementCreep(np.geomspace(1e-3, 10, 8), 0.1 * np.random.default_rng(8).random(8))
 
 
 def least(jobs: dict[str, Callable[[], object]]) -> dict[str, float]:
@@ -71,7 +71,7 @@ def measure(path: np.ndarray) -> dict[str, dict[str, float]]:
         voltage = model.compensate(path).voltage
         jobs[f"compensate {elements}"] = lambda model=model: model.compensate(path)
         jobs[f"simulate {elements}"] = lambda model=model, voltage=voltage: model.simulate(voltage)
-        wide = replace(model, transformer=transformer(), creep=creep())
+        wide = replace(model, transformer=transformer(), displacement_creep=creep())
         voltage = wide.compensate(path, time=TIME).voltage
         jobs[f"compensate {WIDER} {elements}"] = lambda model=wide: model.compensate(path, time=TIME)
         jobs[f"simulate {WIDER} {elements}"] = lambda model=wide, v=voltage: model.simulate(v, time=TIME)
@@ -86,7 +86,9 @@ def wider() -> dict[str, Actuator]:
     return {
         "10, transformer": replace(plain, transformer=transformer()),
         "20 x 8 graded": Actuator(graded, spring),
-        "20 x 8 graded, transformer, 8 creep": Actuator(graded, spring, transformer=transformer(), creep=creep()),
+        "20 x 8 graded, transformer, 8 creep": Actuator(
+            graded, spring, transformer=transformer(), displacement_creep=creep()
+        ),
         "10, mass": replace(plain, dynamics=Dynamics(318.0, 0.1, 0.2)),
     }
 

@@ -15,10 +15,9 @@ std::tuple<Matrix, Output> strains(Input path, Bounds bounds, Grid decay, Grid g
     {
         nb::gil_scoped_release release;
         for (size_t r = 0; r < count; r++) {
-            const dehyst_step step = steps.at(r);
             const long first = steps.first(r);
-            dehyst_strains(int(j), &step, d.data(), first ? source[first - 1] : before, source + first,
-                           out.data() + first * j, steps.length(r));
+            dehyst_strains(int(j), steps.decay_of(r), steps.gain_of(r), d.data(), first ? source[first - 1] : before,
+                           source + first, out.data() + first * j, steps.length(r));
         }
     }
     return {out, as_array(d)};
@@ -39,9 +38,8 @@ std::tuple<Output, Output> output_creep(Input path, Bounds bounds, Grid decay, G
     {
         nb::gil_scoped_release release;
         for (size_t r = 0; r < count; r++) {
-            const dehyst_step step = steps.at(r);
             const long first = steps.first(r), length = steps.length(r);
-            dehyst_output output{int(k), gains, step.decay, step.gain, 0, 0};
+            dehyst_output output{int(k), gains, steps.decay_of(r), steps.gain_of(r), 0, 0};
             demand(dehyst_output_tabulate(&output));
             run(&output, e.data(), before, source + first, out.data() + first, length);
             if (length > 0) before = (inverse ? out.data() : source)[first + length - 1];
@@ -100,7 +98,7 @@ NB_MODULE(_core, m) {
     m.doc() = "The C core of dehyst; use it through dehyst._native.";
     nb::exception<CoreError>(m, "CoreError", PyExc_ValueError);
     nb::class_<Core>(m, "Core")
-        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
+        .def(nb::init<Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input, Input>())
         .def("compensate", &Core::compensate)
         .def("simulate", &Core::simulate)
         .def("voltage", &Core::voltage)

@@ -26,15 +26,14 @@ struct Loop {
          nb::object on_clamp_)
         : core(core_), decay(copy(decay_)), gain(copy(gain_)), tap(copy(tap_)), on_clamp(on_clamp_) {
         const bool inertia = core.tables.inertia;
-        const size_t j = core.stiffness.size();
-        if (decay.size() != j + core.output.size() || gain.size() != decay.size() || numbers.size() != 7 ||
+        if (decay.size() != core.output.size() || gain.size() != decay.size() || numbers.size() != 7 ||
             transition.size() != (inertia ? 8 : 0))
             demand(DEHYST_ERR_SIZE);
         const double *row = transition.data(), *x = numbers.data();
-        dehyst_step step{decay.data(), gain.data(), {}};
-        if (inertia) step.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
+        dehyst_transition step{};
+        if (inertia) step = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
         model.actuator = core.tables, model.step = step;
-        model.output = {int(core.output.size()), core.output.data(), decay.data() + j, gain.data() + j, 0, 0};
+        model.output = {int(core.output.size()), core.output.data(), decay.data(), gain.data(), 0, 0};
         model.low = x[0], model.high = x[1], model.change = x[2];
         model.taps = int(tap.size()), model.tap = tap.data();
         model.lag = x[3], model.keep = x[4], model.from_old = x[5], model.from_new = x[6];
@@ -42,15 +41,15 @@ struct Loop {
     }
     Loop(const Loop &) = delete;
 
-    // Numbers of a start: carts, strains of creep, elongations, strains behind the elements.
+    // Numbers of a start: carts, elongations, strains behind the elements.
     void set_start(double w, Input cart, Input strain, Input motion) {
-        const size_t n = core.rho.size(), j = core.stiffness.size();
+        const size_t n = core.rho.size();
         if (cart.size() != n || strain.size() != core.strains_size() || motion.size() != (model.actuator.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
         start = copy(cart);
         start.insert(start.end(), strain.data(), strain.data() + strain.size());
-        const double *elongation = start.data() + n + j;
-        model.start = {w, w, 0, start.data(), start.data() + n, elongation, elongation + core.length.size()};
+        const double *elongation = start.data() + n;
+        model.start = {w, w, 0, start.data(), elongation, elongation + core.length.size()};
         if (model.actuator.inertia) model.start.y = motion(0), model.start.rate = motion(1);
     }
     void begin(double w, Input cart, Input strain, Input motion) {
@@ -73,8 +72,7 @@ struct Loop {
     // A snapshot as firmware writes it; the model needs its `id`, from block.
     nb::bytes save() const {
         demand_free();
-        std::vector<unsigned char> bytes(DEHYST_SNAPSHOT(core.rho.size(), core.stiffness.size(), core.length.size(),
-                                                         core.output.size(), tap.size()));
+        std::vector<unsigned char> bytes(DEHYST_SNAPSHOT(core.rho.size(), core.length.size(), core.output.size(), tap.size()));
         dehyst_loop_save(&model, &loop, memory.data(), bytes.data(), bytes.size());
         return nb::bytes(reinterpret_cast<const char *>(bytes.data()), bytes.size());
     }
@@ -156,7 +154,7 @@ struct Loop {
     // false: the loop has parts that such a block lacks, or a voltage is refused or clamped.
     bool run_block(const double *u, double *v, long n) {
         const dehyst_output &output = model.output;
-        const size_t j = core.stiffness.size(), k = size_t(output.branches);
+        const size_t k = size_t(output.branches);
         if (model.lag > 0 || model.taps > 1 || model.actuator.inertia) return false;
         std::vector<double> cart(carts(), carts() + core.rho.size()), strain(strains(), inputs()), w(u, u + n);
         if (loop.gain != 1 || loop.offset != 0)
@@ -167,9 +165,9 @@ struct Loop {
         int far = 0, refused = 0;
         for (long t = 0; t < n; t++) far += !(std::fabs(w[t]) <= FARTHEST);
         if (far) return false;
-        dehyst_state state{{loop.w, cart.data()}, strain.data(), strain.data() + j, 0, 0, 0};
+        dehyst_state state{{loop.w, cart.data()}, strain.data(), 0, 0, 0};
         Core::Workspace work(core.rho.size(), core.knot.size(), core.length.size(), true);
-        dehyst_compensate_run(&model.actuator, &model.step, &state, &work.workspace, w.data(), nullptr, v, n);
+        dehyst_compensate_run(&model.actuator, &state, &work.workspace, w.data(), nullptr, v, n);
         for (long t = 0; t < n; t++) refused += !(v[t] >= model.low) | !(v[t] <= model.high);
         for (long t = 1; t < n; t++) refused += !(std::fabs(v[t] - v[t - 1]) <= model.change);
         if (refused || !(std::fabs(v[0] - loop.sent) <= model.change)) return false;
@@ -215,7 +213,7 @@ struct Loop {
     // Every number that a step reads, as the core made it.
     nb::dict tables() const {
         const dehyst_model &c = model;
-        const double *phi = c.step.transition.phi, *before = c.step.transition.before, *after = c.step.transition.after;
+        const double *phi = c.step.phi, *before = c.step.before, *after = c.step.after;
         nb::dict found;
         auto put = [&](const char *name, const std::vector<double> &values) { found[name] = as_array(values); };
         put("rho", core.rho), put("kappa", core.kappa);
@@ -223,11 +221,7 @@ struct Loop {
         put("grade_knot", core.grade_knot), put("grade_value", core.grade_value), put("grade_slope", core.grade_slope);
         put("tau_voltage", core.tau_voltage), put("tau_drive", core.tau_drive);
         put("tau_slope", core.tau_slope), put("tau_inverse", core.tau_inverse);
-        const size_t j = core.stiffness.size();
-        put("creep", core.stiffness), put("decay", {decay.begin(), decay.begin() + j});
-        put("gain", {gain.begin(), gain.begin() + j});
-        put("output_gain", core.output), put("output_decay", {decay.begin() + j, decay.end()});
-        put("output_rise", {gain.begin() + j, gain.end()});
+        put("output_gain", core.output), put("output_decay", decay), put("output_rise", gain);
         put("output", {c.output.at_rest, c.output.at_once});
         put("length", core.length), put("back", core.back), put("smooth", core.smooth);
         put("tap", tap);

@@ -32,27 +32,26 @@ inline void demand_size(size_t rows, size_t columns = 1) {
 // An actuator of any parts; the C functions choose the fast path of those that it has.
 struct Core {
     std::vector<double> rho, kappa, knot, value, slope, edge, intercept, slip_stiffness;
-    std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse, stiffness;
+    std::vector<double> grade_knot, grade_value, grade_slope, tau_voltage, tau_drive, tau_slope, tau_inverse;
     std::vector<double> length, back, smooth, output;
     dehyst_actuator tables{};
 
     Core(Input rho_, Input kappa_, Input knot_, Input value_, Input grade_knot_, Input grades, Input tau_voltage_,
-         Input tau_drive_, Input stiffness_, Input inertia, Input length_, Input closing, Input smooth_,
+         Input tau_drive_, Input inertia, Input length_, Input closing, Input smooth_,
          Input output_)
         : rho(copy(rho_)), kappa(copy(kappa_)), knot(copy(knot_)), value(copy(value_)), grade_knot(copy(grade_knot_)),
           grade_slope(copy(grades)), tau_voltage(copy(tau_voltage_)), tau_drive(copy(tau_drive_)),
-          stiffness(copy(stiffness_)), length(copy(length_)), back(length.size()), smooth(copy(smooth_)),
+          length(copy(length_)), back(length.size()), smooth(copy(smooth_)),
           output(copy(output_)) {
         const size_t n = rho.size(), m = grade_knot.empty() ? 0 : grade_knot.size() - 1;
         demand_size(n + 1, m + 1), demand_size(knot.size()), demand_size(tau_voltage.size());
-        demand_size(stiffness.size()), demand_size(length.size()), demand_size(output.size());
+        demand_size(length.size()), demand_size(output.size());
         if (kappa.size() != n || value.size() != knot.size() || knot.size() < 2 || grade_slope.size() != n * m ||
             tau_voltage.size() != tau_drive.size() || closing.size() != length.size() ||
             smooth.size() != length.size() || (inertia.size() != 0 && inertia.size() != 2))
             demand(DEHYST_ERR_SIZE);
         tabulate_elements(int(n), int(m));
         tabulate_transformer(int(tau_voltage.size()));
-        tables.branches = int(stiffness.size()), tables.creep_stiffness = stiffness.data();
         tables.inertia = inertia.size() > 0;
         if (tables.inertia) tables.series = inertia(0), tables.share = inertia(1);
         demand(dehyst_smooth_tabulate(int(length.size()), length.data(), closing.data(), back.data()));
@@ -84,8 +83,8 @@ struct Core {
         tables.inverse_transformer = {k, tau_drive.data(), tau_voltage.data(), tau_inverse.data()};
     }
 
-    // In one array: the strains of creep, the elongations of smooth elements, and strains behind the elements.
-    size_t strains_size() const { return stiffness.size() + length.size() + output.size(); }
+    // In one array: the elongations of smooth elements, and strains behind the elements.
+    size_t strains_size() const { return length.size() + output.size(); }
     struct Memory {
         std::vector<double> cart, strain;
         dehyst_state state;
@@ -97,8 +96,7 @@ struct Core {
         if (own_memory->cart.size() != rho.size() ||
             own_memory->strain.size() != strains_size() || motion.size() != (tables.inertia ? 2 : 0))
             demand(DEHYST_ERR_SIZE);
-        own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(),
-                             own_memory->strain.data() + stiffness.size(), 0, 0, 0};
+        own_memory->state = {{w, own_memory->cart.data()}, own_memory->strain.data(), 0, 0, 0};
         if (tables.inertia) own_memory->state.y = motion(0), own_memory->state.rate = motion(1);
         demand(dehyst_check(&tables, &own_memory->state));
         return own_memory;
@@ -119,8 +117,8 @@ struct Core {
         Workspace(const Workspace &) = delete;
     };
 
-    // Runs of equal steps: samples bounds[r] to bounds[r + 1] take steps of row r, of which the elements read the first
-    // J coefficients; K for creep behind them follow.
+    // Runs of equal steps: samples bounds[r] to bounds[r + 1] take steps of row r; decay and gain are of creep behind the
+    // elements.
     struct Steps {
         Bounds bounds;
         Grid decay, gain, transition;
@@ -134,11 +132,12 @@ struct Core {
             if (!fit) demand(DEHYST_ERR_SIZE);
             return r;
         }
-        dehyst_step at(size_t r) const {
-            dehyst_step step{decay.data() + r * decay.shape(1), gain.data() + r * gain.shape(1), {}};
-            if (const double *row = transition.data() + 8 * r; transition.shape(1) == 8)
-                step.transition = {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
-            return step;
+        const double *decay_of(size_t r) const { return decay.data() + r * decay.shape(1); }
+        const double *gain_of(size_t r) const { return gain.data() + r * gain.shape(1); }
+        dehyst_transition at(size_t r) const {
+            if (transition.shape(1) != 8) return {};
+            const double *row = transition.data() + 8 * r;
+            return {{row[0], row[1], row[2], row[3]}, {row[4], row[5]}, {row[6], row[7]}};
         }
         long first(size_t r) const { return long(bounds(r)); }
         long length(size_t r) const { return long(bounds(r + 1) - bounds(r)); }
@@ -156,7 +155,7 @@ struct Core {
                        Input cart, Input strain, Input motion, bool stack) const {
         auto own_memory = memory(w, cart, strain, motion);
         const Steps steps{bounds, decay, gain, transition};
-        const size_t n = in.size(), count = steps.size(n, stiffness.size() + output.size(), tables.inertia);
+        const size_t n = in.size(), count = steps.size(n, output.size(), tables.inertia);
         if (extra.size() != 0 && extra.size() != n) demand(DEHYST_ERR_SIZE);
         Output out = room<Output>(n);
         const double *source = in.data(), *added = extra.size() ? extra.data() : nullptr;
@@ -164,9 +163,8 @@ struct Core {
             nb::gil_scoped_release release;
             Workspace work(rho.size(), knot.size(), length.size(), stack);
             for (size_t r = 0; r < count; r++) {
-                const dehyst_step step = steps.at(r);
                 const long first = steps.first(r);
-                dehyst_compensate_run(&tables, &step, &own_memory->state, &work.workspace, source + first,
+                dehyst_compensate_run(&tables, &own_memory->state, &work.workspace, source + first,
                                        added ? added + first : nullptr, out.data() + first, steps.length(r));
             }
         }
@@ -177,7 +175,7 @@ struct Core {
                      Input strain, Input motion, bool stack) const {
         auto own_memory = memory(w, cart, strain, motion);
         const Steps steps{bounds, decay, gain, transition};
-        const size_t n = in.size(), count = steps.size(n, stiffness.size() + output.size(), tables.inertia);
+        const size_t n = in.size(), count = steps.size(n, output.size(), tables.inertia);
         if (load.size() != 0 && load.size() != n) demand(DEHYST_ERR_SIZE);
         Output out = room<Output>(n);
         const double *source = in.data(), *force = load.size() ? load.data() : nullptr;
@@ -185,7 +183,7 @@ struct Core {
             nb::gil_scoped_release release;
             Workspace work(rho.size(), knot.size(), length.size(), stack);
             for (size_t r = 0; r < count; r++) {
-                const dehyst_step step = steps.at(r);
+                const dehyst_transition step = steps.at(r);
                 const long first = steps.first(r);
                 dehyst_simulate_run(&tables, &step, &own_memory->state, &work.workspace, source + first,
                                      force ? force + first : nullptr, out.data() + first, steps.length(r));

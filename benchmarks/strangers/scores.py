@@ -177,7 +177,7 @@ def _figure(row: dict[str, Any], key: str) -> float:
 
 def false_parts(actuator: Actuator, case: Case, delay: float) -> list[str]:
     """Return the parts that move in time and that neither the truth nor the disturbance has."""
-    creep = actuator.creep is not None or actuator.displacement_creep is not None
+    creep = actuator.displacement_creep is not None
     present = {"resonance": actuator.dynamics is not None, "delay": delay > SHORTEST_DELAY, "creep": creep}
     return [part for part, there in present.items() if there and part not in case.parts]
 

@@ -94,11 +94,11 @@ typedef struct dehyst_loop {
     unsigned long limited, slewed, refused; /* numbers of committed samples */
 } dehyst_loop;
 
-/* Numbers of the memory of a loop: carts of n elements, twice, strains of j creep branches, elongations of l smooth
- * elements, strains of k branches of creep behind them, and the last t wanted displacements. */
-#define DEHYST_MEMORY(n, j, l, k, t) ((2 * (n)) + (j) + (l) + (k) + (t))
+/* Numbers of the memory of a loop: carts of n elements, twice, elongations of l smooth elements, strains of k branches
+ * of creep behind them, and the last t wanted displacements. */
+#define DEHYST_MEMORY(n, l, k, t) ((2 * (n)) + (l) + (k) + (t))
 /* Bytes of a snapshot of it. */
-#define DEHYST_SNAPSHOT(n, j, l, k, t) (40 + (8 * (11 + (n) + (j) + (l) + (k) + (t))))
+#define DEHYST_SNAPSHOT(n, l, k, t) (40 + (8 * (11 + (n) + (l) + (k) + (t))))
 
 /* Begin from the start of the model, at rest at the voltage that holds it, as if its displacement had always been
  * wanted. If that voltage lies outside the limits, the nearest limit counts as sent. */

@@ -72,7 +72,7 @@ typedef struct dehyst_smooth {
     const dehyst_real *stiffness; /* [L] k_l [V/m], >= 0 */
 } dehyst_smooth;
 
-/* The whole actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_j c_j d_j + sum_l k_l q_l + beta (w - y).
+/* The whole actuator: tau(v) = sum_i [psi_i(w) - psi_i(b_i)] + eta(w) + sum_l k_l q_l + beta (w - y).
  *
  * Its slip elements are `plain.slip`. With grades these give only N and the breakaway elongations; kappa is not read.
  * On each branch of the major loop the right-hand side must increase; then it increases on every branch. */
@@ -81,8 +81,6 @@ typedef struct dehyst_actuator {
     dehyst_grades grades;
     dehyst_curve transformer;           /* tau; size 0: none */
     dehyst_curve inverse_transformer;   /* the same knots, axes exchanged */
-    int branches;                       /* J >= 0 of creep */
-    const dehyst_real *creep_stiffness; /* [J] c_j [V/m], >= 0 */
     int inertia;                        /* 0: y is w, and beta and theta are not read */
     dehyst_real series;                 /* beta [V/m], >= 0 */
     dehyst_real share;                  /* theta = beta / (K + beta), K a mean slope of eta */
@@ -95,17 +93,8 @@ typedef struct dehyst_transition {
     dehyst_real phi[4], before[2], after[2];
 } dehyst_transition;
 
-/* Coefficients of a step of time, from the caller: d_j <- decay_j d_j + gain_j (w_new - w_old). For w linear in time
- * decay = exp(-dt/tau_j) and gain = (1 - decay) tau_j/dt; both are 1 for a step without duration. */
-typedef struct dehyst_step {
-    const dehyst_real *decay; /* [J] */
-    const dehyst_real *gain;  /* [J] */
-    dehyst_transition transition;
-} dehyst_step;
-
 typedef struct dehyst_state {
     dehyst_plain_state memory; /* w and the carts */
-    dehyst_real *strain;       /* [J] d_j [m] */
     dehyst_real *elongation;   /* [L] q_l [m] of smooth elements */
     dehyst_real y, rate;       /* with inertia, y and y'/omega [m] */
     dehyst_real input;         /* q [m]; a first step without duration computes it */
@@ -130,7 +119,7 @@ dehyst_status dehyst_smooth_tabulate(int n, const dehyst_real *length, const deh
 
 /* Check that a state is one that the plain actuator can be in. */
 dehyst_status dehyst_plain_check(const dehyst_plain *plain, const dehyst_plain_state *state);
-/* Check the numbers of creep, smooth elements and mass, and that a state is one that the actuator can be in. */
+/* Check the numbers of smooth elements and mass, and that a state is one that the actuator can be in. */
 dehyst_status dehyst_check(const dehyst_actuator *actuator, const dehyst_state *state);
 
 /* Return the value of a curve at x. */
@@ -170,20 +159,20 @@ typedef struct dehyst_candidate {
 
 /* Return the voltage that holds an actuator in its state. */
 dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *state);
-/* Return what creep and a mass add to the slope of the voltage over w within a step [V/m]. */
-dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_step *step);
+/* Return what a mass adds to the slope of the voltage over w within a step [V/m]. */
+dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_transition *step);
 /* Compute the voltage of a candidate; the state stays.
  * @param stiffness from dehyst_step_stiffness
  * @param candidate its w is read, the rest is the result */
-void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state,
+void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_transition *step, const dehyst_state *state,
                      dehyst_real stiffness, dehyst_candidate *candidate);
 /* Move to a candidate that was just evaluated in this state, and return the displacement y. */
-dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                           dehyst_candidate *candidate);
 /* Move by a voltage and return the displacement y. If v leads farther than can be computed, only time moves; the result
  * is then that far displacement or not a number.
  * @param stiffness from dehyst_step_stiffness */
-dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                                  dehyst_real stiffness, dehyst_real v);
 
 /* Creep in displacement, behind the elements and the mass: with m their displacement, w or y,
@@ -204,7 +193,6 @@ typedef struct dehyst_output {
 typedef struct dehyst_start {
     dehyst_real w, y, rate;        /* [m] as in dehyst_state */
     const dehyst_real *cart;       /* [N] */
-    const dehyst_real *strain;     /* [J] */
     const dehyst_real *elongation; /* [L] */
     const dehyst_real *crept;      /* [K] e_k of creep behind the elements */
 } dehyst_start;
@@ -216,7 +204,7 @@ typedef struct dehyst_start {
  * a_t = keep a_(t-1) + from_old v_(t-1) + from_new v_t. */
 struct dehyst_model {
     dehyst_actuator actuator;
-    dehyst_step step;       /* of one period */
+    dehyst_transition step; /* of one period */
     dehyst_output output;
     dehyst_real low, high;  /* limits of v [V] */
     dehyst_real change;     /* largest change of v in a period [V]; DEHYST_LARGEST: any */

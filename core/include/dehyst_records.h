@@ -54,7 +54,7 @@ void dehyst_plain_simulate_run(const dehyst_plain *plain, dehyst_plain_state *st
 /* Memory that a run of an actuator works in. Without reversals it stays on the carts. */
 typedef struct dehyst_workspace {
     dehyst_stack stack;
-    dehyst_real *value;   /* [knots of the spring] the spring, stiffened by creep and a mass */
+    dehyst_real *value;   /* [knots of the spring] the spring, stiffened by a mass */
     dehyst_real *slope;   /* [knots of the spring - 1] */
     dehyst_real *at_cart; /* [N] psi_i at the carts, with graded elements */
     int *segment;         /* [N] where the carts sit, with graded elements */
@@ -65,19 +65,18 @@ typedef struct dehyst_workspace {
  * rounding of written times. A step that is not positive is a run of its own.
  * @param time [n] */
 long dehyst_equal_steps(const dehyst_real *time, long first, long n);
-/* Take n samples at equal steps of time, w to v; these are different arrays.
+/* Take n samples, w to v; these are different arrays.
  * @param w [n]
  * @param extra_voltage [n] added to tau(v), or NULL
  * @param v [n] the result */
-void dehyst_compensate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
-                           dehyst_workspace *workspace, const dehyst_real *w, const dehyst_real *extra_voltage,
-                           dehyst_real *v, long n);
+void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_workspace *workspace,
+                           const dehyst_real *w, const dehyst_real *extra_voltage, dehyst_real *v, long n);
 /* Take n samples at equal steps of time, v to y; these are different arrays. The slopes of eta, of the elements and of
  * what moves in time must have positive sums.
  * @param v [n]
  * @param load F_ext/kc [m], [n] or NULL; not read without inertia
  * @param y [n] the result; w without inertia */
-void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                          dehyst_workspace *workspace, const dehyst_real *v, const dehyst_real *load, dehyst_real *y,
                          long n);
 /* Add creep behind the elements to a path at equal steps of time, m [n] to y [n]; these may be the same array.
@@ -88,13 +87,14 @@ void dehyst_output_simulate(const dehyst_output *output, dehyst_real *strain, de
 /* Do the inverse, y [n] to m [n]; these may be the same array. */
 void dehyst_output_compensate(const dehyst_output *output, dehyst_real *strain, dehyst_real before,
                               const dehyst_real *y, dehyst_real *m, long n);
-/* Change the strains of creep along a path of w and return them.
- * @param strain [J]
+/* Change the strains of low-passes along a path at equal steps of time and return them.
+ * @param decay, rise [K] as in dehyst_output
+ * @param strain [K]
  * @param before w before the first sample
  * @param w [n] the path
- * @param out [n J] the result, a row a sample */
-void dehyst_strains(int branches, const dehyst_step *step, dehyst_real *strain, dehyst_real before,
-                    const dehyst_real *w, dehyst_real *out, long n);
+ * @param out [n K] the result, a row a sample */
+void dehyst_strains(int branches, const dehyst_real *decay, const dehyst_real *rise, dehyst_real *strain,
+                    dehyst_real before, const dehyst_real *w, dehyst_real *out, long n);
 
 #ifdef __cplusplus
 }

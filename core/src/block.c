@@ -1,11 +1,11 @@
 /* A model and the memory of a loop as blocks of bytes, little-endian, numbers as IEEE doubles, on every processor.
  *
  * A model: a header of sixteen unsigned of 32 bits - "DHYM", format, bytes, CRC-32 of all that follows, then N, knots
- * of the spring, grades, knots of tau, J, L, taps, inertia (0 or 1), ahead, K and two zeros - and the numbers that
+ * of the spring, grades, knots of tau, zero, L, taps, inertia (0 or 1), ahead, K and two zeros - and the numbers that
  * walk_model names, in its order. Letters are those of dehyst_model.h.
  *
  * A snapshot: ten unsigned - "DHYS", format, bytes, CRC-32, shape and id of the model, samples limited, slewed,
- * refused, zero - and w, y, rate, input, sent, acting, intended [2], gain, offset, driven, carts [N], strains [J],
+ * refused, zero - and w, y, rate, input, sent, acting, intended [2], gain, offset, driven, carts [N],
  * elongations [L], strains behind the elements [K], wanted displacements [taps]. */
 #include "internal.h"
 
@@ -19,7 +19,7 @@
 /* Larger sizes are refused: products and sums of them must not overflow. */
 #define LARGEST_SIZE (1u << 24)
 
-enum { ELEMENTS, KNOTS, GRADES, BENDS, BRANCHES, SMOOTH, TAPS, INERTIA, AHEAD, OUTPUT, SIZES };
+enum { ELEMENTS, KNOTS, GRADES, BENDS, ZERO, SMOOTH, TAPS, INERTIA, AHEAD, OUTPUT, SIZES };
 
 static uint32_t crc32(uint32_t sum, const unsigned char *bytes, unsigned long size)
 {
@@ -211,13 +211,10 @@ static void walk_elements(cursor *c, dehyst_actuator *a, const uint32_t *size)
 static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const unsigned char **id_end)
 {
     dehyst_actuator *a = &m->actuator;
-    dehyst_transition *to = &m->step.transition;
+    dehyst_transition *to = &m->step;
     const unsigned char *amplifier;
     int i;
     walk_elements(c, a, size);
-    some(c, &a->creep_stiffness, size[BRANCHES]);
-    shaping(c, &m->step.decay, size[BRANCHES]);
-    shaping(c, &m->step.gain, size[BRANCHES]);
     shaping(c, &a->smooth.length, size[SMOOTH]);
     shaping(c, &a->smooth.back, size[SMOOTH]);
     some(c, &a->smooth.stiffness, size[SMOOTH]);
@@ -245,7 +242,6 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
     one(c, &m->start.y);
     one(c, &m->start.rate);
     some(c, &m->start.cart, size[ELEMENTS]);
-    some(c, &m->start.strain, size[BRANCHES]);
     some(c, &m->start.elongation, size[SMOOTH]);
     some(c, &m->start.crept, size[OUTPUT]);
 }
@@ -254,14 +250,14 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
 static uint32_t shape_of_sizes(const unsigned char *bytes)
 {
     const unsigned char *sizes = bytes + 16;
-    return crc32(crc32(0, sizes + (4 * ELEMENTS), 4), sizes + (4 * BRANCHES), 4 * (SIZES - BRANCHES));
+    return crc32(crc32(0, sizes + (4 * ELEMENTS), 4), sizes + (4 * ZERO), 4 * (SIZES - ZERO));
 }
 
 static uint64_t numbers_of(const uint32_t *size)
 {
     const uint64_t n = size[ELEMENTS], m = size[GRADES];
     return (3 * n) + (2 * (uint64_t)size[KNOTS]) + ((m > 0) ? (m + 1) : 0) + (n * m) + (2 * (uint64_t)size[BENDS]) +
-           (4 * ((uint64_t)size[BRANCHES] + size[SMOOTH] + size[OUTPUT])) + size[TAPS] + 10 + 5 + 3 + 3;
+           (4 * ((uint64_t)size[SMOOTH] + size[OUTPUT])) + size[TAPS] + 10 + 5 + 3 + 3;
 }
 
 /* Return how many numbers a block and the tables that are computed have. */
@@ -278,7 +274,7 @@ static dehyst_status read_sizes(const unsigned char *bytes, unsigned long length
     if (status != DEHYST_OK) { return status; }
     for (i = 0; i < 12; i++) {
         const uint32_t word = word_at(bytes + 16 + (4 * i));
-        if (word > ((i < SIZES) ? LARGEST_SIZE : 0)) { return DEHYST_ERR_LENGTH; }
+        if (word > (((i < SIZES) && (i != ZERO)) ? LARGEST_SIZE : 0)) { return DEHYST_ERR_LENGTH; }
         if (i < SIZES) { size[i] = word; }
     }
     if ((size[KNOTS] < 2) || (size[BENDS] == 1) || (size[TAPS] < 1) || (size[INERTIA] > 1)) { return DEHYST_ERR_SIZE; }
@@ -313,7 +309,6 @@ static dehyst_status tabulate(cursor *c, dehyst_model *m, const uint32_t *size)
     inverse->value = tau->knot;
     tau->slope = tau_slope;
     inverse->slope = tau_inverse;
-    a->branches = (int)size[BRANCHES];
     a->smooth.size = (int)size[SMOOTH];
     a->inertia = (int)size[INERTIA];
     m->output.branches = (int)size[OUTPUT];
@@ -339,9 +334,6 @@ static dehyst_status check_motion(const dehyst_model *m)
 {
     const dehyst_actuator *a = &m->actuator;
     int i;
-    for (i = 0; i < a->branches; i++) {
-        if ((m->step.decay[i] < 0) || (m->step.decay[i] > 1) || (m->step.gain[i] < 0)) { return DEHYST_ERR_SIGN; }
-    }
     for (i = 0; i < a->smooth.size; i++) {
         const dehyst_real share = a->smooth.back[i] * a->smooth.length[i];
         if (!(a->smooth.length[i] > 0) || !((share >= 0) && (share <= (1 + (8 * DEHYST_EPSILON))))) {
@@ -377,7 +369,6 @@ dehyst_status dehyst_model_load(const unsigned char *bytes, unsigned long size, 
     if (status != DEHYST_OK) { return status; }
     state.memory.y = model->start.w;
     state.memory.cart = (dehyst_real *)model->start.cart;
-    state.strain = (dehyst_real *)model->start.strain;
     state.elongation = (dehyst_real *)model->start.elongation;
     state.y = model->start.y;
     state.rate = model->start.rate;
@@ -400,7 +391,7 @@ unsigned long dehyst_model_save(dehyst_model *model, unsigned char *bytes, unsig
     sizes[KNOTS] = (uint32_t)a->plain.spring.size;
     sizes[GRADES] = (uint32_t)a->grades.size;
     sizes[BENDS] = (uint32_t)a->transformer.size;
-    sizes[BRANCHES] = (uint32_t)a->branches;
+    sizes[ZERO] = 0;
     sizes[SMOOTH] = (uint32_t)a->smooth.size;
     sizes[OUTPUT] = (uint32_t)model->output.branches;
     sizes[TAPS] = (uint32_t)model->taps;
@@ -423,8 +414,7 @@ unsigned long dehyst_model_save(dehyst_model *model, unsigned char *bytes, unsig
 static unsigned long snapshot_size(const dehyst_model *model)
 {
     const dehyst_actuator *a = &model->actuator;
-    return (unsigned long)DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, model->output.branches,
-                                          model->taps);
+    return (unsigned long)DEHYST_SNAPSHOT(a->plain.slip.size, a->smooth.size, model->output.branches, model->taps);
 }
 
 unsigned long dehyst_loop_save(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
@@ -475,7 +465,6 @@ static dehyst_status check_snapshot(const dehyst_model *model, const unsigned ch
         const dehyst_real rho = a->plain.slip.rho[k], allowance = 8 * DEHYST_EPSILON * (magnitude(w) + rho);
         if (magnitude(w - real_at(at)) > (rho + allowance)) { return DEHYST_ERR_STATE; }
     }
-    at += 8 * a->branches;
     for (k = 0; k < a->smooth.size; k++, at += 8) {
         if (magnitude(real_at(at)) > (a->smooth.length[k] * (1 + (8 * DEHYST_EPSILON)))) { return DEHYST_ERR_STATE; }
     }

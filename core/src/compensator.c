@@ -70,8 +70,7 @@ static dehyst_real nearest_allowed(const dehyst_model *model, dehyst_real v)
 unsigned long dehyst_memory_size(const dehyst_model *model)
 {
     const dehyst_actuator *a = &model->actuator;
-    return (unsigned long)DEHYST_MEMORY(a->plain.slip.size, a->branches, a->smooth.size, model->output.branches,
-                                        model->taps);
+    return (unsigned long)DEHYST_MEMORY(a->plain.slip.size, a->smooth.size, model->output.branches, model->taps);
 }
 
 /* Return the state of a loop, and put where its wanted displacements are in `inputs`; before them are the strains of
@@ -83,8 +82,7 @@ static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop,
     dehyst_state state;
     state.memory.y = loop->w;
     state.memory.cart = memory + (loop->half ? n : 0);
-    state.strain = memory + (2 * n);
-    state.elongation = state.strain + model->actuator.branches;
+    state.elongation = memory + (2 * n);
     state.y = loop->y;
     state.rate = loop->rate;
     state.input = loop->input;
@@ -121,7 +119,6 @@ static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, de
     loop->half = 0;
     for (i = 0; i < n; i++) { memory[i] = memory[n + i] = start->cart[i]; }
     state = state_of(model, loop, memory, inputs);
-    for (i = 0; i < a->branches; i++) { state.strain[i] = start->strain[i]; }
     for (i = 0; i < a->smooth.size; i++) { state.elongation[i] = start->elongation[i]; }
     for (i = 0; i < model->output.branches; i++) { (*inputs)[i - model->output.branches] = start->crept[i]; }
     loop->gain = 1;

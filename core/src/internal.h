@@ -160,34 +160,6 @@ void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongati
 dehyst_real dehyst_smooth_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive,
                                 dehyst_real stiffness, dehyst_real *likely);
 
-/* Return the voltage of creep after one or two steps without motion. */
-static inline dehyst_real creep_after(const dehyst_actuator *actuator, const dehyst_step *step,
-                                      const dehyst_real *strain, int steps)
-{
-    dehyst_real sum[4];
-    int j, i;
-    sum[0] = sum[1] = sum[2] = sum[3] = 0;
-    for (j = 0; (j + 4) <= actuator->branches; j += 4) {
-        for (i = 0; i < 4; i++) {
-            const dehyst_real once = step->decay[j + i] * strain[j + i];
-            sum[i] += actuator->creep_stiffness[j + i] * ((steps > 1) ? (step->decay[j + i] * once) : once);
-        }
-    }
-    for (i = 0; j < actuator->branches; j++, i++) {
-        const dehyst_real once = step->decay[j] * strain[j];
-        sum[i] += actuator->creep_stiffness[j] * ((steps > 1) ? (step->decay[j] * once) : once);
-    }
-    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
-}
-
-/* Move creep through a step in which w moves over `by`. */
-static inline void move_creep(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_real *strain,
-                              dehyst_real by)
-{
-    int j;
-    for (j = 0; j < actuator->branches; j++) { strain[j] = (step->decay[j] * strain[j]) + (step->gain[j] * by); }
-}
-
 /* At the end of a step y = offset + gain w: return the gain. */
 static inline dehyst_real gain_of(const dehyst_actuator *actuator, const dehyst_transition *to)
 { return to->after[0] / (1 + (actuator->share * to->after[0])); }

@@ -3,16 +3,7 @@
 dehyst_status dehyst_check(const dehyst_actuator *actuator, const dehyst_state *state)
 {
     dehyst_status status = dehyst_plain_check(&actuator->plain, &state->memory);
-    int j;
     if (status != DEHYST_OK) { return status; }
-    if (actuator->branches < 0) { return DEHYST_ERR_SIZE; }
-    if ((actuator->branches > 0) && ((actuator->creep_stiffness == NULL) || (state->strain == NULL))) {
-        return DEHYST_ERR_SIZE;
-    }
-    for (j = 0; j < actuator->branches; j++) {
-        if (!is_finite(actuator->creep_stiffness[j]) || !is_finite(state->strain[j])) { return DEHYST_ERR_FINITE; }
-        if (actuator->creep_stiffness[j] < 0) { return DEHYST_ERR_SIGN; }
-    }
     status = dehyst_smooth_check(&actuator->smooth, state->elongation);
     if ((status != DEHYST_OK) || !actuator->inertia) { return status; }
     if (!is_finite(actuator->series) || !is_finite(actuator->share)) { return DEHYST_ERR_FINITE; }
@@ -24,8 +15,6 @@ dehyst_real dehyst_voltage(const dehyst_actuator *actuator, const dehyst_state *
 {
     dehyst_real drive = (actuator->grades.size > 0) ? dehyst_grades_voltage(actuator, &state->memory)
                                                     : dehyst_plain_voltage(&actuator->plain, &state->memory);
-    int j;
-    for (j = 0; j < actuator->branches; j++) { drive += actuator->creep_stiffness[j] * state->strain[j]; }
     drive += dehyst_smooth_voltage(&actuator->smooth, state->elongation);
     if (actuator->inertia) { drive += actuator->series * (state->memory.y - state->y); }
     return (actuator->inverse_transformer.size > 0) ? dehyst_curve_at(&actuator->inverse_transformer, drive) : drive;
@@ -62,36 +51,28 @@ dehyst_real dehyst_solve(const dehyst_actuator *actuator, dehyst_state *state, d
     return w;
 }
 
-dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_step *step)
-{
-    dehyst_real sum = 0;
-    int j;
-    for (j = 0; j < actuator->branches; j++) { sum += actuator->creep_stiffness[j] * step->gain[j]; }
-    return actuator->inertia ? (sum + (actuator->series * (1 - gain_of(actuator, &step->transition)))) : sum;
-}
+dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_transition *step)
+{ return actuator->inertia ? (actuator->series * (1 - gain_of(actuator, step))) : 0; }
 
 /* At the end of a step R(w) + known + stiffness (w - w_old) = tau(v): return `known`. */
-static dehyst_real known_voltage(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state)
+static dehyst_real known_voltage(const dehyst_actuator *actuator, const dehyst_transition *step,
+                                 const dehyst_state *state)
 {
-    const dehyst_transition *to = &step->transition;
-    const dehyst_real creep = creep_after(actuator, step, state->strain, 1);
-    if (!actuator->inertia) { return creep; }
-    return creep +
-           (actuator->series * (((1 - gain_of(actuator, to)) * state->memory.y) - offset_of(actuator, to, state, 0)));
+    if (!actuator->inertia) { return 0; }
+    return actuator->series *
+           (((1 - gain_of(actuator, step)) * state->memory.y) - offset_of(actuator, step, state, 0));
 }
 
-/* Move creep and a mass through a step that ends at w, and return the displacement y. */
-static dehyst_real advance(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
-                           dehyst_real before, dehyst_real w)
+/* Move a mass through a step that ends at w, and return the displacement y. */
+static dehyst_real advance(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
+                           dehyst_real w)
 {
-    const dehyst_transition *to = &step->transition;
-    move_creep(actuator, step, state->strain, w - before);
     if (!actuator->inertia) { return w; }
-    move_mass(actuator, to, state, w, offset_of(actuator, to, state, 0) + (gain_of(actuator, to) * w), 0);
+    move_mass(actuator, step, state, w, offset_of(actuator, step, state, 0) + (gain_of(actuator, step) * w), 0);
     return state->y;
 }
 
-void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state,
+void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_transition *step, const dehyst_state *state,
                      dehyst_real stiffness, dehyst_candidate *candidate)
 {
     const dehyst_plain_state *memory = &state->memory;
@@ -99,15 +80,13 @@ void dehyst_evaluate(const dehyst_actuator *actuator, const dehyst_step *step, c
     dehyst_real drive = (actuator->grades.size > 0)
                             ? dehyst_grades_look_ahead(actuator, memory, w, (by < 0) ? -1 : 1).v
                             : voltage_after(&actuator->plain, memory->cart, w, candidate->cart, &candidate->hint);
-    if ((actuator->branches > 0) || actuator->inertia) {
-        drive += known_voltage(actuator, step, state) + (stiffness * by);
-    }
+    if (actuator->inertia) { drive += known_voltage(actuator, step, state) + (stiffness * by); }
     if (actuator->smooth.size > 0) { drive += dehyst_smooth_voltage_after(&actuator->smooth, state->elongation, by); }
     candidate->v =
         (actuator->inverse_transformer.size > 0) ? dehyst_curve_at(&actuator->inverse_transformer, drive) : drive;
 }
 
-dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                           dehyst_candidate *candidate)
 {
     dehyst_real *cart = state->memory.cart;
@@ -120,16 +99,16 @@ dehyst_real dehyst_commit(const dehyst_actuator *actuator, const dehyst_step *st
     }
     if (actuator->smooth.size > 0) { dehyst_smooth_move(&actuator->smooth, state->elongation, candidate->w - before); }
     state->memory.y = candidate->w;
-    return advance(actuator, step, state, before, candidate->w);
+    return advance(actuator, step, state, candidate->w);
 }
 
-dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+dehyst_real dehyst_simulate_step(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                                  dehyst_real stiffness, dehyst_real v)
 {
-    const dehyst_real before = state->memory.y, known = known_voltage(actuator, step, state);
+    const dehyst_real known = known_voltage(actuator, step, state);
     dehyst_real likely = 1, w, y;
     if (actuator->transformer.size > 0) { v = dehyst_curve_at(&actuator->transformer, v); }
     w = dehyst_solve(actuator, state, v - known, stiffness, &likely);
-    y = advance(actuator, step, state, before, state->memory.y);
+    y = advance(actuator, step, state, state->memory.y);
     return within_reach(w) ? y : w;
 }

@@ -11,7 +11,6 @@
 #define KNOTS 6
 #define GRADES 3
 #define BENDS 4
-#define BRANCHES 3
 #define SMOOTH 2
 #define OUTPUT 2
 #define TAPS 3
@@ -52,9 +51,9 @@ typedef struct bench {
     dehyst_real grade_knot[GRADES + 1], grade_slope[(ELEMENTS + 1) * GRADES];
     dehyst_real grade_value[(ELEMENTS + 1) * (GRADES + 1)];
     dehyst_real volts[BENDS], drive[BENDS], tau[BENDS], inverse[BENDS];
-    dehyst_real creep[BRANCHES], decay[BRANCHES], gain[BRANCHES], length[SMOOTH], back[SMOOTH], smooth[SMOOTH];
+    dehyst_real length[SMOOTH], back[SMOOTH], smooth[SMOOTH];
     dehyst_real output_gain[OUTPUT], output_decay[OUTPUT], output_rise[OUTPUT], crept[OUTPUT];
-    dehyst_real tap[TAPS], cart[ELEMENTS], strain[BRANCHES], elongation[SMOOTH];
+    dehyst_real tap[TAPS], cart[ELEMENTS], elongation[SMOOTH];
     dehyst_model model;
 } bench;
 
@@ -83,15 +82,8 @@ static void give_motion(bench *b, dehyst_model *m)
 {
     const dehyst_real closing[SMOOTH] = {1, (dehyst_real)0.6};
     dehyst_actuator *a = &m->actuator;
-    fill(b->creep, BRANCHES, 0, 1);
-    fill(b->decay, BRANCHES, 0.2, 0.99);
-    fill(b->gain, BRANCHES, 0.5, 1);
     fill(b->length, SMOOTH, 0.05, 0.5);
     fill(b->smooth, SMOOTH, 0, 1);
-    a->branches = BRANCHES;
-    a->creep_stiffness = b->creep;
-    m->step.decay = b->decay;
-    m->step.gain = b->gain;
     demand(dehyst_smooth_tabulate(SMOOTH, b->length, closing, b->back) == DEHYST_OK, "smooth elements", SMOOTH);
     a->smooth.size = SMOOTH;
     a->smooth.length = b->length;
@@ -152,7 +144,6 @@ static void make(bench *b)
     for (i = 0; i < ELEMENTS; i++) b->cart[i] = (dehyst_real)0.5;
     m->start.w = m->start.y = (dehyst_real)0.5;
     m->start.cart = b->cart;
-    m->start.strain = b->strain;
     m->start.elongation = b->elongation;
     m->start.crept = b->crept;
     demand(dehyst_model_tabulate(m) == DEHYST_OK, "a model", m->taps);
@@ -214,7 +205,7 @@ static void seal(unsigned char *bytes, unsigned long size)
 
 static void load_what_was_saved(bench *b, const unsigned char *bytes, unsigned long size)
 {
-    dehyst_real got[STEPS], memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
+    dehyst_real got[STEPS], memory[DEHYST_MEMORY(ELEMENTS, SMOOTH, OUTPUT, TAPS)];
     dehyst_loop loop;
     int i;
     demand(run(bytes, size, got) == DEHYST_OK, "a sound block is refused", (long)run(bytes, size, got));
@@ -251,8 +242,8 @@ static void refuse_what_was_broken(const unsigned char *bytes, unsigned long siz
 
 static void go_on_from_snapshots(bench *b)
 {
-    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
-    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
+    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, SMOOTH, OUTPUT, TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
     const dehyst_model *m = &b->model;
     dehyst_loop loop, other;
     unsigned long size, at;
@@ -303,8 +294,8 @@ static void load(const unsigned char *bytes, unsigned long size, dehyst_real *ta
  * snapshot of another breakaway elongation is refused. */
 static void go_on_with_another_model(bench *b, unsigned char *bytes, unsigned long size)
 {
-    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)];
-    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
+    unsigned char kept[DEHYST_SNAPSHOT(ELEMENTS, SMOOTH, OUTPUT, TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, SMOOTH, OUTPUT, TAPS)], fresh[sizeof memory / sizeof *memory];
     dehyst_real *tables = room(2 * size * sizeof *tables), last;
     dehyst_model stranger, loaded;
     const dehyst_model *now = &b->model, *next = &loaded;
@@ -343,7 +334,7 @@ static void go_on_with_another_model(bench *b, unsigned char *bytes, unsigned lo
 static void feed_back(bench *b)
 {
     static const dehyst_real wild[] = {(dehyst_real)NAN, (dehyst_real)INFINITY, (dehyst_real)1e30, (dehyst_real)-1e30, 0};
-    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, TAPS)], last;
+    dehyst_real memory[DEHYST_MEMORY(ELEMENTS, SMOOTH, OUTPUT, TAPS)], last;
     const dehyst_real bound = (dehyst_real)between(0.001, 0.5), gain = (dehyst_real)between(0.001, 1);
     const double scale = between(-1, 2), share = between(0, 1), pace = between(0.01, 3);
     const dehyst_model *m = &b->model;

@@ -8,7 +8,6 @@
 
 #define ELEMENTS 12
 #define KNOTS 7
-#define BRANCHES 3
 #define SMOOTH 2
 #define OUTPUT 3
 #define SAMPLES 400
@@ -31,13 +30,12 @@ static double between(double low, double high) { return low + (high - low) * sha
 typedef struct bench {
     dehyst_real rho[ELEMENTS], kappa[ELEMENTS], knot[KNOTS], value[KNOTS], slope[KNOTS - 1];
     dehyst_real edge[ELEMENTS + 1], intercept[ELEMENTS + 1], stiffness[ELEMENTS + 1], cart[ELEMENTS], spare[ELEMENTS];
-    dehyst_real creep[BRANCHES], decay[BRANCHES], gain[BRANCHES], strain[BRANCHES];
     dehyst_real length[SMOOTH], back[SMOOTH], smooth[SMOOTH], elongation[SMOOTH];
     dehyst_real output_gain[OUTPUT], output_decay[OUTPUT], output_rise[OUTPUT], crept[OUTPUT];
     dehyst_real tap, inputs;
     dehyst_actuator actuator;
     dehyst_state state;
-    dehyst_step step;
+    dehyst_transition step;
 } bench;
 
 static void demand(int holds, const char *what, double got, double wanted)
@@ -56,11 +54,10 @@ static void demand_close(double got, double wanted, double allowance, const char
 static void point(bench *b)
 {
     b->state.memory.cart = b->cart;
-    b->state.strain = b->strain;
     b->state.elongation = b->elongation;
 }
 
-/* A random actuator at rest at y = 0.5; with creep and smooth elements if asked for. */
+/* A random actuator at rest at y = 0.5; with smooth elements if asked for. */
 static void make(bench *b, int moving)
 {
     const dehyst_real closing[SMOOTH] = {1, (dehyst_real)0.6};
@@ -91,16 +88,7 @@ static void make(bench *b, int moving)
     demand(dehyst_curve_tabulate(KNOTS, b->knot, b->value, b->slope) == DEHYST_OK, "spring", 0, 0);
     b->state.memory.y = (dehyst_real)0.5;
     point(b);
-    b->step.decay = b->decay;
-    b->step.gain = b->gain;
     if (!moving) return;
-    for (i = 0; i < BRANCHES; i++) {
-        b->creep[i] = (dehyst_real)between(0, 2);
-        b->decay[i] = (dehyst_real)exp(-between(0.01, 1));
-        b->gain[i] = (1 - b->decay[i]) / (dehyst_real)-log((double)b->decay[i]);
-    }
-    a->branches = BRANCHES;
-    a->creep_stiffness = b->creep;
     for (i = 0; i < SMOOTH; i++) {
         b->length[i] = (dehyst_real)between(0.05, 0.5);
         b->smooth[i] = (dehyst_real)between(0, 2);
@@ -237,7 +225,7 @@ static void stack_and_carts(void)
     demand_sound(&third);
 }
 
-#define MEMORY DEHYST_MEMORY(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, 1)
+#define MEMORY DEHYST_MEMORY(ELEMENTS, SMOOTH, OUTPUT, 1)
 
 /* A loop, its memory, and the model: nothing of it points to the loop, which may be copied by =. */
 typedef struct runner {
@@ -261,7 +249,6 @@ static void make_loop(bench *b, dehyst_model *m, runner *r, int moving)
     m->tap = &b->tap;
     m->start.w = m->start.y = (dehyst_real)0.5;
     m->start.cart = b->cart;
-    m->start.strain = b->strain;
     m->start.elongation = b->elongation;
     for (k = 0; k < OUTPUT; k++) {
         const double periods = exp(6 * between(0, 1));
@@ -288,7 +275,7 @@ static dehyst_real step(const dehyst_model *m, runner *r, dehyst_real u)
 static void limits_and_slew(void)
 {
     static const double nonsense[] = {NAN, INFINITY, -INFINITY, 1e300, -1e300, 1e-320};
-    unsigned char bytes[DEHYST_SNAPSHOT(ELEMENTS, BRANCHES, SMOOTH, OUTPUT, 1)];
+    unsigned char bytes[DEHYST_SNAPSHOT(ELEMENTS, SMOOTH, OUTPUT, 1)];
     bench b;
     dehyst_model m;
     runner r;

@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     )
     from dehyst.model import (
         Actuator,
-        Creep,
         DisplacementCreep,
         Dynamics,
         MaxwellSlip,
@@ -70,7 +69,7 @@ _ROOM_OF = {
         "exports": "export",
         "identification": "Fit Structure identify",
         "calibration": "calibrate",
-        "model": "Actuator Creep DisplacementCreep Dynamics MaxwellSlip Spring Stage State Thermal",
+        "model": "Actuator DisplacementCreep Dynamics MaxwellSlip Spring Stage State Thermal",
         "records": "Columns Record read write_record",
         "trust": "check compare insight update",
     }.items()
@@ -79,7 +78,7 @@ _ROOM_OF = {
 # Rooms that are attributes of the package without an import of their own.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper", "report", "virtual", "waveforms"}
 
-__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "Creep", "DehystError"]
+__all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "DehystError"]
 __all__ += ["DisplacementCreep", "Dynamics", "Feedback", "FileFormatError", "Fit", "IdentifyError", "MaxwellSlip"]
 __all__ += ["ModelError", "PathPlan", "Record", "RecordError", "Repetition", "RigError", "Snapshot", "Spring"]
 __all__ += ["Stage", "StageCompensator", "State", "Structure", "Thermal", "VoltageLimits", "__version__"]

@@ -19,7 +19,6 @@ class Core:
         grades: Array,
         tau_voltage: Array,
         tau_drive: Array,
-        stiffness: Array,
         inertia: Array,
         length: Array,
         closing: Array,

@@ -24,11 +24,10 @@ class Core:
     `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements; with
     grades, the stiffnesses are not read. `knots`, `values` (K,): the parallel spring, displacement [m] and voltage [V],
     both strictly increasing, K >= 2. Empty if there is no such part: `grade_knots` (M + 1,) [m] and `grades` (N M,)
-    [V/m], a row an element; `voltages`, `drives` (L,), the transformer tau; `creep` (J,), stiffnesses c_j [V/m] of the
-    branches; `inertia` (2,), beta [V/m] and theta; `lengths`, `closings`, `smooth` (L,), smooth elements and their
-    stiffnesses k_l [V/m], whose elongations follow the strains of creep; `output` (K,), gains g_k of creep behind the
-    elements, whose strains come last; only a loop computes this creep. Raise `ModelError` if the core refuses the
-    numbers.
+    [V/m], a row an element; `voltages`, `drives` (L,), the transformer tau; `inertia` (2,), beta [V/m] and theta;
+    `lengths`, `closings`, `smooth` (L,), smooth elements and their stiffnesses k_l [V/m]; `output` (K,), gains g_k of
+    creep behind the elements, whose strains follow the elongations; only a loop computes this creep. Raise `ModelError`
+    if the core refuses the numbers.
     """
 
     __slots__ = ("_core", "_made_from")
@@ -43,7 +42,6 @@ class Core:
         grades: Array = EMPTY,
         voltages: Array = EMPTY,
         drives: Array = EMPTY,
-        creep: Array = EMPTY,
         inertia: Array = EMPTY,
         lengths: Array = EMPTY,
         closings: Array = EMPTY,
@@ -51,7 +49,7 @@ class Core:
         output: Array = EMPTY,
     ) -> None:
         grading, tau = (grade_knots, grades), (voltages, drives)
-        self._made_from = rho, kappa, knots, values, *grading, *tau, creep, inertia, lengths, closings, smooth, output
+        self._made_from = rho, kappa, knots, values, *grading, *tau, inertia, lengths, closings, smooth, output
         try:
             self._core = compiled.Core(*self._made_from)
         except compiled.CoreError as error:
@@ -116,7 +114,7 @@ class Core:
 
 
 class CoreState(NamedTuple):
-    """A state as numbers [m]: w, carts (N,), strains, elongations and strains behind the elements (J + L + K,), motion.
+    """A state as numbers [m]: w, carts (N,), elongations and strains behind the elements (L + K,), motion.
 
     With inertia `motion` (2,) is y and y'/omega.
     """
@@ -130,8 +128,8 @@ class CoreState(NamedTuple):
 class StepCoefficients(NamedTuple):
     """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps, with those of row r.
 
-    `bounds` (R + 1,). `decay`, `gain` (R, J + K): coefficients of creep, and of creep behind the
-    elements. `transition` (R, 8) or (R, 0): coefficients of a mass: phi, before and after of `dehyst_transition`.
+    `bounds` (R + 1,). `decay`, `gain` (R, K): coefficients of creep behind the elements.
+    `transition` (R, 8) or (R, 0): coefficients of a mass: phi, before and after of `dehyst_transition`.
     """
 
     bounds: NDArray[np.int64]
@@ -180,7 +178,7 @@ def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
 def strains(
     path: Array, bounds: NDArray[np.int64], decay: Array, gain: Array, start: Array, before: float | None = None
 ) -> Array:
-    """Return the strains (n, J) of creep branches along a path (n,) that begins with the strains `start` (J,).
+    """Return the strains (n, K) of low-passes along a path (n,) that begins with the strains `start` (K,).
 
     `start` belongs to the displacement `before` the first sample, which by default equals the first sample.
     """
@@ -195,11 +193,9 @@ def output_creep(
 ) -> tuple[Array, Array]:
     """Return the path (n,) [m] with creep behind the elements, and the strains (K,) [m] at its end.
 
-    Its coefficients are the last K of `pace`. `before` [m] is the displacement without creep before the first sample,
+    Its coefficients are those of `pace`. `before` [m] is the displacement without creep before the first sample,
     at which the strains are `strains`. With `inverse`, `path` includes creep, and the result is the displacement
     without it.
     """
-    first = pace.decay.shape[1] - gains.size
-    decay, rise = (np.ascontiguousarray(table[:, first:]) for table in (pace.decay, pace.gain))
-    out, reached = checked(compiled.output_creep, path, pace.bounds, decay, rise, gains, before, strains, inverse)
+    out, reached = checked(compiled.output_creep, path, *pace[:3], gains, before, strains, inverse)
     return np.asarray(out), np.asarray(reached)

@@ -216,7 +216,7 @@ def _described(actuator: Actuator) -> _Row:
 def loop_width(actuator: Actuator) -> float:
     """Return falling minus rising displacement [m] at the middle of the voltages, on a major loop without creep."""
     low, high = actuator.voltage_range
-    fast = replace(quasistatic(actuator)._before_creep, creep=None, state=None)  # type: ignore[arg-type]
+    fast = replace(quasistatic(actuator)._before_creep, state=None)  # type: ignore[arg-type]
     begin = fast.turned(knots_of(fast)[0], rising=False, extrapolate=True)
     middle = 0.5 * (low + high)
     y = fast.simulate([low, middle, high, middle], state=begin, extrapolate=True).displacement

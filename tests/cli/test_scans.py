@@ -8,7 +8,7 @@ import plain_records
 import pytest
 from command_line import WRITTEN, rare, refused, result, run
 
-from dehyst import Actuator, Creep
+from dehyst import Actuator, DisplacementCreep
 from dehyst._io import SCAN
 from dehyst.model import evaluator_of
 from dehyst.records import read_table
@@ -23,8 +23,8 @@ def folder(tmp_path_factory):
     target = tmp_path_factory.mktemp("scans")
     plain = replace(plain_records.plant(10), limits=(-50.0, 250.0))
     plain.save(target / "model.json")
-    replace(plain, creep=Creep([0.05, 0.4], [1e6, 1.5e6])).save(target / "creep.json")
-    replace(plain, creep=Creep([5.0, 50.0], [2e5, 2e5])).save(target / "slow.json")
+    replace(plain, displacement_creep=DisplacementCreep([0.05, 0.4], [0.1, 0.15])).save(target / "creep.json")
+    replace(plain, displacement_creep=DisplacementCreep([5.0, 50.0], [0.02, 0.02])).save(target / "slow.json")
     (target / "path.csv").write_text("time_s,displacement_um\n0,2\n0.1,5\n0.2,3\n")
     assert run("scan", *TRIANGLE, "-o", "scan.csv", cwd=target)[0] == 0
     return target

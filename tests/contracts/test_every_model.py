@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from model_contract import ModelCandidate, ModelContract
 
-from dehyst import Actuator, Creep, DisplacementCreep, MaxwellSlip, Spring
+from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring
 from dehyst.model import GradedSlip, SmoothSlip, Transformer
 from dehyst.trust.baselines import Linear
 
@@ -21,7 +21,7 @@ def actuator(elements, knots, volts):
     return Actuator(MaxwellSlip(rho, kappa), Spring(knots, volts))
 
 
-CREEP = Creep([0.01, 0.3, 10.0], [1e5, 3e5, 2e5])
+CREEP = DisplacementCreep([0.01, 0.3, 10.0], [0.01, 0.03, 0.02])
 BEHIND = DisplacementCreep([0.01, 0.3, 10.0], [0.01, 0.02, 0.03])
 
 
@@ -30,7 +30,7 @@ def wider(elements, *, creep):
     rho = 5e-6 * np.arange(1, elements + 1) / elements
     slip = GradedSlip(rho, [0, 3e-6, 7e-6, 1e-5], np.outer(4e6 * rho / rho.sum(), [0.9, 1.2, 1.0]))
     bend = Transformer([0, 0.3 * VOLTS, VOLTS], [0, 0.35 * VOLTS, VOLTS])
-    return Actuator(slip, Spring([0, 1e-5], [0, 80]), transformer=bend, creep=CREEP if creep else None)
+    return Actuator(slip, Spring([0, 1e-5], [0, 80]), transformer=bend, displacement_creep=CREEP if creep else None)
 
 
 def smooth():
@@ -46,7 +46,9 @@ MODELS = [
     ModelCandidate("thousand elements", lambda: actuator(1000, [0, 2e-6, 1e-5], [0, 10, 90])),
     ModelCandidate("graded elements and a transformer", lambda: wider(10, creep=False)),
     ModelCandidate("graded elements, a transformer and creep", lambda: wider(10, creep=True)),
-    ModelCandidate("plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), creep=CREEP)),
+    ModelCandidate(
+        "plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), displacement_creep=CREEP)
+    ),
     ModelCandidate(
         "plain elements and creep in displacement",
         lambda: replace(actuator(10, [0, 1e-5], [0, 80]), displacement_creep=BEHIND),

@@ -15,7 +15,6 @@ from dehyst import (
     Bank,
     ClampWarning,
     Compensator,
-    Creep,
     DisplacementCreep,
     Dynamics,
     MaxwellSlip,
@@ -41,8 +40,7 @@ def mixed(seed, count, kinds=("plain", "creep", "tau", "both")):
         kind = kinds[int(rng.integers(len(kinds)))]
         parts = {}
         if kind in ("creep", "both"):
-            stiffness = (high - low) / np.ptp(one.spring.displacement) * rng.random(3) * 0.1
-            parts["creep"] = Creep([3e-3, 0.1, 10.0], stiffness)
+            parts["displacement_creep"] = DisplacementCreep([3e-3, 0.1, 10.0], 0.1 * rng.random(3))
         if kind in ("tau", "both"):
             volts = np.linspace(low, high, 7)
             parts["transformer"] = Transformer(volts, volts + 0.02 * (high - low) * np.sin(np.arange(7)))
@@ -99,7 +97,7 @@ def classes():
         Actuator(slip, spring, limits=low_high),
         Actuator(graded, spring, limits=low_high),
         Actuator(slip, spring, limits=low_high, smooth=SmoothSlip([3e-7], [0.8], [2e6])),
-        Actuator(slip, spring, limits=low_high, creep=Creep([0.1, 2.0], [4e5, 3e5])),
+        Actuator(slip, spring, limits=low_high, displacement_creep=DisplacementCreep([0.1, 2.0], [0.04, 0.03])),
         Actuator(slip, spring, limits=low_high, dynamics=Dynamics(79.6, 0.05)),
         Actuator(slip, spring, limits=low_high, lag=2e-3),
         Actuator(slip, spring, limits=low_high, displacement_creep=DisplacementCreep([0.1, 2.0], [0.01, 0.02])),

@@ -8,12 +8,14 @@ import plain_records
 import pytest
 from rest_states import PLANT, equilibrium
 
-from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, plan_path
+from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.control import Compensator, shortest_homing
 from dehyst.model import with_identification
 from dehyst.waveforms import Sampling
 
-CREEPING = with_identification(replace(PLANT, creep=Creep([20.0], [2e5]), limits=(0.0, 260.0)), slew_rate=200.0)
+CREEPING = with_identification(
+    replace(PLANT, displacement_creep=DisplacementCreep([20.0], [0.02]), limits=(0.0, 260.0)), slew_rate=200.0
+)
 
 
 def most_spread(actuator, homing, count, seed=0):

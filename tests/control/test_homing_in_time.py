@@ -11,7 +11,7 @@ import structured_records
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, ModelError, Spring
+from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, Spring
 from dehyst.control import shortest_homing
 from dehyst.control.planning.states import possible_states
 from dehyst.model import SmoothSlip
@@ -25,11 +25,11 @@ ORDERED = {
     for name in ("graded", "transformer", "graded, transformer")
 }
 PLAIN = replace(plain_records.plant(6), limits=LIMITS)
-CREEPING = replace(PLAIN, creep=Creep([2.0, 30.0, 200.0], [1e5, 2e5, 2e5]))
-BRANCHES = Creep([3.0, 60.0], [2e5, 2e5])
+CREEPING = replace(PLAIN, displacement_creep=DisplacementCreep([2.0, 30.0, 200.0], [0.01, 0.02, 0.02]))
+BRANCHES = DisplacementCreep([3.0, 60.0], [0.02, 0.02])
 TIMED = {
     "creep": CREEPING,
-    "all but smooth": replace(ORDERED["graded, transformer"], creep=BRANCHES, lag=0.5),
+    "all but smooth": replace(ORDERED["graded, transformer"], displacement_creep=BRANCHES, lag=0.5),
     "inertia": replace(PLAIN, dynamics=Dynamics(9.55, 0.05)),
     "inertia and a series spring": replace(CREEPING, dynamics=Dynamics(9.55, 0.05, 3e6)),
     "smooth": replace(PLAIN, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6])),
@@ -52,7 +52,7 @@ def past(actuator, seed, present):
 
 
 def replace_motion(state):
-    return type(state)(state.deformation, state.carts, state.creep, [state.deformation, 0.0], state.smooth)
+    return replace(state, motion=[state.deformation, 0.0])
 
 
 @pytest.mark.parametrize("name", ["plain", *ORDERED])
@@ -144,7 +144,12 @@ def test_refusals(options, message):
 
 
 def test_without_elements_there_is_only_creep_to_home():
-    actuator = Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), creep=Creep([5.0], [1e6]), limits=(0, 100))
+    actuator = Actuator(
+        MaxwellSlip([], []),
+        Spring([0, 1e-5], [0, 100]),
+        displacement_creep=DisplacementCreep([5.0], [0.1]),
+        limits=(0, 100),
+    )
     found = shortest_homing(actuator, hold=60.0)
     assert found.certified
 

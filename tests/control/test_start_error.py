@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rest_states import PLANT, equilibrium
 
-from dehyst import Compensator, Creep, Dynamics, ModelError, RecordError, Stage, StageCompensator, Thermal
+from dehyst import Compensator, DisplacementCreep, Dynamics, ModelError, RecordError, Stage, StageCompensator, Thermal
 from dehyst.control import PossibleStart, StartError, plan_path, wave_table
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.planning.start import model_error
@@ -21,7 +21,7 @@ LIMITS = -40.0, 260.0
 STROKE = plain_records.STROKE
 TESTED = Validity(1e-8, 1e-7, 0.0, STROKE, limits=LIMITS, speeds=(0.1, 500.0))
 PLAIN = replace(plain_records.plant(6), limits=LIMITS)
-CREEPING = replace(PLAIN, creep=Creep([2.0, 30.0, 200.0], [1e5, 2e5, 2e5]))
+CREEPING = replace(PLAIN, displacement_creep=DisplacementCreep([2.0, 30.0, 200.0], [0.01, 0.02, 0.02]))
 GRADED = replace(structured_records.plant(structured_records.STRUCTURES["graded, transformer"]).actuator, limits=LIMITS)
 ACTUATORS = {
     "plain": PLAIN,
@@ -41,7 +41,7 @@ def history(actuator, rng, present):
     state = still.simulate(turns, time=time, state=still.turned(0.5 * STROKE)).state
     if actuator.dynamics is None:
         return state
-    return type(state)(state.deformation, state.carts, state.creep, [state.deformation, 0.0])
+    return replace(state, motion=[state.deformation, 0.0])
 
 
 def way(rng, size, limits=LIMITS):

@@ -69,7 +69,7 @@ def test_parts_that_records_do_not_need_do_not_hurt(name):
     best = Structure(**chosen.actuator.provenance["structure"])
     assert held[best] < 1.1 * min(held[one] for one in PLAIN)
     assert best.creep == 0
-    assert chosen.actuator.creep is chosen.actuator.dynamics is None
+    assert chosen.actuator.displacement_creep is chosen.actuator.dynamics is None
     assert chosen.actuator.delay == 0
 
 

@@ -9,7 +9,7 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError, State, Thermal
+from dehyst import Actuator, Compensator, Dynamics, ModelError, Thermal
 from dehyst.control import following
 from dehyst.control.following import follow
 from examples import examples
@@ -108,7 +108,9 @@ def test_the_model_is_told_what_was_sent(kind, seed, slewing, size):
     motion = plant.simulate(command.voltage, time=time, stack=False, extrapolate=True)
     np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * plain_records.STROKE)
     np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * plain_records.STROKE)
-    np.testing.assert_allclose(command.state.creep, motion.state.creep, atol=1e-9 * plain_records.STROKE)
+    np.testing.assert_allclose(
+        command.state.displacement_creep, motion.state.displacement_creep, atol=1e-9 * plain_records.STROKE
+    )
     np.testing.assert_array_equal(command.displacement[~command.clamped], path[~command.clamped])
 
 
@@ -145,7 +147,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     push = plain_records.STROKE * 0.2 * (2 * np.pi * 100) ** 2
     plant = wider("all three", dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
     first = plant.compensate(path[:1], time=[0], acceleration=[push]).state
-    start = State(first.deformation, first.carts, first.creep, [path[0], 0])
+    start = replace(first, motion=[path[0], 0])
     whole = plant.compensate(path, time=time, state=start)
     command = follow(Compensator(plant, (-1e4, 1e4)), path, time=time, state=start)
     np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))
@@ -194,7 +196,7 @@ def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kin
         stepped = loop.run(part)
         np.testing.assert_allclose(stepped, plain.run(inside[at]), rtol=0, atol=1e-9)
         # No time passes before the first sample of a path ahead.
-        if not plant.creep:
+        if not plant.displacement_creep:
             np.testing.assert_allclose(command.voltage, stepped, rtol=0, atol=1e-9)
             np.testing.assert_allclose(command.state.carts, loop.state.carts, atol=1e-12 * plain_records.STROKE)
         np.testing.assert_array_equal(command.displacement, part)

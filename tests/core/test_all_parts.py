@@ -23,8 +23,8 @@ HARNESS = r"""
 #define MOST 1100
 static dehyst_real rho[MOST], kappa[MOST], knot[MOST], value[MOST], slope[MOST], edge[MOST], intercept[MOST];
 static dehyst_real stiffness[MOST], grade_knot[MOST], grade_value[MOST], grade_slope[MOST], volt[MOST], drive[MOST];
-static dehyst_real tau_slope[MOST], tau_inverse[MOST], creep[MOST], decay[MOST], gain[MOST], to[8], mass[2], motion[2];
-static dehyst_real start[MOST], cart[MOST], first[MOST], strain[MOST], path[MOST], out[4][MOST];
+static dehyst_real tau_slope[MOST], tau_inverse[MOST], to[8], mass[2], motion[2];
+static dehyst_real start[MOST], cart[MOST], path[MOST], out[4][MOST];
 static dehyst_real length[MOST], closing[MOST], back[MOST], smooth[MOST], before[MOST], elongation[MOST];
 static dehyst_real room_value[MOST], room_slope[MOST], held[MOST];
 static dehyst_real smooth_work[2 * MOST + 1];
@@ -45,16 +45,16 @@ static int read(dehyst_real *a, int n)
 int main(void)
 {
     dehyst_actuator a = {0};
-    dehyst_step pace;
+    dehyst_transition pace;
     dehyst_state state;
-    int n, m, k, l, j, q, inertia, samples, i, t, column;
-    if (scanf("%d %d %d %d %d %d %d %d", &n, &m, &k, &l, &j, &q, &inertia, &samples) != 8) return 1;
+    int n, m, k, l, q, inertia, samples, i, t, column;
+    if (scanf("%d %d %d %d %d %d %d", &n, &m, &k, &l, &q, &inertia, &samples) != 7) return 1;
     if (!read(rho, n) || !read(kappa, n) || !read(knot, k) || !read(value, k)) return 2;
     if (m > 0 && (!read(grade_knot, m + 1) || !read(grade_slope, n * m))) return 2;
-    if (!read(volt, l) || !read(drive, l) || !read(creep, j) || !read(decay, j) || !read(gain, j)) return 2;
+    if (!read(volt, l) || !read(drive, l)) return 2;
     if (!read(length, q) || !read(closing, q) || !read(smooth, q)) return 2;
     if (inertia && (!read(mass, 2) || !read(to, 8) || !read(motion, 2))) return 2;
-    if (!read(&state.memory.y, 1) || !read(start, n) || !read(first, j) || !read(before, q)) return 2;
+    if (!read(&state.memory.y, 1) || !read(start, n) || !read(before, q)) return 2;
     if (!read(path, samples)) return 2;
     a.plain.slip.size = n, a.plain.slip.rho = rho, a.plain.slip.kappa = kappa, a.plain.slip.edge = edge;
     a.plain.slip.intercept = intercept, a.plain.slip.stiffness = stiffness;
@@ -76,25 +76,22 @@ int main(void)
     }
     if (dehyst_smooth_tabulate(q, length, closing, back) != DEHYST_OK) return 8;
     a.smooth.size = q, a.smooth.length = length, a.smooth.back = back, a.smooth.stiffness = smooth;
-    a.branches = j, a.creep_stiffness = creep, a.inertia = inertia, a.series = mass[0], a.share = mass[1];
-    pace.decay = decay, pace.gain = gain;
-    for (i = 0; i < 4; i++) pace.transition.phi[i] = to[i];
-    for (i = 0; i < 2; i++) pace.transition.before[i] = to[4 + i], pace.transition.after[i] = to[6 + i];
+    a.inertia = inertia, a.series = mass[0], a.share = mass[1];
+    for (i = 0; i < 4; i++) pace.phi[i] = to[i];
+    for (i = 0; i < 2; i++) pace.before[i] = to[4 + i], pace.after[i] = to[6 + i];
     {
         const dehyst_real y = state.memory.y;
         for (column = 0; column < 4; column++) {
             dehyst_stack stack = {DEHYST_STACK_CAPACITY(MOST), 0, 1, 0, 0, 0};
             dehyst_workspace room = {stack, room_value, room_slope, held, segment, smooth_work};
             if (column < 2) room.stack.reversal = reversal;
-            state.memory.y = y, state.memory.cart = cart, state.strain = strain;
-            state.elongation = elongation;
+            state.memory.y = y, state.memory.cart = cart, state.elongation = elongation;
             state.y = motion[0], state.rate = motion[1], state.input = 0;
             for (i = 0; i < n; i++) cart[i] = start[i];
-            for (i = 0; i < j; i++) strain[i] = first[i];
             for (i = 0; i < q; i++) elongation[i] = before[i];
             if (dehyst_check(&a, &state) != DEHYST_OK) return 7;
             if (column % 2 == 0)
-                dehyst_compensate_run(&a, &pace, &state, &room, path, NULL, out[column], samples);
+                dehyst_compensate_run(&a, &state, &room, path, NULL, out[column], samples);
             else
                 dehyst_simulate_run(&a, &pace, &state, &room, out[column - 1], NULL, out[column], samples);
         }
@@ -109,8 +106,8 @@ int main(void)
 def bench(kind, seed):
     """An actuator with the parts that the kind names, its state and pace, and a path long enough to reach the stack."""
     plain = our.make_actuator(seed, 9, 9, uniform=seed % 2 == 0)
-    parts = {part: part in kind for part in ("graded", "transformer", "creep")}
-    actuator = our.make_wider(plain, seed, **parts)
+    parts = {part: part in kind for part in ("graded", "transformer")}
+    actuator = our.make_wider(plain, seed, **parts, creep=False)
     slope, stroke = actuator.spring.slopes.min(), np.ptp(actuator.spring.displacement)
     if "smooth" in kind:
         # Both closings, lengths in proportion to the stroke.
@@ -134,7 +131,7 @@ def bench(kind, seed):
 
 
 def numbers(model, held, pace, path):
-    slip, tau, creep, smooth, mass = model.slip, model.transformer, model.creep, model.smooth, model.dynamics
+    slip, tau, smooth, mass = model.slip, model.transformer, model.smooth, model.dynamics
     graded = hasattr(slip, "knots")
     arrays = [
         slip.breakaway,
@@ -144,7 +141,6 @@ def numbers(model, held, pace, path):
     ]
     arrays += [slip.knots, slip.stiffness.ravel()] if graded else []
     arrays += [tau.voltage, tau.drive] if tau else []
-    arrays += [creep.stiffness, pace.decay[0], pace.gain[0]] if creep else []
     arrays += [smooth.length, smooth.closing, smooth.stiffness] if smooth else []
     arrays += [[mass.series, mass.share(model.spring)], pace.transition[0], held.motion] if mass else []
     arrays += [[held.w], held.carts, held.strains, path]
@@ -153,7 +149,6 @@ def numbers(model, held, pace, path):
         slip.knots.size - 1 if graded else 0,
         model.spring.voltage.size,
         tau.voltage.size if tau else 0,
-        len(creep) if creep else 0,
         len(smooth) if smooth else 0,
         int(mass is not None),
         len(path),
@@ -176,16 +171,14 @@ def compile_apart(compiled, *options):
 KINDS = [
     "plain",
     "transformer",
-    "creep",
-    "transformer creep",
     "graded",
-    "graded transformer creep",
+    "graded transformer",
     "smooth",
-    "smooth graded transformer creep",
+    "smooth graded transformer",
     "mass",
-    "transformer creep mass",
-    "graded creep mass",
-    "smooth graded transformer creep mass",
+    "transformer mass",
+    "graded mass",
+    "smooth graded transformer mass",
 ]
 
 

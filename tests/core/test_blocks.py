@@ -87,7 +87,7 @@ def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
     assert loop._model_ids() == numbers != compiled_exports.KINDS["creep"]()._model_ids()
 
 
-@pytest.mark.parametrize("kind", ["slewing", "behind", "moving"])
+@pytest.mark.parametrize("kind", ["slewing", "creep", "moving"])
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning", "ignore::dehyst.control.SensorWarning")
 def test_feedback_gives_pythons_bits(tmp_path, kind):
     compiled_exports.need("gcc")

@@ -213,7 +213,7 @@ int main(void)
 """
 
 
-@pytest.mark.parametrize("kind", ["plain", "behind", "moving"])
+@pytest.mark.parametrize("kind", ["plain", "creep", "moving"])
 def test_displacement_is_that_of_the_compiled_export_to_the_bit(tmp_path, kind):
     need("gcc")
     loop = KINDS[kind]()
@@ -352,8 +352,8 @@ def test_models_that_floats_cannot_hold_are_refused():
         code(Compensator(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-20], [0, 1e25])), (0, 1)), "float")
     with pytest.raises(ModelError, match=r"breakaway elongation.*1e-50"):
         code(narrow([1e-50, 1e-6], [0, 1e-5]), "float")
-    slow = dehyst.Creep([1e-2, 1e6], [1e5, 1e5])
-    creeping = Compensator(replace(plain_records.plant(3), creep=slow), (0, 100), period=1e-3)
+    slow = dehyst.DisplacementCreep([1e-2, 1e6], [0.01, 0.01])
+    creeping = Compensator(replace(plain_records.plant(3), displacement_creep=slow), (0, 100), period=1e-3)
     with pytest.raises(ModelError, match="slow beside"):
         code(creeping, "float")
     with pytest.raises(ModelError, match=r"number.*'half'"):
@@ -361,7 +361,7 @@ def test_models_that_floats_cannot_hold_are_refused():
     for compensator in (narrow([1e-6, 1e-6 * apart], [0, 1e-5]), creeping):
         assert "piezo_rho" in code(compensator)["piezo.c"]
     with pytest.raises(ModelError, match="give the period"):
-        code(Compensator(replace(plain_records.plant(3), creep=slow), (0, 100)))
+        code(Compensator(replace(plain_records.plant(3), displacement_creep=slow), (0, 100)))
 
 
 @pytest.mark.parametrize("limits", [(0.1, 100.1), (-0.1, 150.3), (-20.7, 99.9)])

@@ -59,8 +59,8 @@ def plain_stage(**options):
 
 
 def wide_stage():
-    """Creep, graded elements and a transformer, and all parts together."""
-    kinds = ("creep", "graded, transformer", "all")
+    """Smooth elements, graded elements and a transformer, and all parts together."""
+    kinds = ("smooth", "graded, transformer", "all")
     plants = [structured_records.plant(structured_records.STRUCTURES[kind]) for kind in kinds]
     states = [one.state for one in plants]
     stage = Stage(tuple(one.actuator for one in plants), COUPLING)

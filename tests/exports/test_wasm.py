@@ -109,7 +109,7 @@ for (const wrong of [() => compensator.scale(-1), () => compensator.feedback(2, 
 """
 
 
-@pytest.mark.parametrize("kind", ["slewing", "behind"])
+@pytest.mark.parametrize("kind", ["slewing", "creep"])
 def test_feedback_is_pythons_to_the_bit(tmp_path, kind):
     compensator = KINDS[kind]()
     folder = exported(tmp_path / kind, compensator)
@@ -349,7 +349,7 @@ def test_the_types_have_every_member():
         text = wasm_module(KINDS[kind]())
         about = json.loads(text[text.index(b'{"format"') : text.index(b"}}") + 2])
         assert all(re.search(rf"^  {name}: ", types, re.MULTILINE) for name in about)
-        assert about["needsPeriod"] == (kind in ("creep", "all", "moving", "behind"))
+        assert about["needsPeriod"] == (kind in ("creep", "all", "moving"))
 
 
 def test_a_temperature_gives_the_bits_of_python(tmp_path):

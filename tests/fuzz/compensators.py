@@ -160,7 +160,9 @@ class Life:
 
     def finite(self, compensator):
         state = compensator.state
-        numbers = np.concatenate([[state.deformation], state.carts, state.creep, state.smooth, state.motion])
+        numbers = np.concatenate(
+            [[state.deformation], state.carts, state.displacement_creep, state.smooth, state.motion]
+        )
         if not np.isfinite(numbers).all():
             self.find(f"the state is not finite: {numbers}")
 
@@ -253,7 +255,7 @@ class Life:
 
 def replace_number(rng, state, bad):
     """The state with a number of it, or more than one, damaged."""
-    names = [name for name in ("carts", "creep", "motion", "smooth") if getattr(state, name).size]
+    names = [name for name in ("carts", "displacement_creep", "motion", "smooth") if getattr(state, name).size]
     if not names or rng.random() < 0.3:
         return replace(state, deformation=bad)
     name = str(rng.choice(names))

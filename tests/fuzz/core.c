@@ -80,7 +80,7 @@ typedef struct model {
     int hostile;
     double span, volts;
     dehyst_actuator actuator;
-    dehyst_step step;
+    dehyst_transition step;
 } model;
 
 static int make_plain(model *m)
@@ -135,20 +135,6 @@ static int make_transformer(model *m)
            dehyst_curve_tabulate(n, drive, v, inverse) == DEHYST_OK;
 }
 
-static void make_creep(model *m)
-{
-    const int n = 1 + below(20);
-    dehyst_real *stiffness = numbers(n), *decay = numbers(n), *gain = numbers(n);
-    int j;
-    for (j = 0; j < n; j++) {
-        const double steps = pow(10, between(-12, 6));
-        stiffness[j] = (dehyst_real)(m->volts / m->span / n * share());
-        decay[j] = (dehyst_real)exp(-steps), gain[j] = (dehyst_real)(-expm1(-steps) / steps);
-    }
-    m->actuator.branches = n, m->actuator.creep_stiffness = stiffness;
-    m->step.decay = decay, m->step.gain = gain;
-}
-
 /* One step of a mass, by many small ones. */
 static void make_inertia(model *m)
 {
@@ -165,10 +151,10 @@ static void make_inertia(model *m)
         }
     m->actuator.inertia = 1, m->actuator.series = (dehyst_real)beta, m->actuator.share = (dehyst_real)theta;
     for (c = 0; c < 2; c++) {
-        m->step.transition.phi[2 * c] = (dehyst_real)column[0][c];
-        m->step.transition.phi[2 * c + 1] = (dehyst_real)column[1][c];
-        m->step.transition.before[c] = (dehyst_real)column[2][c];
-        m->step.transition.after[c] = (dehyst_real)column[3][c];
+        m->step.phi[2 * c] = (dehyst_real)column[0][c];
+        m->step.phi[2 * c + 1] = (dehyst_real)column[1][c];
+        m->step.before[c] = (dehyst_real)column[2][c];
+        m->step.after[c] = (dehyst_real)column[3][c];
     }
 }
 
@@ -195,11 +181,10 @@ static int make_model(model *m)
     *m = nothing;
     m->hostile = chance(0.3);
     m->span = pow(10, between(-7, -3)), m->volts = pow(10, between(0, 3));
-    m->step.transition.phi[0] = m->step.transition.phi[3] = 1;
+    m->step.phi[0] = m->step.phi[3] = 1;
     if (!make_plain(m)) return 0;
     if (chance(0.3) && !make_grades(m)) return 0;
     if (chance(0.4) && !make_transformer(m)) return 0;
-    if (chance(0.4)) make_creep(m);
     if (chance(0.25)) make_inertia(m);
     return chance(0.3) ? make_smooth(m) : 1;
 }
@@ -211,14 +196,13 @@ static void make_state(const model *m, dehyst_state *state)
     const int extreme = chance(0.3);
     int i;
     state->memory.cart = numbers(slip->size);
-    state->strain = numbers(m->actuator.branches), state->elongation = numbers(m->actuator.smooth.size);
+    state->elongation = numbers(m->actuator.smooth.size);
     state->memory.y = state->y = (dehyst_real)y;
     state->rate = state->input = 0;
     for (i = 0; i < slip->size; i++) {
         const double s = extreme ? (chance(0.5) ? 1 : -1) : between(-1, 1);
         state->memory.cart[i] = (dehyst_real)(y - s * slip->rho[i]);
     }
-    for (i = 0; i < m->actuator.branches; i++) state->strain[i] = (dehyst_real)(m->span * between(-0.1, 0.1));
     for (i = 0; i < m->actuator.smooth.size; i++)
         state->elongation[i] = (dehyst_real)(m->actuator.smooth.length[i] * between(-1, 1));
 }
@@ -233,7 +217,7 @@ static int all_numbers(const dehyst_real *a, int n)
 static int is_sound(const model *m, const dehyst_state *s)
 {
     return all_numbers(&s->memory.y, 1) && all_numbers(s->memory.cart, m->actuator.plain.slip.size) &&
-           all_numbers(s->strain, m->actuator.branches) && all_numbers(s->elongation, m->actuator.smooth.size) &&
+           all_numbers(s->elongation, m->actuator.smooth.size) &&
            (!m->actuator.inertia || (all_numbers(&s->y, 1) && all_numbers(&s->rate, 1) && all_numbers(&s->input, 1)));
 }
 
@@ -267,7 +251,7 @@ static void play_records(const model *m)
     work.smooth = numbers(2 * m->actuator.smooth.size + 1);
     make_state(m, &s);
     if (dehyst_check(&m->actuator, &s) == DEHYST_OK) {
-        dehyst_compensate_run(&m->actuator, &m->step, &s, &work, y, chance(0.2) ? v : NULL, out, n);
+        dehyst_compensate_run(&m->actuator, &s, &work, y, chance(0.2) ? v : NULL, out, n);
         dehyst_simulate_run(&m->actuator, &m->step, &s, &work, v, chance(0.2) ? y : NULL, out, n);
     }
     make_state(m, &s);
@@ -294,7 +278,7 @@ static int is_sound_now(const model *m, const life *l)
     const int n = m->actuator.plain.slip.size;
     dehyst_state now;
     now.memory.y = l->loop.w, now.memory.cart = l->memory + (l->loop.half ? n : 0);
-    now.strain = l->memory + 2 * n, now.elongation = now.strain + m->actuator.branches;
+    now.elongation = l->memory + 2 * n;
     now.y = l->loop.y, now.rate = l->loop.rate, now.input = l->loop.input;
     return is_sound(m, &now);
 }
@@ -303,7 +287,7 @@ static dehyst_status begin(life *l)
 {
     const dehyst_state *s = &l->start;
     l->c.start.w = s->memory.y, l->c.start.y = s->y, l->c.start.rate = s->rate;
-    l->c.start.cart = s->memory.cart, l->c.start.strain = s->strain, l->c.start.elongation = s->elongation;
+    l->c.start.cart = s->memory.cart, l->c.start.elongation = s->elongation;
     return dehyst_loop_begin(&l->c, &l->loop, l->memory);
 }
 
@@ -344,7 +328,6 @@ static void damage(const model *m, life *l)
     dehyst_real *const one[] = {&s->memory.y, &s->y, &s->rate};
     *one[below(3)] = nonsense();
     if (m->actuator.plain.slip.size > 0 && chance(0.3)) s->memory.cart[below(m->actuator.plain.slip.size)] = nonsense();
-    if (m->actuator.branches > 0 && chance(0.3)) s->strain[below(m->actuator.branches)] = nonsense();
     if (m->actuator.smooth.size > 0 && chance(0.3)) s->elongation[below(m->actuator.smooth.size)] = nonsense();
     if (begin(l) != DEHYST_OK) {
         make_state(m, s);
@@ -358,7 +341,7 @@ static void damage(const model *m, life *l)
 static void reset_by_snapshot(const model *m, life *l)
 {
     const dehyst_actuator *a = &m->actuator;
-    const int size = DEHYST_SNAPSHOT(a->plain.slip.size, a->branches, a->smooth.size, l->c.output.branches, l->c.taps);
+    const int size = DEHYST_SNAPSHOT(a->plain.slip.size, a->smooth.size, l->c.output.branches, l->c.taps);
     unsigned char *bytes = room((size_t)size, 1);
     const int bit = below(8 * size);
     dehyst_status status;

@@ -40,7 +40,13 @@ def random_model(rng, kind):
         lengths, stiffness = span * rng.uniform(0.02, 0.5, 2), volts / span * rng.uniform(0, 0.4, 2)
         parts["smooth"] = SmoothSlip(lengths, rng.uniform(0.5, 1, 2), stiffness)
     # Its own start has no smooth elements elongated nor a mass.
-    made = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, creep=actuator.creep, **parts)
+    made = Actuator(
+        actuator.slip,
+        actuator.spring,
+        transformer=actuator.transformer,
+        displacement_creep=actuator.displacement_creep,
+        **parts,
+    )
     return replace(made, delay=10 ** rng.uniform(-6, -3)) if rng.random() < 0.2 else made
 
 

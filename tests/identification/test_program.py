@@ -18,7 +18,7 @@ from dehyst.identification.program import _neighbours, with_folds
 from dehyst.identification.regressors import epochs
 
 STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
-NAMES = tuple(name for name, structure in wide.STRUCTURES.items() if not getattr(structure, "creep", 0))
+NAMES = tuple(wide.STRUCTURES)
 
 
 @cache

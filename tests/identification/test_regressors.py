@@ -161,7 +161,7 @@ def test_pieces_of_several_records_are_stacked_and_told_apart():
     np.testing.assert_array_equal(rows.drift[rows.record == 1], taken)
 
 
-@pytest.mark.parametrize("name", ["plain", "creep", "smooth", "all"])
+@pytest.mark.parametrize("name", ["plain", "smooth", "all"])
 @pytest.mark.parametrize("cut", [0, 200])
 def test_internal_states_are_those_of_the_models_parts_along_lead_and_path(name, cut):
     plant = wide.plant(wide.STRUCTURES[name], path=wide.wandering(6, hold=8))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import strategies
 
-from dehyst import Actuator, Compensator, Creep, Dynamics, MaxwellSlip, ModelError, Spring
+from dehyst import Actuator, Compensator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, Spring
 from dehyst._validation import FARTHEST, LEAST, MOST
 from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
@@ -91,8 +91,8 @@ MAKERS = {
     "spring voltage": lambda x: Spring([0.0, 1.0], [-x, 1.0]),
     "transformer voltage": lambda x: Transformer([-x, 1.0], [0.0, 1.0]),
     "transformer drive": lambda x: Transformer([0.0, 1.0], [0.0, x]),
-    "creep time": lambda x: Creep([x], [1.0]),
-    "creep stiffness": lambda x: Creep([1.0], [x]),
+    "creep time": lambda x: DisplacementCreep([x], [0.1]),
+    "creep gain": lambda x: DisplacementCreep([1.0], [x]),
     "smooth length": lambda x: SmoothSlip([x], [1.0], [1.0]),
     "smooth stiffness": lambda x: SmoothSlip([1.0], [1.0], [x]),
     "frequency": lambda x: Dynamics(x, 0.1),
@@ -107,7 +107,7 @@ DIVIDED_BY = {
     "spring step": lambda x: Spring([0.0, x], [0.0, 1.0]),
     "spring rise": lambda x: Spring([0.0, 1.0], [0.0, x]),
     "transformer step": lambda x: Transformer([0.0, x], [0.0, 1.0]),
-    "creep time": lambda x: Creep([x], [1.0]),
+    "creep time": lambda x: DisplacementCreep([x], [0.1]),
     "smooth length": lambda x: SmoothSlip([x], [1.0], [1.0]),
     "frequency": lambda x: Dynamics(x, 0.1),
     "load stiffness": lambda x: replace(PLAIN, load_stiffness=x),
@@ -138,7 +138,7 @@ def test_limits_and_delays_whose_difference_overflows_are_refused(limits, delay)
 
 
 def test_steps_of_time_without_end_are_refused():
-    creeping = replace(PLAIN, creep=Creep([1.0], [1e5]))
+    creeping = replace(PLAIN, displacement_creep=DisplacementCreep([1.0], [0.01]))
     with pytest.raises(ModelError, match=r"time: steps \[s\]"):
         creeping.simulate([0.0, -1.0], time=[-1.7e308, 1.7e308])
     swinging = replace(PLAIN, dynamics=Dynamics(1.6e3, 0.1))

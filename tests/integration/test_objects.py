@@ -93,7 +93,7 @@ def test_repr_and_print_are_one_printable_line_without_arrays(things, name):
 def test_an_actuator_names_its_parts(kind):
     actuator = anatomy(kind)
     assert repr(actuator).count("\n") == 0
-    assert ("creep" in repr(actuator)) == (actuator.creep is not None)
+    assert ("creep" in repr(actuator)) == (actuator.displacement_creep is not None)
     assert len(actuator.summary().splitlines()) >= 3
     Page(actuator._repr_html_())
 

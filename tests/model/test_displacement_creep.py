@@ -10,7 +10,6 @@ from scipy.signal import lsim
 from dehyst import (
     ClampWarning,
     Compensator,
-    Creep,
     DisplacementCreep,
     Dynamics,
     ModelError,
@@ -26,7 +25,6 @@ PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
 CREEPING = replace(PLANT, displacement_creep=PART)
 PARTS = {
     "alone": {},
-    "creep": {"creep": Creep([0.05, 5.0], [3e5, 3e5])},
     "load": {"load_stiffness": 5e7},
     "inertia": {"dynamics": Dynamics(30, 0.03, 2e6), "load_stiffness": 5e7},
     "lag": {"lag": 0.01},
@@ -158,7 +156,6 @@ def with_scale(gain, offset=0.0):
         lambda: DisplacementCreep([0.0], [0.1]),
         lambda: DisplacementCreep([1.0], [-0.1]),
         lambda: DisplacementCreep([1.0], [1e31]),
-        lambda: replace(PLANT, displacement_creep=Creep([1.0], [1.0])),
         lambda: replace(CREEPING, state=State(0, PLANT.state.carts * 0, displacement_creep=[0.0])),
         lambda: CREEPING.simulate([0.0, 1.0]),
         lambda: Compensator(CREEPING, (0, 100)).step(0.0),

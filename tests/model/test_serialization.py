@@ -16,7 +16,6 @@ from dehyst._io import read_json, write_json
 from dehyst.identification import Outcome
 from dehyst.model import (
     Actuator,
-    Creep,
     DisplacementCreep,
     Dynamics,
     GradedSlip,
@@ -122,9 +121,8 @@ def wide():
     return Actuator(
         GradedSlip(plain.slip.breakaway, [0.0, 4e-6, 1e-5], [[2e6, 2.5e6], [1e6, 0.3]]),
         plain.spring,
-        State(1e-6, [0.95e-6, 0.8e-6], [1e-8, 0.0, -2e-9], [1.1e-6, 0.1 / 3], [1 / 3e6, -2e-6], [1e-8 / 3]),
+        State(1e-6, [0.95e-6, 0.8e-6], [1.1e-6, 0.1 / 3], [1 / 3e6, -2e-6], [1e-8 / 3]),
         transformer=Transformer([0.0, 50.0, 100.0], [0.0, 1 / 3 + 51, 100.0]),
-        creep=Creep([0.1, 1.0, 100.0], [1e5, 1 / 3, 0.0]),
         smooth=SmoothSlip([1e-6, 2e-6], [1.0, 2 / 3], [1e6 / 3, 0.0]),
         dynamics=Dynamics(2000 / 3, 0.01, 1e5 / 3),
         displacement_creep=DisplacementCreep([2.0], [0.1 / 3]),
@@ -148,7 +146,7 @@ def test_models_of_equal_numbers_are_equal(actuator):
 def test_wider_parts_come_back_exactly(tmp_path):
     actuator = wide()
     back = through_a_file(actuator, tmp_path / "a.json")
-    for part in ("slip", "spring", "transformer", "creep", "smooth", "displacement_creep", "state"):
+    for part in ("slip", "spring", "transformer", "smooth", "displacement_creep", "state"):
         for name in (field.name for field in fields(getattr(actuator, part))):
             one, two = (np.asarray(getattr(getattr(a, part), name)) for a in (actuator, back))
             assert (one.shape, one.tobytes()) == (two.shape, two.tobytes())
@@ -231,16 +229,15 @@ def test_every_value_is_of_its_kind(wrong):
         ("spring.displacement_m", [0.0, 2e-6, 1e-6]),
         ("transformer.drive_V", [0.0, 2.0, 1.0]),
         ("transformer.drive_V", [0.0, 2.0]),
-        ("creep.stiffness_V_per_m", [1.0, -1.0, 1.0]),
-        ("creep.time_constants_s", [0.0, 1.0, 2.0]),
-        ("creep.time_constants_s", [1.0]),
+        ("displacement_creep.gains", [-1.0]),
+        ("displacement_creep.time_constants_s", [0.0]),
+        ("displacement_creep.time_constants_s", [1.0, 2.0]),
         ("smooth.closing", [1.0, 0.4]),
         ("smooth.length_m", [1e-6]),
         ("state.smooth_m", [1e-9]),
         ("state.smooth_m", [2e-6, 0.0]),
         ("state.carts_m", [0.0]),
         ("state.carts_m", [1.1e-5, 1.2e-5]),
-        ("state.creep_m", [1.0]),
         ("state.deformation_m", 2e-5),
         ("dynamics.damping", -1.0),
         ("load_stiffness_N_per_m", 0.0),
@@ -262,7 +259,6 @@ def test_impossible_numbers_are_refused(where, value):
     ("where", "value"),
     [
         ("slip.stiffness_V_per_m", [[1.0, 1e30], [1.0, 1.0]]),
-        ("creep.stiffness_V_per_m", [1.0, 1e30, 1.0]),
         ("smooth.stiffness_V_per_m", [1.0, 1e21]),
         ("dynamics.series_V_per_m", 1e30),
         ("load_stiffness_N_per_m", 1e29),

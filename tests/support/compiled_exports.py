@@ -102,22 +102,17 @@ def plain(elements=10, *, slew=None, period=None):
     return Compensator(actuator, LIMITS, slew, period=period, state=actuator.turned(0.3 * plain_records.STROKE))
 
 
-def wider(kind, *, moving=False):
-    """One of a wider class; moving: with a mass, a delay and a lag, which it makes up for."""
+def wider(kind, *, moving=False, creeping=False):
+    """One of a wider class; moving: with a mass, a delay and a lag, which it makes up for; creeping begins strained."""
     made = structured_records.plant(structured_records.STRUCTURES[kind])
-    period, actuator = 1 / structured_records.RATE, made.actuator
+    period, actuator, state = 1 / structured_records.RATE, made.actuator, made.state
+    if creeping:
+        creep = DisplacementCreep([0.01, 0.2, 3.0], [0.01, 0.02, 0.03])
+        actuator = replace(actuator, displacement_creep=creep)
+        state = replace(state, displacement_creep=[1e-7, -2e-7, 3e-7])
     if moving:
         actuator = replace(actuator, dynamics=Dynamics(5, 0.1, 2e6), lag=0.01, delay=0.012)
-    return Compensator(actuator, LIMITS, 5e3, period=period, state=None if moving else made.state, preview=moving)
-
-
-def creeping_behind():
-    """One of a wider class with creep in displacement, which begins strained."""
-    made = wider("graded, transformer")
-    creep = DisplacementCreep([0.01, 0.2, 3.0], [0.01, 0.02, 0.03])
-    actuator = replace(made.actuator, displacement_creep=creep)
-    state = replace(made._initial_state, displacement_creep=[1e-7, -2e-7, 3e-7])
-    return Compensator(actuator, LIMITS, 5e3, period=made.period, state=state)
+    return Compensator(actuator, LIMITS, 5e3, period=period, state=None if moving else state, preview=moving)
 
 
 def spread(compensator):
@@ -234,10 +229,9 @@ KINDS = {
     "plain": plain,
     "slewing": lambda: plain(slew=2e4, period=1e-3),
     "graded": lambda: wider("graded, transformer"),
-    "creep": lambda: wider("creep"),
-    "all": lambda: wider("all"),
-    "moving": lambda: wider("all", moving=True),
-    "behind": creeping_behind,
+    "creep": lambda: wider("graded, transformer", creeping=True),
+    "all": lambda: wider("all", creeping=True),
+    "moving": lambda: wider("all", moving=True, creeping=True),
 }
 TOOLS = {
     "gcc": "the exported C cannot be compiled",

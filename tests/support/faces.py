@@ -4,7 +4,7 @@ FACES = {
     name: text.split()
     for name, text in {
         "dehyst": """
-            Actuator Bank ClampWarning Columns Compensator Creep DehystError DisplacementCreep
+            Actuator Bank ClampWarning Columns Compensator DehystError DisplacementCreep
             Dynamics Feedback FileFormatError Fit IdentifyError MaxwellSlip ModelError
             PathPlan Record RecordError Repetition RigError Snapshot
             Spring Stage
@@ -38,7 +38,7 @@ FACES = {
             host_timed open_rig
         """,
         "model": """
-            AbstractModel Actuator Creep DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
+            AbstractModel Actuator DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion
             Physical Promise SmoothSlip Spring Stage State Thermal Transformer promised simulated
         """,
         "records": """

@@ -25,7 +25,9 @@ SLOW = dehyst.Dynamics(12, 0.4, 2e6)
 
 
 def _all_parts(**more):
-    return replace(structured_records.plant(structured_records.STRUCTURES["all"]).actuator, name="every part", **more)
+    actuator = structured_records.plant(structured_records.STRUCTURES["all"]).actuator
+    creep = dehyst.DisplacementCreep([0.01, 0.2, 3.0], [0.01, 0.02, 0.03])
+    return replace(actuator, name="every part", displacement_creep=creep, **more)
 
 
 def compensators():

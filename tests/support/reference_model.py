@@ -115,7 +115,7 @@ def line(x, knots, values):
 class Wide:
     """Graded elements, transformer and creep, one sample at a time; a plain element is one that has one grade.
 
-    Creep is told by its low-passes z_j, d_j = y - z_j; a displacement is found by bisection.
+    Creep is told by its low-passes z_k of y, the displacement before creep, which is found by bisection.
     """
 
     def __init__(self, actuator, state):
@@ -123,10 +123,10 @@ class Wide:
         self.rho, self.spring, self.tau = slip.breakaway, actuator.spring, actuator.transformer
         self.knots = getattr(slip, "knots", np.array([0.0, 1.0]))
         self.grades = slip.stiffness.reshape(len(slip), self.knots.size - 1)
-        creep = actuator.creep
-        self.times, self.c = (creep.time_constants, creep.stiffness) if creep else (np.zeros(0), np.zeros(0))
+        creep = actuator.displacement_creep
+        self.times, self.gains = (creep.time_constants, creep.gains) if creep else (np.zeros(0), np.zeros(0))
         self.y, self.carts = state.deformation, np.array(state.carts)
-        self.z = self.y - (np.array(state.creep) if state.creep.size else np.zeros(self.c.size))
+        self.z = self.y - (state.displacement_creep if state.displacement_creep.size else np.zeros(self.gains.size))
 
     def psi(self, i, z):
         rises = self.grades[i] * np.diff(self.knots)
@@ -139,11 +139,21 @@ class Wide:
         part = -np.expm1(-dt / self.times)
         return self.z + (self.y - self.z) * part + (y - self.y) / dt * (dt - self.times * part)
 
-    def drive(self, y, dt):
+    def crept(self, y, dt):
+        """The displacement with creep after a step."""
+        return y + float(self.gains @ self.low_passes(y, dt))
+
+    def without_creep(self, u, dt):
+        """The y of which `crept` is u; it is linear in y."""
+        still = self.crept(self.y, dt)
+        follows = 1 - self.times / dt * -np.expm1(-dt / self.times) if dt else np.zeros(self.gains.size)
+        return self.y + (u - still) / (1 + float(self.gains @ follows))
+
+    def drive(self, y):
         held = line(y, self.spring.displacement, self.spring.voltage)
         for i, cart in enumerate(np.clip(self.carts, y - self.rho, y + self.rho)):
             held += self.psi(i, y) - self.psi(i, cart)
-        return held + float(self.c @ (y - self.low_passes(y, dt)))
+        return held
 
     def commit(self, y, dt):
         self.z = self.low_passes(y, dt)
@@ -151,8 +161,9 @@ class Wide:
 
     def compensate(self, path, time):
         voltages = []
-        for y, dt in zip(path, np.diff(time, prepend=time[:1]), strict=True):
-            drive = self.drive(y, dt)
+        for u, dt in zip(path, np.diff(time, prepend=time[:1]), strict=True):
+            y = self.without_creep(u, dt)
+            drive = self.drive(y)
             voltages.append(drive if self.tau is None else line(drive, self.tau.drive, self.tau.voltage))
             self.commit(y, dt)
         return np.array(voltages)
@@ -162,12 +173,12 @@ class Wide:
         for v, dt in zip(voltages, np.diff(time, prepend=time[:1]), strict=True):
             drive = v if self.tau is None else line(v, self.tau.voltage, self.tau.drive)
             low, high = self.y - reach, self.y + reach
-            while self.drive(low, dt) > drive:
+            while self.drive(low) > drive:
                 low -= reach
-            while self.drive(high, dt) < drive:
+            while self.drive(high) < drive:
                 high += reach
             while low < (middle := 0.5 * (low + high)) < high:
-                low, high = (middle, high) if self.drive(middle, dt) < drive else (low, middle)
+                low, high = (middle, high) if self.drive(middle) < drive else (low, middle)
+            path.append(self.crept(high, dt))
             self.commit(high, dt)
-            path.append(high)
         return np.array(path)

@@ -7,7 +7,7 @@ and lets an example shrink to few elements, few knots and a short path of a name
 import numpy as np
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Creep, MaxwellSlip, Spring, State
+from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring, State
 from dehyst.model import GradedSlip, Transformer
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -164,7 +164,7 @@ def make_wider(actuator, seed, *, graded, transformer, creep):
         parts["transformer"] = Transformer(at, at[0] + np.append(0, np.cumsum(rises)))
     if creep:
         j = int(rng.integers(1, 20))
-        parts["creep"] = Creep(10 ** rng.uniform(-3, 3, j), rng.exponential(volts / span / j, j))
+        parts["displacement_creep"] = DisplacementCreep(10 ** rng.uniform(-3, 3, j), rng.exponential(0.2 / j, j))
     return Actuator(slip, spring, **parts)
 
 
@@ -189,10 +189,10 @@ def wider_motions(draw, parts=None, max_elements=20, states=STATE_KINDS, max_sam
     named = dict(zip(("graded", "transformer", "creep"), flags, strict=True)) | (parts or {})
     actuator = make_wider(plain, seed, **named)
     state = make_state(plain, seed, draw(st.sampled_from(states)))
-    if actuator.creep is not None:
+    if actuator.displacement_creep is not None:
         rng = np.random.default_rng([seed, 6])
-        strains = 0.1 * span_of(plain) * rng.normal(size=len(actuator.creep)) * rng.choice([0, 1])
-        state = State(state.deformation, state.carts, strains)
+        strains = 0.1 * span_of(plain) * rng.normal(size=len(actuator.displacement_creep)) * rng.choice([0, 1])
+        state = State(state.deformation, state.carts, displacement_creep=strains)
     path = make_path(
         plain, state.deformation, seed, draw(st.sampled_from(PATH_KINDS)), draw(st.integers(0, max_samples))
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import plain_records
 
-from dehyst import Actuator, Creep, MaxwellSlip, Record, Spring, State
+from dehyst import Actuator, MaxwellSlip, Record, Spring, State
 from dehyst.identification import Structure
 from dehyst.identification.frame import Frame
 from dehyst.identification.motion import Motion
@@ -72,27 +72,12 @@ class Plant:
         return Solution(kappa, actuator.spring.slopes, smooth, rises, offsets, {}, unknowns, None, None)
 
 
-@dataclass(frozen=True)
-class CreepingStructure(Structure):
-    """A structure with branches of creep as a force, which models have and identifications do not find."""
-
-    creep: int = 0
-
-    def grid(self, span, voltages, times=(1 / RATE, 10.0)):
-        branches = np.geomspace(3 * times[0], times[1], self.creep)
-        return replace(super().grid(span, voltages), time_constants=branches)
-
-
 def plant(structure, seed=0, path=None):
     """An actuator of a structure; every branch rises by a fifth of the mean slope at least."""
     rng = np.random.default_rng([seed, 7])
     y = wandering() if path is None else path
-    creep = getattr(structure, "creep", 0)
-    times = ((1 / RATE, (y.size - 1) / RATE),) if creep else ()
-    grid = structure.grid((0.0, plain_records.STROKE), (0.0, plain_records.VOLTS), *times)
+    grid = structure.grid((0.0, plain_records.STROKE), (0.0, plain_records.VOLTS))
     parts = {"slip": _slip(grid, rng), "spring": _spring(grid, rng)}
-    if creep:
-        parts["creep"] = Creep(grid.time_constants, 0.1 * SLOPE * rng.uniform(0.2, 1, creep))
     if structure.smooth:
         share = 0.05 * plain_records.VOLTS * rng.uniform(0.2, 1, grid.lengths.size)
         parts["smooth"] = SmoothSlip(grid.lengths, grid.closings, share / grid.lengths / grid.lengths.size)
@@ -102,7 +87,7 @@ def plant(structure, seed=0, path=None):
     if structure.transformer:
         drive = actuator.compensate(y, time=np.arange(y.size) / RATE, state=state).voltage
         ends = float(drive.min()), float(drive.max())
-        grid = structure.grid((0.0, plain_records.STROKE), ends, *times)
+        grid = structure.grid((0.0, plain_records.STROKE), ends)
         actuator = replace(actuator, transformer=_transformer(grid, rng), state=state)
     return Plant(actuator, y, state, grid)
 
@@ -129,19 +114,11 @@ def _transformer(grid, rng):
 
 def moved_along(grid, piece, lead):
     """What `dehyst.identification.regressors.internal_states` returns, by the parts of a model."""
-    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
-    time, y = piece.time, piece.displacement
-    if lead is not None and lead.time[-1] < time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
-        time, y = np.concatenate([lead.time, time]), np.concatenate([lead.displacement, y])
-    columns = [np.zeros((time.size, 0))]
-    if len(creep):
-        columns.append(creep.strains(time, y))
-    if len(smooth):
-        columns.append(smooth.elongations(y))
-    if len(creep):
-        columns.append(np.exp(-(time[:, None] - time[0]) / grid.time_constants))
-    return np.hstack(columns)[-len(piece) :]
+    y = piece.displacement
+    if lead is not None and lead.time[-1] < piece.time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
+        y = np.concatenate([lead.displacement, y])
+    return smooth.elongations(y)[-len(piece) :] if len(smooth) else np.zeros((len(piece), 0))
 
 
 def program(grid, records, *, leads=()):
@@ -153,7 +130,7 @@ def program(grid, records, *, leads=()):
 
 def _rough(**parts):
     """A structure whose neighbours may be as unlike as a random actuator's are: only so is that one met exactly."""
-    return (CreepingStructure if "creep" in parts else Structure)(smoothing=0.0, **parts)
+    return Structure(smoothing=0.0, **parts)
 
 
 STRUCTURES = {
@@ -161,10 +138,9 @@ STRUCTURES = {
     "dense": _rough(elements=10, spacing=2.0, knots=7),
     "graded": _rough(elements=6, grades=3, knots=7),
     "transformer": _rough(elements=8, knots=7, transformer=6),
-    "creep": _rough(elements=8, knots=7, creep=4),
     "smooth": _rough(elements=8, knots=7, smooth=True),
     "graded, transformer": _rough(elements=6, grades=3, knots=7, transformer=5),
-    "all": _rough(elements=6, grades=3, knots=7, transformer=5, creep=3, smooth=True),
+    "all": _rough(elements=6, grades=3, knots=7, transformer=5, smooth=True),
 }
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dehyst import Actuator, Creep, Dynamics, MaxwellSlip, Spring
+from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, Spring
 from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 STROKE, VOLTS = 16e-6, 200.0
@@ -18,7 +18,7 @@ PARTS = {
     "plain": {},
     "transformer": {"transformer": Transformer([0.0, 0.5 * VOLTS, VOLTS], [0.0, 0.4 * VOLTS, VOLTS])},
     "graded": {"slip": GradedSlip(_RHO, _GRADES, np.full((5, 2), 0.06 * _SLOPE) * [1.0, 0.9])},
-    "creep": {"creep": Creep([0.02, 0.5], [0.03 * _SLOPE, 0.03 * _SLOPE])},
+    "creep": {"displacement_creep": DisplacementCreep([0.02, 0.5], [0.03, 0.03])},
     "smooth": {"smooth": SmoothSlip([0.1 * STROKE], [0.5], [0.05 * _SLOPE])},
     "inertia": {"dynamics": Dynamics(1000.0 / np.pi, 0.05)},
     "lag": {"lag": 1e-4},

@@ -20,7 +20,7 @@ from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, wave_table
 from dehyst.control.following import follow
-from dehyst.model import Creep, Dynamics, Stage, with_identification
+from dehyst.model import DisplacementCreep, Dynamics, Stage, with_identification
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of
 
@@ -79,7 +79,7 @@ def random_actuator(rng):
         flags = {"graded": kind == "graded", "transformer": kind == "transformer", "creep": False}
         actuator = strategies.make_wider(actuator, seed, **flags)
     if kind == "creep":
-        more["creep"] = Creep([0.05, 1.0], np.full(2, 0.2 * volts / span))
+        more["displacement_creep"] = DisplacementCreep([0.05, 1.0], np.full(2, 0.02))
     if kind == "dynamics":
         more["dynamics"] = Dynamics(rng.uniform(50, 500), rng.uniform(0.05, 1))
     if kind == "lag":

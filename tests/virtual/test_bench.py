@@ -14,7 +14,7 @@ from truths import BoucWenActuator, ModelledActuator, PreisachActuator
 
 from dehyst import Actuator, DehystError, ModelError
 from dehyst.instruments import DeviceError
-from dehyst.model import Creep, Dynamics
+from dehyst.model import DisplacementCreep, Dynamics
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.virtual.bench import Extremes
 
@@ -261,7 +261,10 @@ def test_extremes_count_steps_by_the_time_between_them():
 def test_a_model_of_time_is_driven_on_from_its_state():
     actuator = plant()
     wide = Actuator(
-        actuator.slip, actuator.spring, creep=Creep([0.1, 10.0], [2e7, 2e7]), dynamics=Dynamics(318.0, 0.05)
+        actuator.slip,
+        actuator.spring,
+        displacement_creep=DisplacementCreep([0.1, 10.0], [2, 2]),
+        dynamics=Dynamics(318.0, 0.05),
     )
     at, voltage = 1e-3 * np.arange(1, 801), cosine(samples=400)[:800]
     whole = ModelledActuator(wide).play(voltage, time=at)

@@ -3,8 +3,6 @@
 
 /* Samples of one block: few enough to stay in the nearest cache and on a small processor's stack. */
 #define BLOCK 64
-/* Branches of creep that are moved together: constant, so that a compiler keeps them in its vector registers. */
-#define LANES 8
 /* Runs shorter than this are not worth a stack of reversals. */
 #define SHORT 12
 
@@ -28,45 +26,6 @@ static void map(const dehyst_curve *curve, dehyst_real *a, long n)
     }
 }
 
-/* Move LANES branches through n steps of w and add their voltages. */
-static void creep_together(const dehyst_real *stiffness, const dehyst_real *decay, const dehyst_real *gain,
-                           dehyst_real *strain, const dehyst_real *move, dehyst_real *drive, int n)
-{
-    dehyst_real c[LANES], a[LANES], g[LANES], d[LANES], voltage[LANES];
-    int j, t;
-    for (j = 0; j < LANES; j++) {
-        c[j] = stiffness[j];
-        a[j] = decay[j];
-        g[j] = gain[j];
-        d[j] = strain[j];
-    }
-    for (t = 0; t < n; t++) {
-        const dehyst_real by = move[t];
-        for (j = 0; j < LANES; j++) d[j] = a[j] * d[j] + g[j] * by;
-        for (j = 0; j < LANES; j++) voltage[j] = c[j] * d[j];
-        drive[t] += ((voltage[0] + voltage[4]) + (voltage[2] + voltage[6])) +
-                    ((voltage[1] + voltage[5]) + (voltage[3] + voltage[7]));
-    }
-    for (j = 0; j < LANES; j++) strain[j] = d[j];
-}
-
-static void creep(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_real *strain,
-                  const dehyst_real *move, dehyst_real *drive, int n)
-{
-    int j = 0, t;
-    for (; j + LANES <= actuator->branches; j += LANES)
-        creep_together(actuator->creep_stiffness + j, step->decay + j, step->gain + j, strain + j, move, drive, n);
-    for (; j < actuator->branches; j++) {
-        const dehyst_real c = actuator->creep_stiffness[j], a = step->decay[j], g = step->gain[j];
-        dehyst_real d = strain[j];
-        for (t = 0; t < n; t++) {
-            d = a * d + g * move[t];
-            drive[t] += c * d;
-        }
-        strain[j] = d;
-    }
-}
-
 /* Compute the voltages of the elements and the spring along the path w. */
 static void slip_and_spring(const dehyst_actuator *actuator, dehyst_plain_state *memory, dehyst_workspace *workspace,
                             const dehyst_real *w, dehyst_real *drive, long n)
@@ -80,83 +39,57 @@ static void slip_and_spring(const dehyst_actuator *actuator, dehyst_plain_state 
         for (t = 0; t < n; t++) drive[t] = dehyst_plain_compensate(&actuator->plain, memory, w[t]);
 }
 
-void dehyst_compensate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
-                           dehyst_workspace *workspace, const dehyst_real *w, const dehyst_real *extra_voltage,
-                           dehyst_real *v, long n)
+void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_workspace *workspace,
+                           const dehyst_real *w, const dehyst_real *extra_voltage, dehyst_real *v, long n)
 {
-    dehyst_real move[BLOCK], present = state->memory.y;
-    long first, t;
+    const dehyst_real begin = state->memory.y;
+    long t;
     slip_and_spring(actuator, &state->memory, workspace, w, v, n);
-    if (actuator->smooth.size > 0) dehyst_smooth_compensate(&actuator->smooth, state->elongation, present, w, v, n);
-    for (first = 0; first < n; first += BLOCK) {
-        const int count = n - first < BLOCK ? (int)(n - first) : BLOCK;
-        if (actuator->branches > 0) {
-            for (t = 0; t < count; t++) {
-                const dehyst_real goal = is_finite(w[first + t]) ? w[first + t] : present;
-                move[t] = goal - present;
-                present = goal;
-            }
-            creep(actuator, step, state->strain, move, v + first, count);
-        }
-        if (extra_voltage != NULL)
-            for (t = first; t < first + count; t++) v[t] += extra_voltage[t];
-        if (actuator->inverse_transformer.size > 0) map(&actuator->inverse_transformer, v + first, count);
-    }
+    if (actuator->smooth.size > 0) dehyst_smooth_compensate(&actuator->smooth, state->elongation, begin, w, v, n);
+    if (extra_voltage != NULL)
+        for (t = 0; t < n; t++) v[t] += extra_voltage[t];
+    if (actuator->inverse_transformer.size > 0) map(&actuator->inverse_transformer, v, n);
 }
 
 /* The equations at the end of a step: R(w) + known + stiffness (w - w_old) = tau(v), R the voltage of the elements and
- * the spring, and y = offset + gain w. The voltage of creep after the next step without motion is
- * `after` + carry (w - w_old): computed before w is known, it does not wait for it. */
+ * the spring, and y = offset + gain w. Without inertia all are 0. */
 typedef struct step_terms {
-    dehyst_real stiffness, gain, carry, creep, after, known, offset;
+    dehyst_real stiffness, gain, known, offset;
 } step_terms;
 
-static step_terms step_terms_of(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state)
+static step_terms step_terms_of(const dehyst_actuator *actuator, const dehyst_transition *step)
 {
-    step_terms terms = {0, 0, 0, 0, 0, 0, 0};
-    int j;
-    for (j = 0; j < actuator->branches; j++) {
-        terms.stiffness += actuator->creep_stiffness[j] * step->gain[j];
-        terms.carry += actuator->creep_stiffness[j] * (step->decay[j] * step->gain[j]);
-    }
-    terms.creep = creep_after(actuator, step, state->strain, 1);
+    step_terms terms = {0, 0, 0, 0};
     if (actuator->inertia) {
-        terms.gain = gain_of(actuator, &step->transition);
-        terms.stiffness += actuator->series * (1 - terms.gain);
+        terms.gain = gain_of(actuator, step);
+        terms.stiffness = actuator->series * (1 - terms.gain);
     }
     return terms;
 }
 
-static void begin_step(const dehyst_actuator *actuator, const dehyst_step *step, const dehyst_state *state,
+static void begin_step(const dehyst_actuator *actuator, const dehyst_transition *step, const dehyst_state *state,
                        dehyst_real w, dehyst_real load, step_terms *terms)
 {
-    terms->known = terms->creep;
-    terms->after = creep_after(actuator, step, state->strain, 2);
-    if (actuator->inertia) {
-        terms->offset = offset_of(actuator, &step->transition, state, load);
-        terms->known += actuator->series * ((1 - terms->gain) * w - terms->offset);
-    }
+    terms->offset = offset_of(actuator, step, state, load);
+    terms->known = actuator->series * ((1 - terms->gain) * w - terms->offset);
 }
 
-/* Move creep and a mass to the end of a step, and return the displacement y. */
-static dehyst_real end_step(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
-                            dehyst_real before, dehyst_real w, dehyst_real load, step_terms *terms)
+/* Move a mass to the end of a step, and return the displacement y. */
+static dehyst_real end_step(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
+                            dehyst_real w, dehyst_real load, const step_terms *terms)
 {
-    terms->creep = terms->after + terms->carry * (w - before);
-    move_creep(actuator, step, state->strain, w - before);
-    if (!actuator->inertia) return w;
-    move_mass(actuator, &step->transition, state, w, terms->offset + terms->gain * w, load);
+    move_mass(actuator, step, state, w, terms->offset + terms->gain * w, load);
     return state->y;
 }
 
-/* On the stack, creep and a mass are a spring beside eta: R(w) + stiffness (w - knot_0) has reversals and branches like
+/* On the stack, a mass is a spring beside eta: R(w) + stiffness (w - knot_0) has reversals and branches like
  * R. On entry y holds tau(v). Return 0, with nothing done, if the carts have no stack. */
-static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                              dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {
     const dehyst_curve *spring = &actuator->plain.spring;
     const dehyst_real base = spring->knot[0];
-    step_terms terms = step_terms_of(actuator, step, state);
+    step_terms terms = step_terms_of(actuator, step);
     dehyst_plain stiff = actuator->plain;
     dehyst_walk walk;
     int j;
@@ -173,7 +106,7 @@ static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_step 
         dehyst_real w;
         begin_step(actuator, step, state, before, force, &terms);
         w = dehyst_walk_to(&walk, y[t] - terms.known + terms.stiffness * (before - base));
-        y[t] = end_step(actuator, step, state, before, w, force, &terms);
+        y[t] = end_step(actuator, step, state, w, force, &terms);
     }
     dehyst_walk_end(&walk);
     dehyst_stack_decode(&stiff, &workspace->stack, &state->memory);
@@ -181,11 +114,10 @@ static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_step 
 }
 
 /* On entry y holds tau(v). Each element is on its cart; samples that stay on a straight segment touch none. */
-static void simulate_on_branches(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+static void simulate_on_branches(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                                  dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {
-    step_terms terms = step_terms_of(actuator, step, state);
-    const int timed = actuator->branches > 0 || actuator->inertia;
+    step_terms terms = step_terms_of(actuator, step);
     dehyst_branch branch;
     long t;
     dehyst_branch_begin(&branch, actuator, &state->memory);
@@ -193,23 +125,23 @@ static void simulate_on_branches(const dehyst_actuator *actuator, const dehyst_s
     for (t = 0; t < n; t++) {
         const dehyst_real before = branch.w, force = load != NULL ? load[t] : 0;
         dehyst_real drive = y[t], w;
-        if (timed) {
+        if (actuator->inertia) {
             begin_step(actuator, step, state, before, force, &terms);
             drive -= terms.known;
         }
         w = actuator->smooth.size > 0
                 ? dehyst_branch_solve_smooth(&branch, state, drive, terms.stiffness, workspace->smooth)
                 : dehyst_branch_solve(&branch, drive, terms.stiffness);
-        y[t] = timed ? end_step(actuator, step, state, before, w, force, &terms) : w;
+        y[t] = actuator->inertia ? end_step(actuator, step, state, w, force, &terms) : w;
     }
     dehyst_branch_end(&branch);
 }
 
 /* On entry y holds tau(v). */
-static void simulate_in_time(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+static void simulate_in_time(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                              dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {
-    step_terms terms = step_terms_of(actuator, step, state);
+    step_terms terms = step_terms_of(actuator, step);
     dehyst_real likely = 1;
     long t;
     for (t = 0; t < n; t++) {
@@ -220,15 +152,14 @@ static void simulate_in_time(const dehyst_actuator *actuator, const dehyst_step 
             return;
         begin_step(actuator, step, state, before, force, &terms);
         w = dehyst_solve(actuator, state, y[t] - terms.known, terms.stiffness, &likely);
-        y[t] = end_step(actuator, step, state, before, w, force, &terms);
+        y[t] = end_step(actuator, step, state, w, force, &terms);
     }
 }
 
-void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *step, dehyst_state *state,
+void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                          dehyst_workspace *workspace, const dehyst_real *v, const dehyst_real *load, dehyst_real *y,
                          long n)
 {
-    const int timed = actuator->branches > 0 || actuator->inertia;
     const int alone = actuator->grades.size > 0 || actuator->smooth.size > 0;
     dehyst_real likely = 1;
     long t;
@@ -236,7 +167,7 @@ void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *ste
     if (actuator->transformer.size > 0) map(&actuator->transformer, y, n);
     if (alone && n >= SHORT && workspace->stack.reversal != NULL)
         simulate_on_branches(actuator, step, state, workspace, load, y, n);
-    else if (timed)
+    else if (actuator->inertia)
         simulate_in_time(actuator, step, state, alone ? NULL : workspace, load, y, n);
     else if (!alone && workspace->stack.reversal != NULL)
         dehyst_plain_simulate_run(&actuator->plain, &state->memory, &workspace->stack, y, y, n);
@@ -244,8 +175,8 @@ void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_step *ste
         for (t = 0; t < n; t++) y[t] = dehyst_solve(actuator, state, y[t], 0, &likely);
 }
 
-void dehyst_strains(int branches, const dehyst_step *step, dehyst_real *strain, dehyst_real before,
-                    const dehyst_real *w, dehyst_real *out, long n)
+void dehyst_strains(int branches, const dehyst_real *decay, const dehyst_real *rise, dehyst_real *strain,
+                    dehyst_real before, const dehyst_real *w, dehyst_real *out, long n)
 {
     long t;
     int j;
@@ -253,7 +184,7 @@ void dehyst_strains(int branches, const dehyst_step *step, dehyst_real *strain, 
         const dehyst_real move = is_finite(w[t]) ? w[t] - before : 0;
         before += move;
         for (j = 0; j < branches; j++) {
-            strain[j] = step->decay[j] * strain[j] + step->gain[j] * move;
+            strain[j] = decay[j] * strain[j] + rise[j] * move;
             *out++ = strain[j];
         }
     }

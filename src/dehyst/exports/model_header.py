@@ -26,13 +26,11 @@ static const dehyst_model piezo_model = {{{
   {$grades, $graded},
   {$bends, $transformer},
   {$bends, $inverse},
-  $branches, $creep,
   $inertia, $series,
   {$smooth, $lengths}},
- {$step,
-  {{$phi},
-   {$before},
-   {$after}}},
+ {{$phi},
+  {$before},
+  {$after}},
  {$output, $behind, $rests},
  $limits,
  $taps, $tap,
@@ -106,11 +104,7 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     """Describe the slow voltage that leads to the state; the text contains no times."""
     strain, most = state.deformation - state.carts, actuator.slip.breakaway
     end = f"{voltage:.6g} V"
-    rest = (
-        " and wait until creep has come to rest"
-        if actuator.creep is not None or actuator.displacement_creep is not None
-        else ""
-    )
+    rest = " and wait until creep has come to rest" if actuator.displacement_creep is not None else ""
     if np.allclose(strain, most, rtol=1e-9, atol=0):
         return f"raise the voltage slowly from its lowest, never back, to {end}{rest}"
     if np.allclose(strain, -most, rtol=1e-9, atol=0):
@@ -182,7 +176,6 @@ class ModelText:
         low, high = tables["loop"][:2].tolist()
         return f"""\
 #define PIEZO_ELEMENTS {tables["rho"].size}
-#define PIEZO_BRANCHES {tables["creep"].size}
 #define PIEZO_SMOOTH {tables["length"].size}
 #define PIEZO_OUTPUT {tables["output_gain"].size}
 #define PIEZO_TAPS {tables["tap"].size}
@@ -199,15 +192,15 @@ class ModelText:
 
     def numbers(self) -> str:
         """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from."""
-        start, sizes = self._start, [self._tables[name].size for name in ("creep", "length")]
-        strain, elongation, crept = np.split(start.strains, np.cumsum(sizes))
+        start = self._start
+        elongation, crept = np.split(start.strains, [self._tables["length"].size])
         # What a step reads: not kappa with graded elements, and one slope less than knots.
         arrays = {name: self._tables[name] for name in self._tables if name not in _SCALARS}
         if arrays["grade_knot"].size:
             arrays["kappa"] = EMPTY
         for name in ("tau_slope", "tau_inverse"):
             arrays[name] = arrays[name][:-1]
-        arrays |= {"cart": start.carts, "strain": strain, "elongation": elongation, "crept": crept}
+        arrays |= {"cart": start.carts, "elongation": elongation, "crept": crept}
         begin = ExportedStart.of(self._compensator)
         comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
         texts = [self._array(name, values) for name, values in arrays.items() if values.size]
@@ -242,13 +235,10 @@ class ModelText:
             bends=tables["tau_voltage"].size,
             transformer=at("tau_voltage", "tau_drive", "tau_slope"),
             inverse=at("tau_drive", "tau_voltage", "tau_inverse"),
-            branches=tables["creep"].size,
-            creep=at("creep"),
             inertia=int(inertia.size > 0),
             series=some(inertia) if inertia.size else "0, 0",
             smooth=tables["length"].size,
             lengths=at("length", "back", "smooth"),
-            step=at("decay", "gain"),
             phi=some(moves[:4]),
             before=some(moves[4:6]),
             after=some(moves[6:]),
@@ -261,7 +251,7 @@ class ModelText:
             amplifier=some(np.array(amplifier)),
             stiffness=self._one(stiffness),
             start=some(np.array([start.w, *motion])),
-            memory=at("cart", "strain", "elongation", "crept"),
+            memory=at("cart", "elongation", "crept"),
             period=self._one(compensator.period or 0.0),
             ahead=compensator.samples_ahead,
             id=model_id,

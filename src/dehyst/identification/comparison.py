@@ -161,51 +161,38 @@ class RecordComparison:
             some = np.linspace(0, path.size - 1, _START_SAMPLES).astype(np.intp)
             places = np.union1d(some, turning_points(path, 1e-3 * float(np.ptp(path))))
         places, y = first + places, path[places] + self.datum
-        states = self.source.states[number][places]
-        tau, voltage, (creep, smooth, fades) = actuator.transformer, piece.voltage[places], self._split(states)
-        held, most = voltage if tau is None else tau(voltage), np.zeros(fades.shape[1])
-        if actuator.creep is not None:
-            held = held - creep @ actuator.creep.stiffness
-            most = float(np.ptp(self.source.grid.knots)) * actuator.creep.stiffness
-        held = held - actuator.spring(y)
+        tau, voltage = actuator.transformer, piece.voltage[places]
+        held = (voltage if tau is None else tau(voltage)) - actuator.spring(y)
         known = None if standing or not own else self.last_offsets()[number]
         counted = None if (whole := counting(piece)) is None else whole[places]
 
-        def fit(force: Array, fading: Array, largest: Array) -> StartState:
-            return fit_start(actuator.slip, y, force, fading, largest, known, counted)
+        def fit(force: Array, fades: Array, most: Array) -> StartState:
+            return fit_start(actuator.slip, y, force, fades, most, known, counted)
 
-        start, begun = (
-            fit(held if actuator.smooth is None else held - smooth @ actuator.smooth.stiffness, fades, most),
-            None,
-        )
+        smooth, none, begun = self.source.states[number][places], np.zeros((y.size, 0)), None
+        start = fit(held if actuator.smooth is None else held - smooth @ actuator.smooth.stiffness, none, none[0])
         if actuator.smooth is not None:
             # At rest, unless the voltages before the elements forget say otherwise.
-            strained, elongations = fit_strained(actuator.smooth, y, held, fades, most, fit)
+            strained, elongations = fit_strained(actuator.smooth, y, held, fit)
             if strained.cost < RULES.carts_alone_gain * start.cost:
                 start, begun = strained, elongations
-        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0), start.held)
+        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0))
         state = replace(state, carts=start.carts - self.datum)
         return (state if begun is None else replace(state, smooth=begun)), start.constant
 
-    def state_before(self, actuator: Actuator, number: int, epoch: Epoch, begun: Array | None = None) -> State:
-        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it.
-
-        Creep branches held `begun` (J,) [V] as the record began, by default nothing.
-        """
+    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
+        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it."""
         rho = actuator.slip.breakaway
         y = self.pieces[number].path.displacement[: epoch.start + 1]
         carts = np.full(rho.size, y[0])
         _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        creep, smooth, left = self._split(self.source.states[number][epoch.start])
-        if actuator.creep is not None and begun is not None and begun.size:
-            c = actuator.creep.stiffness
-            creep = creep + np.divide(begun * left, c, out=np.zeros_like(left), where=c > 0)
+        smooth = self.source.states[number][epoch.start]
         motion: list[float] = []
         if actuator.dynamics is not None:
             measured = self.record.pieces[number]
             motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
-        return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), creep, motion, smooth)
+        return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), motion, smooth)
 
     def on_model_axis(self, actuator: Actuator, state: State, time: float) -> State:
         """Return a state of the record's axis at a `time` [s] on the model's, creep in displacement included."""
@@ -236,11 +223,6 @@ class RecordComparison:
                 crept.append(y[-time.size :])
             ends = [column[-1:] for column in columns]
             yield (time, voltage, *crept)
-
-    def _split(self, states: Array) -> list[Array]:
-        """Return internal states as creep strains, smooth elongations and decays."""
-        grid = self.source.grid
-        return np.split(states, np.cumsum([grid.time_constants.size, grid.lengths.size]), axis=-1)
 
 
 def compare(
@@ -307,12 +289,11 @@ def _compared(
 
 def coefficients(actuator: Actuator) -> Solution:
     """Return an actuator's numbers as the solution of a program, without constants."""
-    tau, stiffness = actuator.transformer, actuator.slip.stiffness
-    internal = [np.zeros(0) if part is None else part.stiffness for part in (actuator.creep, actuator.smooth)]
+    tau, stiffness, smooth = actuator.transformer, actuator.slip.stiffness, actuator.smooth
     return Solution(
         stiffness if stiffness.ndim == 2 else stiffness[:, None],
         actuator.spring.slopes,
-        np.concatenate(internal),
+        np.zeros(0) if smooth is None else smooth.stiffness,
         np.zeros(0) if tau is None else np.diff(tau.drive) / np.diff(tau.voltage),
         {},
         {},
@@ -393,8 +374,7 @@ def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple
     known = actuator.identification or Identification()
     stroke = max(high - low for low, high in (item.span() for item in prepared))
     datum = 0.0 if known.shared_datum else None
-    # Where branches creep, a drift of the record would be counted twice.
-    drift = known.drift and actuator.creep is None
+    drift = known.drift
     with one_thread():
         compared = tuple(
             compare(actuator, item, stroke, datum=datum, drifting=drift and item.can_drift) for item in prepared
@@ -435,9 +415,8 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
         y = behind.removed(lead.time, y)
         crept = behind.strains(lead.time, y)[-1]
     _, carts = slip_elongations(actuator.slip.breakaway, np.full(len(actuator.slip), y[0]), np.ascontiguousarray(y))
-    forces: Array | tuple[()] = () if actuator.creep is None else actuator.creep.strains(lead.time, y)[-1]
     smooth = () if actuator.smooth is None else actuator.smooth.elongations(y)[-1]
-    state = State(float(y[-1]), carts, forces, smooth=smooth, displacement_creep=crept)
+    state = State(float(y[-1]), carts, smooth=smooth, displacement_creep=crept)
     held, given = actuator.voltage(state), float(lead.voltage[-1])
     tau = actuator.transformer
     return state, given - held if tau is None else float(tau(given) - tau(held))

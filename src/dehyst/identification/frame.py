@@ -231,7 +231,7 @@ class Frame:
         y = path.displacement
         _, carts = slip_elongations(rho, np.full(rho.size, y[0]), np.ascontiguousarray(y[: epoch.start + 1]))
         carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        smooth = source.states[place][epoch.start][: grid.moved]
+        smooth = source.states[place][epoch.start]
         if grid.lengths.size:
             part = actuator.smooth
             held = [] if part is None else list(zip(part.length, part.closing, strict=True))
@@ -240,7 +240,7 @@ class Frame:
         if actuator.dynamics is not None:
             piece = self.before[q].pieces[k]
             motion = [float(self._measured(q, k)[epoch.start]), float(derivatives(piece)[0][epoch.start])]
-        return State(start, np.clip(carts, start - rho, start + rho), (), motion, smooth)
+        return State(start, np.clip(carts, start - rho, start + rho), motion, smooth)
 
     def _measured(self, number: int, piece: int) -> Array:
         """Displacements of a piece before creep on the model's axis (n,) [m]."""

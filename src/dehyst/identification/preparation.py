@@ -15,7 +15,7 @@ from dehyst.identification import cleaning
 from dehyst.identification.denoising import disturbs, local_polynomial, remove_dynamics, remove_jitter
 from dehyst.identification.regressors import Epoch, Piece, epochs
 from dehyst.identification.rules import RULES
-from dehyst.model import Creep, DisplacementCreep, Dynamics, Thermal
+from dehyst.model import DisplacementCreep, Dynamics, Thermal
 from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis
 
 # The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
@@ -226,7 +226,7 @@ class Prepared:
                 times = np.clip(piece.time - delay, piece.time[0], piece.time[-1])
                 late = replace(piece, voltage=interpolate(piece.time, piece.voltage, times))
             if lag:
-                strain = Creep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
+                strain = DisplacementCreep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
                 late = replace(late, voltage=late.voltage - strain)
             yield late
 

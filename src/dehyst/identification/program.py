@@ -175,7 +175,7 @@ class Program:
         if lengths.size:
             tau = tau[:, :-1] - tau[:, -1:] * (lengths[:-1] / lengths[-1])
         spring = parts_in_segments(grid.knots, rows.displacement)
-        return np.hstack([elements, spring, rows.moved[:, : grid.moved], -tau])
+        return np.hstack([elements, spring, rows.moved, -tau])
 
     @cached_property
     def columns(self) -> tuple[Array, int]:
@@ -208,7 +208,7 @@ class Program:
         for i, row in enumerate(kappa):
             volts -= row[carts[:, i]][:, None] * columns[since[:, i]]
         if near.smooth.size:
-            shares = self._shares(slice(None)) @ near.smooth[grid.time_constants.size :]
+            shares = self._shares(slice(None)) @ near.smooth
             volts += shares[:, None] * (columns - columns[since[:, 0]] if len(kappa) else columns)
         ends = np.cumsum([one.shape[1] for one in moved.values()])[:-1]
         return found | dict(zip(moved, np.split(volts, ends, axis=1), strict=True))
@@ -363,7 +363,7 @@ class Program:
             left = max((1 - TRANSFORMER_FLOOR) * lengths.sum() - tau @ lengths[:-1], 0.0) / lengths[-1]
             tau = TRANSFORMER_FLOOR + np.append(tau, left)
         offsets = dict(zip(self.numbers.tolist(), x[: self.numbers.size].tolist(), strict=True))
-        slopes, smooth = x[places["spring"]] + self.floor, x[places["creep"].start : places["smooth"].stop]
+        slopes, smooth = x[places["spring"]] + self.floor, x[places["smooth"]]
         return Solution(stiffness, slopes, smooth, tau, offsets, numbers, x, active_set, limits)
 
     @cached_property
@@ -380,13 +380,13 @@ class Program:
         sliding = ~self.rows.stuck[some][:, grid.movable]
         at = np.take_along_axis(kappa.T, carts, axis=0)
         slope = kappa.sum(axis=0)[own] - np.where(sliding, at, 0.0).sum(axis=1) + found.slopes[spring]
-        smooth = self._shares(some) @ found.smooth[grid.time_constants.size :]
+        smooth = self._shares(some) @ found.smooth
         return np.asarray(np.maximum(slope + smooth, self.floor))
 
     def _shares(self, some: Mask | slice) -> Array:
         """Return the part of each smooth element that has not yielded at some rows, dq/dy (n, L)."""
         grid = self.grid
-        q = self.rows.moved[some, grid.time_constants.size : grid.moved]
+        q = self.rows.moved[some]
         # The first slip element yields soonest: it shows where the row is bound for.
         forward = np.sign(q * self.rows.elongation[some, :1])
         return np.asarray(1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings))

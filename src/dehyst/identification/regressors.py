@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._native import slip_elongations, smooth_elongations, strains
+from dehyst._native import slip_elongations, smooth_elongations
 from dehyst._types import Array, Mask
 from dehyst.identification.structure import Grid
-from dehyst.model import Creep, clock
 from dehyst.records import Record, counting, white_noise
 
 _SHORTEST_EPOCH = 16
@@ -83,7 +82,7 @@ class Rows:
     `elongation` (n, N): s_i [m], or for a cart that stands still y minus the middle of its epoch. `stuck` (n, N) bool:
     whether cart i stands still at this sample. `displacement`, `voltage`, `drift` (n,): y [m], v [V] and the record's
     creep curve (log of time since its start, mean zero). `record`, `epoch` (n,): their numbers. `time` (n,): [s].
-    `moved` (n, E): internal states besides carts, see `internal_states`.
+    `moved` (n, L): elongations of smooth elements [m].
     """
 
     elongation: Array
@@ -178,7 +177,7 @@ class RowSource:
         step, before, place = max(1, len(self) // most), 0, 0
         empty, numbers = np.zeros(0), np.zeros(0, dtype=np.intp)
         none = np.zeros((0, self.grid.breakaway.size))
-        internal = np.zeros((0, self.grid.moved + self.grid.time_constants.size))
+        internal = np.zeros((0, self.grid.lengths.size))
         parts = [Rows(none, none > 0, empty, empty, empty, numbers, numbers, empty, internal)]
         rho = self.grid.breakaway
         for piece, spans, states in zip(self.pieces, self.epochs, self.states, strict=True):
@@ -209,46 +208,24 @@ class RowSource:
 
     @cached_property
     def states(self) -> list[Array]:
-        """Internal states besides carts at every sample of each piece, see `internal_states`."""
+        """Elongations of smooth elements at every sample of each piece (n, L) [m]."""
         leads = self.leads or [None] * (1 + max((piece.record for piece in self.pieces), default=0))
         return [internal_states(self.grid, piece.path, leads[piece.record]) for piece in self.pieces]
 
 
 def internal_states(grid: Grid, path: Record, lead: Record | None) -> Array:
-    """Return the internal states of a path besides carts (n, 2 J + L).
+    """Return the elongations of smooth elements along a path (n, L) [m].
 
-    Columns: creep strains (n, J) [m], smooth elongations (n, L) [m], decay of strains since the start (n, J). They are
-    at rest at the path's first sample or, if the path continues a `lead` (samples left out before), at the lead's first
-    sample.
+    They are at rest at the path's first sample or, if the path continues a `lead` (samples left out before), at the
+    lead's first sample.
     """
-    creep = Creep(grid.time_constants, np.zeros(grid.time_constants.size))
-    begin, last = path.time[0], None
-    if lead is not None and lead.time[-1] < begin <= lead.time[-1] + 1.5 * lead.sample_time:
-        _, last = _advanced(grid, creep, None, lead.time, lead.displacement)
-        begin = lead.time[0]
-    internal, _ = _advanced(grid, creep, last, path.time, path.displacement)
-    return np.hstack([internal, np.exp(-(path.time[:, None] - begin) / grid.time_constants)])
-
-
-# The last processed sample: its time [s], displacement [m], strains and elongations (J + L,) [m].
-_Last = tuple[float, float, Array]
-
-
-def _advanced(grid: Grid, creep: Creep, last: _Last | None, time: Array, y: Array) -> tuple[Array, _Last]:
-    """Return strains and elongations (n, J + L) of samples that continue `last` or begin at rest, and the last."""
-    branches, elements = grid.time_constants.size, grid.lengths.size
-    internal, repeated = np.zeros(branches + elements), 0
-    if last is not None:
-        time, y, internal, repeated = np.append(last[0], time), np.append(last[1], y), last[2], 1
-    y = np.ascontiguousarray(y)
-    columns = [np.zeros((y.size, 0))]
-    if branches:
-        bounds, durations = clock(time, y.size)
-        columns.append(strains(y, bounds, *creep.tables(durations), internal[:branches]))
-    if elements:
-        columns.append(smooth_elongations(grid.lengths, grid.closings, y, internal[branches:]))
-    rows = np.hstack(columns)
-    return rows[repeated:], (float(time[-1]), float(y[-1]), rows[-1])
+    begin, y = np.zeros(grid.lengths.size), np.ascontiguousarray(path.displacement)
+    if not begin.size:
+        return np.zeros((y.size, 0))
+    if lead is None or not lead.time[-1] < path.time[0] <= lead.time[-1] + 1.5 * lead.sample_time:
+        return smooth_elongations(grid.lengths, grid.closings, y, begin)
+    whole = np.concatenate([lead.displacement, y])
+    return smooth_elongations(grid.lengths, grid.closings, whole, begin)[-y.size :]
 
 
 # Plays of the voltage by their radii, as parts of its range, and segments of the range of each.

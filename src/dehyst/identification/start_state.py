@@ -3,7 +3,7 @@
 While element i has not slid since the record's first sample, its cart stands at b_i; afterwards the displacement alone
 determines it. So the voltages before the widest range is reached bear on the carts, through
 
-    tau(v) - eta(y) - creep - smooth = sum_i force_i(y, b_i) + constant,
+    tau(v) - eta(y) - smooth = sum_i force_i(y, b_i) + constant,
 
 which is solved by bounded least squares from several starts (theory: the whole record, judged whole). Carts that one
 another leave reachable differ by no more than their thresholds do: b_1 = y_0 + rho_1 u_1,
@@ -36,11 +36,11 @@ _NEAR = 1e-3
 
 
 class StartState(NamedTuple):
-    """Carts, creep and smooth elements at the first sample of a piece.
+    """Carts and smooth elements at the first sample of a piece.
 
     `carts` (N,): positions [m], on the axis of the displacement. `constant`: offset of the voltages from the model's
-    [V]. `held` (J,): voltages that creep branches and smooth elements hold in addition to those due to the path
-    since then [V]. `cost`: mean square of the voltages that are not explained [V^2].
+    [V]. `held` (J,): voltages that smooth elements hold in addition to those due to the path since then [V]. `cost`:
+    mean square of the voltages that are not explained [V^2].
     """
 
     carts: Array
@@ -58,11 +58,11 @@ def fit_start(
     constant: float | None = None,
     counted: Mask | None = None,
 ) -> StartState:
-    """Fit the carts, and the voltages that creep branches and smooth elements hold, at the first sample.
+    """Fit the carts, and the voltages that smooth elements hold, at the first sample.
 
     `displacement` (n,): path [m] from the first sample of a record, with all its turning points. `force` (n,): voltage
     that the elements hold there [V], up to a constant and what was held at the first sample. `fades` (n, J): the
-    remainder of one volt that each branch or smooth element held there. `most` (J,): the largest such voltages [V].
+    remainder of one volt that each smooth element held there. `most` (J,): the largest such voltages [V].
     `constant`: the constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the
     elements only.
     """
@@ -87,8 +87,6 @@ def fit_strained(
     smooth: SmoothSlip,
     displacement: Array,
     force: Array,
-    fades: Array,
-    most: Array,
     fit: Callable[[Array, Array, Array], StartState],
 ) -> tuple[StartState, Array]:
     """Fit smooth elements too; return their elongations (L,) [m] at the first sample beside what `fit_start` returns.
@@ -106,12 +104,13 @@ def fit_strained(
         low, high = np.maximum(begun - _NEAR * length, -length), np.minimum(begun + _NEAR * length, length)
         slopes = (along(high) - along(low)) / (high - low)
         line = force - (along(begun) - slopes * begun) @ stiffness
-        found = fit(line, np.hstack([fades, slopes]), np.append(most, length * stiffness))
-        before, held = begun, found.held[most.size :]
+        found = fit(line, slopes, length * stiffness)
+        before, held = begun, found.held
         begun = np.clip(np.divide(held, stiffness, out=np.zeros_like(held), where=stiffness > 0), -length, length)
         if np.all(np.abs(begun - before) <= _NEAR * length):
             break
-    return fit(force - along(begun) @ stiffness, fades, most), begun
+    none = np.zeros((force.size, 0))
+    return fit(force - along(begun) @ stiffness, none, none[0]), begun
 
 
 @dataclass(frozen=True, eq=False)

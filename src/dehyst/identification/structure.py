@@ -123,8 +123,6 @@ class Grid:
         Knots of the spring [m].
     drive : (T + 1,) or (0,) array
         Knots of tau [V].
-    time_constants : (J,) array
-        Time constants of creep [s].
     lengths, closings : (L,) array
         Lengths of smooth elements [m], and their closings.
     graded : bool
@@ -137,7 +135,6 @@ class Grid:
     grades: Array
     knots: Array
     drive: Array = field(default_factory=_nothing)
-    time_constants: Array = field(default_factory=_nothing)
     lengths: Array = field(default_factory=_nothing)
     closings: Array = field(default_factory=_nothing)
     graded: bool = False
@@ -152,14 +149,13 @@ class Grid:
     def of_actuator(cls, actuator: Actuator, sliding: Mask | None = None) -> Grid:
         """Return the grid of the parts of an actuator."""
         slip, knots = actuator.slip, actuator.spring.displacement
-        tau, creep, smooth = actuator.transformer, actuator.creep, actuator.smooth
+        tau, smooth = actuator.transformer, actuator.smooth
         graded = isinstance(slip, GradedSlip)
         return cls(
             slip.breakaway,
             slip.knots if isinstance(slip, GradedSlip) else knots[[0, -1]],
             knots,
             _nothing() if tau is None else tau.voltage,
-            _nothing() if creep is None else creep.time_constants,
             _nothing() if smooth is None else smooth.length,
             _nothing() if smooth is None else smooth.closing,
             graded,
@@ -196,17 +192,11 @@ class Grid:
         """Number M of segments."""
         return self.grades.size - 1
 
-    @property
-    def moved(self) -> int:
-        """Number of internal states besides the carts: J + L."""
-        return self.time_constants.size + self.lengths.size
-
     def places(self) -> dict[str, slice]:
         """Return the places of each kind of unknown that is not negative, in the order of the program."""
         sizes = {
             "elements": int(np.count_nonzero(self.movable)) * self.segments,
             "spring": self.knots.size - 1,
-            "creep": self.time_constants.size,
             "smooth": self.lengths.size,
             "transformer": max(self.drive.size - 2, 0),
         }

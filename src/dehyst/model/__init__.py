@@ -15,7 +15,7 @@ from dehyst.model.checks import (
     slow_motion,
     voltage_error,
 )
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock, mechanical_response
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
     MaxwellSlip,
@@ -69,7 +69,6 @@ from dehyst.model.temperatures import (
 __all__ = [
     "AbstractModel",
     "Actuator",
-    "Creep",
     "DisplacementCreep",
     "Dynamics",
     "GradedSlip",

@@ -18,7 +18,7 @@ from dehyst._views.pictures import Plotted
 from dehyst.model import checks, serialization
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import Range
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, feedback_margins
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, feedback_margins
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
@@ -34,8 +34,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
     With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, where s_i is the
     elongation of element i and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) -
-    psi_i(b_i)] + eta(y) + sum_j c_j d_j + sum_l k_l q_l``, with b_i the position of cart i, d_j the strain of creep
-    branch j and q_l the elongation of smooth element l. With dynamics or a load (section 9), w replaces y in this
+    psi_i(b_i)] + eta(y) + sum_l k_l q_l``, with b_i the position of cart i and q_l the elongation of smooth element
+    l. With dynamics or a load (section 9), w replaces y in this
     equation. Creep in displacement (section 19) is applied after it: y is then the displacement before this creep.
 
     Parameters
@@ -56,8 +56,6 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         How the numbers were identified, and their errors; default: not known.
     transformer : Transformer, optional
         The curve tau(v); default: tau(v) = v.
-    creep : Creep, optional
-        Viscous branches: with them `simulate` and `compensate` need `time`.
     dynamics : Dynamics, optional
         Inertia and damping; they need `time` too.
     lag : float, optional
@@ -89,7 +87,6 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
     transformer: Transformer | None = None
-    creep: Creep | None = None
     dynamics: Dynamics | None = None
     lag: float = 0.0
     load_stiffness: float | None = None
@@ -126,9 +123,9 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     @property
     def _wide(self) -> bool:
         """Whether the actuator has other parts than slip elements of constant stiffness and a spring."""
-        creeping = (self.creep, self.displacement_creep)
-        further = (self.transformer, *creeping, self.smooth, self.dynamics, self.load_stiffness, self.thermal)
-        return isinstance(self.slip, GradedSlip) or self.lag != 0 or any(part is not None for part in further)
+        named = "transformer", "displacement_creep", "smooth", "dynamics", "load_stiffness", "thermal"
+        further = any(getattr(self, name) is not None for name in named)
+        return isinstance(self.slip, GradedSlip) or self.lag != 0 or further
 
     @cached_property
     def reach(self) -> tuple[float, float]:

@@ -31,8 +31,6 @@ class State:
         inertia, gain and offset.
     carts : (N,) array
         Position of the cart (sliding end) of each slip element [m].
-    creep : (J,) array
-        Strain d_j of each creep branch [m]; empty: none is strained.
     motion : (0,) or (2,) array
         Displacement [m] and velocity [m/s] of the mass, with dynamics; empty: at rest at `deformation`.
     smooth : (L,) array
@@ -43,7 +41,6 @@ class State:
 
     deformation: float
     carts: Array
-    creep: Array
     motion: Array
     smooth: Array
     displacement_creep: Array
@@ -52,13 +49,12 @@ class State:
         self,
         deformation: float,
         carts: ArrayLike,
-        creep: ArrayLike = (),
         motion: ArrayLike = (),
         smooth: ArrayLike = (),
         displacement_creep: ArrayLike = (),
     ) -> None:
         keep(self, deformation=number(deformation, "state: deformation"))
-        keep(self, carts=vector(carts, "carts"), creep=vector(creep, "creep strains"))
+        keep(self, carts=vector(carts, "carts"))
         keep(self, motion=vector(motion, "motion"), smooth=vector(smooth, "smooth elongations"))
         keep(self, displacement_creep=vector(displacement_creep, "strains of displacement creep"))
         if self.motion.size not in (0, 2):
@@ -66,26 +62,25 @@ class State:
 
     @classmethod
     def _unchecked(
-        cls, deformation: float, carts: Array, creep: Array, motion: Array, smooth: Array, displacement_creep: Array
+        cls, deformation: float, carts: Array, motion: Array, smooth: Array, displacement_creep: Array
     ) -> State:
         """Return a state of arrays that a computation made from a valid state; they are not copied.
 
         Parameters
         ----------
         deformation : float
-        carts, creep, motion, smooth, displacement_creep : array
+        carts, motion, smooth, displacement_creep : array
             See `State`; shapes and values are not checked.
         """
         state = cls.__new__(cls)
-        parts = {"creep": creep, "motion": motion, "smooth": smooth, "displacement_creep": displacement_creep}
+        parts = {"motion": motion, "smooth": smooth, "displacement_creep": displacement_creep}
         keep(state, deformation=deformation, carts=carts, **parts)
         return state
 
     def __repr__(self) -> str:
         more = {
-            "creep strains": self.creep,
             "smooth elongations": self.smooth,
-            "displacement creep strains": self.displacement_creep,
+            "creep strains": self.displacement_creep,
         }
         parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)
         speed = f", {self.motion[1]:.4g} m/s" if self.motion.size else ""
@@ -94,12 +89,11 @@ class State:
     def shifted(self, by: float) -> State:
         """Return the state on a displacement axis that is moved by `by` [m]."""
         motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
-        return State(self.deformation + by, self.carts + by, self.creep, motion, self.smooth, self.displacement_creep)
+        return State(self.deformation + by, self.carts + by, motion, self.smooth, self.displacement_creep)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values, without the parts that the actuator does not have."""
         more = {
-            "creep_m": self.creep,
             "motion_m_and_m_per_s": self.motion,
             "smooth_m": self.smooth,
             "displacement_creep_m": self.displacement_creep,

@@ -11,7 +11,7 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import demand_divisors, demand_magnitudes, number
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.records import Record
 
@@ -23,7 +23,6 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "slip": (MaxwellSlip, GradedSlip),
     "spring": (Spring,),
     "transformer": (Transformer, type(None)),
-    "creep": (Creep, type(None)),
     "dynamics": (Dynamics, type(None)),
     "smooth": (SmoothSlip, type(None)),
     "displacement_creep": (DisplacementCreep, type(None)),
@@ -97,9 +96,8 @@ def needs_time(actuator: Actuator) -> bool:
 
 
 def creep_times(actuator: Actuator) -> Array:
-    """Return the time constants [s] of creep as a force and in displacement; empty without creep."""
-    parts = (part for part in (actuator.creep, actuator.displacement_creep) if part is not None)
-    return np.concatenate([EMPTY, *(part.time_constants for part in parts)])
+    """Return the time constants [s] of creep; empty without creep."""
+    return EMPTY if actuator.displacement_creep is None else actuator.displacement_creep.time_constants
 
 
 def at_rest(actuator: Actuator) -> float:

@@ -25,63 +25,12 @@ _LONGEST = 2.0**40
 
 
 @dataclass(frozen=True, eq=False)
-class Creep:
-    """J viscous branches in parallel: springs in series with dashpots (theory section 8).
-
-    Branch j holds ``c_j d_j``; d_j is the displacement minus its low-pass of time constant tau_j. For a displacement
-    linear in time, ``d_j <- a d_j + (1 - a) tau_j / dt * dy`` with ``a = exp(-dt / tau_j)``.
-
-    `time_constants` (J,): tau_j [s], positive. `stiffness` (J,): c_j [V/m], not negative. Raise `ModelError` if lengths
-    differ, or a value is impossible or too large to compute with (magnitude over 1e30).
-    """
-
-    time_constants: Array
-    stiffness: Array
-
-    __repr__ = brief
-
-    def __init__(self, time_constants: ArrayLike, stiffness: ArrayLike) -> None:
-        tau, c = vector(time_constants, "creep time constants"), vector(stiffness, "creep stiffnesses")
-        if tau.size != c.size:
-            raise ModelError(
-                f"got {tau.size} creep time constants and {c.size} stiffnesses, need one of each for a branch"
-            )
-        if np.any(tau <= 0):
-            raise ModelError(f"creep time constants must be positive, got {tau}")
-        if np.any(c < 0):
-            raise ModelError(
-                f"creep stiffness {int(np.argmin(c))} is {c.min():g} V/m; a negative one never comes to rest"
-            )
-        demand_divisors(tau, "creep time constants [s]")
-        demand_magnitudes(c, "creep stiffnesses [V/m]")
-        keep(self, time_constants=tau, stiffness=c)
-
-    def __len__(self) -> int:
-        return self.time_constants.size
-
-    def tables(self, durations: Array) -> tuple[Array, Array]:
-        """Return decays exp(-dt/tau_j) and gains (1 - decay) tau_j/dt, (R, J), of steps (R,) [s]; both 1 at 0 s.
-
-        `durations` holds the steps.
-        """
-        return low_pass_tables(self.time_constants, durations)
-
-    def strains(self, time: ArrayLike, displacement: ArrayLike) -> Array:
-        """Return strains d_j (n, J) [m] along a `displacement` (n,) [m] with `time` (n,) [s], 0 at the first sample.
-
-        Raise `ModelError` if time and displacement do not fit.
-        """
-        y = vector(displacement, "displacement")
-        bounds, durations = clock(time, y.size)
-        return strains(y, bounds, *self.tables(durations), np.zeros(len(self)))
-
-
-@dataclass(frozen=True, eq=False)
 class DisplacementCreep:
     """K branches of creep in displacement, applied after elements and mass (Kuhnen and Krejci; theory section 19).
 
     ``y = m + sum_k g_k lowpass_k(m)``, with m the displacement without creep and tau_k the time constant of low-pass k.
-    At rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)`` are defined as in `Creep`.
+    At rest ``y = (1 + sum_k g_k) m``. The strains ``e_k = m - lowpass_k(m)``, for a displacement linear in time, follow
+    ``e_k <- a e_k + (1 - a) tau_k / dt * dm`` with ``a = exp(-dt / tau_k)``.
 
     `time_constants` (K,): tau_k [s], positive. `gains` (K,): g_k, 0 or more. Raise `ModelError` if lengths differ, or
     a value is impossible or too large to compute with (magnitude over 1e30).
@@ -116,7 +65,7 @@ class DisplacementCreep:
         return sum(self.gains.tolist(), 1.0)
 
     def tables(self, durations: Array) -> tuple[Array, Array]:
-        """Return decays and rises (R, K) of steps of `durations` (R,) [s], as `Creep.tables`."""
+        """Return decays exp(-dt/tau_k) and gains (1 - decay) tau_k/dt, (R, K), of steps (R,) [s]; both 1 at 0 s."""
         return low_pass_tables(self.time_constants, durations)
 
     def removed(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:

@@ -14,7 +14,7 @@ from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, output_cree
 from dehyst._types import Array
 from dehyst._validation import FARTHEST, demand_divisors, demand_result, vector
 from dehyst.model.base import State
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal, clock
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, low_pass_tables
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.temperatures import demand_thermal
 
@@ -40,7 +40,7 @@ class PathData:
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
-    """The parts of an `Actuator`: tau(v) = R(w) + creep + smooth elements + beta (w - m), see `dehyst_model.h`.
+    """The parts of an `Actuator`: tau(v) = R(w) + smooth elements + beta (w - m), see `dehyst_model.h`.
 
     m is the displacement of the elements or the mass. The displacement y of the actuator is m with creep in
     displacement.
@@ -49,7 +49,6 @@ class Evaluator:
     slip: MaxwellSlip | GradedSlip
     spring: Spring
     transformer: Transformer | None
-    creep: Creep | None
     smooth: SmoothSlip | None
     dynamics: Dynamics | None
     lag: float
@@ -60,7 +59,7 @@ class Evaluator:
     @property
     def needs_time(self) -> bool:
         """Whether the answer depends on time."""
-        return self.creep is not None or self.displacement_creep is not None or self.has_dynamics
+        return self.displacement_creep is not None or self.has_dynamics
 
     @property
     def has_dynamics(self) -> bool:
@@ -81,7 +80,6 @@ class Evaluator:
             EMPTY if graded is None else graded.stiffness.ravel(),
             EMPTY if tau is None else tau.voltage,
             EMPTY if tau is None else tau.drive,
-            EMPTY if self.creep is None else self.creep.stiffness,
             EMPTY if dynamics is None else np.array([dynamics.series, dynamics.share(self.spring)]),
             *((EMPTY,) * 3 if smooth is None else (smooth.length, smooth.closing, smooth.stiffness)),
             EMPTY if self.displacement_creep is None else self.displacement_creep.gains,
@@ -146,9 +144,8 @@ class Evaluator:
         part = self.displacement_creep
         if part is None or path.velocity is path.acceleration is None:
             return path
-        first = steps.decay.shape[1] - len(part)
-        decay, rise = (np.ascontiguousarray(table[:, first:]) for table in (steps.decay, steps.gain))
-        relative = strains(m, steps.bounds, decay, rise, start.displacement_creep, float(start.motion[0]))
+        tables = steps.decay, steps.gain
+        relative = strains(m, steps.bounds, *tables, start.displacement_creep, float(start.motion[0]))
         relative = relative / part.time_constants
         slope = part.gains / part.time_constants
         velocity, acceleration = self.derivatives(m, path)
@@ -176,19 +173,16 @@ class Evaluator:
         motion = state.motion
         if self.dynamics is not None:
             motion = motion / np.array([1.0, self.dynamics.omega])
-        more = state.smooth.size or state.displacement_creep.size
-        strains = np.concatenate([state.creep, state.smooth, state.displacement_creep]) if more else state.creep
+        strains = np.concatenate([state.smooth, state.displacement_creep])
         return CoreState(state.deformation, state.carts, strains, motion)
 
     def state_of(self, core: CoreState, crept: Array | None = None) -> State:
         """Return a state from numbers of the C core, with the strains of displacement creep if they are given."""
-        branches = 0 if self.creep is None else len(self.creep)
         end = core.strains.size - len(self.displacement_creep or ())
-        creep, smooth = core.strains[:branches], core.strains[branches:end]
-        behind = core.strains[end:] if crept is None else crept
+        smooth, behind = core.strains[:end], core.strains[end:] if crept is None else crept
         if self.dynamics is None:
-            return State._unchecked(core.w, core.carts, creep, core.motion, smooth, behind)
-        return State(core.w, core.carts, creep, core.motion * np.array([1.0, self.dynamics.omega]), smooth, behind)
+            return State._unchecked(core.w, core.carts, core.motion, smooth, behind)
+        return State(core.w, core.carts, core.motion * np.array([1.0, self.dynamics.omega]), smooth, behind)
 
     def complete_state(self, start: State) -> State:
         """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
@@ -200,10 +194,8 @@ class Evaluator:
         if start.carts.size != len(self.slip):
             raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
         rho, length = self.slip.breakaway, EMPTY if self.smooth is None else self.smooth.length
-        branches, moving = 0 if self.creep is None else len(self.creep), 0 if self.dynamics is None else 2
-        w, carts, creep, motion, smooth = start.deformation, start.carts, start.creep, start.motion, start.smooth
-        if creep.size not in (0, branches):
-            raise ModelError(f"state: got {creep.size} creep strains, this actuator has {branches} creep branches")
+        moving = 0 if self.dynamics is None else 2
+        w, carts, motion, smooth = start.deformation, start.carts, start.motion, start.smooth
         if motion.size > moving:
             raise ModelError("state: got a motion, this actuator has no dynamics")
         if smooth.size not in (0, length.size):
@@ -212,10 +204,7 @@ class Evaluator:
             )
         behind, crept = len(self.displacement_creep or ()), start.displacement_creep
         if crept.size not in (0, behind):
-            raise ModelError(
-                f"state: got {crept.size} strains of displacement creep, this actuator has {behind} branches"
-            )
-        creep = np.zeros(branches) if creep.size < branches else creep
+            raise ModelError(f"state: got {crept.size} creep strains, this actuator has {behind} creep branches")
         crept = np.zeros(behind) if crept.size < behind else crept
         motion = np.array([w, 0.0]) if motion.size < moving else motion
         smooth = np.zeros(length.size) if smooth.size < length.size else smooth
@@ -237,7 +226,7 @@ class Evaluator:
                     f"elongation {rho[worst]:.3g} m"
                 )
             carts = np.clip(carts, w - rho, w + rho)
-        return State._unchecked(w, carts, creep, motion, smooth, crept)
+        return State._unchecked(w, carts, motion, smooth, crept)
 
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
@@ -250,8 +239,7 @@ class Evaluator:
         if time is not None:
             return clock(time, samples)
         if self.needs_time:
-            creeps = self.creep is not None or self.displacement_creep is not None
-            parts = {"creeps": creeps, "has inertia": self.dynamics, "lags": self.lag}
+            parts = {"creeps": self.displacement_creep, "has inertia": self.dynamics, "lags": self.lag}
             verbs = " and ".join(verb for verb, part in parts.items() if part)
             raise ModelError(
                 f"this actuator {verbs}, so that the answer depends on time",
@@ -271,12 +259,10 @@ class Evaluator:
         Raise `ModelError` if a step is too long for a resonance.
         """
         behind = self.displacement_creep
-        if self.creep is None and self.dynamics is None and behind is None:
+        if self.dynamics is None and behind is None:
             bounds, durations = bounds[[0, -1]], np.zeros(1)
         empty = np.empty((durations.size, 0))
-        decay, gain = (empty, empty) if self.creep is None else self.creep.tables(durations)
-        if behind is not None:
-            decay, gain = map(np.hstack, zip((decay, gain), behind.tables(durations), strict=True))
+        decay, gain = (empty, empty) if behind is None else behind.tables(durations)
         if self.dynamics is None:
             return StepCoefficients(bounds, decay, gain, empty)
         share = self.dynamics.share(self.spring)
@@ -298,8 +284,6 @@ class Evaluator:
         """Raise `ModelError` if an overshoot within one step would pull w back by more than the spring allows."""
         after = steps.transition[:, 6]
         slope = least_slope(self.slip, self.spring) + dynamics.series * (1 - after / (1 + share * after))
-        if self.creep is not None:
-            slope = slope + steps.gain[:, : len(self.creep)] @ self.creep.stiffness
         if np.any(slope <= 0):
             worst = durations[int(np.argmin(slope))]
             raise ModelError(
@@ -331,7 +315,7 @@ class Evaluator:
         if not command.size or time is None:
             return command
         bounds, durations = clock(time, command.size)
-        difference = strains(command, bounds, *Creep([self.lag], [0.0]).tables(durations), command[:1] - before)
+        difference = strains(command, bounds, *low_pass_tables(np.array([self.lag]), durations), command[:1] - before)
         return command - difference[:, 0]
 
     def lead(self, displacement: Array, path: PathData) -> Array:

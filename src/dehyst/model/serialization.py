@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst._validation import number
 from dehyst._views.fields import json_value
 from dehyst.model.base import State
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.identification import Identification
 
@@ -27,7 +27,6 @@ FORMAT = "dehyst-actuator"
 _PARTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "spring": (Spring, ("displacement_m", "voltage_V")),
     "transformer": (Transformer, ("voltage_V", "drive_V")),
-    "creep": (Creep, ("time_constants_s", "stiffness_V_per_m")),
     "smooth": (SmoothSlip, ("length_m", "closing", "stiffness_V_per_m")),
     "displacement_creep": (DisplacementCreep, ("time_constants_s", "gains")),
     "thermal": (Thermal, ("gain_per_K", "offset_m_per_K", "reference_degC")),
@@ -122,7 +121,6 @@ def state_dict(state: State) -> dict[str, Any]:
     return {
         "deformation_m": state.deformation,
         "carts_m": state.carts.tolist(),
-        "creep_m": state.creep.tolist(),
         "smooth_m": state.smooth.tolist(),
         "displacement_creep_m": state.displacement_creep.tolist(),
         "motion": motion,
@@ -192,7 +190,7 @@ def state(data: Mapping[str, Any]) -> State:
 
     Raise `ModelError` if a key is unknown or missing, or a number is impossible.
     """
-    rows = ("carts_m", "creep_m", "smooth_m", "displacement_creep_m")
+    rows = ("carts_m", "smooth_m", "displacement_creep_m")
     given = _part(data, "state", {"deformation_m", *rows, "motion"})
     found = {key.removesuffix("_m"): numbers(given[key], f"state.{key}") for key in rows}
     if given["motion"] is not None:
@@ -219,7 +217,8 @@ def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
     """Raise `ModelError` at unknown and missing keys."""
     missing, unknown = sorted(needed - set(data)), sorted(set(data) - needed)
     if missing or unknown:
-        raise ModelError(f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}")
+        found = f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}"
+        raise ModelError(found, hint=OTHER_VERSION)
 
 
 def _part(data: Mapping[str, Any], key: str, needed: set[str]) -> Mapping[str, Any]:

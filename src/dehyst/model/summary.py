@@ -14,13 +14,18 @@ from dehyst._views import html
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
 from dehyst.model.checks import creep_times, quasistatic
-from dehyst.model.dynamics import Creep, DisplacementCreep, Dynamics, Thermal
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
 
 # Duration of a step response in longest time constants, and its number of times.
 _DURATION, _TIMES = 3.0, 160
 _PLACES = 400
-_FURTHER = {"transformer": "transformer", "creep": "creep", "smooth": "smooth elements", "dynamics": "inertia"}
+_FURTHER = {
+    "transformer": "transformer",
+    "displacement_creep": "creep",
+    "smooth": "smooth elements",
+    "dynamics": "inertia",
+}
 
 
 class Part(NamedTuple):
@@ -43,10 +48,8 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     parts.append(Part("Parallel spring", knots, float(np.ptp(actuator.spring.voltage))))
     if actuator.transformer is not None:
         parts.append(_transformer(actuator.transformer))
-    if actuator.creep is not None:
-        parts.append(_creep(actuator, actuator.creep))
     if actuator.displacement_creep is not None:
-        parts.append(_displacement_creep(actuator.displacement_creep))
+        parts.append(_creep(actuator.displacement_creep))
     if actuator.thermal is not None:
         parts.append(_thermal(actuator.thermal, actuator.reach[0]))
     if actuator.smooth is not None:
@@ -153,25 +156,13 @@ def _transformer(transformer: Transformer) -> Part:
     return Part("Transformer", sentence)
 
 
-def _creep(actuator: Actuator, creep: Creep) -> Part:
-    time, share = step_response(actuator)
-    half = float(np.interp(0.5 * share[-1], share, time)) if share[-1] > 0 else 0.0
-    branches = "One branch" if len(creep) == 1 else f"{len(creep)} branches"
-    sentence = (
-        f"{branches}, {_seconds(creep.time_constants.min())} to {_seconds(creep.time_constants.max())}: after a sudden "
-        f"rise through all voltages the displacement continues by {100 * share[-1]:.2g} % of the rise in "
-        f"{_seconds(time[-1])}, half of it within {_seconds(half)}."
-    )
-    return Part("Creep", sentence, float(creep.stiffness.sum() * np.ptp(actuator.spring.displacement)))
-
-
-def _displacement_creep(creep: DisplacementCreep) -> Part:
+def _creep(creep: DisplacementCreep) -> Part:
     times = creep.time_constants
     branches = "one branch" if len(creep) == 1 else f"{len(creep)} branches"
     spread = f", {_seconds(times.min())} to {_seconds(times.max())}" if len(creep) else ""
     grows = f"a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %"
     sentence = f"{branches} behind the elements{spread}: {grows}."
-    return Part("Creep in displacement", sentence, None)
+    return Part("Creep", sentence, None)
 
 
 def _thermal(thermal: Thermal, lowest: float) -> Part:

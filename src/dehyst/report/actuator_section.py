@@ -17,7 +17,6 @@ from dehyst.model import (
     Spring,
     Transformer,
     bend,
-    creep_times,
     parts_of,
     step_response,
 )
@@ -50,13 +49,10 @@ def made_of(actuator: Actuator) -> list[Part]:
         charts += [_graded(actuator.slip), slopes_chart(actuator)]
     if actuator.transformer is not None:
         charts += _transformer(actuator.transformer)
-    if creep_times(actuator).size:
+    if (creep := actuator.displacement_creep) is not None:
         charts.append(creep_chart(actuator))
-    if (creep := actuator.creep) is not None:
-        total = float(creep.stiffness.sum()) or 1.0
-        branches = zip(creep.time_constants, creep.stiffness, strict=True)
-        each = ((number(tau), number(c * 1e-6), f"{number(100 * c / total)} %") for tau, c in branches)
-        tables["Creep branches"] = html.table(("Time constant (s)", "cⱼ (V/µm)", "of all"), each, texts=0)
+        each = ((number(tau), f"{number(100 * g)} %") for tau, g in zip(creep.time_constants, creep.gains, strict=True))
+        tables["Creep branches"] = html.table(("Time constant (s)", "Gain"), each, texts=0)
     if (smooth := actuator.smooth) is not None:
         charts.append(_smooth(smooth))
         elements = zip(smooth.length, smooth.closing, smooth.stiffness, strict=True)
@@ -87,9 +83,8 @@ def creep_chart(actuator: Actuator) -> Chart:
     """Return the displacement after a sudden rise through all voltages, with the time constants marked."""
     time, share = step_response(actuator)
     top = max(1.25 * 100 * float(share.max()), 1e-9)
-    force, behind = actuator.creep, actuator.displacement_creep
-    constants = np.empty(0) if force is None else force.time_constants[force.stiffness > 0]
-    constants = constants if behind is None else np.append(constants, behind.time_constants[behind.gains > 0])
+    creep = actuator.displacement_creep
+    constants = np.empty(0) if creep is None else creep.time_constants[creep.gains > 0]
     marks = stems("time constants", constants, np.full(constants.shape, top), "simulated", width=1)
     x = Axis("time since the rise", "s", (float(time[0]), float(time[-1])), log=True)
     y = Axis("further displacement", "% of the rise", (0.0, top))

@@ -333,9 +333,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
     slow, cycle = origin.drift and prepared.can_drift, cleaning.cycle_time(prepared.record)
-    error, drift = (
-        _steadied(trace) if slow and actuator.creep is None else (trace.residual - trace.residual.mean(), 0.0)
-    )
+    error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
     promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
     # As many turns as the excitation for an identification: another record of the kind tells no more.
     tells = (
@@ -416,9 +414,8 @@ def _doubt(actuator: Actuator, record: Record) -> float:
     """Return the uncertainty of the offset [m] due to elements that stay strained, and to creep before the record."""
     slope = float(np.ptp(actuator.voltage_range)) / float(np.ptp(actuator.reach))
     standing, slow = 2 * actuator.slip.breakaway > record.stroke, float(np.ptp(record.time)) / 3
-    held, crept, later = float(np.sum(actuator.slip.friction[standing])), actuator.creep, actuator.displacement_creep
-    before = 0.0 if crept is None else float(np.sum(crept.stiffness[crept.time_constants > slow])) / slope
-    before += 0.0 if later is None else float(np.sum(later.gains[later.time_constants > slow]))
+    held, crept = float(np.sum(actuator.slip.friction[standing])), actuator.displacement_creep
+    before = 0.0 if crept is None else float(np.sum(crept.gains[crept.time_constants > slow]))
     return held / slope + 0.5 * record.stroke * before
 
 

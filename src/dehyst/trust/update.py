@@ -25,7 +25,7 @@ from dehyst.identification import (
     part_of,
     prepare_for,
 )
-from dehyst.model import Actuator, Creep, Promise, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
+from dehyst.model import Actuator, Promise, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
 from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
@@ -223,7 +223,7 @@ class _Refit:
         self.old = replace(actuator, delay=max(actuator.delay + late, 0.0)) if late else actuator
         self.given, self.recheck, self.record = actuator, recheck, record
         self.prepared = prepare_for(actuator, record)
-        self.drifts = self.prepared.can_drift and actuator.creep is None
+        self.drifts = self.prepared.can_drift
         self.datum, known = self._datum(), actuator.identification
         self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
 
@@ -309,7 +309,7 @@ class _Refit:
         grid, places = program.grid, program.grid.places()
         columns, free = program.columns
         count = int(np.count_nonzero(grid.movable))
-        elements, smooth = np.zeros_like(unknowns), slice(places["creep"].start, places["smooth"].stop)
+        elements, smooth = np.zeros_like(unknowns), places["smooth"]
         elements[places["elements"]], elements[smooth] = unknowns[places["elements"]], unknowns[smooth]
         longer = np.zeros_like(unknowns)
         longer[places["elements"]] = unknowns[places["elements"]] * np.repeat(np.linspace(-1, 1, count), grid.segments)
@@ -329,14 +329,13 @@ class _Refit:
         """Return the old model with the coefficients of a solution; a constant without rows is that of the whole."""
         old, last = self.old, max(whole.offsets)
         made = found.to_actuator(program.grid, found.offsets.get(last, whole.offsets[last]))
-        creep, smooth, count = old.creep, old.smooth, 0 if old.creep is None else len(old.creep)
+        smooth = old.smooth
         return replace(
             old,
             slip=made.slip,
             spring=made.spring,
             transformer=made.transformer,
-            creep=None if creep is None else Creep(creep.time_constants, found.smooth[:count]),
-            smooth=None if smooth is None else SmoothSlip(smooth.length, smooth.closing, found.smooth[count:]),
+            smooth=None if smooth is None else SmoothSlip(smooth.length, smooth.closing, found.smooth),
         )
 
     def _trace(self, made: Actuator) -> Trace:
@@ -390,9 +389,6 @@ class _Refit:
             missing.append(
                 f"{counted(stuck, 'slip element')} did not slide both ways; the neighbours' change is taken."
             )
-        span = float(np.ptp(record.time))
-        if actuator.creep is not None and float(actuator.creep.time_constants.max()) > span / 3:
-            missing.append(f"Creep slower than {span / 3:.3g} s is that of the old model.")
         kept = {"delay": actuator.delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
         names = [name for name, part in kept.items() if part]
         if names:

@@ -507,7 +507,7 @@ class Task:
         The way takes a share of a leg's duration, but at least enough time for a mass and an amplifier to follow.
         """
         low, high = drive.limits or (-np.inf, np.inf)
-        still = replace(actuator, creep=None, displacement_creep=None, state=None)  # type: ignore[arg-type]
+        still = replace(actuator, displacement_creep=None, state=None)  # type: ignore[arg-type]
         begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
         for _ in range(_ROUNDS):
             end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))

@@ -19,7 +19,7 @@ from dehyst.control.following import Followed, follow
 from dehyst.control.planning.path import MOST_ROWS, Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
-from dehyst.model import Actuator, DisplacementCreep, PathData, State, creep_times, evaluator_of
+from dehyst.model import Actuator, DisplacementCreep, State, creep_times
 from dehyst.waveforms import ScanPath, positive, refuse_long, whole
 
 # Enough for a contracting, piecewise smooth map; the linear one of Dahl's elements needs one.
@@ -45,11 +45,9 @@ def timed(path: ScanPath) -> dict[str, Any]:
 def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     """Return the state at the first sample of a periodic path after infinitely many cycles.
 
-    Creep and smooth elements are driven only by w, which follows from the path. So they are independent of each other
-    and of the carts. A creep branch is linear: if a cycle from zero strain ends at D, its steady strain is ``d =
-    exp(-T/tau) d + D``. The elongation of a smooth element after a cycle rises with the elongation before it, with
-    slope below 1. Its only fixed point lies between the two extremes and is found by the Illinois method of false
-    position. Raise `ModelError` if the state does not fit the actuator.
+    Smooth elements are driven only by w, which follows from the path. The elongation of a smooth element after a cycle
+    rises with the elongation before it, with slope below 1. Its only fixed point lies between the two extremes and is
+    found by the Illinois method of false position. Raise `ModelError` if the state does not fit the actuator.
 
     `path`: one period. `state`: state at the path's first sample after at least two cycles, which erase the history of
     the carts.
@@ -57,10 +55,6 @@ def steady_state(actuator: Actuator, path: ScanPath, state: State) -> State:
     cycle = path.repeated(1)
     if actuator.displacement_creep is not None:
         return _steady_behind(actuator, actuator.displacement_creep, cycle, state)
-    if actuator.creep is not None:
-        w = cycle.displacement + evaluator_of(actuator).lead(cycle.displacement, PathData(**timed(cycle)))
-        gained = actuator.creep.strains(cycle.time, w)[-1]
-        state = replace(state, creep=gained / -np.expm1(-float(cycle.time[-1]) / actuator.creep.time_constants))
     return state if actuator.smooth is None else replace(state, smooth=_elongations(actuator, cycle, state))
 
 

@@ -16,11 +16,11 @@ extern "C" {
 /* All that changes, without pointers: copy it by = or memcpy as you like. */
 typedef struct piezo {
     dehyst_loop loop; /* its counts: how many samples were limited, slewed and refused */
-    dehyst_real memory[DEHYST_MEMORY(PIEZO_ELEMENTS, PIEZO_BRANCHES, PIEZO_SMOOTH, PIEZO_OUTPUT, PIEZO_TAPS)];
+    dehyst_real memory[DEHYST_MEMORY(PIEZO_ELEMENTS, PIEZO_SMOOTH, PIEZO_OUTPUT, PIEZO_TAPS)];
 } piezo;
 
 /* Bytes of a snapshot. */
-#define PIEZO_SNAPSHOT DEHYST_SNAPSHOT(PIEZO_ELEMENTS, PIEZO_BRANCHES, PIEZO_SMOOTH, PIEZO_OUTPUT, PIEZO_TAPS)
+#define PIEZO_SNAPSHOT DEHYST_SNAPSHOT(PIEZO_ELEMENTS, PIEZO_SMOOTH, PIEZO_OUTPUT, PIEZO_TAPS)
 
 /* Start from the exported state. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
 dehyst_status piezo_begin(piezo *p);
