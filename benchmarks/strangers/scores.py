@@ -132,8 +132,8 @@ def parts(actuator: Actuator) -> str:
     words = [f"{len(slip)} elements" + (f" x {slip.knots.size - 1}" if hasattr(slip, "knots") else "")]
     if actuator.transformer is not None:
         words.append("transformer")
-    if actuator.creep is not None:
-        held = actuator.creep.time_constants[actuator.creep.stiffness > 0]
+    if actuator.displacement_creep is not None:
+        held = actuator.displacement_creep.time_constants[actuator.displacement_creep.gains > 0]
         ends = f"{held.min():.3g} to {held.max():.3g} s" if held.size else "none held"
         words.append(f"creep ({held.size}: {ends})")
     if actuator.smooth is not None:

@@ -176,11 +176,12 @@ def test_clamping_is_said_once_of_a_kind_and_counted(actuators, share):
     with pytest.warns(ClampWarning, match=r"actuator \d+") as said:
         bank.compensate(wanted)
     counts = [int(re.search(r"(-?\d+) of", str(each.message))[1]) for each in said]
-    assert counts == np.sum(bank.clamps, axis=0).tolist()
+    clamped = np.sum(bank.clamps, axis=0)
+    assert counts == clamped[clamped > 0].tolist()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         bank.compensate(wanted)
-    assert all(np.sum(bank.clamps, axis=0) > counts)
+    assert all((np.sum(bank.clamps, axis=0) > clamped)[clamped > 0])
 
 
 @pytest.mark.parametrize(
@@ -243,7 +244,7 @@ def test_simulate_undoes_compensate():
 
 
 def test_a_warning_that_is_an_error_changes_nothing():
-    bank = Bank(mixed(5, 4), slew_rate=1.0, period=PERIOD)
+    bank = Bank(mixed(5, 4, kinds=("plain", "tau")), slew_rate=1.0, period=PERIOD)
     here = np.array([compensator.displacement for compensator in bank._compensators])
     away = here - np.array([0, 0, 0.1, 0]) * [np.ptp(actuator.spring.displacement) for actuator in bank.actuators]
     bank.step(here)

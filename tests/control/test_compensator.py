@@ -457,7 +457,7 @@ def test_preview_makes_up_for_delay_and_inertia(parts, delay):
     for period in (PERIOD, PERIOD / 2):
         actuator = replace(PLANTS[parts], lag=0.0, delay=delay * period)
         time = np.arange(round(2.5 / period)) * period
-        start = State(plain_records.STROKE / 2, actuator.turned(plain_records.STROKE / 2).carts)
+        start = actuator.turned(plain_records.STROKE / 2)
         compensator = Compensator(actuator, FREE, period=period, state=start, preview=True)
         ahead = compensator.samples_ahead
         voltage = compensator.run(smooth_path(time + (ahead + 1) * period))

@@ -145,20 +145,19 @@ def smooth(size=1500):
 def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     time, path = smooth()
     push = plain_records.STROKE * 0.2 * (2 * np.pi * 100) ** 2
-    plant = wider("all three", dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
+    plant = wider("all three", displacement_creep=None, dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
     first = plant.compensate(path[:1], time=[0], acceleration=[push]).state
-    start = replace(first, motion=[path[0], 0])
-    whole = plant.compensate(path, time=time, state=start)
-    command = follow(Compensator(plant, (-1e4, 1e4)), path, time=time, state=start)
+    whole = plant.compensate(path, time=time, state=first)
+    command = follow(Compensator(plant, (-1e4, 1e4)), path, time=time, state=first)
     np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))
-    played = plant.simulate(command.voltage, time=time, state=start)
+    played = plant.simulate(command.voltage, time=time, state=first)
     np.testing.assert_array_equal(command.displacement, played.displacement)
     assert np.abs(command.displacement - path).max() < 1e-3 * plain_records.STROKE
 
 
 def test_a_clamped_mass_is_told_as_it_moves():
-    time, path = smooth()
-    plant = wider("creep", dynamics=Dynamics(1000, 0.3, 2e6))
+    time, path = smooth(1600)
+    plant = wider("transformer", dynamics=Dynamics(1000, 0.3, 2e6))
     high = 0.9 * plant.compensate(path, time=time).voltage.max()
     command = follow(Compensator(plant, (-1e4, high)), path, time=time, state=plant.state)
     assert command.clamped.any()

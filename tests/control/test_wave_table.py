@@ -19,7 +19,7 @@ from examples import at_night
 
 UM = 1e-6
 PLAIN = replace(plain_records.plant(10), limits=(-50.0, 250.0))
-CREEP = DisplacementCreep([0.05, 0.4], [0.1, 0.15])
+CREEP = DisplacementCreep([0.05, 0.4], [0.02, 0.03])
 SMOOTH = SmoothSlip([1e-6, 4e-6, 9e-6], [1.0, 0.5, 0.75], [2e6, 1e6, 5e5])
 ACTUATORS = {
     "plain": PLAIN,
@@ -77,7 +77,9 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     played = table.played(80 if needs_time(actuator) or actuator.smooth else 3)
     made = simulated(actuator, played, state)
     miss = np.abs(made - played.displacement)
-    assert miss[-size:].max() <= 1e-9 * stroke
+    # A smooth element keeps a little of what a homing with creep leaves unknown.
+    kept = 1e-4 * table.unknown if actuator.smooth and actuator.displacement_creep else 0.0
+    assert miss[-size:].max() <= 1e-9 * stroke + kept
     first = np.flatnonzero(played.phase == 2)[0]
     # What a homing leaves unknown comes on top of the error.
     assert miss[first : first + size].max() <= 1.0001 * table.error + unknown(table) + 1e-9 * stroke

@@ -82,11 +82,11 @@ def test_gain_and_offset_are_pythons(fmus):
 @pytest.mark.parametrize("kind", KINDS)
 def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
     fresh = ALL["mass"]._clone()
-    start = fresh.state.motion[0], fresh.voltage
+    start = fresh.displacement, fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
     if kind == "actuator":  # it has no limits to be brought within
         asked = evaluator_of(fresh.actuator).complete_state(fresh._initial_state)
-        start = asked.motion[0], fresh.actuator.voltage(asked)
+        start = fresh.actuator.displacement(asked), fresh.actuator.voltage(asked)
     with Slave(fmus("mass", kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])
         if kind == "actuator":  # held there, it stays

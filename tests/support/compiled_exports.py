@@ -231,7 +231,7 @@ KINDS = {
     "graded": lambda: wider("graded, transformer"),
     "creep": lambda: wider("graded, transformer", creeping=True),
     "all": lambda: wider("all", creeping=True),
-    "moving": lambda: wider("all", moving=True, creeping=True),
+    "moving": lambda: wider("all", moving=True),
 }
 TOOLS = {
     "gcc": "the exported C cannot be compiled",

@@ -308,7 +308,7 @@ def _demand_float(tables: Tables) -> None:
             )
         if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
             raise ModelError(f"float: a {_POSITIVE[name]}, {values.min():.3g}, is 0 when rounded; export double")
-    kept = np.concatenate([tables["decay"], tables["output_decay"]])
+    kept = tables["output_decay"]
     decay = kept.astype(np.float32)
     if ((decay == 1) & (kept < 1)).any():
         raise ModelError(

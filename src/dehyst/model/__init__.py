@@ -15,7 +15,7 @@ from dehyst.model.checks import (
     slow_motion,
     voltage_error,
 )
-from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, mechanical_response
+from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
     MaxwellSlip,
