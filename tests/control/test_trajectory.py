@@ -156,7 +156,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
 
 
 def test_a_clamped_mass_is_told_as_it_moves():
-    time, path = smooth(1750)
+    time, path = smooth(1680)
     plant = wider("transformer", dynamics=Dynamics(1000, 0.3, 2e6))
     high = 0.9 * plant.compensate(path, time=time).voltage.max()
     command = follow(Compensator(plant, (-1e4, high)), path, time=time, state=plant.state)
