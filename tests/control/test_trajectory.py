@@ -157,8 +157,8 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
 
 def test_a_clamped_mass_is_told_as_it_moves():
     time, path = smooth()
-    plant = replace(PLANT, dynamics=Dynamics(1000, 0.3, 2e6))
-    high = 0.95 * plant.compensate(path, time=time).voltage.max()
+    plant = replace(PLANT, dynamics=Dynamics(1000, 0.7, 2e6))
+    high = 0.9 * plant.compensate(path, time=time).voltage.max()
     command = follow(Compensator(plant, (-1e4, high)), path, time=time, state=plant.state)
     assert command.clamped.any()
     assert command.voltage.max() == high
