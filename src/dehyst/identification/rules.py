@@ -75,7 +75,7 @@ class DecisionRules:
     )
     loud: float = _rule(0.002, "part of the range", "More noise drags elements back and forth: their loops get narrow.")
     useless: float = _rule(USELESS, "% of the stroke", "A model with a larger expected error is not usable.")
-    most_set_aside: float = _rule(0.1, "part of the samples", "If more was set aside, the model is usable with care.")
+    most_set_aside: float = _rule(0.1, "part of the samples", "If more was left out, the model is usable with care.")
     widest_gap: float = _rule(
         2.0, "ratio of errors", "Validation records missed this many times as far: the model is usable with care."
     )

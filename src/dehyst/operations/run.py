@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError, Terminated
-from dehyst._io import demand_own_folder
+from dehyst._io import is_draft
 from dehyst.operations.declaration import Operation, OperationError, Role
 
 # Formats of models, of one axis and several.
@@ -148,7 +148,7 @@ def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
     demand_outputs(operation.paths(values, Role.INPUT), outputs, force=force)
     for folder in operation.paths({**operation.defaults, **values}, Role.FOLDER):
-        demand_own_folder(folder, "", "", force=force)
+        _demand_empty(folder, force)
     result: Result = operation.function(run, **values)
     return result
 
@@ -175,6 +175,16 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], *, force: bo
         # A device such as /dev/null, and a pipe, are written to.
         if output.is_file() and not force:
             raise FileFormatError(f"{output}: is there already; give another name, or --force to replace it")
+
+
+def _demand_empty(folder: Path, force: bool) -> None:
+    """Raise an error for a folder with files without `force`, which replaces only files that are written."""
+    held = sorted(path.name for path in folder.iterdir() if not is_draft(path.name)) if folder.is_dir() else []
+    if held and not force:
+        named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
+        raise FileFormatError(
+            f"{folder}: holds files already ({named}); give another name, or --force to replace those that are written"
+        )
 
 
 def _same(first: Path, second: Path) -> bool:
