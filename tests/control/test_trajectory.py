@@ -166,7 +166,7 @@ def test_a_clamped_mass_is_told_as_it_moves():
     np.testing.assert_array_equal(command.displacement, played.displacement)
     # Long after the last clamp of a damped mass the path is followed again.
     gaps = np.flatnonzero(command.clamped)
-    after = np.arange(time.size)[gaps[-1] + 150 :]
+    after = np.arange(time.size)[gaps[-1] + 100 :]
     assert after.size > 50
     assert np.abs(command.displacement - path)[after].max() < 1e-3 * plain_records.STROKE
 

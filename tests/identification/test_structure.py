@@ -46,7 +46,7 @@ def test_the_grid_covers_the_loops_and_no_more(structure):
 @given(STRUCTURES)
 def test_parameters_are_counted_as_the_program_has_columns(structure):
     grid = structure.grid(SPAN, VOLTS)
-    columns = np.count_nonzero(grid.movable) * grid.segments + grid.knots.size - 1 + grid.moved
+    columns = np.count_nonzero(grid.movable) * grid.segments + grid.knots.size - 1 + grid.lengths.size
     assert structure.parameters == columns + max(grid.drive.size - 2, 0)
 
 
@@ -68,7 +68,7 @@ def test_the_grid_goes_with_the_units(structure, scale):
 def test_the_default_is_the_papers_class_on_its_uniform_grid():
     grid = Structure().grid((0.0, 16e-6), (0.0, 200.0))
     np.testing.assert_allclose(grid.breakaway, 16e-6 / 40 * np.arange(1, 21))
-    assert (grid.segments, grid.moved, grid.drive.size) == (1, 0, 0)
+    assert (grid.segments, grid.lengths.size, grid.drive.size) == (1, 0, 0)
 
 
 def test_spacing_makes_the_grid_dense_where_loops_are_small():

@@ -5,7 +5,6 @@ import os
 import signal
 import time
 from contextlib import contextmanager
-from copy import copy
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ class Faulty:
     """A rig whose driver has one fault from the moment that it is switched on; notes what is sent."""
 
     def __init__(self, rig):
-        self.rig, self.on, self.sent, self.waited = rig, False, [], 0.0
+        self.rig, self.on, self.sent, self.waited, self.raised = rig, False, [], 0.0, 0
         self.methods = {name: getattr(rig, name) for name in ("_read", "_put", "_wave", "_halt", "_wait")}
         rig._put, rig._wait, rig._halt, self.halted = self.put, self.wait, self.halt, math.inf
 
@@ -86,14 +85,12 @@ class Faulty:
 
 
 def raises(error, times=math.inf):
-    """A method that raises an error so many times, and then works."""
-    left = times
+    """A method that raises an error so many times in each test, and then works."""
 
-    def change(_, honest, *values):
-        nonlocal left
-        left -= 1
-        if left >= 0:
-            raise copy(error)
+    def change(faulty, honest, *values):
+        faulty.raised += 1
+        if faulty.raised <= times:
+            raise type(error)(*error.args)
         return honest(*values)
 
     return change
