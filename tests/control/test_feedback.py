@@ -127,8 +127,9 @@ def test_a_refused_step_changes_nothing():
 def test_what_a_feedback_needs_is_said():
     with pytest.raises(ModelError, match="period"):
         Feedback(Compensator(PLANT, (0, 100)))
-    with pytest.raises(ModelError, match="margin_db"):
-        Feedback(Compensator(PLANT, (0, 100), period=PERIOD), -1)
+    for margin in (-1, 1e9):
+        with pytest.raises(ModelError, match="margin_db"):
+            Feedback(Compensator(PLANT, (0, 100), period=PERIOD), margin)
     with pytest.raises(ModelError, match="63"):
         Feedback(Compensator(replace(PLANT, delay=0.1), (0, 100), period=PERIOD))
     with pytest.raises(ModelError, match="bound"):

@@ -94,7 +94,7 @@ def test_a_homing_that_is_offered_is_taken(actuator, step):
     assert 0 < played.duration <= seconds + 2 / played.sample_rate
     for bad in (0.0, -1.0, np.nan):
         with pytest.raises(ModelError, match="home_within"):
-            plan_path(loop, wanted, time=time, home_within=bad)
+            plan_path(loop, wanted, time=time, home=bad < 0, home_within=bad)
 
 
 def test_more_time_leaves_less():

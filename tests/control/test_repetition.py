@@ -139,7 +139,7 @@ def test_what_a_repetition_needs_is_said():
     loop = Compensator(PLANT, (0, 100), period=PERIOD)
     with pytest.raises(ModelError, match="period"):
         Repetition(Compensator(PLANT, (0, 100)), PATH)
-    for path in (np.zeros(1), [0.0, np.nan], [1e40, 2.0], np.zeros((5, 2)), ["a", "b"], [1j, 2j]):
+    for path in ([], np.zeros(1), [0.0, np.nan], [1e40, 2.0], np.zeros((5, 2)), ["a", "b"], [1j, 2j]):
         with pytest.raises(ModelError):
             Repetition(loop, path)
     life = Life()

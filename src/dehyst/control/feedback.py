@@ -47,11 +47,8 @@ class Feedback:
     bandwidth : float
         Frequency [Hz] below which disturbances are reduced by 3 dB or more, with a reading each period.
 
-    Raises
-    ------
-    ModelError
-        If the compensator has no period, the bound is not up to a quarter of the reach, or a delay has more than 63
-        periods.
+    Raise `ModelError` if the compensator has no period, the bound is not up to a quarter of the reach, or a delay has
+    more than 63 periods.
     """
 
     def __init__(self, compensator: Compensator, margin_db: float = 6.0, *, bound: float | None = None) -> None:
@@ -76,17 +73,8 @@ class Feedback:
         `measured`: the displacement [m, or `units`] after all voltages sent so far, or None if there is no reading. A
         value that is not finite counts as none.
 
-        Raises
-        ------
-        ModelError
-            As `Compensator.step`: nothing has changed.
-
-        Warns
-        -----
-        ClampWarning
-            As `Compensator.step`.
-        SensorWarning
-            Once, when the sensor is not believed any more.
+        Raise `ModelError` as `Compensator.step`: nothing has changed. Warn `ClampWarning` as that, and `SensorWarning`
+        once, when the sensor is not believed any more.
         """
         believed = self.believed
         if self._loop is not self.compensator._loop:

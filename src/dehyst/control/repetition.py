@@ -221,7 +221,7 @@ class Repetition:
         found = np.asarray(plain(values, what))
         if found.dtype.kind not in "fiu":
             raise ModelError(argument=what, got=f"{found.dtype} values", need="real numbers")
-        table = found.astype(np.float64).reshape(len(found), -1) if found.ndim == 1 else found.astype(np.float64)
+        table = found.astype(np.float64)[:, np.newaxis] if found.ndim == 1 else found.astype(np.float64)
         if table.ndim != 2 or table.shape[1] != len(self._loops):
             raise ModelError(argument=what, got=f"the shape {found.shape}", need=f"{len(self._loops)} columns")
         return table

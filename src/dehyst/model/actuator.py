@@ -343,8 +343,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         """
         if number(period, "period") <= 0:
             raise ModelError(argument="period", got=period, need="a positive number of seconds")
-        if number(margin_db, "margin_db") <= 0:
-            raise ModelError(argument="margin_db", got=margin_db, need="a positive number of dB", hint="try 6")
+        if not 0 < number(margin_db, "margin_db") <= 120:
+            raise ModelError(argument="margin_db", got=margin_db, need="above 0 and at most 120 dB", hint="try 6")
         factor = 10 ** (margin_db / 20)
         return feedback_margins(self.dynamics, period, factor, preview=preview)
 

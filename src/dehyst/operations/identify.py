@@ -117,11 +117,11 @@ def identify(
 
 
 def _answer(fit: Fit | StageFit) -> list[str]:
-    """Return the promise and the first remarks of a good fit; of another one, all that says why it is not."""
+    """Return the promise of a good fit and its first reservations and remarks; of another one, all reasons."""
     brief = fit.summary().split("\n")
-    if not isinstance(fit, Fit) or not fit.good:
+    if not isinstance(fit, Fit) or not fit.good or fit.promise is None:
         return brief
-    return [brief[0], *(f"  - {escaped(remark)}" for remark in fit.remarks[:_REMARKS])]
+    return [brief[0], *(f"  - {escaped(remark)}" for remark in (*fit.promise.reservations, *fit.remarks)[:_REMARKS])]
 
 
 def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -> tuple[list[Record], list[Record]]:

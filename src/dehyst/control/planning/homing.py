@@ -140,8 +140,7 @@ def shortest_homing(
         raise ModelError(argument="tolerance", got=least, need="a positive number")
     if hold is not None and number(hold, "hold") < 0:
         raise ModelError(argument="hold", got=hold, need="0 or more seconds")
-    if within is not None and number(within, "home_within") <= 0:
-        raise ModelError(argument="home_within", got=within, need="a positive number of seconds")
+    within = time_allowed(within)
     sampling = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
@@ -350,6 +349,13 @@ def _rest_seconds(actuator: Actuator) -> float:
 
 def _micro(length: float) -> str:
     return f"{length * 1e6:.3g} um"
+
+
+def time_allowed(within: float | None) -> float | None:
+    """Return the time [s] that a homing may take; refuse one that is not positive."""
+    if within is not None and number(within, "home_within") <= 0:
+        raise ModelError(argument="home_within", got=within, need="a positive number of seconds")
+    return within
 
 
 def present_voltage(bounds: VoltageLimits, present: float | None) -> float:

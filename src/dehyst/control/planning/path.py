@@ -26,6 +26,7 @@ from dehyst.control.planning.homing import (
     played_homing,
     present_voltage,
     rows_of,
+    time_allowed,
 )
 from dehyst.control.planning.plan import HOMING, PATH, WAY, PathPlan, shortfall
 from dehyst.control.planning.start import PossibleStart, model_error
@@ -139,7 +140,7 @@ def plan_path(
     task = Task(_compensator(model, limits, slew_rate), path, "displacement", time, temperature)
     task.set_rates(velocity, acceleration)
     task.shift(on_time)
-    task.home_within = home_within
+    task.home_within = time_allowed(home_within)
     given, now = task.starts(start), task.each(present, "present")
     if home:
         return task.result(task.plans(*task.homed(task.unless_known(given, now))))

@@ -16,6 +16,7 @@ from dehyst._types import Array, Mask
 from dehyst._views.lines import span_of
 from dehyst.control.compensator import Compensator
 from dehyst.control.following import Followed, follow
+from dehyst.control.planning.homing import time_allowed
 from dehyst.control.planning.path import MOST_ROWS, Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
@@ -364,7 +365,7 @@ def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -
     task = Task(compensator, path.displacement, "displacement", path.time, None)
     task.set_rates(path.velocity, path.acceleration)
     task.shift(False)
-    task.home_within = home_within
+    task.home_within = time_allowed(home_within)
     return task
 
 
