@@ -132,6 +132,7 @@ class Reusing(FakeRig):
 
 def test_the_rehearsal_finds_every_planted_fault():
     command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-n", "0", "-p", "no:cacheprovider", "-c", os.devnull]
-    done = subprocess.run([*command, planted_faults.__file__], capture_output=True, text=True, check=False)
+    place = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([*command, planted_faults.__file__], capture_output=True, text=True, check=False, env=place)
     found = set(re.findall(r"FAILED .*::Test(\w+)::", done.stdout))
     assert found == set(planted_faults.FAULTS), done.stdout[-2000:]
