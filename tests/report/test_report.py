@@ -3,10 +3,10 @@ import hashlib
 import html
 import re
 import sys
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from markup import Page
 
 from dehyst._errors import FileFormatError
 from dehyst.identification import Fit, Outcome, Readiness, RecordErrors, Trace
@@ -19,40 +19,6 @@ from dehyst.report.html import spelled
 HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$ " + "long_" * 60
 # Charts of slip elements and spring, and of where records turned.
 MODEL, TURNS = 4, 1
-VOID = {"meta", "br", "hr", "img", "link", "input"}
-
-
-class Page(HTMLParser):
-    """Checks that every tag is closed in order; keeps tags, attributes and text."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.tags, self.attributes, self.text = [], [], [], []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes.extend((tag, key, value) for key, value in attrs)
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes.extend((tag, key, value) for key, value in attrs)
-
-    def handle_endtag(self, tag):
-        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
-        self.open.pop()
-
-    def handle_data(self, data):
-        if not {"style", "script"} & set(self.open):
-            self.text.append(data)
-
-    @property
-    def words(self):
-        return re.sub(r"\s+", " ", "".join(self.text))
 
 
 def charts(page):

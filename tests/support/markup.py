@@ -1,5 +1,6 @@
 """HTML that is read back: every tag is closed in order; its tags, attributes, text and the cells of its tables."""
 
+import re
 from html.parser import HTMLParser
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -38,3 +39,7 @@ class Page(HTMLParser):
             self.rows[-1][-1].append(data)
         if not {"style", "script"} & set(self.open):
             self.text.append(data)
+
+    @property
+    def words(self):
+        return re.sub(r"\s+", " ", "".join(self.text))
