@@ -27,7 +27,7 @@ ROOMS = {
     "records": 5430,
     "report": 1882,
     "testing": 492,
-    "trust": 2479,
+    "trust": 2394,
     "virtual": 828,
     "waveforms": 1350,
     "web": 50,

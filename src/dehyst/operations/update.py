@@ -25,9 +25,9 @@ def update(
 ) -> Result:
     """Update a MODEL from a new RECORD of its actuator, even of a single loop, and report what has changed.
 
-    If no updated model predicts the record better, the output is the old model with a promise in which the record
-    counts. A record that clearly belongs to another actuator is refused. The coupling of several axes is checked, not
-    changed. The status is 0 if the error on held-out parts of the record and the promise are within the goal, else 1.
+    If no updated model predicts the record better, the output is the old model; a record on which it does not keep its
+    promise widens it. A record that clearly belongs to another actuator is refused. The coupling of several axes is
+    checked, not changed. The status is 0 if the error on held-out parts and the promise are within the goal, else 1.
 
     Parameters
     ----------

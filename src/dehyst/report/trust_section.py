@@ -88,7 +88,7 @@ def sections(found: Insight, plane: TurnPlane | None) -> list[Part]:
 def _verdict(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     promise, warnings = found.promise, found.warnings()
-    expected = "The error to expect is not known." if promise is None else " ".join(promise.lines)
+    expected = "The error to expect is not known." if promise is None else " ".join(found.expected)
     # Of a path that nobody has asked for it is said, and no more.
     new = promise is not None and bool(promise.untested) and found.plan is not None
     title = "Warning" if warnings else "In part not tested" if new else "No warnings"

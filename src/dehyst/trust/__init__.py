@@ -1,11 +1,10 @@
 """Trust: the error to expect on a path, what to record next, checks, updates, and the comparison with others."""
 
-from dehyst.trust.assessment import Insight, insight
+from dehyst.trust.assessment import Insight, StageInsight, insight
 from dehyst.trust.baselines import AbstractBaseline
 from dehyst.trust.changes import Change
 from dehyst.trust.comparison import OURS, ModelComparison, RecordScore, compare
 from dehyst.trust.recheck import Recheck, check
-from dehyst.trust.stage_assessment import StageInsight
 from dehyst.trust.start import start_of
 from dehyst.trust.turn_plane import Turn, TurnPlane, turn_plane
 from dehyst.trust.update import Update, update

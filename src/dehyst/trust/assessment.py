@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dehyst._errors import ModelError
 from dehyst._text import counted, escaped
 from dehyst._threads import one_thread
-from dehyst._types import Progress
+from dehyst._types import Array, Progress
 from dehyst._validation import interval
 from dehyst._views import html
 from dehyst._views.fields import json_values
@@ -20,18 +22,22 @@ from dehyst.model import (
     Actuator,
     Promise,
     Stage,
+    by_axis,
     excite_command,
+    matrix_lines,
     promised,
     unusable,
 )
 from dehyst.records import Record
 from dehyst.trust.evidence import Evidence
-from dehyst.trust.recheck import ANOTHER
+from dehyst.trust.recheck import ANOTHER, coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
 # Records are not those of a model that misses them by more than this [% of their range], and more than this many times
 # as far as those that it was identified from.
 _WORTH, _TIMES = 0.5, 3.0
+# Half the width of a 90 % interval, in standard errors; a coupling that is known to less than this may differ.
+_DEVIATIONS, _CHANGED = 1.6448536269514722, 0.005
 # Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
 _WIDER = 0.01
 
@@ -72,10 +78,8 @@ def insight(
         If a range is impossible.
     """
     if isinstance(model, Stage):
-        from dehyst.trust.stage_assessment import stage_insight
-
         options: dict[str, Any] = {"limits": limits, "progress": progress}
-        return stage_insight(model, [records] if isinstance(records, Record) else records, plan, **options)
+        return _stage_insight(model, [records] if isinstance(records, Record) else records, plan, **options)
     if not isinstance(model, Actuator):
         raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
     actuator = model
@@ -111,6 +115,11 @@ class Insight(Plotted):
     def promise(self) -> Promise | None:
         """The promised error of the path; None if the model does not hold what its records tested."""
         return promised(self.actuator) if self.plan is None else self.plan.promise
+
+    @property
+    def expected(self) -> tuple[str, ...]:
+        """The promise in sentences; none for records of another stage, where the warning is the answer."""
+        return () if self.promise is None or self._of_others() else self.promise.lines
 
     @property
     def identifiability(self) -> Identifiability:
@@ -155,12 +164,7 @@ class Insight(Plotted):
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
-        remarks = [
-            unusable(self.actuator, self.promise),
-            self._of_others(),
-            self._open(),
-            self._beyond(),
-        ]
+        remarks = self._of_others(), unusable(self.actuator, self.promise), self._open(), self._beyond()
         return tuple(remark for remark in remarks if remark)
 
     def _of_others(self) -> str:
@@ -212,10 +216,61 @@ class Insight(Plotted):
         }
 
 
+@dataclass(frozen=True, eq=False)
+class StageInsight:
+    """How far to trust a stage.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    coupling, low, high : (axes, axes) array
+        The coupling matrix of the stage, and the ends of the 90 % confidence interval of each entry.
+    insights : tuple of Insight
+        Assessment of each actuator.
+    remarks : tuple of str
+        Sentences on what the records leave open, and what to record next.
+    """
+
+    axes: tuple[str, ...]
+    coupling: Array
+    low: Array
+    high: Array
+    insights: tuple[Insight, ...]
+    remarks: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Return the assessment of the coupling in lines."""
+        half = (self.high - self.low) / 2
+        head = "Coupling, with half the interval of each entry that the records allow (90 %):"
+        return [head, *matrix_lines(self.axes, self.coupling, half), *(f"  - {remark}" for remark in self.remarks)]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        keys = "axes coupling lowest=low highest=high remarks"
+        return json_values(self, keys) | {"insights": by_axis(self.axes, self.insights)}
+
+
+def _stage_insight(
+    stage: Stage, records: Sequence[Record], plan: PathPlan | None = None, **options: Any
+) -> StageInsight:
+    """Assess a stage by the records it was identified from; `options`: of `insight`, for each actuator."""
+    _, uncertainty = coupling_of(stage, records)
+    half = _DEVIATIONS * uncertainty
+    insights = tuple(
+        insight(one, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], **options)
+        for j, one in enumerate(stage.actuators)
+    )
+    remarks = tuple(
+        f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{half[i, j]:.2g} only: "
+        "record `dehyst excite stage`, which moves each axis alone first"
+        for i, j in np.argwhere(half > _CHANGED).tolist()
+    )
+    return StageInsight(stage.axes, stage.coupling, stage.coupling - half, stage.coupling + half, insights, remarks)
+
+
 def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
     """Yield the lines of a summary, in the order in which they matter."""
-    if found.promise is not None:
-        yield from found.promise.lines
+    yield from found.expected
     for warning in found.warnings():
         yield f"WARNING: {warning}"
     if full:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, overload
@@ -366,13 +367,8 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
 
 def _check_stage(stage: Stage, record: Record, goal: float | None) -> StageRecheck:
     """Check each actuator of a stage, and estimate its coupling with plays of the voltages."""
-    refuse_other_axes(stage, record)
-    refuse_still([record])
+    coupling, uncertainty = coupling_of(stage, [record])
     rechecks = tuple(check(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
-    plays = Plays.of([record])
-    if plays.separate().min() < SEPARATE:
-        return StageRecheck(stage.axes, rechecks, stage.coupling, np.full_like(stage.coupling, np.inf), ())
-    coupling, uncertainty = plays.coupling()
     away, changes = coupling - stage.coupling, list[str]()
     for i, j in np.argwhere((np.abs(away) > _COUPLED) & (np.abs(away) > _ERRORS * uncertainty)).tolist():
         changes.append(
@@ -382,11 +378,20 @@ def _check_stage(stage: Stage, record: Record, goal: float | None) -> StageReche
     return StageRecheck(stage.axes, rechecks, coupling, uncertainty, tuple(changes))
 
 
-def refuse_other_axes(stage: Stage, record: Record) -> None:
-    """Raise `RecordError` if a record is not one of a stage's axes."""
-    if record.axes != stage.axes:
-        own, axes = ", ".join(record.axes), ", ".join(stage.axes)
-        raise RecordError(f"record '{record.name}': has the axes {own}, the stage has {axes}")
+def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
+    """Return the coupling matrix (axes, axes) of records, and standard errors; infinite ones if voltages are alike.
+
+    Raise `RecordError` if a record is not one of the stage's axes, or an axis stands still.
+    """
+    for record in records:
+        if record.axes != stage.axes:
+            own, axes = ", ".join(record.axes), ", ".join(stage.axes)
+            raise RecordError(f"record '{record.name}': has the axes {own}, the stage has {axes}")
+    refuse_still(records)
+    plays = Plays.of(records)
+    if plays.separate().min() < SEPARATE:
+        return stage.coupling, np.full_like(stage.coupling, np.inf)
+    return plays.coupling()
 
 
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:

@@ -7,7 +7,7 @@ if both its branches are tested.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite, nan
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.model import CELLS, are_tested, legs, speeds_of, tested_loops
+from dehyst.model import CELLS, legs, speeds_of, tested_loops
 
 # Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn
 # and in which a voltage is held.
@@ -85,14 +85,6 @@ class TurnPlane:
         step = _stride(voltage)
         turns = _turns(name, clock[::step], voltage[::step], float(np.ptp(self.edges)))
         return tuple(turns if time is not None else (turn._replace(speed=nan, held=0.0) for turn in turns))
-
-    def tests(self, turn: Turn) -> bool:
-        """Return whether a record tests this branch."""
-        return bool(are_tested(np.array([[turn.begin, turn.end]]), self.rising, self.falling, self.edges)[0])
-
-    def untested(self, path: Sequence[Turn]) -> int:
-        """Count the branches of a path that no record tests."""
-        return sum(turn.times for turn in path if not self.tests(turn))
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""

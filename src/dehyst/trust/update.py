@@ -55,8 +55,8 @@ class Update:
     Attributes
     ----------
     actuator : Actuator
-        The updated model, or the old one if the update does not predict the record better. The record counts in the
-        promise of either.
+        The updated model, or the old one if the update does not predict the record better. A record on which the old
+        model does not keep its promise widens the promise of either.
     recheck : Recheck
         The check of the old model against the record, with `changes` of gain, width and offset and their standard
         errors.
@@ -98,7 +98,8 @@ class Update:
             return (
                 f"Updated: the largest error is {held} of the stroke on parts held out, where the old model has {old}."
             )
-        return f"Not updated: no other model predicts the record better. Its largest error is {old} of the stroke."
+        kept = "which its promise allows: it stays as it is" if self.recheck.kept else "which its promise now counts"
+        return f"Not updated: no other model predicts the record better. The old one has {old} of the stroke, {kept}."
 
     @property
     def promise(self) -> Promise | None:
@@ -255,7 +256,8 @@ class _Refit:
         else:
             # The old model is still that of its own records.
             made, after, held_out = self.given, before, before
-        made = with_identification(made, validity=self._validity(after[0], held_out[1]), **known)
+        if used or not self.recheck.kept:
+            made = with_identification(made, validity=self._validity(after[0], held_out[1]), **known)
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
     def _stretched(self) -> Actuator:
@@ -364,6 +366,9 @@ class _Refit:
         noise, known = self.recheck.noise, self.old.identification
         rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         largest_ = beyond_noise(largest, noise)
+        if self.recheck.kept:
+            # A record that confirms the promise does not widen it.
+            rms_ = largest_ = 0.0
         if known is None or known.validity is None:
             stroke = self.recheck.stroke
             played = self.record.time, self.record.voltage
