@@ -54,23 +54,18 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/strangers.py --jobs 2
 	$(BIN)/python benchmarks/transients.py
-	$(BIN)/python benchmarks/lags.py
 	$(BIN)/python benchmarks/creep.py
 	$(BIN)/python benchmarks/coupled_axes.py
-	$(BIN)/python benchmarks/calibrated_axes.py
 	$(BIN)/python benchmarks/paper.py
 	$(BIN)/python benchmarks/promise.py
 	$(BIN)/python benchmarks/temperature.py
 	$(BIN)/python benchmarks/ageing.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
-	$(BIN)/python benchmarks/wasm.py
-	$(BIN)/python benchmarks/threads.py
 	$(BIN)/python benchmarks/saturation.py
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/learning.py
-	$(BIN)/python benchmarks/workbench.py
 	$(BIN)/python benchmarks/figures.py
 	$(BIN)/python benchmarks/pages.py
 	$(BIN)/python benchmarks/architecture.py

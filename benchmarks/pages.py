@@ -260,11 +260,11 @@ def rules() -> list[str]:
     # The first rule of each table, and its heading.
     headings = {
         "longest_lag": "Delay and lag",
-        "datum_gain": "Sensor zero, drift and creep",
+        "datum_gain": "Sensor zero and drift",
         "slowest_cycle": "Inertia",
-        "part_gain": "Structure",
-        "quiet": "Noise",
-        "check_risk": "Checks and remarks",
+        "creep_gain": "Creep",
+        "static_gain": "Static parts",
+        "temperatures": "Temperature",
         "useless": "Verdict",
     }
     lines, heading = [], table(("Rule", "Value", "Unit", "Reason"), ())
