@@ -62,7 +62,6 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/ageing.py
 	$(BIN)/python benchmarks/size.py
 	$(BIN)/python benchmarks/latency.py
-	$(BIN)/python benchmarks/saturation.py
 	$(BIN)/python benchmarks/calibration.py
 	$(BIN)/python benchmarks/faults.py
 	$(BIN)/python benchmarks/learning.py

@@ -169,14 +169,6 @@ def steps() -> list[str]:
     return table(head, rows)
 
 
-def saturation() -> list[str]:
-    """Errors after clamped voltages."""
-    found = data("saturation")
-    volts = f"{found['allowed_V'][1]:.0f} V allowed, {found['needed_V']:.0f} V needed"
-    rows = ([name, f"{percent:.2f}"] for name, percent in found["after_saturation_percent"].items())
-    return table((volts, "largest error after saturation, %"), rows)
-
-
 def calibrations() -> list[str]:
     """Calibrations on emulated instruments."""
     links = {"pi": "a controller's text protocol over TCP", "epics": "an IOC over Channel Access"}
@@ -298,7 +290,7 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
         one.__name__: one
         for part in (
             (accuracy, baselines, strangers, paper, speed),
-            (steps, saturation, firmware, temperature, calibrations, promise),
+            (steps, firmware, temperature, calibrations, promise),
             (coupled, creep, learning, updates, faults),
         )
         for one in part
