@@ -39,7 +39,7 @@ HOUSE = {
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 3058,
     "lines of tests": 40123,
-    "lines of benchmarks": 5304,
+    "lines of benchmarks": 5310,
     "words of docs": 27850,
     "public names": 120,
     "commands": 16,
