@@ -14,7 +14,7 @@ from dehyst.calibration.session import ProgressListener, Session
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import about_of
-from dehyst.report import write_calibration
+from dehyst.report import write_report
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation, raised_cosine
 
@@ -61,10 +61,9 @@ def test_everything_is_on_disk(finished, tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == ["model.json", "records"]
     assert sorted(path.stem for path in (folder / "records").iterdir()) == sorted(names)
     assert Actuator.load(folder / "model.json").limits is not None
-    write_calibration(tmp_path / "report.html", found, command="dehyst calibrate sim://")
+    write_report(tmp_path / "report.html", found.fit, followed={"nominal": found.nominal})
     page = (tmp_path / "report.html").read_text()
     assert "Measured along" in page
-    assert "calibrate sim://" in page
 
 
 def test_the_error_is_what_was_measured(finished):

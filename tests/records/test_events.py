@@ -13,7 +13,7 @@ from dehyst import Record, RecordError
 from dehyst.records import counting
 from dehyst.records.events import counted_events, record_of_periodic
 from dehyst.records.record import columns_of
-from dehyst.report.pages import time_charts
+from dehyst.report.pictures import record_in_time
 from dehyst.virtual import PlayActuator
 
 T = np.arange(601) * 0.01
@@ -294,5 +294,5 @@ def test_a_file_of_a_periodic_signal_is_a_record_of_events(tmp_path, kind, perio
     assert np.abs(error - np.median(error)).max() < 0.2
     assert [(one.name, one.unit) for one in record.others] == [("signal", "V")]
     assert len(record) == t.size
-    *_, chart = time_charts(record)
+    *_, chart = record_in_time(record)
     assert (chart.y.quantity, len(chart.series[-1].x)) == ("signal", np.count_nonzero(record.measured))

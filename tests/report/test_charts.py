@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst.report.charts import Axis, Chart, ChartData, Series, stems, steps, vertices
+from dehyst.report.charts import Axis, Chart, ChartData, Series, stems, vertices
 
 
 def chart(*series, **kwargs):
@@ -89,13 +89,11 @@ def test_a_logarithmic_axis_stores_exponents():
     }
 
 
-def test_stems_and_steps_are_curves():
+def test_stems_are_curves():
     (line,) = stems("stiffness", np.array([1.0, 2.0]), np.array([5.0, 6.0]), "measured")
     assert line.x.tolist() == [1, 1, 1, 2, 2, 2]
     assert np.array_equal(line.y, [0, 5, np.nan, 0, 6, np.nan], equal_nan=True)
     assert stems("none", np.zeros(0), np.zeros(0), "measured") == ()
-    x, y = steps(np.array([0.0, 1.0, 3.0]), np.array([7.0, 8.0]))
-    assert (x.tolist(), y.tolist()) == ([0, 1, 1, 3], [7, 7, 8, 8])
 
 
 @pytest.mark.parametrize("values", [[], [2.0], [2.0, 2.0], [np.nan, np.nan]])

@@ -15,7 +15,7 @@ from dehyst import DisplacementCreep, ModelError, RecordError, Structure
 from dehyst._errors import MissingExtraError
 from dehyst.control import plan_path
 from dehyst.model import creep_times, major_loop
-from dehyst.report.report import render
+from dehyst.report.pages import render
 
 matplotlib = pytest.importorskip("matplotlib")
 Figure = pytest.importorskip("matplotlib.figure").Figure
@@ -23,10 +23,10 @@ Figure = pytest.importorskip("matplotlib.figure").Figure
 HOSTILE = "_$\\frac{1}$ <b>\n" + "long" * 40
 KINDS = {
     "record": ["loop", "time"],
-    "actuator": ["loop", "elements", "spring", "slopes"],
+    "actuator": ["loop", "elements"],
     "creeping": ["creep", "loop"],
     "fit": ["loops", "hysteresis", "residuals", "residuals in time"],
-    "insight": ["directions", "band"],
+    "insight": ["turns", "band"],
     "check": ["hysteresis", "loops", "residuals", "residuals in time"],
 }
 PICTURES = [(name, kind) for name, kinds in KINDS.items() for kind in kinds]
@@ -60,9 +60,8 @@ def test_it_draws_on_the_given_axes_with_units_and_returns_them(things, name, ki
     ax = axes()
     assert things[name].plot(kind, ax=ax) is ax
     assert ax.has_data()
-    # A singular value, of volts for each volt, belongs to a number.
     labels = [ax.get_xlabel(), ax.get_ylabel()]
-    assert all("(" in label or label in {"direction", "sample"} for label in labels)
+    assert all("(" in label or label == "sample" for label in labels)
     assert ax.get_title()
     ax.figure.canvas.draw()
 
@@ -152,7 +151,7 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
         things["record"].plot("loops")
     with pytest.raises(ModelError, match="creep"):
         things["actuator"].plot("creep")
-    with pytest.raises(ModelError, match="'directions' or 'band'"):
+    with pytest.raises(ModelError, match="'turns' or 'band'"):
         things["insight"].plot("loops")
     with pytest.raises(ModelError, match="without traces"):
         replace(things["fit"], traces=()).plot()

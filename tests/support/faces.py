@@ -45,8 +45,7 @@ FACES = {
             Columns Record read write_record
         """,
         "report": """
-            write_calibration write_comparison write_insight write_record_page write_report
-            write_stage_report
+            write_comparison write_insight write_record_page write_report
         """,
         "paper": """
             Paper PaperFit identify identify_antisymmetric initial_displacements

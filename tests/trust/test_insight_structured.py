@@ -12,9 +12,7 @@ import structured_records
 from dehyst import Record, Structure, identify
 from dehyst.control import Compensator, plan_path
 from dehyst.model import with_identification
-from dehyst.report.html import document
-from dehyst.report.report import render
-from dehyst.report.trust_section import sections
+from dehyst.report.pages import render, write_insight
 from dehyst.trust import insight
 
 STRUCTURES = {
@@ -68,12 +66,13 @@ def test_a_lone_loop_is_something_to_beware_of():
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_a_look_at_a_wider_model(name):
+def test_a_look_at_a_wider_model(name, tmp_path):
     found, fit, _ = looked(name)
     told_ = json.loads(json.dumps(found.as_dict()))
     assert told_["promise"] == found.plan.promise.as_dict()
     assert found.promise.largest == pytest.approx(sum(found.promise.parts.values()))
-    text = document("", sections(found, found.turns))
+    write_insight(tmp_path / "page.html", found)
+    text = (tmp_path / "page.html").read_text()
     for words in (
         "What the turning points determine",
         "The promise along the path",

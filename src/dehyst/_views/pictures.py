@@ -9,20 +9,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # By name: an import statement would lead upward. See docs/explanation/decisions/0011-plot-methods.md.
-_ROOM = "dehyst.report.object_plots"
+_ROOM = "dehyst.report.plots"
 
 
 class Plotted:
-    """An object that a function of ``dehyst.report.object_plots`` draws: the one of its class in small letters."""
+    """An object whose pictures ``dehyst.report.pictures`` lists by the name of its class."""
 
     __slots__ = ()
 
     def plot(self, kind: str | None = None, *, ax: Axes | None = None) -> Axes:
         """Draw the object on `ax`, by default new axes of matplotlib, and return them.
 
-        `kind`: "loop" or "time" of a record; "loop", "elements", "spring", "slopes" or "creep" of an actuator; "loops",
-        "hysteresis" (off the straight line), "residuals" or "residuals in time" of a fit and a check; "directions" or
-        "band" of an insight. Raise `ModelError` or `RecordError` if the object has no such picture, `MissingExtraError`
-        if matplotlib is not installed.
+        `kind`, the first by default: "loop" or "time" of a record; "loop", "elements" or "creep" of an actuator;
+        "loops", "hysteresis" (off the straight line), "residuals" or "residuals in time" of a fit and a check (which
+        begins with "hysteresis"); "turns" (turning points) or "band" of an insight. Raise `ModelError` or `RecordError`
+        if the object has no such picture, `MissingExtraError` if matplotlib is not installed.
         """
-        return cast("Axes", getattr(import_module(_ROOM), type(self).__name__.lower())(self, kind, ax))
+        return cast("Axes", import_module(_ROOM).draw(self, kind, ax))

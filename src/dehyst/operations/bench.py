@@ -12,13 +12,13 @@ from dehyst._io import demand_own_folder
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.plan import entries, read_voltage
-from dehyst.identification import Fit, StageFit
+from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
 from dehyst.operations.declaration import Continued, Input, Only, Values, operation
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
-from dehyst.report import write_calibration, write_stage_report
+from dehyst.report import write_report
 
 REPORT = "report.html"
 
@@ -162,10 +162,9 @@ def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibra
     with run.watch() as watcher:
         calibration = run_calibration(rig, output, plan=plan, watcher=watcher)
         watcher.step("report")
-        if isinstance(calibration.fit, StageFit):
-            write_stage_report(output / REPORT, calibration.fit, calibration.training, command=run.command)
-        else:
-            write_calibration(output / REPORT, calibration, command=run.command)
+        followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
+        fit, found = calibration.fit, calibration.insight
+        write_report(output / REPORT, fit, command=run.command, insight=found, followed=followed)
         return calibration
 
 

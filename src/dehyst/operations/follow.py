@@ -27,8 +27,8 @@ from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, write_tab
 from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Recording, beyond_noise, demand_disk_space, largest, percent, table_of
-from dehyst.report.actuator_section import followed_sections
 from dehyst.report.html import document, words
+from dehyst.report.sections import followed as followed_sections
 from dehyst.waveforms import Excitation
 
 # Part by which a rate may differ without a remark.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from dehyst.operations.files import AS_FOUND, RECORD, Columns
 from dehyst.operations.paths import Zero
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, read
-from dehyst.report import write_report, write_stage_report
+from dehyst.report import write_report
 from dehyst.trust import insight
 
 # Remarks beside the promise; the others need --verbose.
@@ -106,7 +105,9 @@ def identify(
         write_traces(traces, fit.traces)
     if report is not None:
         run.progress("drawing the report")
-        _report(report, fit, [*training, *held_out], len(training), run.command, quick=deadline.ended)
+        quick = deadline.ended or not isinstance(fit, Fit)
+        found = None if quick else insight(fit.actuator, training)
+        write_report(report, fit, command=run.command, insight=found)
     warnings = []
     if deadline.ended:
         where = "was printed" if output is None else f"is in {output}"
@@ -138,17 +139,6 @@ def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -
         return replace(record, displacement=record.displacement - place, meta={**record.meta, "source": source})
 
     return list(map(moved, records)), list(map(moved, others))
-
-
-def _report(
-    path: Path, fit: Fit | StageFit, records: Sequence[Record], training: int, command: str, *, quick: bool
-) -> None:
-    """Write the report of a fit; for one axis with an assessment of the model, unless the report should be quick."""
-    if not isinstance(fit, Fit):
-        write_stage_report(path, fit, records, command=command)
-        return
-    found = None if quick else insight(fit.actuator, records[:training])
-    write_report(path, fit, command=command, insight=found)
 
 
 class _BestSoFar:

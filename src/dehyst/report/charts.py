@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Literal, TypeAlias
@@ -17,7 +17,7 @@ from dehyst._types import Array
 Indices: TypeAlias = NDArray[np.intp]
 
 # Names of colours in web/style.css, where each has a light and a dark form.
-Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink", "noise", "tested"]
+Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink", "tested"]
 Kind: TypeAlias = Literal["line", "points", "area", "cells"]
 # Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
@@ -76,11 +76,6 @@ def stems(name: str, x: Array, top: Array, colour: Colour, *, width: float = 1.4
     ends = np.zeros(x.shape), top, np.full(x.shape, np.nan)
     line = Series(name, np.repeat(x, 3), np.column_stack(ends).ravel(), colour, width=width)
     return (line,) if x.size else ()
-
-
-def steps(edges: Array, values: Array) -> tuple[Array, Array]:
-    """Return x and y of a curve that is constant between edges."""
-    return np.repeat(edges, 2)[1:-1], np.repeat(values, 2)
 
 
 def gaps(time: Array) -> Indices:
@@ -186,7 +181,9 @@ class ChartData:
         most = max(_LEAST, _SAMPLES // max(long, 1))
         charts = [self._stored(chart.shown(most)) for chart in self._charts]
         columns = [_column(np.frombuffer(values)) for values in self._places]
-        return in_page({"columns": columns, "charts": charts})
+        text = json.dumps({"columns": columns, "charts": charts}, separators=(",", ":"), allow_nan=False)
+        # Nothing inside may end the element, whatever a name contains.
+        return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
     def _stored(self, chart: Chart) -> dict[str, Any]:
         stored: dict[str, Any] = {
@@ -237,13 +234,6 @@ def _axis(axis: Axis) -> dict[str, Any]:
     if axis.range is not None:
         stored["range"] = axis.scaled(axis.range).tolist()
     return {key: value for key, value in stored.items() if value or key == "unit"}
-
-
-def in_page(data: Mapping[str, Any]) -> str:
-    """Return data as JSON for use inside a page."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    # Nothing inside may end the element, whatever a name contains.
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _column(values: Array) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -78,14 +78,14 @@ def document(title: str, parts: Iterable[Part]) -> str:
     )
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Return `value` as text with `digits` significant digits, without an exponent if possible."""
+def number(value: float) -> str:
+    """Return `value` as text with three significant digits, without an exponent if possible."""
     if not math.isfinite(value):
         return "not known"
     if value == 0:
         return "0"
     size = math.floor(math.log10(abs(value)))
-    text = f"{value:.{max(0, digits - 1 - size)}f}" if -4 <= size <= 5 else f"{value:.{digits - 1}e}"
+    text = f"{value:.{max(0, 2 - size)}f}" if -4 <= size <= 5 else f"{value:.2e}"
     return text.replace("-", MINUS)
 
 
@@ -118,34 +118,23 @@ def bullets(title: str, items: Iterable[str], none: str = "") -> str:
     return f"<h2>{title}</h2>\n" + (f"<ul>\n{body}\n</ul>" if body else f'<p class="muted">{none}</p>')
 
 
-def folded(summary: str, tables: Mapping[str, str]) -> str:
-    """Set tables by their headings behind a summary that opens them: one alone, or several side by side."""
-    headed = ((f"<h3>{heading}</h3>\n" if heading else "", one) for heading, one in tables.items())
-    body = "\n".join(f"<div>{heading}{one}</div>" for heading, one in headed)
-    body = body if len(tables) == 1 and "" in tables else f'<div class="figures">\n{body}\n</div>'
-    return f"<details>\n<summary>{summary}</summary>\n{body}\n</details>" if tables else ""
-
-
 def reproduction(command: str | None) -> str:
     """Return the command line that made a page; empty if it is not known."""
     return f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else ""
 
 
-def table(head: Row, rows: Iterable[Row], texts: int, best: Container[tuple[int, int]] = ()) -> str:
-    """Set a table whose first `texts` columns are words; the second text of a cell is set small beneath the first.
+def table(head: Row, rows: Iterable[Row], texts: int) -> str:
+    """Set a table whose first `texts` columns are words; the second text of a cell is set small beneath the first."""
 
-    `best` contains row and column of the cells to mark as such.
-    """
-
-    def cells(tag: str, row: Row, number: int = -1) -> str:
+    def cells(tag: str, row: Row) -> str:
         written = []
         for i, cell in enumerate(row):
             first, second = (cell, "") if isinstance(cell, str) else cell
             small = f"<small>{escape(second)}</small>" if second else ""
-            kind = ' class="text"' if i < texts else ' class="best"' if (number, i) in best else ""
+            kind = ' class="text"' if i < texts else ""
             written.append(f"<{tag}{kind}>{escape(first)}{small}</{tag}>")
         return f"<tr>{''.join(written)}</tr>"
 
-    body = "\n".join(cells("td", row, number) for number, row in enumerate(rows))
-    head_ = cells("th", head).replace("<th", '<th scope="col"')
-    return f'<div class="wide" tabindex="0"><table>\n<thead>{head_}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'
+    body = "\n".join(cells("td", row) for row in rows)
+    top = cells("th", head).replace("<th", '<th scope="col"')
+    return f'<div class="wide" tabindex="0"><table>\n<thead>{top}</thead>\n<tbody>\n{body}\n</tbody>\n</table></div>'

@@ -1,16 +1,217 @@
-"""Smaller pages: a record, and coupled axes."""
+"""Pages: of an identification or a calibration, of an assessment, of a comparison, and of a record."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from dehyst._io import PathLike, write_atomically
-from dehyst._types import Array
-from dehyst.identification import StageFit
+from dehyst.identification import Fit, StageFit
+from dehyst.model import Actuator
 from dehyst.records import Record
-from dehyst.report import html
-from dehyst.report.charts import Axis, Chart, Series, broken
-from dehyst.report.html import Charts, Part, Row, bullets, length_unit, words
+from dehyst.report import pictures, sections
+from dehyst.report.html import Charts, Part, Row, bullets, document, escape, length, number, reproduction, table, words
+from dehyst.trust import OURS, Insight, ModelComparison, RecordScore, StageInsight, turn_plane
+
+if TYPE_CHECKING:
+    from dehyst.calibration import TrackedPath
+
+NONE: Mapping[str, TrackedPath] = {}
+
+
+def write_report(
+    path: PathLike,
+    fit: Fit | StageFit,
+    *,
+    command: str | None = None,
+    insight: Insight | None = None,
+    followed: Mapping[str, TrackedPath] = NONE,
+) -> None:
+    """Write a report of `fit` to a self-contained HTML file.
+
+    Parameters
+    ----------
+    path : path-like
+        Replaced if it exists; never left half written.
+    fit : Fit or StageFit
+    command : str, optional
+        The command line to show.
+    insight : Insight, optional
+        Assessment of the model of one axis, to show too.
+    followed : mapping of str to TrackedPath, optional
+        Measurements along a path, by the kind of its voltage.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be written.
+    """
+    write_atomically(path, render(fit, command, insight, followed))
+
+
+def render(
+    fit: Fit | StageFit,
+    command: str | None = None,
+    insight: Insight | None = None,
+    followed: Mapping[str, TrackedPath] = NONE,
+) -> str:
+    """Return the text of the report; the same text for the same `fit`."""
+    if isinstance(fit, Fit):
+        name = fit.actuator.name if fit.actuator else "Actuator not identified"
+        head: list[Part] = [f"<h1>{escape(name)}</h1>", *_report(fit, insight, followed, command)]
+        return document(f"{name}: identification", head)
+    parts: list[Part] = [
+        "<h1>Coupled axes</h1>",
+        f"<p>{words(fit.verdict)}.</p>",
+        sections.coupling(
+            fit.axes, fit.coupling, fit.uncertainty, f"with its standard error. Condition {fit.condition:.4g}."
+        ),
+        sections.stage_errors(fit),
+    ]
+    for j, (axis, one) in enumerate(zip(fit.axes, fit.fits, strict=True)):
+        paths = {name: found.each[j] for name, found in followed.items()}
+        parts += [f"<h1>Axis {escape(axis)}</h1>", *_report(one, None, paths, None)]
+    return document("Coupled axes", [*parts, reproduction(command)])
+
+
+def _report(
+    fit: Fit, insight: Insight | None, followed: Mapping[str, TrackedPath], command: str | None
+) -> Iterable[Part]:
+    """Yield the answer, and all else in one fold."""
+    actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
+    turns = ((one.record, one.time, one.voltage) for one in fit.traces)
+    yield _facts(fit, actuator)
+    yield sections.verdict(fit)
+    yield from sections.followed(followed)
+    yield sections.before_and_after(fit)
+    yield sections.residuals(fit)
+    yield "<details>\n<summary>All that was found</summary>"
+    yield sections.loops(fit)
+    yield sections.residuals_over_displacement(fit)
+    yield sections.remaining_error(fit)
+    yield from sections.turned(turn_plane(turns, actuator.limits if actuator else None))
+    if insight is not None:
+        yield bullets("What the records leave open", map(words, insight.warnings()))
+        yield from sections.determined(insight)
+    yield sections.candidates(fit)
+    yield sections.errors_table(fit)
+    yield sections.checks(fit)
+    yield bullets("What was repaired or left out", map(words, fit.repairs), "Nothing was repaired or left out.")
+    yield bullets("Remarks", map(words, fit.remarks), "No remarks.")
+    yield from sections.made_of(actuator) if actuator else ()
+    yield _reproduce(fit, command)
+    yield "</details>"
+
+
+def _facts(fit: Fit, actuator: Actuator | None) -> str:
+    facts = ["Identification of a Maxwell-slip model of hysteresis"]
+    if actuator and actuator.limits:
+        facts.append(f"{number(actuator.limits[0])} to {number(actuator.limits[1])} V")
+    if fit.errors:
+        facts.append(f"stroke {length(fit.errors[0].stroke)}")
+    return f'<p class="muted">{escape(" · ".join(facts))}</p>'
+
+
+def _reproduce(fit: Fit, command: str | None) -> str:
+    """Return the command, the options of the identification, and its records with their sums."""
+    options = dict(fit.options)
+    records = [*options.pop("records", ()), *options.pop("validation", ())]
+    entries = (f"<dt>{escape(str(key))}</dt><dd>{escape(_text(value))}</dd>" for key, value in options.items())
+    rows = [tuple(str(one.get(key, "")) for key in ("name", "source", "sha256")) for one in records]
+    sources = table(("Record", "File", "SHA-256"), rows, texts=3) if rows else ""
+    return "\n".join([reproduction(command) or "<h2>How to reproduce</h2>", "<dl>", *entries, "</dl>", sources])
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
+def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str | None = None) -> None:
+    """Write an assessment to a self-contained HTML file.
+
+    `path`, `command` and errors are as in `write_report`; `found` is the assessment, of one axis or of several.
+    """
+    if isinstance(found, Insight):
+        name, parts = found.actuator.name, _insight(found)
+    else:
+        half, caption = (found.high - found.low) / 2, "with half the interval that the records allow (90 %)."
+        name, parts = "Coupled axes", [sections.coupling(found.axes, found.coupling, half, caption)]
+        parts.append(bullets("Remarks", map(words, found.remarks)))
+        for axis, one in zip(found.axes, found.insights, strict=True):
+            parts += [f"<h2>Axis {escape(axis)}</h2>", *_insight(one)]
+    head = f"<h1>{escape(name)}: how far to trust the model</h1>"
+    write_atomically(path, document(f"{name}: insight", [head, *parts, reproduction(command)]))
+
+
+def _insight(found: Insight) -> list[Part]:
+    """Return the promise, the path, where the records turned, and what to record next."""
+    records = ", ".join(escape(one.record.name) for one in found.evidence.comparisons)
+    return [
+        f'<p class="muted">Records: {records} · stroke {escape(length(found.evidence.stroke))}</p>',
+        sections.promised(found),
+        *sections.planned(found),
+        *sections.turned(found.turns, sections.path_turns(found)),
+        *sections.determined(found),
+    ]
+
+
+_NONE = "–"
+# Bars of one model are no comparison; largest ratio of the longest to the median.
+_FEWEST_BARS, _LONGEST = 2, 6.0
+_ROLES = {"validation": "Held out", "training": "Training"}
+
+
+def write_comparison(path: PathLike, found: ModelComparison, *, command: str | None = None) -> None:
+    """Write a comparison to a self-contained HTML file.
+
+    `path`, `command` and errors are as in `write_report`, but nothing is drawn; `found` is the comparison.
+    """
+    best = "" if found.best is None else f"<p>{escape(str(found.best))}</p>"
+    failures = (f"{escape(row.name)}: {escape(row.failure)}" for row in found.rows if row.failure)
+    parts = ["<h1>Models compared</h1>", best, _bars(found), _scores(found), bullets("Failures", failures)]
+    write_atomically(path, document("Models compared", [*parts, reproduction(command)]))
+
+
+def _bars(found: ModelComparison) -> str:
+    """Return a picture: the largest and RMS error of each model on what was held out, least first."""
+    scores = [(score, row.name) for row in found.rows if (score := row.worst("validation")) is not None]
+    if len(scores) < _FEWEST_BARS:
+        return ""
+    scores.sort(key=lambda pair: pair[0].largest)
+    # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
+    end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest) or 1.0
+    lines = "\n".join(
+        f"<dt>{f'<b>{escape(name)}</b>' if name == OURS else escape(name)}</dt><dd>"
+        f'<span class="bar" style="width:{100 * min(score.largest / end, 1.0):.1f}%"></span>'
+        f'<span class="bar rms" style="width:{100 * min(score.rms / end, 1.0):.1f}%"></span>'
+        f"<small>{number(score.largest)} % · {number(score.rms)} %"
+        f"{' (longer than drawn)' if score.largest > end else ''}</small></dd>"
+        for score, name in scores
+    )
+    return (
+        '<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on what was held out, in % of the '
+        f'stroke; the least first.</p>\n<dl class="bars">{lines}</dl>'
+    )
+
+
+def _scores(found: ModelComparison) -> str:
+    """Return the errors of each model."""
+    rows: list[Row] = []
+    for row in found.rows:
+        cells = [_cell(row.worst(role)) for role in _ROLES]
+        seconds = _NONE if row.seconds is None else number(row.seconds)
+        rows.append(((row.name, "this package" if row.name == OURS else ""), *cells, seconds))
+    records = f"Training: {', '.join(found.records)}. {found.note} Stroke: {length(found.stroke)}."
+    return (
+        f'<h2>Errors</h2>\n<p class="muted">{escape(records)} Measured minus simulated displacement of the record with '
+        "the largest error, in % of the stroke: largest and, in small print, RMS, with one free constant for each "
+        f"record.</p>\n{table(('Model', *_ROLES.values(), 'Fit (s)'), rows, texts=1)}"
+    )
+
+
+def _cell(score: RecordScore | None) -> str | tuple[str, str]:
+    return _NONE if score is None else (f"{number(score.largest)} %", f"{number(score.rms)} %")
 
 
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
@@ -19,97 +220,13 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
     `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
     """
     every = [record.axis(axis) for axis in record.axes or ("",)]
-    in_time = [chart for one in every for chart in time_charts(one)]
+    in_time = [chart for one in every for chart in pictures.record_in_time(one)]
     parts: list[Part] = [
-        f"<h1>{html.escape(record.name)}</h1>",
-        html.table(("quantity", "column", "range"), columns, 3),
+        f"<h1>{escape(record.name)}</h1>",
+        table(("quantity", "column", "range"), columns, 3),
         bullets("Notes", (words(problem) for one in every for problem in one.problems())),
         Charts("Against time", "Check that the voltage is that of the actuator, not of a monitor.", in_time),
-        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", [loop_chart(one) for one in every]),
-        html.reproduction(command),
+        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", [pictures.record_loop(one) for one in every]),
+        reproduction(command),
     ]
-    write_atomically(path, html.document(f"{record.name}: record", parts))
-
-
-def time_charts(record: Record) -> list[Chart]:
-    """Return voltage and displacement of a record of one axis against time, and a signal that was counted."""
-    factor, unit = length_unit(record.stroke)
-    quantities = [(record.voltage, Axis("voltage", "V")), (record.displacement * factor, Axis("displacement", unit))]
-    quantities += [(one.values, Axis("signal", one.unit)) for one in record.others if one.name == "signal"]
-    return [Chart(record.name, Axis("time", "s"), y, _drawn(record, record.time, values)) for values, y in quantities]
-
-
-def loop_chart(record: Record) -> Chart:
-    """Return the displacement of a record of one axis over its voltage."""
-    factor, unit = length_unit(record.stroke)
-    x, y = Axis("voltage", "V"), Axis("displacement", unit)
-    return Chart(record.name, x, y, _drawn(record, record.voltage, record.displacement * factor))
-
-
-def _drawn(record: Record, x: Array, y: Array) -> list[Series]:
-    """Return a line through all samples, and points at events."""
-    line, at = Series("", x, broken(record.time, y), "measured"), record.measured
-    return [line] if at is None else [line, Series("events", x[at], y[at], "simulated", "points", 4.0)]
-
-
-def write_stage_report(path: PathLike, fit: StageFit, records: Sequence[Record], *, command: str | None = None) -> None:
-    """Write the report of a `fit` of several axes to a self-contained HTML file.
-
-    `records`: the records of the identification, training first. `path`, `command` and errors are as in `write_report`.
-    """
-    parts: list[Part] = [
-        "<h1>Coupled axes</h1>",
-        f"<p>{words(fit.verdict)}.</p>",
-        _coupling(fit),
-        _stage_errors(fit),
-        *_axes(fit, records),
-        bullets("Axes", (words(f"{a}: {one}") for a, one in zip(fit.axes, fit.fits, strict=True))),
-        html.reproduction(command),
-    ]
-    write_atomically(path, html.document("Coupled axes", parts))
-
-
-def _coupling(fit: StageFit) -> str:
-    matrix: list[Row] = []
-    for i, axis in enumerate(fit.axes):
-        entries = [f"{own:+.5f} ± {error:.5f}" for own, error in zip(fit.coupling[i], fit.uncertainty[i], strict=True)]
-        matrix.append((axis, *entries[:i], "1", *entries[i + 1 :]))
-    caption = (
-        f"Displacement of each axis (row) for each metre that an actuator (column) moves, with its standard error. "
-        f"Condition {fit.condition:.4g}."
-    )
-    return f"<h2>Coupling</h2><p>{html.escape(caption)}</p>{html.table(('axis', *fit.axes), matrix, 1)}"
-
-
-def _stage_errors(fit: StageFit) -> str:
-    head = ("record", "axis", "role", "samples", "largest, % of the stroke", "RMS, %", "largest, nm")
-    rows = [
-        (
-            *(e.record, e.axis, e.role, str(e.samples)),
-            *(f"{e.largest_percent:.3f}", f"{e.rms_percent:.3f}", f"{1e9 * e.largest:.1f}"),
-        )
-        for e in fit.errors
-    ]
-    return f"<h2>Errors of simulating each record</h2>{html.table(head, rows, 3)}" if rows else ""
-
-
-def _axes(fit: StageFit, records: Sequence[Record]) -> list[Part]:
-    """Return the loops of each axis, and what the model leaves over the voltages of the others."""
-    caption = (
-        "Measured displacement over the axis' own voltage, then the model's residual over the voltage of each other "
-        "axis: a shape in the residual is coupling that the matrix does not describe."
-    )
-    parts: list[Part] = []
-    for i, axis in enumerate(fit.axes):
-        charts = []
-        # Its own voltage first.
-        for j in sorted(range(len(fit.axes)), key=lambda k: k != i):
-            shown = [one.displacement * 1e6 for one in records] if j == i else [one * 1e9 for one in fit.residuals]
-            y = Axis(f"displacement {axis}", "µm") if j == i else Axis(f"residual of {axis}", "nm")
-            lines = [
-                Series(record.name, record.voltage[:, j], broken(record.time, values[:, i]), "measured", width=1)
-                for record, values in zip(records, shown, strict=True)
-            ]
-            charts.append(Chart(y.quantity, Axis(f"voltage of {fit.axes[j]}", "V"), y, lines))
-        parts.append(Charts(f"Axis {axis}", caption, charts))
-    return parts
+    write_atomically(path, document(f"{record.name}: record", parts))

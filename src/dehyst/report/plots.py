@@ -1,4 +1,4 @@
-"""Figures for print in the house style, as the paper's pages use them, and charts on matplotlib's axes."""
+"""Figures for print in the house style, as the paper's pages use them, and `plot` methods on matplotlib's axes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dehyst._errors import MissingExtraError
+from dehyst._errors import MissingExtraError, ModelError, RecordError
 from dehyst._io import write_atomically
 from dehyst._text import escaped
 from dehyst._types import Array
+from dehyst._validation import choice
+from dehyst.records import Record
 from dehyst.report.charts import Chart, Series, vertices
+from dehyst.report.pictures import KINDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +35,6 @@ _COLOURS = {
     "falling": FALLING,
     "without": "#8A8A8A",
     "ink": INK,
-    "noise": "#BBBBBB",
     "tested": "#CFE6D8",
 }
 # Of journals: the width of a column and of a page [in], and the least resolution of a line drawing with greys.
@@ -141,14 +143,52 @@ def _inline(svg: str) -> str:
     return f"{head}>{rest}".strip()
 
 
-def plain(name: str) -> str:
+def _plain(name: str) -> str:
     """Return a name as plain text: no formula, no hidden label, and not too long."""
     text = escaped(name)
     text = text if len(text) <= 60 else f"{text[:57]}..."
     return f"{' ' if text.startswith('_') else ''}{text}".replace("$", r"\$")
 
 
-def draw_chart(ax: Axes, chart: Chart) -> None:
+def draw(found: object, kind: str | None, ax: Axes | None) -> Axes:
+    """Draw a picture of an object, by default the usual one, on axes or on those of a new figure; see `Plotted`."""
+    kinds = KINDS[type(found).__name__]
+    name = next(iter(kinds)) if kind is None else kind
+    choice(name, "kind", tuple(kinds), error=RecordError if isinstance(found, Record) else ModelError)
+    chart = kinds[name](found)
+    axes = _new_axes() if ax is None else ax
+    _draw_chart(axes, chart)
+    if isinstance(found, Record) and kind == "time":
+        _voltage_behind(axes, found)
+    if not axes.get_title():
+        axes.set_title(_plain(chart.title))
+    return axes
+
+
+def _new_axes() -> Axes:
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise MissingExtraError.of("matplotlib", "plot", "Drawing") from error
+    axes: Axes = pyplot.subplots(layout="constrained", subplot_kw={"axisbelow": True})[1]
+    axes.grid(color="#ECECEC", lw=0.5)
+    axes.spines[["top", "right"]].set_visible(False)
+    return axes
+
+
+def _voltage_behind(ax: Axes, found: Record) -> None:
+    """Draw the voltage behind the displacement, on an axis of its own."""
+    right: Any = ax.twinx()
+    right.plot(found.time, found.voltage, color="#999999", lw=0.9)
+    right.set_ylabel("voltage (V)", color="#666666")
+    right.grid(visible=False)
+    right.spines["right"].set_visible(True)
+    ax.yaxis.label.set_color(MEASURED)
+    ax.set_zorder(right.get_zorder() + 1)
+    ax.patch.set_visible(False)
+
+
+def _draw_chart(ax: Axes, chart: Chart) -> None:
     """Draw a chart of a page on axes."""
     for ends in chart.shaded:
         ax.axvspan(*ends, color="#DCDCDC", lw=0)
@@ -176,7 +216,7 @@ def draw_chart(ax: Axes, chart: Chart) -> None:
 
 
 def _draw_series(ax: Axes, one: Series, label: str) -> None:
-    style: dict[str, Any] = {"color": _COLOURS[one.colour], "alpha": one.opacity, "label": plain(label) or None}
+    style: dict[str, Any] = {"color": _COLOURS[one.colour], "alpha": one.opacity, "label": _plain(label) or None}
     if one.kind == "line":
         ax.plot(one.x, one.y, lw=one.width * _POINTS, ls="--" if one.dashed else "-", **style)
     elif one.kind == "points":

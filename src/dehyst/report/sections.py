@@ -1,0 +1,310 @@
+"""Sections of pages: a fit, its actuator, an assessment, a measured path, and coupled axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst._views.lines import percent
+from dehyst.identification import Fit, Readiness, StageFit, Trace
+from dehyst.model import Actuator, parts_of
+from dehyst.records import largest
+from dehyst.report import html, pictures
+from dehyst.report.charts import Chart
+from dehyst.report.html import Charts, Part, Row, escape, length, number, words
+from dehyst.trust import Insight, Turn, TurnPlane
+
+if TYPE_CHECKING:
+    from dehyst.calibration import TrackedPath
+
+MOST_RECORDS = 6
+_COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
+
+
+def verdict(fit: Fit) -> str:
+    """Return the verdict in the colour of its readiness: its number first, then the outcome of the identification."""
+    expected = fit.promise
+    if expected is None:
+        word = Readiness.NOT_USABLE.value.capitalize()
+        return f'<p class="outcome red" role="status"><strong>{word}</strong> {words(fit.outcome.value)}</p>'
+    errors = (expected.largest, expected.rms, expected.measured, expected.noise)
+    most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
+    said = (
+        f"is the largest error to expect on any path within these voltages, {expected.promise.apart}, "
+        f"RMS {rms} (from {expected.basis}; "
+        f"the goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
+        f"{fit.outcome.value}"
+    )
+    why = "".join(f"<li>{words(reason[0].upper() + reason[1:])}.</li>" for reason in expected.why_not_ready)
+    return (
+        f'<div class="outcome {_COLOURS[expected.readiness]}" role="status">'
+        f"<strong>{expected.readiness.value.capitalize()}</strong>"
+        f"<b>{most} of the stroke <small>or {escape(length(expected.largest))}</small></b>\n"
+        f"<p>{words(said)}</p>{f'<ul>{why}</ul>' if why else ''}</div>"
+    )
+
+
+def before_and_after(fit: Fit) -> Part:
+    """Return the errors of a straight scale factor and of the model, on the first held-out record."""
+    shown = _shown(fit)
+    if not shown:
+        return ""
+    trace = next((trace for trace in shown if trace.role == "validation"), shown[0])
+    stroke = pictures.stroke_of(fit)
+    (off,), slope = pictures.off_line([trace])
+    before, after = (number(100 * largest(error) / stroke) for error in (off, trace.residual))
+    caption = (
+        f"Distance of this record from the best straight scale factor, {number(slope * 1e6)} µm/V, and from the "
+        f"model: up to {before} % of the stroke before, {after} % after. "
+        "Drag over a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
+    )
+    return Charts("Before and after", caption, [pictures.before_and_after(trace, stroke)], wide=True)
+
+
+def loops(fit: Fit) -> Charts:
+    """Return the loops off a straight line, measured and simulated, so that hysteresis fills the height."""
+    caption = (
+        "Displacement minus a straight line, so that the hysteresis fills the height. Where the line (simulated) "
+        "leaves the dots (measured), the model is wrong; look at the turning points and at the minor loops."
+    )
+    charts = [pictures.hysteresis([trace]) for trace in _shown(fit)]
+    return Charts("Loops, off a straight line", caption + _only(fit), charts)
+
+
+def residuals(fit: Fit) -> Part:
+    """Return the residuals of the records in time."""
+    caption = (
+        "Measured minus simulated. A slow trend in time is drift or creep. Grey parts of the time were not compared; "
+        "the list of repairs and omissions names them. All charts share one scale."
+    )
+    return _residuals(fit, "Residuals in time", caption, pictures.residual_in_time)
+
+
+def residuals_over_displacement(fit: Fit) -> Part:
+    """Return the residuals of the records over displacement."""
+    caption = (
+        "A mean (line) outside of the noise band, or a distance between the means of rising and falling branches, is a "
+        "limit of the model."
+    )
+    return _residuals(fit, "Residuals over displacement", caption, pictures.residual_over_displacement)
+
+
+def _residuals(fit: Fit, title: str, caption: str, chart: Callable[..., Chart]) -> Part:
+    """Return a chart of residuals of each record, all on one scale."""
+    shown, stroke = _shown(fit), pictures.stroke_of(fit)
+    if not shown:
+        return ""
+    limit = 1.1 * max(100 * largest(trace.residual) / stroke for trace in shown) or 1.0
+    return Charts(title, caption + _only(fit), [chart([trace], stroke, limit) for trace in shown])
+
+
+def _shown(fit: Fit) -> list[Trace]:
+    """Return the traces to draw."""
+    return [trace for trace in fit.traces if trace.time.size > 1][:MOST_RECORDS]
+
+
+def _only(fit: Fit) -> str:
+    if len(fit.traces) <= MOST_RECORDS:
+        return ""
+    return f" The first {MOST_RECORDS} of {len(fit.traces)} records are drawn; the table of errors lists all."
+
+
+def remaining_error(fit: Fit) -> str:
+    """Return where the remaining error of each record comes from."""
+    causes = (words(left.sentence(pictures.stroke_of(fit))) for left in fit.remaining)
+    return html.bullets("Where the remaining error comes from", causes)
+
+
+def candidates(fit: Fit) -> str:
+    """Return the candidates of the search and their held-out errors, best first."""
+    chosen = fit.options.get("structure")
+    rows: list[Row] = [
+        (
+            trial.words + (" (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""),
+            length(trial.held_out),
+        )
+        for trial in sorted(fit.trials, key=lambda trial: trial.held_out)
+    ]
+    head = ("Candidate", "RMS error on held-out parts of the records")
+    return f"<h2>Candidates that were tried</h2>\n{html.table(head, rows, texts=1)}" if rows else ""
+
+
+def errors_table(fit: Fit) -> str:
+    """Return the errors by record, steady and with its drift."""
+    if not fit.errors:
+        return ""
+    kinds = {
+        "Largest error": "largest",
+        "RMS error": "rms",
+        "Largest, drift left in": "largest_with_drift",
+        "RMS, drift left in": "rms_with_drift",
+    }
+    rows: list[Row] = []
+    for row in fit.errors:
+        found = [float(getattr(row, name)) for name in kinds.values()]
+        cells = [(f"{number(100 * error / row.stroke)} %", length(error)) for error in found]
+        rows.append(((row.record, row.role), *cells, str(row.samples), str(row.left_out)))
+    return (
+        "<h2>Errors by record</h2>\n"
+        '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
+        f"({length(fit.errors[0].stroke)}, the range of the widest training loop). Validation records took no part in "
+        f"the fit of the model.</p>\n{html.table(('Record', *kinds, 'Samples counted', 'Left out'), rows, texts=1)}"
+    )
+
+
+def checks(fit: Fit) -> str:
+    """Return the checks of the model and of its residuals, with their floors."""
+    if not fit.checks:
+        return ""
+    rows: list[Row] = [
+        (
+            *(check.name, check.verdict.value, html.spelled(check.sentence)),
+            *(("–" if x is None else (number(x), check.unit.replace("um", "µm"))) for x in (check.value, check.floor)),
+        )
+        for check in fit.checks
+    ]
+    head = ("Check", "Verdict", "Finding", "Value", "Floor")
+    return (
+        '<h2>Checks</h2>\n<p class="muted">Slopes and elements of the model, and patterns of its residuals. Floor: '
+        "with 95 % probability noise alone gives no more; of a slope it is the least that the fit allowed. A pattern "
+        f"below 0.1 % of the stroke passes in any case.</p>\n{html.table(head, rows, texts=3)}"
+    )
+
+
+def made_of(actuator: Actuator) -> list[Part]:
+    """Return what each part of an actuator does, and its charts."""
+    rows: list[Row] = [
+        (
+            part.name,
+            html.spelled(part.sentence).replace("tau(v)", "τ(v)"),
+            "–" if part.holds is None else f"{number(part.holds)} V",
+        )
+        for part in parts_of(actuator)
+    ]
+    parts = html.table(("Part", "What it does", "Holds at most"), rows, texts=2)
+    caption = (
+        "Single large stiffnesses between zeros show that the records determine sums of stiffnesses better than single "
+        "ones. All numbers are in the model's file."
+    )
+    charts = [pictures.elements(actuator)]
+    charts += [pictures.creep(actuator)] if actuator.displacement_creep is not None else []
+    return [f"<h2>What the model is made of</h2>\n{parts}", Charts("", caption, charts)]
+
+
+def followed(paths: Mapping[str, TrackedPath]) -> list[Part]:
+    """Return a table and charts of the wanted and the reached path and of the errors; empty without a path."""
+    if not paths:
+        return []
+    head = ("", "Largest error, % of the stroke", "RMS, %", "Largest")
+    rows = [
+        (name, number(path.largest_percent), number(path.rms_percent), length(largest(path.error)))
+        for name, path in paths.items()
+    ]
+    caption = (
+        "The actuator was homed, driven along the path by each voltage, and measured: wanted and reached displacement, "
+        "and reached minus wanted, each on a scale of its own. The way from the homing onto the path is left out."
+    )
+    table = f"<h2>Measured along a path</h2>\n{html.table(head, rows, texts=1)}"
+    return [table, Charts("", caption, pictures.followed_path(paths))]
+
+
+# Sources of a promise's parts.
+_PARTS = {
+    "model": "the model",
+    "temperature": "a temperature that was not tested, or is not known",
+    "start": "the unknown start",
+    "clamped": "voltages that are not allowed",
+}
+
+
+def promised(found: Insight) -> str:
+    """Return the error to expect, then the warnings."""
+    promise, warnings = found.promise, found.warnings()
+    expected = "The error to expect is not known." if promise is None else " ".join(found.expected)
+    # Of a path that nobody has asked for it is said, and no more.
+    new = promise is not None and bool(promise.untested) and found.plan is not None
+    title = "Warning" if warnings else "In part not tested" if new else "No warnings"
+    items = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
+    return (
+        f'<div class="outcome {"amber" if warnings or new else "green"}" role="status">'
+        f"<strong>{title}</strong>"
+        f'<p class="first">{words(expected)}</p>{f"<ul>{items}</ul>" if items else ""}</div>'
+    )
+
+
+def planned(found: Insight) -> list[Part]:
+    """Return the promise along a path; empty without one."""
+    plan, promise = found.plan, found.promise
+    if plan is None or promise is None:
+        return []
+    rows: list[Row] = [
+        (_PARTS[key], f"{number(100 * error / promise.stroke)} %", length(error))
+        for key, error in promise.parts.items()
+    ]
+    beside = f"<div><h3>Causes of the largest error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
+    caption = "The promise: how far the displacement may be from the wanted path if the compensating voltage is played."
+    charts = pictures.planned_path(plan), pictures.error_band(plan)
+    return [Charts("The promise along the path", caption, charts, beside=(beside,))]
+
+
+def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
+    """Return where the records turned and how fast, and the same of a path."""
+    if plane is None:
+        return []
+    caption = (
+        "Dots: voltages between which the records turned. Rings: the voltage was held there. Shaded: loops on which "
+        "the model is tested, because both branches begin where a record turned and do not go beyond it."
+    )
+    rows: list[Row] = []
+    turns = [*plane.turns, *path]
+    for name in dict.fromkeys(turn.record for turn in turns):
+        own = [turn for turn in turns if turn.record == name]
+        speeds = [turn.speed for turn in own]
+        speed = f"{number(min(speeds))} to {number(max(speeds))}" if np.isfinite(speeds).all() else "not known"
+        rows.append((name, str(sum(turn.times for turn in own)), speed))
+    head = ("Record", "Branches", "Speed (V/s)")
+    beside = f"<div><h3>How fast</h3>\n{html.table(head, rows, 1)}</div>"
+    charts = [pictures.turning_points(plane, path)]
+    return [Charts("Where the records turned", caption, charts, beside=(beside,))]
+
+
+def path_turns(found: Insight) -> Sequence[Turn]:
+    """Return where the path of an assessment turns; empty without one."""
+    plan, plane = found.plan, found.turns
+    if plan is None or plane is None:
+        return ()
+    return plane.path(plan.voltage[plan.first :], None if plan.time is None else plan.time[plan.first :])
+
+
+def determined(found: Insight) -> list[Part]:
+    """Return what to record next, and how much of the stiffnesses the records determine."""
+    commands, directions = "\n".join(found.record_next), found.identifiability
+    return [
+        f"<h2>What to record next</h2>\n<pre><code>{escape(commands)}</code></pre>" if commands else "",
+        f"<h2>What the turning points determine</h2>\n<p>The turning points of the records determine "
+        f"{directions.determined} of {directions.of} directions of {escape(directions.subject)}, with the spring and "
+        "each record's constant free.</p>",
+    ]
+
+
+def coupling(axes: Sequence[str], matrix: Array, errors: Array, caption: str) -> str:
+    """Return a coupling matrix, each entry with an error that the caption explains."""
+    rows: list[Row] = []
+    for i, axis in enumerate(axes):
+        entries = [f"{own:+.5f} ± {error:.5f}" for own, error in zip(matrix[i], errors[i], strict=True)]
+        rows.append((axis, *entries[:i], "1", *entries[i + 1 :]))
+    said = f"Displacement of each axis (row) for each metre that an actuator (column) moves, {caption}"
+    return f"<h2>Coupling</h2><p>{escape(said)}</p>{html.table(('axis', *axes), rows, 1)}"
+
+
+def stage_errors(fit: StageFit) -> str:
+    """Return the errors of each axis of each record, simulated with all axes."""
+    head = ("record", "axis", "role", "samples", "largest, % of the stroke", "RMS, %", "largest")
+    rows = [
+        (e.record, e.axis, e.role, str(e.samples), number(e.largest_percent), number(e.rms_percent), length(e.largest))
+        for e in fit.errors
+    ]
+    return f"<h2>Errors of simulating each record</h2>{html.table(head, rows, 3)}" if rows else ""
