@@ -145,7 +145,7 @@ def smooth(size=1500):
 def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     time, path = smooth()
     push = plain_records.STROKE * 0.2 * (2 * np.pi * 100) ** 2
-    plant = wider("all three", displacement_creep=None, dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
+    plant = wider("all three", dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
     first = plant.compensate(path[:1], time=[0], acceleration=[push]).state
     whole = plant.compensate(path, time=time, state=first)
     command = follow(Compensator(plant, (-1e4, 1e4)), path, time=time, state=first)
@@ -157,7 +157,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
 
 def test_a_clamped_mass_is_told_as_it_moves():
     time, path = smooth()
-    plant = replace(PLANT, dynamics=Dynamics(1000, 0.7, 2e6))
+    plant = wider("creep", dynamics=Dynamics(1000, 0.3, 2e6))
     high = 0.9 * plant.compensate(path, time=time).voltage.max()
     command = follow(Compensator(plant, (-1e4, high)), path, time=time, state=plant.state)
     assert command.clamped.any()

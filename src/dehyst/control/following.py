@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from dehyst._validation import vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits
 from dehyst.control.stage_compensator import to_release
-from dehyst.model import Actuator, Motion, PathData, Stage, State, apply, dot, evaluator_of, needs_time, reachable
+from dehyst.model import Actuator, PathData, Stage, State, apply, dot, evaluator_of, needs_time, reachable
 
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
@@ -141,35 +141,40 @@ def _follow(
 ) -> Followed:
     """Return the voltages of a path of the model (n,) [m]; `rates`: its velocity and its acceleration."""
     steps = limits.steps(wanted.size, time, period)
-    path, state = _Path(actuator, wanted, time, *rates), start
+    path, state = _Path(actuator, wanted, time, *rates), evaluator_of(actuator).complete_state(start)
     # Raises if the time is missing or does not fit. Of few runs of equal steps, and no part that still responds to
     # voltages before, what comes after a clamped sample is stepped through.
-    steps_on = path.clock[1].size <= _FEW and not evaluator_of(actuator).has_dynamics
+    moves, rings = evaluator_of(actuator).has_dynamics, False
+    steps_on = path.clock[1].size <= _FEW and not moves
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
+    # A state as what was sent leads to it, and the sample after it.
+    real, after = state, 0
     while i < wanted.size:
         stop = min(i + chunk, wanted.size)
-        candidate, after = path.compensate(i, stop, state)
+        candidate, planned = path.compensate(i, stop, state)
         allowed = limits.allowed(candidate, voltage[i - 1] if i else present, steps[i:stop])
         # The rounding of a voltage on a limit does not count as clamping.
         changed = np.flatnonzero(np.abs(allowed - candidate) > _ROUNDING * (limits.high - limits.low))
-        count = int(changed[0]) if changed.size else stop - i
-        voltage[i : i + count], reached[i : i + count] = allowed[:count], wanted[i : i + count]
-        if not changed.size:
-            i, state, chunk = stop, after, 2 * chunk
-            continue
-        if count:
-            state = path.compensate(i, i + count, state)[1]
-        i += count
-        voltage[i], clamped[i] = allowed[count], True
-        reached[i], state = path.simulate_sample(voltage, i, state)
-        i, chunk = i + 1, _CHUNK
-        if steps_on:
+        end = i + int(changed[0]) if changed.size else stop
+        voltage[i:stop], reached[i:end], clamped[end:stop] = allowed, wanted[i:end], np.arange(end, stop) == end
+        chunk, rings = (_CHUNK, moves) if changed.size else (2 * chunk, rings)
+        begin, i = i, min(end + 1, stop)
+        if rings:
+            # A mass that was clamped is not where it was wanted, and moves the elements with it.
+            state = real = path.simulate(voltage, after, i, real)[1]
+            after = i
+        elif not changed.size:
+            state = planned
+        else:
+            state = path.compensate(begin, end, state)[1] if end > begin else state
+            reached[end], state = path.simulate(voltage, end, i, state)
+        if steps_on and changed.size:
             # After a clamped sample others follow soon: sample by sample, then, to the end.
             voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
             break
-    if evaluator_of(actuator).has_dynamics:
+    if moves:
         motion = actuator.simulate(voltage, time=time, state=start, extrapolate=True)
         reached, state = motion.displacement, motion.state
     return Followed(voltage, reached, clamped, state)
@@ -177,7 +182,7 @@ def _follow(
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A wanted path, followed in pieces. If time matters, pieces overlap by one sample."""
+    """A wanted path, followed in pieces that begin in the state at the sample before."""
 
     actuator: Actuator
     wanted: Array
@@ -199,36 +204,23 @@ class _Path:
             columns["velocity"], columns["acceleration"] = evaluator_of(self.actuator).derivatives(self.wanted, data)
         return {name: vector(values, name) for name, values in columns.items() if values is not None}
 
-    @cached_property
-    def lead(self) -> Array:
-        """The difference w - y (n,) [m]."""
-        return evaluator_of(self.actuator).lead(self.wanted, PathData(**self.data))
-
     def compensate(self, i: int, stop: int, start: State) -> tuple[Array, State]:
         """Return the voltages of samples i to stop - 1, from the state at sample i - 1, and the final state."""
-        motion = self._piece(i, stop, start)
-        voltage = motion.voltage
+        voltage, state = self._piece(i, stop, start)
         if self.actuator.lag and stop < self.wanted.size:
             # A lag needs the slope of the voltage, which the last sample of a piece has from one side only.
-            voltage = self._piece(i, stop + 1, start).voltage[:-1]
-        return voltage[i - self._first(i) :], motion.state
+            voltage = self._piece(i, stop + 1, start)[0][:-1]
+        return voltage, state
 
-    def _piece(self, i: int, stop: int, start: State) -> Motion:
-        first, path = self._first(i), self.wanted[self._first(i) : stop]
-        if first < i:
-            model, m = evaluator_of(self.actuator), start.deformation - self.lead[first]
-            here = model.displacement(replace(start, deformation=m), of_mass=False)
-            path = np.concatenate([[here], path[1:]])
-        data: dict[str, Any] = {name: values[first:stop] for name, values in self.data.items()}
-        return self.actuator.compensate(path, **data, state=start, extrapolate=True)
+    def _piece(self, i: int, stop: int, start: State) -> tuple[Array, State]:
+        path, time = PathData(**{name: values[i:stop] for name, values in self.data.items()}), self.data.get("time")
+        since = 0.0 if time is None or not i else float(time[i] - time[i - 1])
+        return evaluator_of(self.actuator).compensate(self.wanted[i:stop], path, start, True, since)
 
-    def _first(self, i: int) -> int:
-        """Return the first sample of a piece that starts at sample i."""
-        return max(i - 1, 0) if needs_time(self.actuator) else i
-
-    def simulate_sample(self, voltage: Array, i: int, start: State) -> tuple[float, State]:
-        """Return displacement and state after the voltage of sample i."""
-        piece = slice(self._first(i), i + 1)
+    def simulate(self, voltage: Array, i: int, stop: int, start: State) -> tuple[float, State]:
+        """Return displacement and state after the voltages of samples i to stop - 1, from the state at sample i - 1."""
+        # Where time matters, a lag needs the voltage before too.
+        piece = slice(max(i - 1, 0) if needs_time(self.actuator) else i, stop)
         data: dict[str, Any] = {name: self.data[name][piece] for name in ("time",) if name in self.data}
         motion = self.actuator.simulate(voltage[piece], **data, state=start, extrapolate=True)
         return float(motion.displacement[-1]), motion.state
@@ -237,8 +229,7 @@ class _Path:
         """Step through the samples from `first`; return voltages, displacements, clamped samples and the state."""
         model, n, state = evaluator_of(self.actuator), self.wanted.size, start
         bounds, durations = self.clock
-        voltage, reached_by, offers = np.empty(n), np.empty(n), np.empty(n)
-        w = self.wanted + self.lead
+        voltage, reached, offers = np.empty(n), np.empty(n), np.empty(n)
         for r, seconds in enumerate(durations):
             run = slice(max(int(bounds[r]), first), int(bounds[r + 1]))
             if run.start >= run.stop:
@@ -247,11 +238,11 @@ class _Path:
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
             coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
             loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))
-            rest = [before, before, before, before, 0.0, 1.0, 0.0, state.deformation, w[run.start - 1]]
+            rest = [before, before, before, before, 0.0, 1.0, 0.0, state.deformation, self.wanted[run.start - 1]]
             loop.go_on(np.array(rest), 0, 0, 0)
-            voltage[run], reached_by[run], offers[run] = loop.trace(w[run])
+            voltage[run], reached[run], offers[run] = loop.trace(self.wanted[run])
             before, state = float(voltage[run.stop - 1]), model.state_of(CoreState(*loop.state()))
-        clamped = offers[first:] != _NOT_CLAMPED
-        clamped &= np.abs(reached_by - w)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
-        reached = np.where(clamped, reached_by[first:] - self.lead[first:], self.wanted[first:])
+        clamped = (offers != _NOT_CLAMPED)[first:]
+        clamped &= np.abs(reached - self.wanted)[first:] > _ROUNDING * float(np.ptp(model.spring.displacement))
+        reached = np.where(clamped, reached[first:], self.wanted[first:])
         return voltage[first:], reached, clamped, state

@@ -100,9 +100,14 @@ class Evaluator:
         demand_result(y, "displacement", FARTHEST)
         return y, self.state_of(reached, crept)
 
-    def compensate(self, displacement: Array, path: PathData, start: State, stack: bool) -> tuple[Array, State]:
-        """Return the voltage (n,) [V] and the state reached; `start` is complete."""
-        steps, push = self._steps(path.time, displacement.size), self._push(path.load, displacement.size)
+    def compensate(
+        self, displacement: Array, path: PathData, start: State, stack: bool, since: float = 0.0
+    ) -> tuple[Array, State]:
+        """Return the voltage (n,) [V] and the state reached; `start` is complete, `since` [s] before the first sample.
+
+        By default it is the state at the first sample.
+        """
+        steps, push = self._steps(path.time, displacement.size, since), self._push(path.load, displacement.size)
         y = displacement
         if path.temperature is not None:
             thermal = demand_thermal(self.thermal)
@@ -114,7 +119,7 @@ class Evaluator:
         m, crept = self._creep_behind(y, steps, start, push, inverse=True)
         w, more, state = m - push if push.size else m, EMPTY, self.core_state(start)
         if self.dynamics is not None:
-            velocity, acceleration = self.derivatives(m, self._path_of_mass(m, path, steps, start))
+            velocity, acceleration = self._derivatives_of_mass(y, m, path, steps, start)
             w = w + self.dynamics.lead(velocity, acceleration)
             more = self.dynamics.series * (w - m)
             if m.size:
@@ -122,9 +127,14 @@ class Evaluator:
         if w is not displacement:
             demand_result(w, "displacement of the electrical side")
         voltage, reached = self.core.compensate(w, steps, state, more=more, stack=stack)
-        if self.lag and m.size > 1:
-            rate = np.gradient(voltage, _seconds(path), edge_order=2 if m.size > 2 else 1)
-            voltage = voltage + self.lag * rate
+        if self.lag:
+            acting, seconds = voltage, _seconds(path)
+            if since:
+                acting = np.append(self.core.voltage(self.core_state(start)), voltage)
+                seconds = np.append(seconds[0] - since, seconds)
+            if acting.size > 1:
+                rate = np.gradient(acting, seconds, edge_order=2 if acting.size > 2 else 1)
+                voltage = voltage + self.lag * rate[-m.size :]
         demand_result(voltage, "voltage")
         return voltage, self.state_of(reached, crept)
 
@@ -139,21 +149,19 @@ class Evaluator:
         before = float(start.motion[0]) if self.dynamics else start.deformation + float(push[:1].sum())
         return output_creep(path, steps, part.gains, before, start.displacement_creep, inverse=inverse)
 
-    def _path_of_mass(self, m: Array, path: PathData, steps: StepCoefficients, start: State) -> PathData:
-        """Return the path with derivatives of m instead of y: ``m' = y' - sum_k g_k e_k / tau_k``."""
+    def _derivatives_of_mass(
+        self, y: Array, m: Array, path: PathData, steps: StepCoefficients, start: State
+    ) -> tuple[Array, Array]:
+        """Return velocity and acceleration of m from those of y: ``m' = y' - sum_k g_k e_k / tau_k``."""
+        velocity, acceleration = self.derivatives(y, path)
         part = self.displacement_creep
-        if part is None or path.velocity is path.acceleration is None:
-            return path
+        if part is None:
+            return velocity, acceleration
         tables = steps.decay, steps.gain
         relative = strains(m, steps.bounds, *tables, start.displacement_creep, float(start.motion[0]))
         relative = relative / part.time_constants
-        slope = part.gains / part.time_constants
-        velocity, acceleration = self.derivatives(m, path)
-        if path.velocity is not None:
-            velocity = velocity - relative @ part.gains
-        if path.acceleration is not None:
-            acceleration = acceleration - (velocity[:, None] - relative) @ slope
-        return replace(path, velocity=velocity, acceleration=acceleration)
+        velocity = velocity - relative @ part.gains
+        return velocity, acceleration - (velocity[:, None] - relative) @ (part.gains / part.time_constants)
 
     def displacement(self, state: State, *, of_mass: bool = True) -> float:
         """Return the displacement [m] of the actuator in a complete state, without a load."""
@@ -248,10 +256,11 @@ class Evaluator:
             )
         return np.array([0, samples]), np.zeros(1)
 
-    def _steps(self, time: ArrayLike | None, samples: int) -> StepCoefficients:
+    def _steps(self, time: ArrayLike | None, samples: int, since: float = 0.0) -> StepCoefficients:
         if time is None and not self.needs_time:
             return StepCoefficients(np.array([0, samples]), *_NO_COEFFICIENTS)
-        return self.step_coefficients(*self.clock(time, samples))
+        bounds, durations = self.clock(time, samples)
+        return self.step_coefficients(bounds, np.append(since, durations[1:]) if since else durations)
 
     def step_coefficients(self, bounds: NDArray[np.int64], durations: Array) -> StepCoefficients:
         """Return the coefficients of steps of durations (R,) [s]; samples bounds[r] to bounds[r + 1] have duration r.
