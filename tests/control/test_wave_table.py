@@ -77,8 +77,8 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     played = table.played(80 if needs_time(actuator) or actuator.smooth else 3)
     made = simulated(actuator, played, state)
     miss = np.abs(made - played.displacement)
-    # A smooth element may keep what a homing with creep leaves unknown.
-    kept = unknown(table) if actuator.smooth and actuator.displacement_creep else 0.0
+    # Elements that do not slide in the scan keep this share of what a homing with creep leaves unknown.
+    kept = 2e-4 * unknown(table) if actuator.smooth and actuator.displacement_creep else 0.0
     assert miss[-size:].max() <= 1e-9 * stroke + kept
     first = np.flatnonzero(played.phase == 2)[0]
     # What a homing leaves unknown comes on top of the error.
