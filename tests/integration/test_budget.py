@@ -15,7 +15,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 995,
     "cli": 680,
-    "control": 4372,
+    "control": 4363,
     "exports": 1288,
     "fleet": 312,
     "foundation": 1417,

@@ -157,9 +157,8 @@ class Evaluator:
         part = self.displacement_creep
         if part is None:
             return velocity, acceleration
-        tables = steps.decay, steps.gain
-        relative = strains(m, steps.bounds, *tables, start.displacement_creep, float(start.motion[0]))
-        relative = relative / part.time_constants
+        before = start.displacement_creep, float(start.motion[0])
+        relative = strains(m, steps.bounds, steps.decay, steps.gain, *before) / part.time_constants
         velocity = velocity - relative @ part.gains
         return velocity, acceleration - (velocity[:, None] - relative) @ (part.gains / part.time_constants)
 
@@ -326,14 +325,6 @@ class Evaluator:
         bounds, durations = clock(time, command.size)
         difference = strains(command, bounds, *low_pass_tables(np.array([self.lag]), durations), command[:1] - before)
         return command - difference[:, 0]
-
-    def lead(self, displacement: Array, path: PathData) -> Array:
-        """Return the lead w - y (n,) [m] that inertia, damping and load require along a displacement y (n,) [m]."""
-        push = self._push(path.load, displacement.size)
-        ahead = np.zeros(displacement.size)
-        if self.dynamics is not None:
-            ahead = self.dynamics.lead(*self.derivatives(displacement, path))
-        return ahead - push if push.size else ahead
 
     def derivatives(self, displacement: Array, path: PathData) -> tuple[Array, Array]:
         """Return velocity and acceleration of a path, from its cubic spline if they are not given."""
