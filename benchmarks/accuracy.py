@@ -26,9 +26,10 @@ from virtual_trials import TRIALS, TrackingTrial
 
 import dehyst
 from dehyst import Actuator
+from dehyst.identification import prepare
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.operations import demo
-from dehyst.trust.comparison import OURS, HeldOut, ModelScore, scored
+from dehyst.trust.comparison import OURS, ModelScore, Played, scored
 from dehyst_rivals import RIVALS, linear_ratio
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
@@ -103,7 +104,7 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
         return kept[0]
 
     records = list(one.records())
-    row, stroke = scores(records, [HeldOut(record) for record in one.held_out()], name, fit)
+    row, stroke = scores(records, [Played(prepare(record)) for record in one.held_out()], name, fit)
     found = figures(row, kept, records, one.held_out(), stroke)
     for seed in range(FIRST_SEED, FIRST_SEED + seeds) if kept else ():
         try:
@@ -118,7 +119,7 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
     return found
 
 
-def scores(training: list[dehyst.Record], held_out: list[HeldOut], name: str, fit: Any) -> tuple[ModelScore, float]:
+def scores(training: list[dehyst.Record], held_out: list[Played], name: str, fit: Any) -> tuple[ModelScore, float]:
     rows, stroke = scored(training, held_out, {name: fit}, lambda _: None)
     return rows[0], stroke
 
@@ -145,7 +146,7 @@ def on_measured(folder: Path, name: str, identification: Any) -> dict:
         kept.append(identification(records))
         return kept[0]
 
-    row, stroke = scores(training, [HeldOut(ramps, lead)], name, fit)
+    row, stroke = scores(training, [Played(prepare(ramps), lead=lead)], name, fit)
     return figures(row, kept, training, [ramps], stroke) | {"stroke_m": stroke}
 
 
