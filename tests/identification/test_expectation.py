@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from dehyst import Record
 from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Verdict
+from dehyst.identification.checks import RemainingError
 from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, new_legs, validity_of
-from dehyst.identification.remaining import RemainingError
 from dehyst.model import Promise
 
 STROKE = 1e-5

@@ -37,7 +37,6 @@ TABLE = {
     plain_records.DESCENDING_TOPS: 9,
     plain_records.REVERSAL_CURVES: 9,
 }
-FIRST_RISE = (0, 1, 0, 1, 0)
 
 
 def grid(elements):
@@ -50,9 +49,9 @@ def straight(turns, samples=100):
     return plain_records.STROKE * np.concatenate([[float(turns[0])], *legs])
 
 
-def clipped(y, elements, *, relaxed=False):
-    """Elongations over rho (n, N); at first relaxed, or at the top of a long rise."""
-    rho, cart = grid(elements), y[0] - (0 if relaxed else 1) * grid(elements)
+def clipped(y, elements):
+    """Elongations over rho (n, N); at first at the top of a long rise."""
+    rho, cart = grid(elements), y[0] - grid(elements)
     out = np.empty((y.size, elements))
     for t, place in enumerate(y):
         cart = np.clip(cart, place - rho, place + rho)
@@ -72,33 +71,29 @@ def without(columns, others):
     return columns - basis @ (basis.T @ columns)
 
 
-def projected(turns, elements=10, *, relaxed=False, samples=100):
-    """Columns over rho, spring and constant projected out, of the samples that count: n > samples unless relaxed."""
+def projected(turns, elements=10, *, samples=100):
+    """Columns over rho, spring and constant projected out, of the samples that count: n > samples."""
     y = straight(turns, samples)
     # The first descent makes the state known; the sample at its end belongs to it.
-    counts = slice(0 if relaxed else samples + 1, None)
-    return without(clipped(y, elements, relaxed=relaxed)[counts], hats(y, elements)[counts])
+    counts = slice(samples + 1, None)
+    return without(clipped(y, elements)[counts], hats(y, elements)[counts])
 
 
-def unseen(turns, elements=10, *, relaxed=False):
+def unseen(turns, elements=10):
     """Changes of the stiffnesses, (p, N), that a finely sampled record without noise does not notice."""
-    _, values, vectors = np.linalg.svd(projected(turns, elements, relaxed=relaxed))
+    _, values, vectors = np.linalg.svd(projected(turns, elements))
     return vectors[values < 1e-9] / grid(elements)
 
 
-def told(records, elements=10, *, movable=None, relaxed=()):
+def told(records, elements=10, *, movable=None):
     every = np.ones(elements, dtype=bool) if movable is None else movable
     knots = np.linspace(0, plain_records.STROKE, elements + 1)
-    return identifiability(records, Grid.maxwell_slip(grid(elements), knots, every), relaxed=relaxed)
+    return identifiability(records, Grid.maxwell_slip(grid(elements), knots, every))
 
 
 def told_of(turns, elements=10, **options):
     plant = plain_records.plant(elements)
-    state = plant.relaxed() if options.get("relaxed") else None
-    path = straight(turns)
-    if state is not None:
-        state = state.shifted(float(path[0]) - state.deformation)
-    return told([plain_records.record(plant, path, state=state)], elements, **options)
+    return told([plain_records.record(plant, straight(turns))], elements, **options)
 
 
 @pytest.mark.parametrize("turns", TABLE)
@@ -106,14 +101,6 @@ def test_the_table_of_the_theory(turns):
     found = told_of(turns)
     assert (found.determined, found.of) == (TABLE[turns], 10)
     assert len(unseen(turns)) == 10 - TABLE[turns]
-
-
-def test_only_a_first_rise_from_a_relaxed_state_tells_all_ten():
-    found = told_of(FIRST_RISE, relaxed=(0,))
-    assert (found.determined, found.of) == (10, 10)
-    assert len(unseen(FIRST_RISE, relaxed=True)) == 0
-    # The same record, not known to be relaxed.
-    assert told_of(FIRST_RISE).determined == 5
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 4, 5, 7, 10, 15, 20, 30])

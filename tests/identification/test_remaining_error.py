@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dehyst.identification import Trace
-from dehyst.identification.remaining import remaining_error
+from dehyst.identification.checks import remaining_error
 
 TIME = np.arange(4000) * 0.01
 VOLTAGE = 50 - 50 * np.cos(2 * np.pi * 0.5 * TIME)

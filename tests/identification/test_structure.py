@@ -44,13 +44,6 @@ def test_the_grid_covers_the_loops_and_no_more(structure):
 
 
 @given(STRUCTURES)
-def test_parameters_are_counted_as_the_program_has_columns(structure):
-    grid = structure.grid(SPAN, VOLTS)
-    columns = np.count_nonzero(grid.movable) * grid.segments + grid.knots.size - 1 + grid.lengths.size
-    assert structure.parameters == columns + max(grid.drive.size - 2, 0)
-
-
-@given(STRUCTURES)
 def test_json_values_give_the_structure_back(structure):
     assert Structure(**json.loads(json.dumps(structure.as_dict()))) == structure
     assert {field.name for field in fields(structure)} == set(structure.as_dict())

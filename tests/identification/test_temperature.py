@@ -9,7 +9,7 @@ import pytest
 import dehyst
 from dehyst import Actuator
 from dehyst.identification import Structure
-from dehyst.identification.temperature import temperatures_of
+from dehyst.identification.motion import temperatures_of
 
 STROKE = plain_records.STROKE
 GAIN = -2.5e-3

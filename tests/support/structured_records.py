@@ -123,7 +123,7 @@ def moved_along(grid, piece, lead):
 
 def program(grid, records, *, leads=()):
     """The program of records as they are: no smoothing, no search for anything."""
-    pieces = [(q, one, np.zeros(len(one))) for q, one in enumerate(records)]
+    pieces = list(enumerate(records))
     source = RowSource.of(pieces, grid, [0.0] * len(pieces), leads=leads or [None] * len(records))
     return Program(source.thinned(len(source)), grid, FLOOR, 0.0)
 

@@ -56,7 +56,7 @@ class RecordComparison:
         drift, on the record's axis.
     before : Prepared
         The record before creep and drift.
-    whole : list of Piece
+    whole : list of Record
         Its pieces with all their samples, voltages delayed: those that are played.
     program : Program
         Its rows, on the model's axis.
@@ -72,7 +72,7 @@ class RecordComparison:
     stroke: float
     source: RowSource
     before: Prepared
-    whole: list[Piece]
+    whole: list[Record]
     program: Program
     found: Solution
     motion: Motion
@@ -123,7 +123,7 @@ class RecordComparison:
         Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
         [V]. In excluded stretches, the measured displacement drives the model.
         """
-        (_, piece, _), (state, offset), block = self.whole[number], begin, self.given.block
+        piece, (state, offset), block = self.whole[number], begin, self.given.block
         last = len(piece) if span.stop == len(self.record.pieces[number]) else span.stop * block
         first = span.start * block + block // 2
         # The piece's voltages are those that act, behind the amplifier.
@@ -150,7 +150,7 @@ class RecordComparison:
 
         The carts are those that explain its voltages best before the displacement alone determines them.
         """
-        own, (_, piece, _) = self.epochs[number], self.pieces[number]
+        own, piece = self.epochs[number], self.pieces[number].path
         last = own[-1] if own else Epoch(0, 0, len(piece), 0.0)
         standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
         stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
@@ -262,14 +262,14 @@ def _compared(
     """Compare a record with a model at given numbers; the numbers of parts of these `names` are fitted beside."""
     before, noise = motion.before(record, 0), record.reduced.noise
     few = before.reduced
-    whole = before.delayed(0, motion.delay, motion.lag)
+    whole = list(before.acting(motion.delay, motion.lag))
     if actuator._wide or disturbs(noise, stroke):
         # Maxwell-slip elements take a displacement of little noise as it is.
         paths = few.driving(motion.delay, motion.lag, motion.dynamics, stroke)
     else:
         paths = list(few.acting(motion.delay, motion.lag))
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
-    pieces = [Piece(0, path, np.broadcast_to(0.0, len(path))) for path in paths]
+    pieces = [Piece(0, path) for path in paths]
     source = RowSource.of(pieces, grid, [left_of(noise, stroke)] * len(pieces), leads=[few.lead])
     if not len(source):
         lasts = float(np.ptp(record.record.time))
@@ -451,7 +451,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     `role`: "training" or "validation".
     """
     record, drawn, starts = compared.given, [], []
-    for number, (_, piece, _) in enumerate(compared.pieces):
+    for number, (_, piece) in enumerate(compared.pieces):
         first = _first_sample(piece, actuator.delay)
         start = compared.start_of(actuator, number, first)
         starts.append(compared.on_model_axis(actuator, start[0], float(piece.time[first])))
@@ -518,9 +518,9 @@ def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool
         yield start, stop, counted is None or bool(counted[start])
 
 
-def without_offset(actuator: Actuator, voltage: Array, offset: float, drift: Array | float = 0.0) -> Array:
-    """Voltages (n,) [V] less offset and drift, which a transformer's curve does not bend."""
+def without_offset(actuator: Actuator, voltage: Array, offset: float) -> Array:
+    """Return voltages (n,) [V] less an offset, which a transformer's curve does not bend."""
     tau = actuator.transformer
     if tau is None:
-        return voltage - offset - drift
-    return tau.inverse(tau(voltage) - offset - drift)
+        return voltage - offset
+    return tau.inverse(tau(voltage) - offset)

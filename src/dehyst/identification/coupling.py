@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError, RecordError
+from dehyst._native import slip_elongations
 from dehyst._text import escaped
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask, Progress
@@ -18,11 +19,12 @@ from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
-from dehyst.identification.regressors import play_curves
 from dehyst.identification.results import Trace
 from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
 from dehyst.records import Record, largest, rms
 
+# Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
+_RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
 # Samples of a regression; of more, some evenly.
 _MOST_ROWS = 24_000
 # Of the energy of a column: a ridge against columns that the record hardly moves.
@@ -323,7 +325,7 @@ class Plays:
         low = np.min([record.voltage.min(axis=0) for record in records], axis=0)
         width = np.max([record.voltage.max(axis=0) for record in records], axis=0) - low
         every = max(1, sum(map(len, records)) // _MOST_ROWS)
-        blocks = [[play_curves(u)[::every] for u in ((one.voltage - low) / width).T] for one in records]
+        blocks = [[_play_curves(u)[::every] for u in ((one.voltage - low) / width).T] for one in records]
         displacement = [one.displacement[::every] for one in records]
         return cls(
             tuple(map(np.concatenate, zip(*blocks, strict=True))),
@@ -384,6 +386,17 @@ class Plays:
         """Return the share of each motion (m, k), slow ones aside, that the columns of `blocks` do not explain."""
         energies = [(_left(rows, motion) ** 2).sum(axis=0) for rows in ([self.slow], [self.slow, *blocks])]
         return np.asarray(energies[1] / np.maximum(energies[0], 1e-300))
+
+
+def _play_curves(u: Array) -> Array:
+    """Return curves (n, C) of plays of a voltage `u` (n,), as a part of its range: together they follow any hysteresis.
+
+    Each play, and the voltage itself, is divided into hats: what it has of each segment of the range.
+    """
+    elongation, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), np.ascontiguousarray(u))
+    plays = np.column_stack([u, u[:, None] - elongation])
+    edges = np.linspace(0.0, 1.0, _SEGMENTS + 1)
+    return np.hstack([np.clip(plays, a, b) - a for a, b in pairwise(edges)])
 
 
 def _scaled(columns: Sequence[Array]) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
-from dehyst.identification.remaining import RemainingError
+from dehyst.identification.checks import RemainingError
 from dehyst.identification.results import Check, RecordErrors, Verdict
 from dehyst.identification.rules import RULES
 from dehyst.model import Outcome, Promise, Validity, distances, legs, temperature_range

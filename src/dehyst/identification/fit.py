@@ -13,8 +13,8 @@ from dehyst._views import html, tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
 from dehyst._views.pictures import Plotted
+from dehyst.identification.checks import RemainingError
 from dehyst.identification.expectation import Expectation, Readiness
-from dehyst.identification.remaining import RemainingError
 from dehyst.identification.results import Check, RecordErrors, Trace
 from dehyst.model import Actuator, Motion, Outcome, parts_of
 from dehyst.records import Record

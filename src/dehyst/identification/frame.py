@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import Epoch, NumberedEpoch, Piece, RowSource
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, State
+from dehyst.model import Actuator, Dynamics, State
 from dehyst.records import Record, rms
 
 # Parts of the time of a record, of which two at a time are held out.
@@ -28,6 +29,8 @@ _PARTS = 6
 FOLDS = _PARTS // 2
 # Least slope of the spring, of the mean slope of the widest loop.
 SLOPE_FLOOR = 0.2
+# Finite differences of the search for a resonance.
+_STEP = 1e-3
 # If the last ranges hold less than this part of the samples, those before count too.
 _SOON = 0.5
 
@@ -95,7 +98,7 @@ class Frame:
         """Epochs of all paths, without elements."""
         grid = Structure(elements=2, knots=2).grid((0.0, 1.0), self.voltages)
         noise = [left_of(self.training[q].noise, self.stroke) for q, _, _ in self.paths]
-        pieces = [Piece(q, path, np.broadcast_to(0.0, len(path))) for q, _, path in self.paths]
+        pieces = [Piece(q, path) for q, _, path in self.paths]
         return RowSource.of(pieces, grid, noise, leads=[item.lead for item in self.before])
 
     @cached_property
@@ -261,6 +264,55 @@ class Frame:
         played = model.simulate(voltage, time=time, state=state, extrapolate=True)
         measured = path.displacement if actuator.dynamics is None else self._measured(q, k)
         return time, measured[own] - played.displacement
+
+
+def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) -> Frame:
+    """Return the records with the frequency, damping and delay of least simulation error; as they are without one.
+
+    Derivatives of a measured displacement show a resonance less exactly than a simulation does.
+    """
+    from scipy.optimize import least_squares
+
+    actuator, motion = frame.actuator(program, found), frame.motion
+    start = actuator.dynamics
+    if start is None:
+        return frame
+    base = float(actuator.spring.voltage[0])
+    epochs = [one for one in frame.judged(source) if one.number in found.offsets]
+    states = [frame.state(source, one.piece, one.epoch, actuator) for one in epochs]
+
+    def numbers(x: Array) -> tuple[float, float, float]:
+        # Numbers near 1, because finite differences are relative to them.
+        frequency, damping, delay = (x - 1).tolist()
+        return (
+            start.frequency * exp(frequency),
+            max(start.damping + damping, 0.0),
+            motion.delay + delay / start.omega,
+        )
+
+    def error(x: Array) -> Array:
+        frequency, damping, delay = numbers(x)
+        model, left = replace(actuator, dynamics=Dynamics(frequency, damping)), []
+        late = [path.voltage for item in frame.training for path in item.acting(delay, motion.lag)]
+        for one, state in zip(epochs, states, strict=True):
+            offset = found.offsets[one.number] - base
+            missed = frame.missed(one.piece, one.epoch, model, state, offset, late[one.piece])[1]
+            left.append(missed - missed.mean())
+        return np.concatenate(left) / frame.stroke
+
+    # What a resonance delays is no lead: only one that was there before stays.
+    lead = max(motion.delay, 0.0)
+    least = 1 - np.array([np.inf, start.damping, lead * start.omega])
+    first = np.maximum(np.ones(3), least + 2 * _STEP)
+    best = least_squares(error, first, x_scale=0.1, diff_step=np.full(3, _STEP), bounds=(least, np.inf), max_nfev=15)
+    if not rms(best.fun) < rms(error(np.ones(3))):
+        return frame
+    frequency, damping, delay = numbers(best.x)
+    omega = Dynamics(frequency, damping).omega
+    if abs(delay) < RULES.shortest_lag * frame.times[0]:
+        delay = 0.0
+    changed = replace(motion, mass=1 / omega**2, damping=2 * damping / omega, delay=delay)
+    return replace(frame, motion=changed)
 
 
 def part_of(place: Array) -> NDArray[np.intp]:

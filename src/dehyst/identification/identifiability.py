@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -50,13 +49,12 @@ class Identifiability:
         return int(np.count_nonzero(self.values > least))
 
 
-def identifiability(records: list[Record], grid: Grid, *, relaxed: Collection[int] = ()) -> Identifiability:
+def identifiability(records: list[Record], grid: Grid) -> Identifiability:
     """Compute the directions of the stiffnesses of Maxwell-slip elements that the records determine.
 
     The rank is that of straight lines between the turning points: noise would raise that of measured rows.
 
-    `records`: pieces without gaps, on a common displacement axis. `relaxed`: numbers of the records that start with no
-    element strained.
+    `records`: pieces without gaps, on a common displacement axis.
     """
     rho = grid.breakaway
     spacing = float(np.diff(rho, prepend=0.0).min())
@@ -64,12 +62,12 @@ def identifiability(records: list[Record], grid: Grid, *, relaxed: Collection[in
     samples = int(np.clip(_MOST_ROWS // max(1, sum(map(len, turns))), 20, 4 * rho.size + 20))
     outlines = []
     for q, places in enumerate(turns):
-        if len(places) > 2 or (q in relaxed and len(places) > 1):
+        if len(places) > 2:
             branches = [np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(places)]
             # The voltage equals the displacement.
             path = np.concatenate([places[:1], *branches])
-            outlines.append((q, Record(np.arange(float(path.size)), path, path, "outline"), np.zeros(path.size)))
-    source = RowSource.of(outlines, grid, [0.0] * len(outlines), relaxed=relaxed)
+            outlines.append((q, Record(np.arange(float(path.size)), path, path, "outline")))
+    source = RowSource.of(outlines, grid, [0.0] * len(outlines))
     rows, values = source.thinned(max(1, len(source))), np.zeros(np.count_nonzero(grid.movable))
     if len(rows) and values.size:
         constants = rows.epoch[:, None] == np.unique(rows.epoch)

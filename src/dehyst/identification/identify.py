@@ -15,7 +15,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst._version import __version__
 from dehyst.identification import events, messages, search
-from dehyst.identification.checks import model_checks
+from dehyst.identification.checks import model_checks, remaining_error
 from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.comparison import compare, errors_of
 from dehyst.identification.coupling import identify_axes
@@ -23,15 +23,13 @@ from dehyst.identification.expectation import HeldOutErrors, expectation, validi
 from dehyst.identification.fit import Fit
 from dehyst.identification.frame import Frame
 from dehyst.identification.identifiability import probed
-from dehyst.identification.motion import Motion
+from dehyst.identification.motion import Motion, temperatures_of
 from dehyst.identification.preparation import ENOUGH, Prepared, list_of, prepare
-from dehyst.identification.remaining import remaining_error
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
-from dehyst.identification.temperature import temperatures_of
 from dehyst.model import Actuator, Identification, Outcome, Thermal, with_identification
 from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms, thinned
 

@@ -13,7 +13,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification import cleaning
 from dehyst.identification.denoising import disturbs, local_polynomial, remove_dynamics, remove_jitter
-from dehyst.identification.regressors import Epoch, Piece, epochs
+from dehyst.identification.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
 from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis
@@ -238,10 +238,6 @@ class Prepared:
             paths = (remove_dynamics(piece, dynamics) for piece in self.acting(delay, lag))
             self._driving[asked] = [remove_jitter(path, self.noise, stroke) for path in paths]
         return self._driving[asked]
-
-    def delayed(self, number: int, delay: float, lag: float = 0.0) -> list[Piece]:
-        """Return each piece with acting voltages and its drift curve, as one of the record of this number."""
-        return [Piece(number, piece, self.drift_curve(piece)) for piece in self.acting(delay, lag)]
 
     def drift_curve(self, piece: Record) -> Array:
         """Return the curve of a drift at the samples of a piece: a logarithm of the time since the record began.

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst.identification.motion import Part
 from dehyst.identification.regressors import Rows
 from dehyst.identification.solver import ActiveSet, NormalEquations
@@ -208,7 +208,7 @@ class Program:
         for i, row in enumerate(kappa):
             volts -= row[carts[:, i]][:, None] * columns[since[:, i]]
         if near.smooth.size:
-            shares = self._shares(slice(None)) @ near.smooth
+            shares = self._shares @ near.smooth
             volts += shares[:, None] * (columns - columns[since[:, 0]] if len(kappa) else columns)
         ends = np.cumsum([one.shape[1] for one in moved.values()])[:-1]
         return found | dict(zip(moved, np.split(volts, ends, axis=1), strict=True))
@@ -372,23 +372,23 @@ class Program:
         y, grades = self.rows.displacement, self.grid.grades
         return segment_of(self.grid.knots, y), segment_of(grades, y), segment_of(grades, self.carts)
 
-    def slope(self, found: Solution, some: Mask | slice = slice(None)) -> Array:
-        """Return d tau(v)/dy of a solution at some rows [V/m], at the floor at least."""
+    def slope(self, found: Solution) -> Array:
+        """Return d tau(v)/dy of a solution at each row (n,) [V/m], at the floor at least."""
         grid = self.grid
-        spring, own, carts = (one[some] for one in self._segments)
+        spring, own, carts = self._segments
         kappa = found.stiffness[grid.movable]
-        sliding = ~self.rows.stuck[some][:, grid.movable]
+        sliding = ~self.rows.stuck[:, grid.movable]
         at = np.take_along_axis(kappa.T, carts, axis=0)
         slope = kappa.sum(axis=0)[own] - np.where(sliding, at, 0.0).sum(axis=1) + found.slopes[spring]
-        smooth = self._shares(some) @ found.smooth
+        smooth = self._shares @ found.smooth
         return np.asarray(np.maximum(slope + smooth, self.floor))
 
-    def _shares(self, some: Mask | slice) -> Array:
-        """Return the part of each smooth element that has not yielded at some rows, dq/dy (n, L)."""
-        grid = self.grid
-        q = self.rows.moved[some]
+    @property
+    def _shares(self) -> Array:
+        """The part of each smooth element that has not yielded at each row, dq/dy (n, L)."""
+        grid, q = self.grid, self.rows.moved
         # The first slip element yields soonest: it shows where the row is bound for.
-        forward = np.sign(q * self.rows.elongation[some, :1])
+        forward = np.sign(q * self.rows.elongation[:, :1])
         return np.asarray(1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings))
 
 

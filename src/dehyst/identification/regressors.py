@@ -6,7 +6,7 @@ other cart stands still: it adds kappa y and a constant. Such an interval is an 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -80,16 +80,14 @@ class Rows:
     """Samples that count, of all records, stacked.
 
     `elongation` (n, N): s_i [m], or for a cart that stands still y minus the middle of its epoch. `stuck` (n, N) bool:
-    whether cart i stands still at this sample. `displacement`, `voltage`, `drift` (n,): y [m], v [V] and the record's
-    creep curve (log of time since its start, mean zero). `record`, `epoch` (n,): their numbers. `time` (n,): [s].
-    `moved` (n, L): elongations of smooth elements [m].
+    whether cart i stands still at this sample. `displacement`, `voltage` (n,): y [m] and v [V]. `record`, `epoch` (n,):
+    their numbers. `time` (n,): [s]. `moved` (n, L): elongations of smooth elements [m].
     """
 
     elongation: Array
     stuck: Mask
     displacement: Array
     voltage: Array
-    drift: Array
     record: NDArray[np.intp]
     epoch: NDArray[np.intp]
     time: Array
@@ -100,23 +98,18 @@ class Rows:
 
     def thinned(self, most: int) -> Rows:
         """Return about `most` of the rows, evenly."""
-        return self.chosen(slice(None, None, max(1, len(self) // most)))
-
-    def chosen(self, which: Mask | slice) -> Rows:
-        """Return some of the rows."""
-        return Rows(**{name: column[which] for name, column in vars(self).items()})
+        some = slice(None, None, max(1, len(self) // most))
+        return Rows(**{name: column[some] for name, column in vars(self).items()})
 
 
 class Piece(NamedTuple):
     """A piece of a record.
 
-    `record`: the record's number. `path`: acting voltages, and the displacements that drive the elements. `drift` (n,):
-    the record's creep curve.
+    `record`: the record's number. `path`: acting voltages, and the displacements that drive the elements.
     """
 
     record: int
     path: Record
-    drift: Array
 
 
 class NumberedEpoch(NamedTuple):
@@ -143,20 +136,14 @@ class RowSource:
     @classmethod
     def of(
         cls,
-        pieces: Sequence[tuple[int, Record, Array]],
+        pieces: Sequence[tuple[int, Record]],
         grid: Grid,
         noise: list[float],
         *,
-        relaxed: Collection[int] = (),
         leads: Sequence[Record | None] = (),
     ) -> RowSource:
         """Find the epochs of pieces; `noise` [m] of each piece, the others see `internal_states`."""
-        spans: list[list[Epoch]] = []
-        rested = set(relaxed)
-        for (number, path, _), sigma in zip(pieces, noise, strict=True):
-            known = Epoch(0, 0, len(path), np.inf, float(path.displacement[0]))
-            spans.append([known] if number in rested else epochs(path, sigma))
-            rested.discard(number)
+        spans = [epochs(path, sigma) for (_, path), sigma in zip(pieces, noise, strict=True)]
         return cls([Piece(*piece) for piece in pieces], grid, spans, leads)
 
     def __len__(self) -> int:
@@ -178,7 +165,7 @@ class RowSource:
         empty, numbers = np.zeros(0), np.zeros(0, dtype=np.intp)
         none = np.zeros((0, self.grid.breakaway.size))
         internal = np.zeros((0, self.grid.lengths.size))
-        parts = [Rows(none, none > 0, empty, empty, empty, numbers, numbers, empty, internal)]
+        parts = [Rows(none, none > 0, empty, empty, numbers, numbers, empty, internal)]
         rho = self.grid.breakaway
         for piece, spans, states in zip(self.pieces, self.epochs, self.states, strict=True):
             path, counted = piece.path, counting(piece.path)
@@ -196,7 +183,6 @@ class RowSource:
                     stuck=~known | (np.abs(elongation) < rho * (1 - 1e-9)),
                     displacement=y,
                     voltage=path.voltage[at],
-                    drift=piece.drift[at],
                     record=np.full(at.size, piece.record),
                     epoch=np.full(at.size, k),
                     time=path.time[at],
@@ -226,18 +212,3 @@ def internal_states(grid: Grid, path: Record, lead: Record | None) -> Array:
         return smooth_elongations(grid.lengths, grid.closings, y, begin)
     whole = np.concatenate([lead.displacement, y])
     return smooth_elongations(grid.lengths, grid.closings, whole, begin)[-y.size :]
-
-
-# Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
-_RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
-
-
-def play_curves(u: Array) -> Array:
-    """Return curves (n, C) of plays of a voltage `u` (n,), as a part of its range: together they follow any hysteresis.
-
-    Each play, and the voltage itself, is divided into hats: what it has of each segment of the range.
-    """
-    elongation, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), np.ascontiguousarray(u))
-    plays = np.column_stack([u, u[:, None] - elongation])
-    edges = np.linspace(0.0, 1.0, _SEGMENTS + 1)
-    return np.hstack([np.clip(plays, a, b) - a for a, b in pairwise(edges)])

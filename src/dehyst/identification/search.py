@@ -19,11 +19,10 @@ from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
 from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.expectation import new_legs
-from dehyst.identification.frame import FOLDS, Frame, part_of
+from dehyst.identification.frame import FOLDS, Frame, part_of, tuned
 from dehyst.identification.motion import creep_times, moved
 from dehyst.identification.program import SMALLEST_GAIN, Program, Solution, with_folds
 from dehyst.identification.regressors import RowSource
-from dehyst.identification.resonance import tuned
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, legs

@@ -67,12 +67,6 @@ class Structure:
             raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
 
     @property
-    def parameters(self) -> int:
-        """Number of coefficients of the convex program, without the constants of records."""
-        smooth = _LENGTHS.size * _CLOSINGS.size if self.smooth else 0
-        return (self.elements - 1) * self.grades + self.knots - 1 + max(self.transformer - 1, 0) + smooth
-
-    @property
     def words(self) -> str:
         """Description in words."""
         parts = [f"{self.elements} elements" + ("" if self.spacing == 1 else ", dense where loops are small")]

@@ -296,7 +296,7 @@ class Played(NamedTuple):
     def counted(self, delay: float = 0.0) -> list[tuple[Record, Mask]]:
         """Return pieces with their voltage delayed, and which of their samples count."""
         counted = []
-        for _, piece, _ in self.item.delayed(0, delay):
+        for piece in self.item.acting(delay):
             kept = np.zeros(len(piece), dtype=bool)
             for epoch in epochs(piece, self.item.noise)[-1:]:
                 kept[epoch.start : epoch.stop] = True

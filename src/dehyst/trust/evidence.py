@@ -77,7 +77,7 @@ class Evidence:
         return [
             replace(piece, displacement=piece.displacement + item.datum)
             for item in self.comparisons
-            for _, piece, _ in item.pieces
+            for _, piece in item.pieces
         ]
 
     def as_dict(self) -> dict[str, Any]:

@@ -176,7 +176,8 @@ def _assemble(items: list[Prepared], lag: float, drifting: Sequence[int]) -> Tra
     widest = int(np.argmax([high - low for low, high in spans]))
     pieces, kept, reach, drifts, owner = [], [], [], [], []
     for q, item in enumerate(items):
-        for _, piece, drift in item.delayed(q, lag):
+        for piece in item.acting(lag):
+            drift = item.drift_curve(piece)
             rows = np.zeros(0, np.intp)
             for own in epochs(piece, item.noise):
                 at = np.arange(own.start, own.stop)
