@@ -177,14 +177,13 @@ def _assemble(items: list[Prepared], lag: float, drifting: Sequence[int]) -> Tra
     pieces, kept, reach, drifts, owner = [], [], [], [], []
     for q, item in enumerate(items):
         for piece in item.acting(lag):
-            drift = item.drift_curve(piece)
             rows = np.zeros(0, np.intp)
             for own in epochs(piece, item.noise):
                 at = np.arange(own.start, own.stop)
                 at = at if (counted := counting(piece)) is None else at[counted[at]]
                 rows = np.append(rows, at)
                 reach.append(np.full(at.size, np.ptp(piece.voltage[: own.start])))
-                drifts.append(drift[at])
+                drifts.append(item.drift_curve(piece)[at])
                 owner += [q] if at.size else []
             pieces.append(piece)
             kept.append(rows)
