@@ -104,7 +104,7 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
         return kept[0]
 
     records = list(one.records())
-    row, stroke = scores(records, [Played(prepare(record)) for record in one.held_out()], name, fit)
+    (row,), stroke = scored(records, [Played(prepare(record)) for record in one.held_out()], {name: fit}, print)
     found = figures(row, kept, records, one.held_out(), stroke)
     for seed in range(FIRST_SEED, FIRST_SEED + seeds) if kept else ():
         try:
@@ -117,11 +117,6 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
         except FAILURES as failure:
             found["said"] = f"{found['said'] or ''} Seed {seed}: {failure}".strip()
     return found
-
-
-def scores(training: list[dehyst.Record], held_out: list[Played], name: str, fit: Any) -> tuple[ModelScore, float]:
-    rows, stroke = scored(training, held_out, {name: fit}, lambda _: None)
-    return rows[0], stroke
 
 
 def figures(row: ModelScore, kept: list[AbstractModel], training: Any, held_out: Any, stroke: float) -> dict:
@@ -146,7 +141,7 @@ def on_measured(folder: Path, name: str, identification: Any) -> dict:
         kept.append(identification(records))
         return kept[0]
 
-    row, stroke = scores(training, [Played(prepare(ramps), lead=lead)], name, fit)
+    (row,), stroke = scored(training, [Played(prepare(ramps), lead=lead)], {name: fit}, print)
     return figures(row, kept, training, [ramps], stroke) | {"stroke_m": stroke}
 
 
