@@ -24,7 +24,7 @@ ROOMS = {
     "model": 3794,
     "operations": 4227,
     "paper": 1168,
-    "records": 5430,
+    "records": 5240,
     "report": 1496,
     "testing": 492,
     "trust": 2394,

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from laboratory_files import UM, T, V, Y
-from text_traps import FAST, HEAD, NM, NOISE, NOISY, TRAPS, comma, drive, point, stamps, table
+from text_traps import FAST, HEAD, NOISE, NOISY, TRAPS, comma, drive, point, stamps, table
 
 import dehyst
 from dehyst._errors import DehystError, FileFormatError
@@ -26,77 +26,64 @@ def is_right(record):
     )
 
 
-# The decimal sign
-
-
-@pytest.mark.parametrize(
-    ("name", "decimal"),
-    [
-        ("thousands beside decimal points, tabs", "."),
-        ("thousands beside decimal points, semicolons", "."),
-        ("thousands in a part of the values", "."),
-        ("points for thousands beside decimal commas", ","),
-        ("commas before three digits, nothing else", "."),
-        ("points before three digits, nothing else", ","),
-        ("thousands in quotes", "."),
-        ("thousands as text in a workbook", "."),
-        ("thousands in UTF-16", "."),
-    ],
-)
-def test_a_stated_decimal_sign_resolves_it(name, decimal, tmp_path):
-    trap = TRAPS[name]
-    path = tmp_path / f"a{trap.suffix}"
-    trap.trap(path)
-    with pytest.raises(FileFormatError):
-        read(path)
-    assert is_right(read(path, Columns(decimal=decimal)))
-
-
-# What is written, and the columns that are read.
+# What is written, the decimal sign that the user states, and the columns that are read; others have a fault.
 READ = {
-    "a zero before": ("a;b;c;d\n0,010;1,000;-0,5;,5\n", {"a": [0.010], "b": [1.0], "c": [-0.5], "d": [0.5]}),
-    "four digits before": ("a;b\n1234,567;1,234\n", {"a": [1234.567], "b": [1.234]}),
-    "an exponent": ("a;b\n1,5E-3;1,234E+3\n", {"a": [1.5e-3], "b": [1234]}),
-    "points group": ("a;b\n1.234,5;1.234\n", {"a": [1234.5], "b": [1234]}),
-    "commas group": ("a;b\n1,234.5;1,234\n", {"a": [1234.5], "b": [1234]}),
-    "two commas": ("a;b;c\n-1,234,567;1,234;1.234\n", {"a": [-1234567], "b": [1234], "c": [1.234]}),
-    "two points": ("a;b;c\n1.234.567;-1.234;1,234\n", {"a": [1234567], "b": [-1234], "c": [1.234]}),
-    "whole numbers": ("a,b\n1,2\n3,4\n", {"a": [1, 3], "b": [2, 4]}),
-    "one column": ("y_um\n0,5\n1,5\n", {"y_um": [0.5, 1.5]}),
-    "blanks": ("t  v\n0,5   1,25\n0,6   1,5\n", {"t": [0.5, 0.6], "v": [1.25, 1.5]}),
-    # A comma is the decimal sign and separates; the twins have points, or no blanks.
-    "a meter": ("No, Value, Unit\n1, 30,012, V\n2, 31,512, V\n3, 32,1, V\n", {"Value": [30.012, 31.512, 32.1]}),
-    "a meter with points": ("No, Value, Unit\n1, 30.012, V\n2, 30.5, V\n", {"Value": [30.012, 30.5]}),
-    "some blanks": ("a, b,c\n0, 1,2\n1, 2,3\n", {"a": [0, 1], "b": [1, 2], "c": [2, 3]}),
-    "names in a comment": ("# n, a,b\n0, 1,2\n1, 2,4\n", {"n": [0, 1], "a": [1, 2], "b": [2, 4]}),
+    "a zero before": ("a;b;c;d\n0,010;1,000;-0,5;,5\n", "", {"a": [0.010], "b": [1.0], "c": [-0.5], "d": [0.5]}),
+    "four digits before": ("a;b\n1234,567;1,234\n", "", {"a": [1234.567], "b": [1.234]}),
+    "an exponent": ("a;b\n1,5E-3;1,234E+3\n", "", {"a": [1.5e-3], "b": [1234]}),
+    "groups": ("a;b;c;d\n1,234.5;0.5;1,234,567;1.234.567\n", "", {"b": [0.5]}),
+    "points that group": ("a;b;c\n1.234,5;0,5;1.234\n", "comma", {"b": [0.5]}),
+    "a stated comma": ("a;b;c\n12,011;1;1.5\n", "comma", {"a": [12.011], "b": [1]}),
+    "a stated point": ("a;b;c\n12.011;1;1,5\n", "point", {"a": [12.011], "b": [1]}),
+    "quotes": ('a,b\n"0,5",1\n', "", {"a": [0.5], "b": [1]}),
+    "whole numbers": ("a,b\n1,2\n3,4\n", "", {"a": [1, 3], "b": [2, 4]}),
+    "one column": ("y_um\n0,5\n1,5\n", "comma", {"y_um": [0.5, 1.5]}),
+    "blanks": ("t  v\n0,5   1,25\n0,6   1,5\n", "comma", {"t": [0.5, 0.6], "v": [1.25, 1.5]}),
+    "a meter": (
+        "n, Value, Unit\n1, 30,012, V\n2, 31,512, V\n3, 32,1, V\n",
+        "comma",
+        {"n": [1, 2, 3], "Value": [30.012, 31.512, 32.1]},
+    ),
+    "a meter with points": ("n, Value, Unit\n1, 30.012, V\n2, 30.5, V\n", "", {"n": [1, 2], "Value": [30.012, 30.5]}),
+    "some blanks": ("a, b,c\n0, 1,2\n1, 2,3\n", "", {"a": [0, 1], "b": [1, 2], "c": [2, 3]}),
+    "names in a comment": ("# n, a,b\n0, 1,2\n1, 2,4\n", "", {"n": [0, 1], "a": [1, 2], "b": [2, 4]}),
     # The last line of names is the header.
-    "metadata": ("R,Ohm\tTemp,C\n5\t25\ntime_s\tv_V\n0\t2\n1\t4\n2\t3\n", {"time_s": [0, 1, 2], "v_V": [2, 4, 3]}),
-    "a comment in the table": ("t v\n# on\n0 1\n1 2\n# on\n2 1\n3 2\n", {"t": [0, 1, 2, 3], "v": [1, 2, 1, 2]}),
-    "a pause": ("t v\n0 1\n1 2\n\n2 1\n3 2\n", {"t": [0, 1, 2, 3], "v": [1, 2, 1, 2]}),
-    "blank lines between rows": ("t v\n\n0 3\n\n1 2\n\n2 1\n", {"t": [0, 1, 2], "v": [3, 2, 1]}),
-    "a row in a comment": ("t,v\n0,1\n# 1,2\n2,3\n", {"t": [0, 2], "v": [1, 3]}),
-    "a count without a name": (",t,v\n0,0,1\n1,2,2\n", {"": [0, 1], "t": [0, 2], "v": [1, 2]}),
+    "metadata": ("R,Ohm\tTemp,C\n5\t25\ntime_s\tv_V\n0\t2\n1\t4\n2\t3\n", "", {"time_s": [0, 1, 2], "v_V": [2, 4, 3]}),
+    "a comment in the table": ("t v\n# on\n0 1\n1 2\n# on\n2 1\n3 2\n", "", {"t": [0, 1, 2, 3], "v": [1, 2, 1, 2]}),
+    "a pause": ("t v\n0 1\n1 2\n\n2 1\n3 2\n", "", {"t": [0, 1, 2, 3], "v": [1, 2, 1, 2]}),
+    "blank lines between rows": ("t v\n\n0 3\n\n1 2\n\n2 1\n", "", {"t": [0, 1, 2], "v": [3, 2, 1]}),
+    "a row in a comment": ("t,v\n0,1\n# 1,2\n2,3\n", "", {"t": [0, 2], "v": [1, 3]}),
+    "a count without a name": (",t,v\n0,0,1\n1,2,2\n", "", {"": [0, 1], "t": [0, 2], "v": [1, 2]}),
     # Columns of oscilloscopes.
-    "pairs": ("TIME,CH1,,TIME,CH2\n0,1,,0,2\n1,2,,1,4\n", {"TIME": [0, 1], "CH1": [1, 2], "CH2": [2, 4]}),
+    "names that are numbers": (
+        "x-axis,1,2\nsecond,Volt,Volt\n0,1,2\n1,2,3\n",
+        "",
+        {"x-axis": [0, 1], "1": [1, 2], "2": [2, 3]},
+    ),
     **{
         f"rigol, {len(end)} commas": (
             "X,CH1,Start,Increment,\nSequence,Volt,-1,2e-2\n" + "".join(f"{k},{3 * k}{end}\n" for k in range(3)),
+            "",
             {"time": [-1, -0.98, -0.96], "CH1": [0, 3, 6]},
         )
         for end in ("", ",", ",,")
     },
-    "sigrok": ("; Samplerate: 50 Hz\nA0,A1\n1,2\n3,4\n", {"time": [0, 0.02], "A0": [1, 3], "A1": [2, 4]}),
-    "owon": ("# Sampling : 50 Sa/s\n# n, a, b\n0, 2.5,1\n1, 3,5\n", {"time": [0, 0.02], "a": [2.5, 3], "b": [1, 5]}),
-    "another sampling": ("# Sampling : 50\na,b\n1,2\n3,4\n", {"a": [1, 3], "b": [2, 4]}),
+    "sigrok": ("; Samplerate: 50 Hz\nA0,A1\n1,2\n3,4\n", "", {"time": [0, 0.02], "A0": [1, 3], "A1": [2, 4]}),
+    "owon": (
+        "# Sampling : 50 Sa/s\n# n, a, b\n0, 2.5,1\n1, 3,5\n",
+        "",
+        {"time": [0, 0.02], "a": [2.5, 3], "b": [1, 5]},
+    ),
+    "a step without a unit": ("# Sampling : 50\na,b\n1,2\n3,4\n", "", {"a": [1, 3], "b": [2, 4]}),
 }
 
 
 @pytest.mark.parametrize("name", READ)
 def test_columns_are_read(tmp_path, name):
-    content, columns = READ[name]
+    content, decimal, columns = READ[name]
     (tmp_path / "a.csv").write_text(content)
-    found = {column.name: column.data for column in read_table(tmp_path / "a.csv").columns if not column.fault}
-    found.pop("No", None)
+    table = read_table(tmp_path / "a.csv", Columns.parse(f"decimal={decimal}") if decimal else None)
+    found = {column.name: column.data for column in table.columns if not column.fault}
     assert found.keys() == columns.keys()
     for column, values in columns.items():
         assert found[column] == pytest.approx(values)
@@ -104,18 +91,20 @@ def test_columns_are_read(tmp_path, name):
 
 # What is written, and what the refusal holds.
 REFUSED = {
-    "two signs": ("a;b\n1.5;1,5\n", "line 2, column 'a' holds '1.5'"),
-    "a doubtful point": ("a;b\n0,5;1.234\n", "line 2, column 'b' holds"),
-    "a doubtful comma": ("a;b\n0.5;1,234\n", "line 2, column 'b' holds"),
-    "a comma alone": ("a;b\n12,011;1\n", "line 2, column 'a' holds"),
-    "a point alone": ("a\tb\n12.011\t1\n", "line 2, column 'a' holds"),
-    "both alone": ("a;b\n12,011;9.022\n", "line 2, column 'a' holds"),
-    "in quotes": ('a,b\n"12,011",1\n', "line 2, column 'a' holds"),
-    "a comma alone between commas": ("Type, DCV\nNo, Value\n1, 30,012\n2, 31,512\n", "line 3, column 'Value' holds"),
-    "groups of both": ("a;b\n1,234,567;1.234.567\n", "line 2, column 'a' holds"),
-    "a comma between commas": ("No,Value,Unit\n1,30,012,V\n2,31,512,V\n", "4 cells"),
-    "a comma, below metadata": ("Type,DCV\nNo,Value\n1,30,012\n2,31,512\n", "3 cells"),
-    "a comma and a blank without names": ("0,5, 1,25\n0,6, 1,35\n", "4 cells"),
+    "two signs": ("a;b\n1.5;1,5\n", "line 2 holds '1.5'"),
+    "a doubtful point": ("a;b\n0,5;1.234\n", "line 2 holds '1.234'"),
+    "a doubtful comma": ("a;b\n0.5;1,234\n", "line 2 holds '1,234'"),
+    "a comma alone": ("a;b\n12,011;1\n", "thousand times"),
+    "a point alone": ("a\tb\n12.011\t1\n", "thousand times"),
+    "both alone": ("a;b\n12,011;9.022\n", "one decimal sign"),
+    "in quotes": ('a,b\n"12,011",1\n', "thousand times"),
+    "a number cut off": ("a;b\n12,011;12,345\n13,011;12,3", "thousand times"),
+    "a comma alone between commas": ("Type, DCV\nNo, Value\n1, 30,012\n2, 31,512\n", "decimal=comma"),
+    "a comma between commas": ("No,Value,Unit\n1,30,012,V\n2,31,512,V\n", "decimal=comma"),
+    "a comma, below metadata": ("Type,DCV\nNo,Value\n1,30,012\n2,31,512\n", "decimal=comma"),
+    "a comma and a blank without names": ("0,5, 1,25\n0,6, 1,35\n", "decimal=comma"),
+    "a comma in one column": ("y_um\n0,5\n1,5\n", "decimal=comma"),
+    "numbers above the names": ("OVER,1,2\nt,v,w\n0,1,2\n1,2,3\n", "line 1"),
     "the header again": ("t,v\n0,1\n1,2\nt,v\n0,1\n", "lines 2, 5"),
     "names and units again": ("t,v\ns,V\n0,1\n1,2\n2,3\nt,v\ns,V\n0,1\n1,2\n", "lines 3, 7"),
     "a comment with the names again": ("# t v\n0 1\n1 2\n# t v\n0 1\n", "lines 2, 5"),
@@ -134,7 +123,7 @@ def test_two_readings_are_refused(tmp_path, name):
 
 def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
     table(";", HEAD, point(T, 3), point(V, 4), point(UM, 5))(tmp_path / "a.csv")
-    with pytest.raises(FileFormatError, match=r"line 2, column 'time_s' holds '0\.000'"):
+    with pytest.raises(FileFormatError, match=r"'time_s': line 2 holds '0\.000'"):
         read(tmp_path / "a.csv", "decimal=comma")
     for nonsense in ("", ";", 5, True):
         with pytest.raises(FileFormatError, match="decimal: got"):
@@ -147,36 +136,40 @@ def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
 @pytest.mark.parametrize(
     ("header", "sign", "number", "step"),
     [
-        ("Sample rate;10,000;Hz", ";", point, 1e-4),
-        ("Sample rate (Hz)\t1,000", "\t", point, 1e-3),
-        ('Sample rate,"10,000",Hz', ",", point, 1e-4),
-        ("Sample rate,10,000,Hz", ",", point, 1e-4),
-        ("Sample rate;1,000,000;Hz", ";", point, 1e-6),
-        ("Sample rate;10.000;Hz", ";", comma, 1e-4),
-        ("Sample rate;10,000;Hz", ";", comma, 0.1),
-        ("Sample rate,1000,1000", ",", point, 1e-3),
-        ("Sample interval [s];0,05", ";", point, 0.05),
-        ("dt 0,01", ";", comma, 0.01),
+        ("Sample rate;10000;Hz", ";", point, 1e-4),
+        ("Sample rate,1 kS/s", ",", point, 1e-3),
+        ("# Sample interval [ms] = 20", ",", point, 0.02),
+        ("dt: 5 us", ",", point, 5e-6),
+        ("dt 0,01 s", ";", comma, 0.01),
+        ("XInc, 0.01, s\nXOrg, -0.3, s", ",", point, 0.01),
+        *(
+            (f"Sample rate{text}", sign, number, None)
+            for text, sign, number in (
+                (";10,000;Hz", ";", point),
+                (" (Hz)\t1,000", "\t", point),
+                (',"10,000",Hz', ",", point),
+                (",10,000,Hz", ",", point),
+                (";1,000,000;Hz", ";", point),
+                (";10.000;Hz", ";", comma),
+                (",1000,1000", ",", point),
+                ("\t1e3 Hz\nSample rate\t2e3 Hz", "\t", point),
+            )
+        ),
+        ("Sample interval [s];0,05", ";", point, None),
     ],
 )
-def test_a_header_has_the_decimal_sign_of_its_table(tmp_path, header, sign, number, step):
+def test_a_header_states_the_step_in_the_notation_of_its_table(tmp_path, header, sign, number, step):
+    """And with its unit; else the rate is asked for."""
     table(sign, "voltage_V,displacement_um", number(V, 2), number(UM, 2))(tmp_path / "a.csv")
     (tmp_path / "a.csv").write_text(f"{header}\n{(tmp_path / 'a.csv').read_text()}")
-    assert read(tmp_path / "a.csv").time[1] == pytest.approx(step)
-
-
-def test_a_header_that_can_be_read_in_two_ways_is_refused(tmp_path):
-    table(";", "voltage_V,displacement_nm", point(V, 0), point(NM, 0))(tmp_path / "a.csv")
-    (tmp_path / "a.csv").write_text(f"Sample rate;10,000;Hz\n{(tmp_path / 'a.csv').read_text()}")
-    with pytest.raises(FileFormatError, match=r"'10,000'.*decimal"):
-        read(tmp_path / "a.csv")
-    steps = {sign: read(tmp_path / "a.csv", Columns(decimal=sign)).time[1] for sign in ".,"}
-    assert steps == pytest.approx({".": 1e-4, ",": 0.1})
-    assert read(tmp_path / "a.csv", "rate=50").time[1] == pytest.approx(0.02)
-    table(";", "voltage_V,displacement_um", point(V, 2), point(UM, 2))(tmp_path / "b.csv")
-    (tmp_path / "b.csv").write_text(f"Sample rate;10,000;Hz\nSample interval;0,05\n{(tmp_path / 'b.csv').read_text()}")
-    with pytest.raises(FileFormatError, match="10,000"):
-        read(tmp_path / "b.csv")
+    if step is None:
+        with pytest.raises(FileFormatError, match="rate=HZ"):
+            read(tmp_path / "a.csv")
+        assert read(tmp_path / "a.csv", "rate=50").time[1] == pytest.approx(0.02)
+        return
+    record = read(tmp_path / "a.csv")
+    assert record.time[:2] == pytest.approx([0, step] if "XOrg" not in header else [-0.3, -0.29])
+    assert "guesses" not in record.meta
 
 
 # Units, rows, files
@@ -185,24 +178,18 @@ def test_a_header_that_can_be_read_in_two_ways_is_refused(tmp_path):
 # Timestamps, and the seconds since the first; or the words of their fault.
 STAMPS = [
     (["04/03/2026 10:00:00", "04/03/2026 10:00:01"], [0, 1]),
-    (["31/12/2026 23:59:59", "01/01/2027 00:00:00"], [0, 1]),
-    (["12/31/2026 23:59:59", "01/01/2027 00:00:00"], [0, 1]),
+    (["31/12/2026 23:59:59", "01/01/2027 00:00:00"], "2026-03-04"),
     (["23:59:59.5", "00:00:00.5"], [0, 1]),
     (["23:59:59Z", "00:00:00Z"], [0, 1]),
     (["12:00:00+02:00", "10:00:01Z"], [0, 1]),
     (["2026-03-29T01:59:59+01:00", "2026-03-29T03:00:00+02:00"], [0, 1]),
     (["2024-12-31 23:59:59.9999999", "2025-01-01T00:00:00,5"], [0, 0.5000001]),
-    (["12/31/2024 11:59:59 PM", "01/01/2025 12:00:00 AM"], [0, 1]),
-    (["31.12.2024 23:59:59", "01.01.2025 00:00:00"], [0, 1]),
-    (["04.03.2026 10:00:00", "2026-03-04 10:00:00"], "month/day/year"),
-    (["09/12/2026 10:00:00", "10/01/2026 10:00:00"], "month/day/year"),
-    (["04/03/2026 23:59:59", "05/03/2026 00:00:00"], "month/day/year"),
-    (["13/03/2026 10:00:00", "03/14/2026 10:00:00"], "month/day/year"),
+    (["12/31/2024 11:59:59 AM", "12/31/2024 12:00:00 PM"], [0, 1]),
+    (["31.12.2024 23:59:59", "01.01.2025 00:00:00"], "2026-03-04"),
+    (["04.03.2026 10:00:00", "2026-03-04 10:00:00"], "2026-03-04"),
     (["2026-03-04T10:00:00", "2026-03-04T10:00:01Z"], "UTC"),
     (["10:00:00", "2026-03-04T10:00:01"], "midnight"),
-    ([*(f"2026-03-29T01:59:{k:02d}" for k in range(60)), "2026-03-29T03:00:00"], "an hour"),
-    ([*(f"02:59:{k:02d}" for k in range(60)), "02:00:00"], "an hour"),
-    *(([cell], "") for cell in ("", "1.5", "12:00", "2024-01-01", "a12:00:00", "31/31/2026 10:00:00")),
+    *(([cell], "") for cell in ("", "1.5", "12:00", "2024-01-01", "a12:00:00")),
 ]
 
 
@@ -227,10 +214,14 @@ def test_a_unit_that_the_user_selects_ends_a_contradiction(tmp_path):
         assert caught.value.change == ()
 
 
-@pytest.mark.parametrize("name", ["days and months", "an hour of summer time"])
-def test_a_sample_rate_replaces_timestamps_that_are_refused(name, tmp_path):
-    TRAPS[name].trap(tmp_path / "a.csv")
+def test_a_sample_rate_replaces_timestamps_that_are_refused(tmp_path):
+    TRAPS["days and months"].trap(tmp_path / "a.csv")
     assert is_right(read(tmp_path / "a.csv", "rate=500.0"))
+
+
+def test_an_hour_of_summer_time_is_a_gap(tmp_path):
+    TRAPS["an hour of summer time"].trap(tmp_path / "a.csv")
+    assert any("gap in time, the first of 3600 s" in words for words in read(tmp_path / "a.csv").problems())
 
 
 def test_a_number_is_not_cut_off_where_a_comment_may_begin(tmp_path):

@@ -440,7 +440,9 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     stem = other.source.rsplit(".", 1)[0]
     # Where both files have a time, that of the first is kept.
     second_time = second.column if first is not None and second is not None else None
-    added = [replace(c, name=f"{stem}/{c.name}") for c in other.columns if c is not second_time]
+    added = [
+        replace(c, name=f"{stem}/{c.name}", group=f"{stem}/{c.group}") for c in other.columns if c is not second_time
+    ]
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
     if first is None or second is None or _alike(first.seconds, second.seconds):

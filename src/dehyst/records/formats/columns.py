@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -73,10 +73,9 @@ QUANTITIES = {
 _STROKE = 1e-5
 # What a user replaces by a number: a factor, a period; and the end of a selection that is a guess: "y:um?".
 GAIN, PERIOD, GUESS = "GAIN", "PERIOD", "?"
-# A quantity and its unit: "Time / s", "Weg in µm", "Ch1,V"; in the last brackets; the same without blanks: "Pos/nm".
-_WRITTEN_OUT = re.compile(r"(.+?)(?:\s+(?:/|in)\s+|,\s*)(\S+)")
+# A quantity and its unit: "Time / s", "Pos/nm", "Weg in µm", "Ch1,V"; in the last brackets.
+_WRITTEN_OUT = re.compile(r"([^/]*[^/\s])(?:\s*/\s*|\s+in\s+|,\s*)([^/\s\[\]()]+)")
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]\s*", re.DOTALL)
-_DIVIDED = re.compile(r"\s*([^/]*[^/\s])\s*/\s*([^/\s\[\]()]+)\s*")
 # The names of outputs, monitors and channels of an oscilloscope, as whole words or in them, and the range that such
 # plugs have [V]: 10 V and what a converter measures beyond.
 _PLUG = re.compile(
@@ -140,12 +139,11 @@ class Column:
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
     outside of the name. `fault`: why the column cannot be used, and what to try. `foreign`: whether its samples are in
     another file, are computed, or are in a structure next to plain arrays; it is then ignored if another column fits.
-    `unnamed`: if the file has no names and the name is therefore a number: the reason, and what to try. `divided`:
-    whether the name ends with a slash and its unit, as "Position/nm"; this slash does not end a group. `guessed`:
+    `unnamed`: if the file has no names and the name is therefore a number: the reason, and what to try. `guessed`:
     properties that the file does not state. `ends`: first and last cell in a text file. `began`: the first timestamp
     (origin, whole seconds, fraction). `kept`: whether a record keeps it as a further channel, regardless of its name.
     `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
-    that is known at events only.
+    that is known at events only. `group`: where it is in the file, with a slash behind each level; a part of the name.
     """
 
     name: str
@@ -154,30 +152,26 @@ class Column:
     fault: str = ""
     foreign: bool = False
     unnamed: str = ""
-    divided: bool = False
     guessed: str = ""
     ends: tuple[str, str] = ("", "")
     began: tuple[str, int, float] | None = None
     kept: bool = False
     timing: str = ""
+    group: str = ""
 
     @property
     def leaf(self) -> str:
-        """The name without its groups; "Time / s" has none, nor has "flow [l/min]"."""
-        if self.divided:
-            return "/".join(self.name.rsplit("/", 2)[-2:])
-        bracketed = _BRACKETS.fullmatch(self.name) if len(self.name) <= _SHOWN else None
-        word = bracketed[1] if bracketed else self.name
-        return self.name if " / " in word else word.rsplit("/", 1)[-1] + self.name[len(word) :]
+        """The name without its group."""
+        return self.name.removeprefix(self.group)
 
     @property
     def _named(self) -> tuple[str, str]:
         """Quantity and unit in the column's name; what follows the last underscore may be another word."""
         text = self.leaf.strip()
-        if self.divided and (divided := _DIVIDED.fullmatch(text)):
-            return divided[1], divided[2]
         if len(text) <= _SHOWN:
-            if (written := _WRITTEN_OUT.fullmatch(text)) and (symbol_of(written[2]) or _is_foreign(written[2])):
+            written = _WRITTEN_OUT.fullmatch(text)
+            # "speed um/s" has another unit than s.
+            if written and symbol_of(written[1].split()[-1]) in ("", symbol_of(written[2])) and _is_unit(written[2]):
                 return written[1].strip(), written[2]
             if bracketed := _BRACKETS.fullmatch(text):
                 return bracketed[1].strip(), bracketed[2].strip()
@@ -256,15 +250,6 @@ class Column:
         return counts and not unit and (named or (bool(self.unnamed) and steps[0] == 1))
 
 
-def _is_foreign(unit: str) -> bool:
-    """Return whether a unit that is written out is one of another quantity."""
-    return unit in ("A", "N") or _FOREIGN.fullmatch(unit) is not None
-
-
-def without_groups(column: Column) -> Column:
-    """Return a column of a flat table, where a slash before a unit ends no group: "Position/nm", but not "um/V"."""
-    divided = _DIVIDED.fullmatch(column.name) if len(column.name) <= _SHOWN else None
-    unit = symbol_of(divided[2]) if divided else ""
-    if divided is None or not unit or symbol_of(divided[1].split()[-1]) not in ("", unit):
-        return column
-    return replace(column, divided=True)
+def _is_unit(text: str) -> bool:
+    """Return whether a word is a unit, of a quantity in use or of another one."""
+    return symbol_of(text) != "" or text == "A" or _FOREIGN.fullmatch(text) is not None

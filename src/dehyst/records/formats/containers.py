@@ -97,7 +97,12 @@ class _Declared(NamedTuple):
         `alone`: whether the file has no other array, whose name would be needed.
         """
         if self.fault or not self.kind:
-            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign)] if self.fault else []
+            group = self.name[: self.name.rfind("/") + 1]
+            return (
+                [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign, group=group)]
+                if self.fault
+                else []
+            )
         count, what, fields = _product(self.shape), f"array '{shortened(self.name)}'", {}
         allowance.check(count * self.dtype.itemsize, what)
         allowance.take(count * len(self.dtype.names or "1"), what)
@@ -109,15 +114,18 @@ class _Declared(NamedTuple):
         named = {name if alone else f"{self.name}/{name}": one for name, one in fields.items()} or {self.name: values}
         unnamed = _UNNAMED.format(self.shape) if alone and self.kind == "table" else ""
         columns = [column for name, one in named.items() for column in _vector(name, one, self.unit)]
-        return [replace(column, foreign=self.foreign, unnamed=unnamed) for column in columns]
+        return [
+            replace(one, foreign=self.foreign, unnamed=unnamed, group=one.name[: one.name.rfind("/") + 1])
+            for one in columns
+        ]
 
 
-def _vector(name: str, values: Any, unit: str = "") -> list[Column]:
+def _vector(name: str, values: Any, unit: str = "", group: str = "") -> list[Column]:
     """Return the column of an array of numbers in one dimension; others are left out."""
     if values.dtype.kind not in "fiu" or values.size < 2 or values.size != max(values.shape):
         return []
     with np.errstate(all="ignore"):
-        return [Column(name, np.ascontiguousarray(values.ravel(), dtype=np.float64), unit)]
+        return [Column(name, np.ascontiguousarray(values.ravel(), dtype=np.float64), unit, group=group)]
 
 
 def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Column]:
@@ -214,7 +222,7 @@ def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
     read = partial(_unpacked, item, name, allowance)
     # The unit of the group, unless the dataset has one, or the name of another quantity.
     unit, group = _unit(item), _unit(item.parent)
-    column = Column(name, np.empty(0), unit)
+    column = Column(name.rsplit("/", 1)[-1], np.empty(0), unit)
     if group and not symbol_of(column.parts[1]) and (not column.quantities or quantity_of(group) in column.quantities):
         unit = group
     return _Declared(name, shape, dtype, read, unit, fault, bool(fault))
@@ -374,7 +382,7 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
         for name, channel in _channels(file).items():
             allowance.take(len(channel), f"channel '{shortened(name)}'")
             unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
-            if found := _vector(name, np.asarray(channel[:]), unit):
+            if found := _vector(name, np.asarray(channel[:]), unit, f"{channel.group_name}/"):
                 columns, waves = columns + found, {**waves, name: channel}
     # A waveform has no time channel: its sampling is a property, the same for every channel of a run.
     if any(column.parts[0].lower() in ("time", "t") for column in columns):

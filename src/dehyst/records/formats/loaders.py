@@ -13,7 +13,6 @@ import zipfile
 from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import replace
-from decimal import Decimal
 from itertools import zip_longest
 from math import inf, isfinite, nan
 from typing import Any, BinaryIO
@@ -56,16 +55,16 @@ def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
     return [Column("time", np.arange(float(samples)) * step, "s"), *columns]
 
 
-# The name of a column of times, and the part of a sample by which the clocks of channels may differ.
-_CLOCK, _SAME = "X_Value", 0.01
 _LABVIEW_END = b"***End_of_Header***"
+# What a header states of the clocks of its channels, and the part of a sample by which these may differ.
+_CLOCKS, _SAME = ("X0", "Delta_X", "Date", "Time"), 0.01
 
 
 def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
     """Read the segment of a LabVIEW measurement file: its channels with their units, and their time.
 
-    Raise `FileFormatError` for a header without its end, more than one segment, channels with clocks of their own, or
-    fewer samples than the header states.
+    Raise `FileFormatError` for a header without its end, more than one segment, a column of times for each channel,
+    channels with clocks of their own, or fewer samples than the header states.
     """
     parts = data.replace(b"\r\n", b"\n").split(_LABVIEW_END)
     if len(parts) != 3:
@@ -73,51 +72,37 @@ def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
         raise FileFormatError(f"got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own")
     sign = b"," if re.search(rb"\nSeparator[\t,]Comma", parts[0]) else b"\t"
     lines = (_decoded(line).split(sign.decode()) for line in b"".join(parts[:2]).split(b"\n"))
-    header = {key.strip(): [cell.strip() for cell in cells] for key, *cells in lines}
-    _, *rows = parts[2].split(b"\n")
-    names = rows[0].split(sign) if rows else []
+    header = {key.strip(): [cell.strip() for cell in cells if cell.strip()] for key, *cells in lines}
+    rows = [row.split(sign) for row in parts[2].split(b"\n")[1:]]
+    names = [_decoded(name).strip() for name in parts[2].partition(b"\n")[2].partition(b"\n")[0].split(sign)]
     # A remark on the sample follows its channels; without a column of times, its place is empty.
-    end = names.index(b"Comment") if b"Comment" in names else len(names)
+    end = names.index("Comment") if "Comment" in names else len(names)
     begin = int(header.get("X_Columns", [])[:1] == ["No"])
-    table = b"\n".join(sign.join(row.split(sign)[begin:end]) for row in rows)
-    decimal = next((mark for mark in header.get("Decimal_Separator", [])[:1] if mark in (".", ",")), None)
+    table = b"\n".join(sign.join(row[begin:end]) for row in rows)
+    decimal = next((mark for mark in header.get("Decimal_Separator", []) if mark in (".", ",")), None)
     columns = read_text(b"\n" * b"".join(parts[:2]).count(b"\n") + b"\n" + table, allowance, decimal)
-    return _with_header(columns, header)
-
-
-def _with_header(columns: list[Column], header: dict[str, list[str]]) -> list[Column]:
-    """Return the channels with their units, after their time: a column of it, else the step of the header."""
-    channels = [column for column in columns if column.name != _CLOCK]
-    clocks = [c.data for c in columns if c.name == _CLOCK and c.data.size and np.isfinite(c.data).all()]
-
-    def cells(key: str) -> list[str]:
-        # With a column of time for each channel, the cells above these are empty.
-        stated = [cell for cell in header.get(key, []) if cell]
-        return stated if len(stated) == len(channels) else header.get(key, [])[: len(channels)]
-
-    count = max((column.data.size for column in channels), default=0)
-    most = max(map(_number, cells("Samples")), default=0.0)
+    channels = [column for column in columns if column.name != "X_Value"]
+    clocks = [column for column in columns if column.name == "X_Value"]
+    stated = {key: [_number(cell) for cell in header.get(key, [])[-len(channels) :]] for key in ("Samples", *_CLOCKS)}
+    count, most = max((column.data.size for column in channels), default=0), max(stated["Samples"], default=0.0)
     if count < most:
         raise FileFormatError(
             f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
             "correct Samples in its header to read what is there"
         )
-    start, step = (next(map(_number, cells(key)), nan) for key in ("X0", "Delta_X"))
-    slack = _SAME * abs(step)
-    differing = [_CLOCK] * (len(clocks) > 1)
-    for key, allowed in {"X0": slack, "Delta_X": slack / max(most, 1.0), "Date": 0.0, "Time": slack}.items():
-        stated = {cell for cell in cells(key) if cell}
-        # Dates are no numbers, and differ if their texts do.
-        if len(stated) > 1 and not np.ptp([_number(cell) for cell in stated]) <= allowed:
-            differing.append(key)
+    start, step = (next(iter(stated[key]), nan) for key in ("X0", "Delta_X"))
+    allowed = {"X0": _SAME * step, "Delta_X": _SAME * step / max(most, 1.0), "Time": _SAME * step}
+    differing = [key for key in _CLOCKS if len({*header.get(key, [])[-len(channels) :]}) > 1]
+    differing = [key for key in differing if not np.ptp(stated[key]) <= allowed.get(key, 0.0)]
+    differing += ["X_Value"] * any(not np.array_equal(clock.data, clocks[0].data) for clock in clocks)
     if differing:
         raise apart((column.name for column in channels), ", ".join(differing))
-    units = [*cells("Y_Unit_Label"), *[""] * len(channels)]
+    units = [*header.get("Y_Unit_Label", []), *[""] * len(channels)]
     channels = [replace(column, unit=unit) for column, unit in zip(channels, units, strict=False)]
     if not clocks and isfinite(start + step):
-        clocks = [start + step * np.arange(float(count))]
+        clocks = [Column("time", start + step * np.arange(float(count)))]
     unit = "s" if header.get("X_Dimension", ["Time"])[:1] == ["Time"] else ""
-    return [*(Column("time", clock, unit) for clock in clocks), *channels]
+    return [*(replace(clock, name="time", unit=unit) for clock in clocks[:1]), *channels]
 
 
 def _decoded(text: bytes) -> str:
@@ -141,12 +126,15 @@ def _number(cell: str) -> float:
 
 # The least memory of a cell while it is read [bytes], and the cells that an empty row counts for.
 _CELL, _ROW = 32, 16
-# A text that may be a number with a decimal comma, or with groups of digits.
+# A text that may be a number with a decimal sign, or with groups of digits.
 _SIGNED = re.compile(r"[-+]?\d*[.,][\d.,]*(?:[eE][-+]?\d+)?")
 
 
 def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read the tables of a workbook; the names of several sheets are put before those of their columns."""
+    """Read the tables of a workbook; the names of several sheets are put before those of their columns.
+
+    The range that a sheet declares is not believed: programs write a wrong one.
+    """
     import openpyxl
 
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -155,43 +143,30 @@ def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
     tables: dict[str, list[Column]] = {}
     with closing(openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)) as workbook:
         for sheet in workbook.worksheets:
-            lines, decimal = _lines(sheet, allowance)
+            sheet.reset_dimensions()
+            rows, cells, what = [], 0, f"the cells of sheet '{shortened(sheet.title)}'"
+            for row in sheet.iter_rows(values_only=True):
+                cells += max(len(row), _ROW)
+                allowance.check(_CELL * cells, what)
+                rows.append(row)
+            allowance.check(len(rows) * max(map(len, rows), default=0), what)
+            columns = [column for column in zip_longest(*rows) if any(cell is not None for cell in column)]
+            lines = ["\t".join(map(_cell, row)) for row in zip(*columns, strict=True)]
             if sum(map(bool, map(str.strip, lines))) > 1:
-                tables[sheet.title] = read_text("\n".join(lines).encode() + b"\n", allowance, decimal)
+                tables[sheet.title] = read_text("\n".join(lines).encode() + b"\n", allowance, ".")
     if not tables:
         raise FileFormatError("no sheet with rows found; save the measurement in a sheet")
     return [
-        column if len(tables) == 1 else replace(column, name=f"{title}/{column.name}")
+        column if len(tables) == 1 else replace(column, name=f"{title}/{column.name}", group=f"{title}/{column.group}")
         for title, columns in tables.items()
         for column in columns
     ]
 
 
-def _lines(sheet: Any, allowance: Allowance) -> tuple[list[str], str | None]:
-    """Return the rows of a sheet as text, and their decimal sign; the latter is unknown if texts hold numbers.
-
-    The range that a sheet declares is not believed: programs write a wrong one.
-    """
-    sheet.reset_dimensions()
-    rows, cells, what = [], 0, f"the cells of sheet '{shortened(sheet.title)}'"
-    for row in sheet.iter_rows(values_only=True):
-        cells += max(len(row), _ROW)
-        allowance.check(_CELL * cells, what)
-        rows.append(row)
-    allowance.check(len(rows) * max(map(len, rows), default=0), what)
-    columns = [column for column in zip_longest(*rows) if any(cell is not None for cell in column)]
-    texts = (cell.strip() for column in columns for cell in column if isinstance(cell, str))
-    signed = any(_SIGNED.fullmatch(text) for text in texts)
-    lines = ["\t".join(_cell(cell, signed) for cell in row) for row in zip(*columns, strict=True)]
-    return lines, None if signed else "."
-
-
-def _cell(value: Any, bare: bool) -> str:
-    """Return the text of a cell; of a number without a decimal sign if it is to be `bare`."""
-    if isinstance(value, float) and bare and isfinite(value):
-        sign, digits, exponent = Decimal(repr(value)).as_tuple()
-        return f"{'-' * sign}{''.join(map(str, digits))}e{exponent}"
-    return "" if value is None else " ".join(str(value).split())
+def _cell(value: Any) -> str:
+    """Return the text of a cell; a number that is text has an apostrophe, because its decimal sign is not known."""
+    text = "" if value is None else " ".join(str(value).split())
+    return f"'{text}" if isinstance(value, str) and _SIGNED.fullmatch(text) else text
 
 
 Loader = Callable[[Any, Allowance], list[Column]]

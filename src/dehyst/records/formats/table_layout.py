@@ -5,16 +5,15 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
-from math import isfinite
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from dehyst._errors import DecimalSignError, FileFormatError
+from dehyst._errors import FileFormatError
 from dehyst._units import FACTORS, symbol_of
 from dehyst.records.formats.columns import Column, shortened
-from dehyst.records.formats.notation import Notation, is_moment, readings
+from dehyst.records.formats.notation import is_moment
 
 # Lines that are looked at: an oscilloscope writes some 30 lines above its table.
 _HEAD = 400
@@ -26,8 +25,10 @@ _MARKS = ("#", "%")
 _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
 # Names above the time of the first sample and the step, in the row of units.
 _CLOCK = ("start", "increment")
-# A number with a decimal comma, and the blanks before a unit in brackets.
-_COMMA, _UNIT_BEHIND = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?"), re.compile(r"(?<!\s)\s+(?=[\[(])")
+# The blanks before a unit in brackets.
+_UNIT_BEHIND = re.compile(r"(?<!\s)\s+(?=[\[(])")
+# A number in a notation that Python does not read.
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?")
 # A value that a spreadsheet could not compute: #N/A, #DIV/0!.
 _ERROR = re.compile(r"#(?:N/A|NV|[A-Z0/]+[!?])")
 
@@ -37,7 +38,7 @@ class Layout(NamedTuple):
 
     `first`: number of lines before its first row. `delimiter`: separator of its cells, None for blanks. `names`,
     `units`: of its columns; no names if the file has none. `row`: its first row. `above`: the lines above it, of which
-    `header` has the names, and the units below them. `cut`: what separates cells, if tabs are to replace it.
+    `header` has the names, and the units below them.
     """
 
     first: int
@@ -47,7 +48,6 @@ class Layout(NamedTuple):
     row: str = ""
     above: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
-    cut: str = ""
 
     @property
     def unnamed(self) -> str:
@@ -58,27 +58,20 @@ class Layout(NamedTuple):
         )
 
 
-class _Heading(NamedTuple):
-    """Names and units of columns, the number of their lines, and the times of samples in the words of other headers."""
-
-    names: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    lines: int = 0
-    clock: tuple[str, ...] = ()
-
-
 class _Line(NamedTuple):
-    """A line with content, and the number of lines before it."""
+    """A line with content, the number of lines before it, and its cells."""
 
     number: int
     text: str
+    cells: list[str]
 
 
 class _Shape(NamedTuple):
-    """The usual number of cells of a row, and the columns that usually are numbers."""
+    """The usual number of cells of a row, the columns that usually are numbers, and whether the last one is empty."""
 
     width: int
     numeric: list[int]
+    empty_end: bool
 
     @classmethod
     def of(cls, rows: list[list[str]]) -> _Shape:
@@ -86,123 +79,116 @@ class _Shape(NamedTuple):
         width = Counter(map(len, rows)).most_common(1)[0][0]
         alike = [row for row in rows if len(row) == width]
         counts = [sum(not _is_word(row[k]) for row in alike) for k in range(width)]
-        return cls(width, [k for k in range(width) if 2 * counts[k] > len(alike)])
+        numeric = [k for k in range(width) if 2 * counts[k] > len(alike)]
+        return cls(width, numeric, width > 1 and not any(row[-1] for row in alike))
 
     def fits(self, row: list[str]) -> bool:
         """Whether a line may be the first row."""
         values = [row[k] for k in self.numeric] if len(row) == self.width else []
         return any(values) and not any(cell and _is_word(cell) for cell in values)
 
+    def names(self, row: list[str], *, words: bool = True) -> tuple[str, ...]:
+        """Return the names that a line has for the columns, if it has any; `words`: no number is a name."""
+        row = [*row, ""] if self.empty_end and len(row) == self.width - 1 else row
+        beyond = all(cell.lower() in ("", "comment") for cell in row[self.width :])
+        if len(row) < self.width or not beyond or (words and any(is_number(row[k]) for k in self.numeric)):
+            return ()
+        # Programs write no name above a count in the first column.
+        needed = self.numeric[1:] or self.numeric
+        return tuple(row[: self.width]) if all(row[k] for k in needed) else ()
+
     def is_row(self, row: list[str]) -> bool:
         """Whether a line above the table may be a row of it with a fault, which must not be left out."""
         if len(row) == self.width and 2 * sum(is_number(row[k]) for k in self.numeric) > len(self.numeric):
             return True
         # Also a row with another separator.
-        parts = [part for cell in row for part in re.split(r"[;,\t ]+", cell) if part]
-        return (is_number(row[0]) and 2 * sum(map(is_number, row)) >= len(row)) or all(map(is_number, parts))
+        return all(is_number(part) for cell in row for part in re.split(r"[;,\t ]+", cell) if part)
 
 
-def layout_of(block: str) -> Layout:
-    """Find the table in the first lines of a text file.
+def layout_of(block: str, decimal: str | None = None) -> Layout:
+    """Find the table in the first lines of a text file; `decimal`: the decimal sign that the user states.
 
     The table is what the later of these lines look like: the same number of cells, numbers in the same columns. It
-    begins with the first such line. If the lines above it are no header, it begins below the first line of the file.
-    Raise `FileFormatError` if the text has no lines with content, or if its rows can be read in two ways.
+    begins below the last line of names above the first such line: what is between is a row with a fault. Raise
+    `FileFormatError` if the text has no lines with content, or if the line above the rows has fewer names than they
+    have cells.
     """
-    found = [_Line(k, text) for k, text in enumerate(block.split("\n")) if text.strip("; \t,")]
-    comments = [line for line in found if line.text.lstrip().startswith(_MARKS)]
-    lines = [line for line in found if not line.text.lstrip().startswith(_MARKS)][:_HEAD]
-    if not lines:
+    texts = [(k, text) for k, text in enumerate(block.split("\n")) if text.strip("; \t,")]
+    plain = [text for _, text in texts if not text.lstrip().startswith(_MARKS)][:_HEAD]
+    if not plain:
         raise FileFormatError("nothing but blank and comment lines; a header line and rows are needed")
-    delimiter = _delimiter(comments, lines)
-    if delimiter == ", ":
-        return layout_of(block.replace(delimiter, "\t"))._replace(cut=delimiter)
-    rows = [cells_of(_UNIT_BEHIND.sub("", line.text) if delimiter is None else line.text, delimiter) for line in lines]
+    delimiter = _delimiter(plain, decimal)
+    lines, comments = list[_Line](), list[_Line]()
+    for k, text in texts:
+        cells = cells_of(_UNIT_BEHIND.sub("", text) if delimiter is None else text, delimiter)
+        (comments if text.lstrip().startswith(_MARKS) else lines).append(_Line(k, text, cells))
+    lines = lines[:_HEAD]
+    rows = [line.cells for line in lines]
     shape = _Shape.of(rows[len(rows) // 2 :])
-    place = next((i for i, row in enumerate(rows) if shape.fits(row)), None)
-    if place is None or len(lines) < 2:
-        return _below_first_line(lines[0], rows[0], delimiter)
+    place = next((i for i, row in enumerate(rows) if shape.fits(row)), len(rows))
+    if place == len(rows):
+        # No line has numbers where others have them.
+        return Layout(lines[0].number + 1, delimiter, tuple(rows[0]), header=(lines[0].text,))
     begin = 0
     for i in range(place + 2, min(place + _FEW + 2, len(rows))):
         # The rows before are metadata, as R, C and temperature with one value each.
         if shape.fits(rows[i]) and _are_names(rows[i - 1]) and rows[i - 1] not in rows[:place]:
-            units = all(map(symbol_of, rows[i - 1])) and all(map(_is_word, rows[i - 2]))
-            begin, place = i - 1 - units, i
-    texts, above = [line.text for line in lines[begin:place]], rows[begin:place]
-    if not any(len(row) == shape.width for row in above):
-        # Names in comments.
-        before = [line.text for line in comments if line.number < lines[place].number]
-        named = [(text, cells) for text in before if (cells := _commented(text, delimiter, shape.width))]
-        texts, above = [text for text, _ in named] or texts, [cells for _, cells in named] or above
-    heading = _beside(rows) or _heading(above, rows[place:], shape)
-    below = any(map(shape.is_row, rows[begin : max(place - heading.lines, 0)]))
-    if place and not heading.names:
-        width = len(above[-1])
-        words = width > 1 and all(map(_is_word, above[-1]))
-        points = any("." in cell for row in rows[place:] for cell in row)
-        if words and delimiter == "," and width < shape.width <= 2 * width and not points:
-            raise _two_readings(lines[place], width, shape.width)
-        below |= (place == 1 and words and width != shape.width) or bool(_heading(above[:1], rows[place:], shape).names)
-    if below:
-        return _below_first_line(lines[0], rows[0], delimiter)
-    line, header = lines[place], lines[place - 1].number if place else -1
-    # A row that looks like a comment, between the header and the table: #N/A,1,2.
-    between = [other for other in comments if header < other.number < line.number and other.text not in texts]
-    faulty = (other for other in between if not is_comment(cells_of(other.text, delimiter), shape.width, delimiter))
-    line = next(faulty, line)
-    top = (*block.split("\n")[: line.number], *heading.clock)
-    texts = texts[len(texts) - heading.lines :]
-    return Layout(line.number, delimiter, heading.names, heading.units, line.text.strip(), top, tuple(texts))
+            begin, place = place + 1, i
+    named = lines[begin:place]
+    if not any(shape.names(line.cells) for line in named):
+        before = [line for line in comments if line.number < lines[place].number]
+        named = [_commented(line, delimiter, shape.width) for line in before] or named
+    heading = _beside(lines) or next(filter(None, (_heading(named[:i], shape) for i in range(len(named), 0, -1))), None)
+    if heading is None:
+        return _without_names(lines, place, delimiter, shape)
+    over = [line for line in lines[begin:place] if line.number < heading.end and line.text not in heading.texts]
+    if faulty := [line for line in over if shape.is_row(line.cells)]:
+        raise FileFormatError(f"line {faulty[0].number + 1} holds numbers above the names; correct or remove it")
+    rest = [line.number for line in lines if line.number >= heading.end]
+    # A row that looks like a comment: #N/A,1,2.
+    rest += [c.number for c in comments if c.number >= heading.end and not is_comment(c.cells, shape.width, delimiter)]
+    first, written = min(rest), block.split("\n")
+    above = (*written[:first], *heading.clock)
+    return Layout(first, delimiter, heading.names, heading.units, written[first].strip(), above, heading.texts)
 
 
-def _commented(text: str, delimiter: str | None, width: int) -> list[str]:
-    """Return the cells of a comment, as many as the columns, or none; a sign of its own may name a count."""
-    signed, plain = cells_of(text, delimiter), cells_of(text.lstrip("#% \t"), delimiter)
-    return plain if len(plain) == width else signed if len(signed) == width and signed[0] in _MARKS else []
+def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape: _Shape) -> Layout:
+    """Return the layout of a table without names; lines above it that may be rows with a fault belong to it.
+
+    Raise `FileFormatError` if commas may be decimal signs: fewer names than cells, or a blank behind some commas only.
+    """
+    line, cells = lines[place], lines[place - 1].cells if place else []
+    names = bool(cells) and all(map(_is_word, cells))
+    mixed = ", " in line.text and re.search(r"\d,\d", line.text)
+    doubtful = delimiter == "," and "." not in line.text and (mixed or (names and len(cells) < shape.width))
+    if doubtful or (names and 1 < len(cells) != shape.width):
+        raise FileFormatError(
+            f"line {line.number + 1} is '{shortened(line.text.strip())}', {shape.width} cells, but the line above has "
+            f"{len(cells)} names: commas may be decimal signs too",
+            hint="state decimal=comma if they are, or correct the names",
+            change=("decimal",),
+        )
+    while place and (len(lines[place - 1].cells) == shape.width or shape.is_row(lines[place - 1].cells)):
+        place -= 1
+    return Layout(lines[place].number, delimiter, row=lines[place].text.strip())
 
 
-def _below_first_line(line: _Line, names: list[str], delimiter: str | None) -> Layout:
-    """Return the layout of a table whose header is the first line with content."""
-    if all(not name or is_number(name) for name in names):
-        raise FileFormatError(Layout(line.number, delimiter, row=line.text.strip()).unnamed)
-    return Layout(line.number + 1, delimiter, tuple(names), header=(line.text,))
+def _commented(line: _Line, delimiter: str | None, width: int) -> _Line:
+    """Return a comment without its mark, unless this names a count."""
+    plain = cells_of(line.text.lstrip("#% \t"), delimiter)
+    signed = len(line.cells) == width != len(plain) and line.cells[0] in _MARKS
+    return line if signed else line._replace(cells=plain)
 
 
-def _delimiter(comments: list[_Line], lines: list[_Line]) -> str | None:
+def _delimiter(lines: list[str], decimal: str | None) -> str | None:
     """Return the separator that most of the later lines contain, outside of quotes; None for blanks.
 
-    Where commas are decimal signs too, the names above the rows show what separates their cells.
+    Where commas are decimal signs, as the user states, a comma with a blank separates.
     """
-    later = [re.sub(r'"[^"]*"', "", line.text) for line in lines[len(lines) // 2 :]]
-    delimiter = next((sign for sign in ";\t," if 2 * sum(sign in text for text in later) > len(later)), None)
-    if delimiter != ",":
-        return delimiter
-    heads = (line.text.lstrip("#% \t") for line in reversed([*comments, *lines[: len(lines) // 2]]))
-    names = next((text for text in heads if all(map(_is_word, cells_of(text, ",")))), "")
-    by_comma = _Shape.of([cells_of(text, ",") for text in later]).width
-    for sign, blank in ((", ", False), (None, True)):
-        rows = [cells_of(text, sign) for text in later]
-        width = _Shape.of(rows).width
-        others = [cell for row in rows for cell in row if not _COMMA.fullmatch(cell)]
-        strange = [c for c in others if "," in c or (not is_number(c) if blank else is_number(c) and "." in c)]
-        if len(others) == sum(map(len, rows)) or strange or (width == 1 and not blank):
-            continue
-        if (names and len(cells_of(names, ",")) == by_comma) or (width == 1 and "," in names):
-            return ","
-        if (blank and width > 1) or (names and len(cells_of(_UNIT_BEHIND.sub("", names), sign)) == width):
-            return sign
-        if not blank:
-            raise _two_readings(lines[-1], len(cells_of(names, sign)) * bool(names), by_comma)
-    return ","
-
-
-def _two_readings(line: _Line, names: int, cells: int) -> FileFormatError:
-    """Return the error for rows that have more cells between commas than the header has names."""
-    return FileFormatError(
-        f"line {line.number + 1} is '{shortened(line.text.strip())}': {cells} cells if each comma separates two, but "
-        f"the header has {f'{names} names' if names else 'no names'}, so that commas may be decimal signs too",
-        hint="save it with decimal points, or with semicolons between the cells",
-    )
+    later = [re.sub(r'"[^"]*"', "", text) for text in lines[len(lines) // 2 :]]
+    signs = (";", "\t", ", " if decimal == "," else ",")
+    found = next((sign for sign in signs if 2 * sum(sign in text for text in later) > len(later)), None)
+    return "," if found is None and decimal == "," and any('","' in text for text in lines) else found
 
 
 def cells_of(line: str, delimiter: str | None) -> list[str]:
@@ -214,11 +200,11 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def number_in(cell: str) -> float:
+def number_in(cell: str, decimal: str = ".") -> float:
     """Return a cell's number, NaN if empty; raise ValueError for numbers of Python only: 1_000, other digits."""
-    if "_" in cell or not cell.isascii():
+    if "_" in cell or not cell.isascii() or (decimal == "," and "." in cell):
         raise ValueError(cell)
-    return float(cell or "nan")
+    return float(cell.replace(decimal, ".") or "nan")
 
 
 def is_number(cell: str) -> bool:
@@ -226,7 +212,7 @@ def is_number(cell: str) -> bool:
     try:
         number_in(cell)
     except ValueError:
-        return bool(readings(cell))
+        return _NUMBER.fullmatch(cell) is not None
     return bool(cell)
 
 
@@ -250,49 +236,50 @@ def _are_names(row: list[str]) -> bool:
     return all(row) and all(map(_is_word, row)) and len(set(row)) == len(row) and any(map(symbol_of, ends))
 
 
-def _heading(above: list[list[str]], rows: list[list[str]], shape: _Shape) -> _Heading:
-    """Return names and units from the lines above the table; nothing if these are no names."""
-    width = shape.width
-    empty_end = width > 1 and not any(row[-1] for row in rows if len(row) == width)
+class _Heading(NamedTuple):
+    """Names and units of columns, the number of lines up to their end, their texts, and the time that they state."""
 
-    def padded(row: list[str]) -> tuple[str, ...]:
-        row = [*row, ""] if empty_end and len(row) == width - 1 else row
-        beyond = all(cell.lower() in ("", "comment") for cell in row[width:])
-        return tuple(row[:width]) if beyond and len(row) >= width else ()
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    end: int
+    texts: tuple[str, ...] = ()
+    clock: tuple[str, ...] = ()
 
-    before, last = [[], [], *above][-2:]
+
+def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
+    """Return names and units from the last one or two of these lines; None if they are no names."""
+    before, last, end = lines[-2].cells if len(lines) > 1 else [], lines[-1].cells, lines[-1].number + 1
     stated = {name.lower(): cell for name, cell in zip(before, last, strict=False) if is_number(cell)}
     clock = tuple(f"x{name}\t{stated[name]}\ts" for name in _CLOCK if name in stated)
     if clock:
-        before, last = ["" if name.lower() in _CLOCK else name for name in before], last[:width]
-    names, cells = padded(before), padded(last)
-    numeric = [cells[k] for k in shape.numeric] if cells else [""]
+        before, last = ["" if name.lower() in _CLOCK else name for name in before], last[: shape.width]
+    names, units = shape.names(before, words=False), [*last, *[""] * (shape.width - len(last))]
+    numeric = [units[k] for k in shape.numeric]
     known = [symbol_of(cell) != "" for cell in numeric]
     # Instruments write other numbers into the row of units, in columns without numbers.
     are_units = any(known) and all(
         not cell or unit or cell.lower() in _COUNTS or (cell[0] in "[(" and not is_number(cell))
         for cell, unit in zip(numeric, known, strict=True)
     )
-    if names and are_units and all(names[k] for k in shape.numeric):
-        return _Heading(names, tuple(cell.strip("[]() ") for cell in cells), 2, clock)
-    # Programs write no name above a count in the first column.
-    unnamed = any(not cell for cell in numeric[1:] or numeric) or any(map(is_number, numeric))
-    return _Heading() if unnamed else _Heading(cells, (), 1)
+    if are_units and names and all(names[k] for k in shape.numeric):
+        stated_units = tuple(cell.strip("[]() ") for cell in units[: shape.width])
+        return _Heading(names, stated_units, end, tuple(line.text for line in lines[-2:]), clock)
+    names = shape.names(last)
+    return _Heading(names, (), end, (lines[-1].text,)) if names else None
 
 
-def _beside(rows: list[list[str]]) -> _Heading | None:
+def _beside(lines: list[_Line]) -> _Heading | None:
     """Return names and units if the header stands beside the rows: three cells of it, then time and value.
 
     Oscilloscopes of Tektronix's older series write one channel to a file in this way.
     """
-    width = len(rows[0])
-    if rows[0][0].lower() != "record length" or width < 5:
+    width = len(lines[0].cells)
+    if lines[0].cells[0].lower() != "record length" or width < 5:
         return None
-    header = {row[0].lower(): row[1] for row in rows if len(row) == width}
-    names = ("", "", "", "TIME", header.get("source") or "CH", *[""] * (width - 5))
-    return _Heading(
-        names, ("", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *names[5:])
-    )
+    header = {line.cells[0].lower(): line.cells[1] for line in lines if len(line.cells) == width}
+    rest = ("",) * (width - 5)
+    units = "", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *rest
+    return _Heading(("", "", "", "TIME", header.get("source") or "CH", *rest), units, lines[0].number)
 
 
 # Letters of the words for the time from one sample to the next, for samples a second, and for the first sample's time.
@@ -304,53 +291,40 @@ _WORDS = {
 }
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
-# Key, unit in brackets, and the rest of a line; a number in it, and its unit.
-_LINE = re.compile(r"[#%;\s\"]*([A-Za-z][^\[\](){}:=;,\t\"\d]*)(?:[\[(]([^\[\]()]*)[\])])?[\s\":=;,]+(.*)")
-_VALUE = re.compile(
-    r"(?<![^\s\";,])([-+]?[.,]?\d(?:[\d.,]*\d)?(?:[eE][-+]?\d+)?)[\s\";,]*([^\W\d]+(?:/[^\W\d]+)?)?(?![^\s\";,])"
+# Key, unit in brackets, number, and unit of a line.
+_STATED = re.compile(
+    r"[#%;\s\"]*([A-Za-z][A-Za-z _]*)(?:[\[(]([^\[\]()]*)[\])])?[\s\":=;,]+"
+    r"([-+]?[.,]?\d(?:[\d.,]*\d)?(?:[eE][-+]?\d+)?)[\s\";,]*([^\W\d]+(?:/[^\W\d]+)?)?(?![^\s\";,]).*"
 )
-# The longest line that is looked at.
-_LONGEST_LINE = 400
-# Relative difference of steps that state the same.
-_SAME = 1e-6
+# The longest line that is looked at, and the relative difference of steps that state the same.
+_LONGEST_LINE, _SAME = 400, 1e-6
 
 
-class _Stated(NamedTuple):
-    """What a line of the header states: a kind of `_KINDS`, a number as it is written, its unit, and words."""
-
-    kind: str
-    number: str
-    unit: str
-    words: str
-
-
-def with_clock(
-    columns: list[Column], lines: Sequence[str], delimiter: str | None, notation: Callable[[], Notation]
-) -> list[Column]:
+def with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> list[Column]:
     """Return columns with the time that the `lines` above a table state, in the place of one that counts samples.
 
-    Nothing changes if the header states no step, or if a column has a time with its unit. If steps contradict one
-    another, or their decimal sign is unknown, the time has a fault. A step without a unit is taken for seconds, as a
-    guess. `notation`: function that returns that of the table, for numbers that can be read in two ways.
+    Nothing changes if they state no step with its unit, or if a column has a time with its unit. If steps contradict
+    one another, or a number can be read in two ways, the time has a fault. `decimal`: the decimal sign of the table.
     """
     if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
     place = next((k for k, column in enumerate(columns) if _counts(column)), None)
-    stated = [one for line in lines if len(line) <= _LONGEST_LINE for one in _stated(line, delimiter)]
     named = place is None and any("time" in column.quantities for column in columns)
-    if named or not any(one.kind in ("step", "rate") for one in stated):
+    stated = [
+        _stated(match, decimal) for line in lines if len(line) <= _LONGEST_LINE and (match := _STATED.fullmatch(line))
+    ]
+    steps = [value for kind, value, _ in stated if kind == "step"]
+    if named or not steps:
         return columns
     rest = [column for k, column in enumerate(columns) if k != place]
-    try:
-        clock = _clock(stated, notation)
-    except FileFormatError as error:
-        return [Column("time", np.empty(0), "s", f"{error}; or give the sample rate in Hz"), *rest]
-    if clock is None:
-        return columns
-    step, start, guessed = clock
+    if not max(steps) - min(steps) <= _SAME * max(steps):
+        words = ", ".join(text for kind, _, text in stated if kind == "step")
+        fault = f"the header states the time step by {words}, which is not one number; correct it, or give rate=HZ"
+        return [Column("time", np.empty(0), "s", fault), *rest]
+    start = next((value for kind, value, _ in stated if kind == "start"), 0.0)
     counts = np.arange(float(columns[0].data.size)) if place is None else columns[place].data
     with np.errstate(all="ignore"):
-        return [Column("time", start + step * counts, "s", guessed=guessed), *rest]
+        return [Column("time", start + steps[0] * counts, "s"), *rest]
 
 
 def _counts(column: Column) -> bool:
@@ -361,45 +335,18 @@ def _counts(column: Column) -> bool:
     return bool(steps.max() == 1) or not (column.quantities or symbol_of(column.parts[1]))
 
 
-def _stated(line: str, delimiter: str | None) -> list[_Stated]:
-    """Return what a line as "XInc, 0.01, s", "# Sample interval [ms] = 2" or "dt 0,01" states."""
-    match = _LINE.fullmatch(line)
-    key = re.sub(r"[^a-z]", "", match[1].lower()) if match else ""
-    if match is None or key not in _KINDS:
-        return []
-    # Between commas, one before a zero belongs to a number: 10,000.
-    rest = match[3].replace(",", " ") if delimiter == "," and not re.search(r"\d,0\d", match[3]) else match[3]
-    found = []
-    for number, behind in _VALUE.findall(rest):
-        unit = behind or match[2] or ""
-        known = not unit or unit.lower() in _HERTZ or symbol_of(unit) in FACTORS["time"]
-        # The word "sampling" alone can mean anything; 12.05.2024 is no number.
-        if known and readings(number) and (unit or key != "sampling"):
-            found.append(_Stated(_KINDS[key], number, unit, f"'{key}' of '{number}'"))
-    return found
+def _stated(match: re.Match[str], decimal: str) -> tuple[str, float, str]:
+    """Return what a line as "XInc, 0.01, s", "# Sample interval [ms] = 2" or "dt 0,01 s" states: "step" or "start".
 
-
-def _clock(stated: list[_Stated], notation: Callable[[], Notation]) -> tuple[float, float, str] | None:
-    """Return the step of a header, the time of its first sample [s], and what is a guess; raise FileFormatError."""
-    steps: list[tuple[bool, float, str]] = []
-    start = 0.0
-    for kind, text, unit, words in stated:
-        known = readings(text)
-        sign = next(iter(known)) if len(set(known.values())) == 1 else notation().decimal if notation().shown else ""
-        if not sign:
-            raise DecimalSignError(f"the header states {words}, which can be read in two ways; give the decimal sign")
-        factor = FACTORS["time"].get(symbol_of(unit), 0.0 if unit else 1.0)
-        if kind == "start":
-            start = known[sign] * factor
-        elif kind == "step":
-            steps.append((not unit, known[sign] * factor, words))
-        elif hertz := known[sign] * _HERTZ.get(unit.lower(), 0.0 if unit else 1.0):
-            steps.append((not unit, 1 / hertz, words))
-    steps = [one for one in steps if isfinite(one[1]) and one[1] > 0]
-    sizes = [step for _, step, _ in steps]
-    if not steps:
-        return None
-    if max(sizes) - min(sizes) > _SAME * max(sizes):
-        raise FileFormatError(f"the header states different steps: {', '.join(c[2] for c in steps)}; correct it")
-    guessed, step, words = min(steps, key=lambda one: one[0])
-    return step, start, f"time step of {step:g} s, from {words} in the header without a unit" * guessed
+    The value [s] is NaN if the number can be read in two ways. An empty kind is nothing that is known.
+    """
+    key, unit = re.sub(r"[^a-z]", "", match[1].lower()), match[4] or match[2] or ""
+    kind, hertz, seconds = _KINDS.get(key, ""), _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
+    try:
+        value = number_in(match[3], decimal) if not {*match[3]} & {",", "."} - {decimal} else np.nan
+    except ValueError:
+        value = np.nan
+    known = value > 0 or kind == "start" or np.isnan(value)
+    if kind == "rate" and hertz and known:
+        return "step", 1 / (hertz * value), f"'{key}' of '{match[3]}'"
+    return kind if seconds and kind != "rate" and known else "", seconds * value, f"'{key}' of '{match[3]}'"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import io
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, BinaryIO
@@ -14,28 +13,17 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
 from dehyst._units import symbol_of
-from dehyst.records.formats.columns import Column, shortened, without_groups
+from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
-from dehyst.records.formats.notation import (
-    Moment,
-    Notation,
-    clock_of,
-    is_moment,
-    moment,
-    notation_of,
-    pattern_of,
-    pointed,
-)
+from dehyst.records.formats.notation import Moment, clock_of, decimal_sign, is_moment, moment
 from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in, with_clock
 
 # Longest line [characters] and most columns of a measurement.
 _LONGEST_LINE, WIDEST = 1_000_000, 10_000
-# Characters that are read at once, and bytes by which an encoding is recognised.
-_BLOCK, _HEAD = 100_000, 4096
-# Groups of digits, whose sign is no decimal sign.
-_TWICE = re.compile(r"\d([.,])\d{3}\1\d{3}")
-# The most tables in a file, and the most characters of a cell, that a message shows.
-_LISTED, _SHOWN = 20, 40
+# Characters that are read at once.
+_BLOCK = 100_000
+# The most tables in a file that a message shows.
+_LISTED = 20
 
 
 class _Text:
@@ -49,11 +37,10 @@ class _Text:
         # It makes one end of line of the ends of all systems.
         self.lines = io.TextIOWrapper(stream, encoding)
 
-    def blocks(self, skip: int = 0, cut: str = "") -> Iterator[tuple[int, str]]:
+    def blocks(self, skip: int = 0) -> Iterator[tuple[int, str]]:
         """Yield blocks of whole lines from behind the first lines on, each with the number of the line before it.
 
-        `cut`: what separates cells, if tabs are to replace it. Raise FileFormatError for no text, or a line that is too
-        long for a row.
+        Raise FileFormatError for no text, or a line that is too long for a row.
         """
         self.lines.seek(0)
         number = 0
@@ -70,22 +57,8 @@ class _Text:
             left = min(max(skip - number, 0), count)
             rest = block.split("\n", left)[left] if left else block
             if rest:
-                yield number + left, rest.replace(cut, "\t") if cut else rest
+                yield number + left, rest
             number += count
-
-
-def _encodings(stream: BinaryIO) -> tuple[str, ...]:
-    """Return the encodings that a text may have; Windows programs write UTF-16 as "Unicode text"."""
-    stream.seek(0)
-    head = stream.read(_HEAD)
-    # Latin letters and digits leave every second byte 0.
-    big, little = head[::2].count(0), head[1::2].count(0)
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16", "latin-1"
-    if max(big, little) > 0.4 * len(head) and not min(big, little):
-        return "utf-16-be" if big else "utf-16-le", "latin-1"
-    # Instruments write the micro sign in Latin-1.
-    return "utf-8-sig", "latin-1"
 
 
 def read_text(
@@ -98,7 +71,10 @@ def read_text(
     header, several tables, or more than allowed.
     """
     stream = io.BytesIO(data) if isinstance(data, bytes) else data
-    for encoding in _encodings(stream):
+    stream.seek(0)
+    # Windows programs write UTF-16 as "Unicode text", instruments the micro sign in Latin-1.
+    wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    for encoding in ("utf-16" if wide else "utf-8-sig", "latin-1"):
         text = _Text(stream, encoding, whole_lines)
         with suppress(UnicodeDecodeError):
             try:
@@ -110,36 +86,26 @@ def read_text(
 
 def _read(text: _Text, allowance: Allowance, decimal: str | None) -> list[Column]:
     """Read the columns of a text."""
-    layout = layout_of(next((block for _, block in text.blocks()), ""))
-    table = _Table(text, layout)
-    columns = table.columns(allowance, table.notation(decimal))
+    layout = layout_of(next((block for _, block in text.blocks()), ""), decimal)
+    table = _Table(text, layout, decimal)
+    columns = table.columns(allowance)
     if layout.names:
         # Separators without a name: an empty column, or what stands beside the table.
         columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
-    # An oscilloscope writes the time of each channel.
-    first: dict[str, Column] = {}
-    columns = [
-        column
-        for column in columns
-        if (one := first.setdefault(column.name, column)) is column
-        or one.fault
-        or not np.array_equal(one.data, column.data, equal_nan=True)
-    ]
-    return with_clock(columns, layout.above, layout.delimiter, lambda: table.notation(decimal))
+    return with_clock(columns, layout.above, table.decimal)
 
 
 class _Table:
     """The rows of a text file, read block by block.
 
-    `lines`: their number, or more. `comma`: what a cell with a comma shows, and `commas`: whether there is one.
-    `count`: rows so far. `faults`, `clocks`: why a column cannot be read, and the timestamps of one that has them.
-    `ends`: the first and the last row as they are written. `hole`, `blank`: line of the first empty row, and whether
-    there was a blank line, since the last row. `headers`: lines of repeated headers. `breaks`: line and sample of rows
-    behind blank lines.
+    `lines`: their number, or more. `decimal`: the decimal sign. `count`: rows so far. `faults`, `clocks`: why a column
+    cannot be read, and the timestamps of one that has them. `ends`: the first and the last row as they are written.
+    `hole`, `blank`: line of the first empty row, and whether there was a blank line, since the last row. `headers`:
+    lines of repeated headers. `breaks`: line and sample of rows behind blank lines.
     """
 
-    def __init__(self, text: _Text, layout: Layout) -> None:
-        self.text, self.layout, self.delimiter = text, layout, "\t" if layout.cut else layout.delimiter
+    def __init__(self, text: _Text, layout: Layout, decimal: str | None) -> None:
+        self.text, self.layout, self.delimiter = text, layout, layout.delimiter
         self.names = list(layout.names) or [str(k + 1) for k in range(len(cells_of(layout.row, self.delimiter)))]
         if len(self.names) > max(len(cells_of(layout.row, self.delimiter)), 1) and not self.names[-1]:
             self.names.pop()
@@ -150,9 +116,10 @@ class _Table:
                 "voltage and displacement only"
             )
         # Between commas, a cell with a comma is in quotes.
-        self.comma, self.commas, self.lines = '"' if self.delimiter == "," else ",", False, 1
-        for _, block in text.blocks(layout.first, layout.cut):
-            self.commas, self.lines = self.commas or self.comma in block, self.lines + block.count("\n")
+        comma, commas, self.lines = '"' if self.delimiter == "," else ",", False, 1
+        for _, block in self.blocks():
+            commas, self.lines = commas or comma in block, self.lines + block.count("\n")
+        self.decimal = decimal_sign(self.blocks, self.delimiter, commas, decimal)
         self.count, self.hole, self.blank = 0, 0, False
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
@@ -160,38 +127,19 @@ class _Table:
         self.headers: list[int] = []
         self.breaks: list[tuple[int, int]] = []
 
-    def notation(self, decimal: str | None) -> Notation:
-        """Return the notation of the numbers; `decimal`: the decimal sign that the user states."""
+    def blocks(self) -> Iterator[tuple[int, str]]:
+        """Yield blocks of the rows, see `_Text.blocks`."""
+        return self.text.blocks(self.layout.first)
 
-        def found(kind: str, sign: str) -> str:
-            pattern, mark = (
-                pattern_of(kind, sign, self.delimiter),
-                self.comma if (sign == ",") != (kind == "groups") else ".",
-            )
-            for before, block in self.text.blocks(self.layout.first, self.layout.cut):
-                # The last line of a file may be cut off in the middle of a number.
-                body = block[: block.rfind("\n") + 1] or block
-                may_be = mark in body or (kind == "certain" and _TWICE.search(body))
-                if may_be and (match := pattern.search(body)):
-                    lines = body[: match.start("number")].split("\n")
-                    cells = cells_of(f"{lines[-1].strip(' ')}0", self.delimiter)
-                    name = shortened(self.names[min(len(cells), self.width) - 1])
-                    return f"line {before + len(lines)}, column '{name}' holds '{match['number'][:_SHOWN]}'"
-            return ""
-
-        return notation_of(found, self.delimiter, self.commas, decimal)
-
-    def columns(self, allowance: Allowance, notation: Notation) -> list[Column]:
+    def columns(self, allowance: Allowance) -> list[Column]:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
         allowance.take(self.lines * self.width, "the number of its lines")
         # Memory is taken as it is filled.
         columns = np.empty((self.width, self.lines))
-        for number, written in self.text.blocks(self.layout.first, self.layout.cut):
-            lines = written.removesuffix("\n").split("\n")
-            block = pointed(written, notation, self.delimiter)
-            rows = lines if block is written else block.removesuffix("\n").split("\n")
-            numbers = self._at_once(rows, lines)
-            numbers = self._by_rows(number, rows, lines) if numbers is None else numbers
+        for number, block in self.blocks():
+            lines = block.removesuffix("\n").split("\n")
+            numbers = self._at_once(block, lines)
+            numbers = self._by_rows(number, lines) if numbers is None else numbers
             columns[:, self.count : self.count + len(numbers)] = numbers.T
             self.count += len(numbers)
         if not self.count:
@@ -204,26 +152,30 @@ class _Table:
         self._refuse_several(found)
         return found
 
-    def _at_once(self, rows: list[str], written: list[str]) -> Array | None:
+    def _at_once(self, block: str, lines: list[str]) -> Array | None:
         """Read a block of which all lines are rows of numbers; return none for others."""
-        if self.clocks or self.hole or self.blank:
+        if self.clocks or self.hole or self.blank or (self.decimal in (self.delimiter or "")):
             return None
+        rows = lines
+        if self.decimal == ",":
+            # A point would be no decimal sign: it must not be read as one.
+            rows = block.replace(".", "'").replace(",", ".").removesuffix("\n").split("\n")
         try:
             data = np.loadtxt(rows, delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
             return None
         if data.shape != (len(rows), self.width):
             return None
-        self.ends = [(self.ends or written)[0], written[-1]]
+        self.ends = [(self.ends or lines)[0], lines[-1]]
         return data
 
-    def _by_rows(self, before: int, lines: list[str], written: list[str]) -> Array:
+    def _by_rows(self, before: int, lines: list[str]) -> Array:
         """Read a block row by row: slow, but it finds the line of an error and allows text columns and timestamps."""
         rows = dict(self._cells(before, lines))
         if not rows:
             return np.empty((0, self.width))
         numbers = list(rows)
-        self.ends = [(self.ends or [written[numbers[0] - before - 1]])[0], written[numbers[-1] - before - 1]]
+        self.ends = [(self.ends or [lines[numbers[0] - before - 1]])[0], lines[numbers[-1] - before - 1]]
         if not self.count:
             self.clocks = {place: [] for place, cell in enumerate(rows[numbers[0]]) if is_moment(cell)}
         columns = enumerate(zip(*rows.values(), strict=True))
@@ -232,15 +184,15 @@ class _Table:
     def _parsed(self, place: int, numbers: list[int], cells: Sequence[str]) -> Array:
         """Return the numbers of a column; NaN for one that has timestamps, or a fault."""
         values: list[Any] = self.clocks.get(place, [])
-        parse: Any = moment if place in self.clocks else number_in
+        is_clock = place in self.clocks
         try:
             for cell in cells if place not in self.faults else ():
-                values.append(parse(cell))
+                values.append(moment(cell) if is_clock else number_in(cell, self.decimal))
         except ValueError:
-            kind = "timestamp" if place in self.clocks else "number"
+            kind = "timestamp" if is_clock else "number" if self.decimal == "." else "number with a decimal comma"
             line = numbers[cells.index(cell)]
             self.faults[place] = f"line {line} holds '{shortened(cell)}', which is no {kind}; correct it"
-        unread = place in self.clocks or place in self.faults
+        unread = is_clock or place in self.faults
         return np.full(len(cells), np.nan) if unread else np.array(values)
 
     def _cells(self, before: int, lines: list[str]) -> Iterator[tuple[int, list[str]]]:
@@ -288,7 +240,7 @@ class _Table:
                 fault = str(error)
         data = np.empty(0) if fault else data
         unnamed = "" if self.layout.names else self.layout.unnamed
-        return without_groups(Column(self.names[place], data, unit, fault, unnamed=unnamed, ends=ends, began=began))
+        return Column(self.names[place], data, unit, fault, unnamed=unnamed, ends=ends, began=began)
 
     def _refuse_several(self, columns: list[Column]) -> None:
         """Raise FileFormatError if the header is repeated, or if a time starts again behind each blank line."""
