@@ -21,8 +21,8 @@ Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "witho
 Kind: TypeAlias = Literal["line", "points", "area", "cells"]
 # Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
-# Samples of a page that are drawn of long series together, and what each of them has at least.
-_SAMPLES, _LEAST = 8000, 200
+# Samples of a page that are drawn of long series together, what each has at least, and of a loop for each of others.
+_SAMPLES, _LEAST, _LOOP = 8000, 200, 3
 # A line leaves out vertices that are this near to the line of their neighbours, in parts of the range: the first does
 # not show, the others count if there are too many. It begins with this multiple of what is drawn.
 _NEAR, _ROUGH = (5e-4, 1e-3, 2e-3, 4e-3, 8e-3), 20
@@ -69,6 +69,16 @@ class Series:
     top: Array | None = None
     values: Array | None = None
     darkest: float | None = None
+
+    @property
+    def rising(self) -> bool:
+        """Whether it is a line whose x rises."""
+        return self.kind == "line" and self.x.size > 1 and bool((np.diff(self.x) > 0).all())
+
+    @property
+    def parts(self) -> int:
+        """Parts of what a page may hold: loops need more samples than a curve over time, or dots."""
+        return _LOOP if self.kind == "line" and not self.rising else 1
 
 
 def stems(name: str, x: Array, top: Array, colour: Colour, *, width: float = 1.4) -> tuple[Series, ...]:
@@ -149,6 +159,7 @@ class Chart:
 
     def _thinned(self, one: Series, most: int, scales: Sequence[float]) -> Series:
         """Return a series with the samples that show in a picture whose axes have ranges `scales`."""
+        most *= one.parts
         if one.x.size <= most or one.kind == "cells" or one.names:
             return one
         if one.kind == "points":
@@ -177,8 +188,8 @@ class ChartData:
 
     def json(self) -> str:
         """Return all charts as JSON for use inside a page."""
-        long = sum(series.x.size > _LEAST for chart in self._charts for series in chart.series)
-        most = max(_LEAST, _SAMPLES // max(long, 1))
+        long = (series.parts for chart in self._charts for series in chart.series if series.x.size > _LEAST)
+        most = max(_LEAST, _SAMPLES // max(sum(long), 1))
         charts = [self._stored(chart.shown(most)) for chart in self._charts]
         columns = [_column(np.frombuffer(values)) for values in self._places]
         text = json.dumps({"columns": columns, "charts": charts}, separators=(",", ":"), allow_nan=False)
@@ -206,7 +217,6 @@ class ChartData:
 
     def _series(self, one: Series, chart: Chart) -> dict[str, Any]:
         x, y = chart.x.scaled(one.x), chart.y.scaled(one.y)
-        rising = one.kind == "line" and x.size > 1 and bool((np.diff(x) > 0).all())
         stored: dict[str, Any] = {
             "name": one.name,
             "x": self._place(x),
@@ -220,7 +230,7 @@ class ChartData:
             stored["top"] = self._place(chart.y.scaled(one.top))
         if one.values is not None:
             stored["values"] = self._place(one.values.ravel())
-        flags: dict[str, Any] = {"rising": rising, "hollow": one.hollow, "darkest": one.darkest}
+        flags: dict[str, Any] = {"rising": one.rising, "hollow": one.hollow, "darkest": one.darkest}
         flags |= {"names": list(one.names), "dash": [5, 4] * one.dashed}
         return stored | {key: value for key, value in flags.items() if value}
 

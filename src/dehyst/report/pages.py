@@ -12,7 +12,7 @@ from dehyst.model import Actuator
 from dehyst.records import Record
 from dehyst.report import pictures, sections
 from dehyst.report.html import Charts, Part, Row, bullets, document, escape, length, number, reproduction, table, words
-from dehyst.trust import OURS, Insight, ModelComparison, RecordScore, StageInsight, turn_plane
+from dehyst.trust import OURS, Insight, ModelComparison, StageInsight, turn_plane
 
 if TYPE_CHECKING:
     from dehyst.calibration import TrackedPath
@@ -156,7 +156,6 @@ def _insight(found: Insight) -> list[Part]:
     ]
 
 
-_NONE = "–"
 # Bars of one model are no comparison; largest ratio of the longest to the median.
 _FEWEST_BARS, _LONGEST = 2, 6.0
 _ROLES = {"validation": "Held out", "training": "Training"}
@@ -199,8 +198,9 @@ def _scores(found: ModelComparison) -> str:
     """Return the errors of each model."""
     rows: list[Row] = []
     for row in found.rows:
-        cells = [_cell(row.worst(role)) for role in _ROLES]
-        seconds = _NONE if row.seconds is None else number(row.seconds)
+        scores = [row.worst(role) for role in _ROLES]
+        cells = ["–" if one is None else (f"{number(one.largest)} %", f"{number(one.rms)} %") for one in scores]
+        seconds = "–" if row.seconds is None else number(row.seconds)
         rows.append(((row.name, "this package" if row.name == OURS else ""), *cells, seconds))
     records = f"Training: {', '.join(found.records)}. {found.note} Stroke: {length(found.stroke)}."
     return (
@@ -208,10 +208,6 @@ def _scores(found: ModelComparison) -> str:
         "the largest error, in % of the stroke: largest and, in small print, RMS, with one free constant for each "
         f"record.</p>\n{table(('Model', *_ROLES.values(), 'Fit (s)'), rows, texts=1)}"
     )
-
-
-def _cell(score: RecordScore | None) -> str | tuple[str, str]:
-    return _NONE if score is None else (f"{number(score.largest)} %", f"{number(score.rms)} %")
 
 
 def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:

@@ -39,10 +39,10 @@ def record_loop(record: Record) -> Chart:
 
 
 def record_in_time(record: Record) -> list[Chart]:
-    """Return displacement and voltage of a record of one axis against time, and a signal that was counted."""
+    """Return voltage and displacement of a record of one axis against time, and a signal that was counted."""
     of_one_axis(record)
     factor, unit = length_unit(record.stroke)
-    quantities = [(record.displacement * factor, Axis("displacement", unit)), (record.voltage, VOLTAGE)]
+    quantities = [(record.voltage, VOLTAGE), (record.displacement * factor, Axis("displacement", unit))]
     quantities += [(one.values, Axis("signal", one.unit)) for one in record.others if one.name == "signal"]
     return [Chart(record.name, TIME, y, _with_events(record, record.time, values)) for values, y in quantities]
 
@@ -211,28 +211,21 @@ def _in_metres(quantity: str, stroke: float, most: float) -> tuple[float, str, s
 
 
 def planned_path(plan: PathPlan) -> Chart:
-    """Return a planned path, and the displacements that may be reached."""
-    wanted, expected = plan.displacement[plan.first :], plan.expected[plan.first :]
-    factor, unit = length_unit(float(np.ptp(expected)))
-    axis, x = _clock(plan)
-    series = [*_promised(plan, x, expected, factor), Series("wanted", x, wanted * factor, "ink", width=1.8)]
-    return Chart("Path", axis, Axis("displacement", unit), series)
+    """Return the wanted path of a plan."""
+    (axis, x), wanted = _clock(plan), plan.displacement[plan.first :]
+    factor, unit = length_unit(float(np.ptp(wanted)))
+    return Chart("Path", axis, Axis("displacement", unit), [Series("", x, wanted * factor, "ink", width=1.8)])
 
 
 def error_band(plan: PathPlan) -> Chart:
     """Return the error to expect along a planned path [% of the stroke]; none without a promise."""
     axis, x = _clock(plan)
     missed, promise = (plan.expected - plan.displacement)[plan.first :], plan.promise
-    series = [] if promise is None else _promised(plan, x, missed, 100 / promise.stroke)
+    series = []
+    if promise is not None:
+        low, high = (100 * (missed + sign * promise.half) / promise.stroke for sign in (-1, 1))
+        series = [Series("promise", x, low, "measured", "area", opacity=0.3, top=high)]
     return Chart("Error", axis, Axis("error", _PERCENT), series, zero=True)
-
-
-def _promised(plan: PathPlan, x: Array, middle: Array, factor: float) -> list[Series]:
-    """Return the area within the promise of values [m], times a factor; none without a promise."""
-    if plan.promise is None:
-        return []
-    low, high = ((middle + sign * plan.promise.half) * factor for sign in (-1, 1))
-    return [Series("promise", x, low, "measured", "area", opacity=0.3, top=high)]
 
 
 def _clock(plan: PathPlan) -> tuple[Axis, Array]:
@@ -323,7 +316,7 @@ _TRACES: Mapping[str, Callable[[Any], Chart]] = {
 }
 # The pictures of each class by kind, the usual one first.
 KINDS: Mapping[str, Mapping[str, Callable[[Any], Chart]]] = {
-    "Record": {"loop": record_loop, "time": lambda record: record_in_time(record)[0]},
+    "Record": {"loop": record_loop, "time": lambda record: record_in_time(record)[1]},
     "Actuator": {"loop": actuator_loops, "elements": elements, "creep": creep},
     "Fit": _TRACES,
     "Recheck": {"hysteresis": _TRACES["hysteresis"], **_TRACES},

@@ -33,9 +33,9 @@ def verdict(fit: Fit) -> str:
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
     said = (
-        f"is the largest error to expect on any path within these voltages, {expected.promise.apart}, "
-        f"RMS {rms} (from {expected.basis}; "
-        f"the goal is {expected.goal:g} %). The records are missed by {measured} RMS; the sensor's noise is {noise}. "
+        f"is the largest error to expect on any path within these voltages (RMS {rms}, from {expected.basis}; the goal "
+        f"is {expected.goal:g} %), {expected.promise.apart}. "
+        f"The records are missed by {measured} RMS; the sensor's noise is {noise}. "
         f"{fit.outcome.value}"
     )
     why = "".join(f"<li>{words(reason[0].upper() + reason[1:])}.</li>" for reason in expected.why_not_ready)
@@ -243,6 +243,7 @@ def planned(found: Insight) -> list[Part]:
     rows: list[Row] = [
         (_PARTS[key], f"{number(100 * error / promise.stroke)} %", length(error))
         for key, error in promise.parts.items()
+        if error > 1e-6 * promise.largest
     ]
     beside = f"<div><h3>Causes of the largest error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
     caption = "The promise: how far the displacement may be from the wanted path if the compensating voltage is played."
