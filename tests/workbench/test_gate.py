@@ -1,6 +1,5 @@
 """Nothing passes the gate but the page itself: no foreign host, page, token or path, and no random request."""
 
-import asyncio
 import http.client
 import io
 import json
@@ -13,16 +12,13 @@ import zipfile
 
 import httpx
 import pytest
-from starlette.applications import Starlette
-from starlette.routing import Route
-from virtual_loops import record_loops
 from websockets.exceptions import InvalidHandshake, InvalidStatus
 from websockets.sync.client import connect
 from workbench_client import served
 
 from dehyst.records import read
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.server import PageFiles
+from dehyst.workbench.server import EXAMPLE
 from dehyst.workbench.serving import Door
 
 ROUTES = [
@@ -383,16 +379,6 @@ def test_the_page_lists_all_its_scripts_and_nothing_else_is_beside_them(client):
         assert client.get(path).status_code == 404
 
 
-def test_an_installed_package_makes_the_record_to_try(tmp_path, monkeypatch):
-    monkeypatch.setattr("dehyst.operations.demo.record_loops", lambda truth: record_loops())
-    page = PageFiles(measured=tmp_path / "nowhere")
-    app = httpx.ASGITransport(Starlette(routes=[Route("/page/{name}", page.file)]))
-
-    async def fetch():
-        async with httpx.AsyncClient(transport=app, base_url="http://here/page/") as client:
-            (name,) = re.findall(r"virtual[-\w]*\.csv", (await client.get("declared.js")).text)
-            return name, (await client.get(name)).content
-
-    name, content = asyncio.run(fetch())
-    (tmp_path / name).write_bytes(content)
-    assert len(read(tmp_path / name)) > 1000
+def test_a_record_to_try_is_made(client, tmp_path):
+    (tmp_path / EXAMPLE).write_bytes(client.get(f"/page/{EXAMPLE}").content)
+    assert len(read(tmp_path / EXAMPLE)) > 1000

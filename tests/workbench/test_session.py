@@ -17,7 +17,6 @@ SHOWN = {
     "samples": 100,
     "duration_s": 1.0,
     "sample_rate_Hz": 99.0,
-    "noise_nm": 2.0,
     "voltage_V": [0, 100],
     "displacement_um": [0, 10],
     "columns": {"voltage": "U", "displacement": "s"},
@@ -26,18 +25,15 @@ SHOWN = {
     "usable": True,
     "problems": ["The record is short."],
 }
+PROMISE = {"largest_percent": 0.5, "rms_percent": 0.1, "largest_m": 5e-8, "apart": "apart from a constant offset"}
 VERDICT = {
     "readiness": "READY",
-    "sentence": "Ready: ...",
-    "largest_percent": 0.5,
-    "rms_percent": 0.1,
-    "largest_m": 5e-8,
-    "noise_m": 1e-9,
+    "promise": PROMISE,
     "basis": "validation records",
     "goal_percent": 1.0,
     "reasons": [],
 }
-FIT = {"sentence": "Identified.", "verdict": VERDICT, "errors": [], "repairs": [], "remarks": []}
+FIT = {"verdict": VERDICT, "remarks": []}
 
 
 class Told:
@@ -316,14 +312,12 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
     assert (entry.problems, entry.usable) == (["y: short"], False)
     model = stage.session.identify({"train": [entry.id]})
-    errors = [{"record": "two (x)", "role": "training", **dict.fromkeys(("samples", "left_out"), 1)}]
-    errors[0] |= {"largest_percent": 1.0, "rms_percent": 0.5}
-    worse = {**FIT, "verdict": {**VERDICT, "largest_percent": 2.0}, "errors": errors, "remarks": ["look"]}
-    fits = {"x": {**FIT, "errors": errors}, "y": worse}
+    worse = {**FIT, "verdict": {**VERDICT, "promise": {**PROMISE, "largest_percent": 2.0}}, "remarks": ["look"]}
+    fits = {"x": FIT, "y": worse}
     whole = {"verdict": "Ready for use: ...", "good": True, "coupling": [[1, 0.1], [0, 1]]}
     await stage.next(Finished({**whole, "fits": fits}))
     assert stage.step.parameters["columns"] == "x=vx_V:x_m, y=vy_V:y_m"
-    assert (model.status, model.verdict["largest_percent"], len(model.table)) == ("ready", 2.0, 2)
+    assert (model.status, model.verdict["largest_percent"]) == ("ready", 2.0)
     assert model.verdict["remarks"] == ["y: look"]
     assert model.coupling["matrix"][0][1] == 0.1
     assert [one["largest_percent"] for one in model.coupling["verdicts"].values()] == [0.5, 2.0]
@@ -368,7 +362,8 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
     await stage.next(Finished(CHECK))
     assert stage.step.parameters == {"model": model.file, "record": record.file}
     assert (model.check["record"], model.check["good"], model.check["why"]) == (record.id, False, ["Less."])
-    numbers = {"held_out_percent": [0.4, 0.1], "stroke_m": 1e-5, "sentences": ["Less."]}
+    late = {**PROMISE, "largest_m": 4e-8, "apart": "apart from a constant offset and a delay"}
+    numbers = {"good": True, "promise": late, "sentences": ["Less."]}
     stage.session.update(model.id, {"record": record.id})
     await stage.next(Finished({"used": False, "sentence": "Not updated: ...", **numbers}))
     assert list(stage.session.jobs.entries.values())[-1].error == "Not updated: ..."
@@ -384,6 +379,7 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
         "READY",
         pytest.approx(0.04),
     )
+    assert made.verdict["apart"] == late["apart"]
     assert (made.check, made.range_v, made.report) == (None, [0.0, 100.0], model.report)
     assert model.name in made.origin
 
@@ -502,7 +498,7 @@ def test_an_upload_that_ends_early_leaves_nothing(tmp_path):
     folder = Folder(tmp_path / "bench")
     try:
         with pytest.raises(RuntimeError), folder.receive("uploads/a.csv") as upload:
-            upload.add(b"half")
+            upload.write(b"half")
             raise RuntimeError
         assert list((folder.path / "uploads").iterdir()) == []
     finally:

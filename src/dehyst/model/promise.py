@@ -362,7 +362,7 @@ class Promise:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the bound along the path."""
-        keys = "path rms_m=rms largest_m=largest offset_m=offset stroke_m=stroke delay_s=delay sentence untested"
+        keys = "path rms_m=rms largest_m=largest offset_m=offset stroke_m=stroke delay_s=delay apart sentence untested"
         percents = {"largest_percent": 100 * self.largest / self.stroke, "rms_percent": 100 * self.rms / self.stroke}
         parts = {f"{name}_m": error for name, error in self.parts.items()}
         return {**json_values(self, keys), **percents, "parts": parts}

@@ -53,9 +53,6 @@ export function extent(columns, pad = 0) {
   return [low - pad * (high - low), high + pad * (high - low)];
 }
 
-// What the errors to expect leave out.
-export const APART = "apart from a constant offset";
-
 // A number with three significant digits, without an exponent where people do not expect one.
 export function short(value, significant = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return DASH;

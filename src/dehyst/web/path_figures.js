@@ -1,7 +1,7 @@
 // The pictures of a plan: the wanted path with its points, the voltage, and the error.
 import { h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { APART, extent, length, percent, range, short, whole } from "./numbers.js";
+import { extent, length, percent, range, short, whole } from "./numbers.js";
 import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
 
 const NM = 1e3; // nanometres of a micrometre
@@ -85,7 +85,7 @@ function wantedCurves({ path: { time, wanted }, planned: { clamps, reached } }) 
 }
 
 // What to expect of a plan: a light and a sentence, then facts. `stroke` and `band` in um.
-export function judged(planned, { stroke, band, light, speed }) {
+export function judged(planned, { stroke, band, light, speed, apart }) {
   const { voltage, steepest, missed, straightMissed, clamps } = planned;
   const share = (um) => `${length(um)} (${percent((100 * um) / stroke)} of the stroke)`;
   const cut = [
@@ -100,7 +100,7 @@ export function judged(planned, { stroke, band, light, speed }) {
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
       `A straight gain would miss it by up to ${share(straightMissed)}.`,
-      ...(band ? [`The promise is that of any path, ${APART}; a written file has its own.`] : []),
+      ...(band ? [`The promise is that of any path, ${apart}; a written file has its own.`] : []),
     ],
   };
 }

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dehyst.model import Actuator, Stage, slew_rate_of_records
-from dehyst.operations.files import is_model
+from dehyst.model import slew_rate_of_records
+from dehyst.operations.axes import AxesModel
+from dehyst.operations.run import Run
 from dehyst.workbench.data import voltage_columns
 from dehyst.workbench.forms import in_page
 from dehyst.workbench.jobs import Finished
@@ -39,7 +40,6 @@ class RecordEntry:
     rate_hz: float = 0.0
     voltage: list[float] = field(default_factory=list)
     displacement_um: list[float] = field(default_factory=list)
-    noise_nm: float = 0.0
     others: dict[str, list[float]] = field(default_factory=dict)
     words: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -59,7 +59,7 @@ class RecordEntry:
         self.status, self.words, self.problems = "ready", [], []
         self.usable = all(one["usable"] for one in parts)
         self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
-        self.rate_hz, self.noise_nm = float(first["sample_rate_Hz"]), max(float(one["noise_nm"]) for one in parts)
+        self.rate_hz = float(first["sample_rate_Hz"])
         self.others = dict(first["others"])
         for name, key in (("voltage", "voltage_V"), ("displacement_um", "displacement_um")):
             setattr(self, name, [min(one[key][0] for one in parts), max(one[key][1] for one in parts)])
@@ -77,9 +77,9 @@ class ModelEntry:
     """A model: its records, and its results.
 
     `origin`: a sentence on where an updated model comes from, which has no `seconds`. `check`: the last check by a new
-    record. `table`: one entry for each record: role, largest and RMS error [% of the stroke]. `axes`: one entry for
-    each of several coupled axes: name, range_v, range_um and slew_v_per_s; the model's own ranges cover all axes, and
-    its verdict is the verdict of the worst axis. `coupling`: the matrix, and each verdict.
+    record. `axes`: one entry for each of several coupled axes: name, range_v, range_um and slew_v_per_s; the model's
+    own ranges cover all axes, and its verdict is the verdict of the worst axis. `coupling`: the matrix, and each
+    verdict.
     """
 
     id: str
@@ -96,27 +96,14 @@ class ModelEntry:
     early: bool = False
     error: str | None = None
     verdict: dict[str, Any] | None = None
-    summary: list[str] = field(default_factory=list)
-    table: list[dict[str, Any]] = field(default_factory=list)
     axes: list[dict[str, Any]] = field(default_factory=list)
     coupling: dict[str, Any] | None = None
     range_v: list[float] = field(default_factory=list)
     range_um: list[float] = field(default_factory=list)
     slew_v_per_s: float | None = None
-    band_percent: float | None = None
     insight: dict[str, Any] | None = None
     origin: str = ""
     check: dict[str, Any] | None = None
-
-    @property
-    def fit(self) -> str:
-        """The file of the fit's numbers."""
-        return self.file.removesuffix(".json") + ".fit.json"
-
-    @property
-    def traces(self) -> str:
-        """The file of its traces."""
-        return self.file.removesuffix(".json") + ".npz"
 
     def fill(self, finished: Finished) -> None:
         """Fill in the result of `identify`, or why there is no model."""
@@ -127,28 +114,24 @@ class ModelEntry:
             self.error = "it was ended before there was a model" if stopped else in_page(finished.words)
             return
         several = "fits" in fit
-        fits, sentence = (fit["fits"], "verdict") if several else ({"": fit}, "sentence")
-        verdicts = {axis: _shown(one["verdict"]) for axis, one in fits.items()}
-        remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
-        remarks = [in_page(one) for one in remarks]
-        verdict = max(verdicts.values(), key=lambda one: one["largest_percent"])
+        fits = fit["fits"] if several else {"": fit}
+        found = {axis: one["verdict"] for axis, one in fits.items()}
+        verdicts = {
+            axis: verdict_of(one["promise"], one["readiness"], one["basis"], one["goal_percent"], one["reasons"])
+            for axis, one in found.items()
+        }
+        remarks = [in_page(f"{axis}: {one}" if axis else one) for axis, own in fits.items() for one in own["remarks"]]
         self.status, self.error = "ready", None
-        self.verdict = {**verdict, "remarks": remarks}
+        self.verdict = {**worst(verdicts), "remarks": remarks}
         if several:
             self.coupling = {"matrix": fit["coupling"], "verdicts": verdicts}
             self.verdict["why"] = [fit["verdict"]]
             if not fit["good"]:
                 self.verdict["readiness"] = "NOT_USABLE"
-        self.band_percent = verdict["largest_percent"]
-        names = ("record", "role", "samples", "left_out", "largest_percent", "rms_percent")
-        self.table = [{name: error[name] for name in names} for own in fits.values() for error in own["errors"]]
-        self.summary = [fit[sentence], *(one for own in fits.values() for one in own["repairs"])]
 
     def fill_ranges(self, file: Path) -> None:
         """Fill in voltages [V] and speed [V/s] that a model is known for, and the displacements [um] it reaches."""
-        several = is_model(file, "dehyst-stage")
-        stage = Stage.load(file) if several else None
-        actuators = (Actuator.load(file),) if stage is None else stage.actuators
+        known = AxesModel.read(Run(), file)
         each: list[dict[str, Any]] = [
             {
                 "name": axis,
@@ -156,37 +139,31 @@ class ModelEntry:
                 "range_um": [end * _MICRO for end in one.reach],
                 "slew_v_per_s": slew_rate_of_records(one),
             }
-            for axis, one in zip(("",) if stage is None else stage.axes, actuators, strict=True)
+            for axis, one in zip(known.axes, known.actuators, strict=True)
         ]
-        self.axes = each if several else []
+        self.axes = [] if known.stage is None else each
         for name in ("range_v", "range_um"):
             setattr(self, name, [min(one[name][0] for one in each), max(one[name][1] for one in each)])
         self.slew_v_per_s = min((one["slew_v_per_s"] for one in each if one["slew_v_per_s"]), default=None)
 
-    def measured(self, errors: Sequence[float], stroke: float, basis: str, why: Sequence[str] = ()) -> dict[str, Any]:
-        """Return a verdict by measured largest and RMS errors [% of the stroke [m]], with the goal of this model."""
-        largest, rms = errors
-        goal = self.verdict["goal"] if self.verdict else 1.0
-        return {
-            "readiness": "READY" if largest <= goal else "USABLE",
-            "sentence": "",
-            "largest_percent": largest,
-            "rms_percent": rms,
-            "basis": basis,
-            "largest_um": largest / 100 * stroke * _MICRO,
-            "goal": goal,
-            "why": list(why),
-        }
 
-
-def _shown(verdict: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of a verdict."""
+def verdict_of(
+    promise: Mapping[str, Any], readiness: str, basis: str, goal: float, why: Sequence[str]
+) -> dict[str, Any]:
+    """Return what the page shows of a promise."""
     return {
-        **{name: verdict[name] for name in ("readiness", "sentence", "largest_percent", "rms_percent", "basis")},
-        "largest_um": verdict["largest_m"] * _MICRO,
-        "goal": verdict["goal_percent"],
-        "why": [in_page(one) for one in verdict["reasons"]],
+        **{name: promise[name] for name in ("largest_percent", "rms_percent", "apart")},
+        "largest_um": promise["largest_m"] * _MICRO,
+        "readiness": readiness,
+        "basis": basis,
+        "goal": goal,
+        "why": [in_page(one) for one in why],
     }
+
+
+def worst(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the verdict of the axis with the largest error."""
+    return max(verdicts.values(), key=lambda one: float(one["largest_percent"]))
 
 
 @dataclass

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -135,40 +135,22 @@ class Folder:
         with self._script.open("a", encoding="utf-8") as script:
             script.write(f"{line}\n")
 
-    def receive(self, relative: str) -> Upload:
-        """Return an upload in progress, which becomes the file when it is complete."""
-        return Upload(self.path / relative, lambda: self._promised.discard(relative))
-
-
-class Upload:
-    """A file that arrives in parts; without `complete` nothing of it remains, and `free` releases its name."""
-
-    def __init__(self, path: Path, free: Callable[[], None]) -> None:
-        self._path, self._draft, self._free = path, draft_of(path), free
-        self._stream: BinaryIO = self._draft.open("xb")
-        self.size = 0
-
-    def __enter__(self) -> Upload:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stream.close()
-        self._draft.unlink(missing_ok=True)
-        self._free()
-
-    def add(self, part: bytes) -> None:
-        """Append a part; raises FileFormatError if the disk is full."""
+    @contextmanager
+    def receive(self, relative: str) -> Iterator[BinaryIO]:
+        """Open a file that arrives in parts; without its end nothing of it remains, and its name is free again."""
+        path = self.path / relative
+        draft = draft_of(path)
         try:
-            self._stream.write(part)
+            with draft.open("xb") as stream:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            draft.replace(path)
         except OSError as error:
-            raise unwritten(self._path, error) from error
-        self.size += len(part)
-
-    def complete(self) -> None:
-        """Give the file its name."""
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        self._draft.replace(self._path)
+            raise unwritten(path, error) from error
+        finally:
+            draft.unlink(missing_ok=True)
+            self._promised.discard(relative)
 
 
 def _made_private(folder: Path, *, new: bool) -> str:

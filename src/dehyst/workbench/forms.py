@@ -140,6 +140,11 @@ def scan_kinds() -> dict[str, dict[str, list[str]]]:
     return kinds
 
 
+def declared() -> dict[str, Any]:
+    """Return the fields of all forms, and the kinds of scans and exports."""
+    return {"forms": {**FORMS, "scan": scan_form()}, "scans": scan_kinds(), "exports": EXPORTS}
+
+
 def _flags() -> Iterator[tuple[re.Pattern[str], str]]:
     """Yield what options look like in a sentence, as --sensor-lag SECONDS or sensor_lag=SECONDS, and their labels."""
     labels = {name: label for name, (label, _) in _COLUMNS.items()}

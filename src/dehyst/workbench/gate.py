@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Callable, MutableMapping
 from hmac import compare_digest
-from http.cookies import CookieError, SimpleCookie
-from typing import Any, TypeAlias
-from urllib.parse import parse_qs
+from typing import Any
 
-Scope: TypeAlias = MutableMapping[str, Any]
-Receive: TypeAlias = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send: TypeAlias = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App: TypeAlias = Callable[[Scope, Receive, Send], Awaitable[None]]
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 _READING = ("GET", "HEAD")
 _METHODS = (*_READING, "POST", "PUT", "DELETE")
 # What a browser says of a request that its own page or its user made.
 _OWN_SITES = ("same-origin", "none")
+# Headers that decide, none of which may come twice.
+_DECIDING = ("host", "origin", "cookie", "sec-fetch-site")
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -41,8 +41,6 @@ _ENTRANCE = (
     '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=/"><title>dehyst workbench</title>'
     '<link rel="icon" href="data:,"><a href="/">Open the workbench</a>'
 )
-# Stands for a header that comes twice.
-_TWICE = ""
 
 
 class Gate:
@@ -58,7 +56,7 @@ class Gate:
         Takes the token of a link, ``/?token=...``; returns whether it lets a browser in.
     """
 
-    def __init__(self, app: App, port: int, admits: Callable[[str], bool]) -> None:
+    def __init__(self, app: ASGIApp, port: int, admits: Callable[[str], bool]) -> None:
         self._app, self._key = app, secrets.token_urlsafe(32)
         self._admits = admits
         self._cookie = f"dehyst-{port}"
@@ -70,83 +68,54 @@ class Gate:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = _single_headers(scope)
-        reason = self._objection(scope, headers)
-        if scope["type"] == "websocket":
-            if reason is None:
-                await self._app(scope, receive, send)
-            else:
-                await send({"type": "websocket.close", "code": _REFUSED, "reason": reason})
-            return
-        guarded = self._with_headers(send)
-        if reason is None:
-            await self._app(scope, receive, guarded)
-        elif reason == _NO_COOKIE and (token := _token(scope)) is not None:
-            if self._admits(token):
-                await _answer(guarded, 200, _ENTRANCE, {"Content-Type": "text/html", "Set-Cookie": self._set_cookie()})
-            else:
-                await _answer(guarded, 403, _USED)
+        asked = HTTPConnection(scope)
+        reason = self._objection(asked)
+        if scope["type"] == "http":
+            answer = self._app if reason is None else self._refusal(asked, reason)
+            await answer(scope, receive, _with_headers(send))
+        elif reason is None:
+            await self._app(scope, receive, send)
         else:
-            await _answer(guarded, 403, f"Refused: {reason}. Open the link that dehyst workbench printed.")
+            await send({"type": "websocket.close", "code": _REFUSED, "reason": reason})
 
-    def _objection(self, scope: Scope, headers: dict[str, str]) -> str | None:
+    def _objection(self, asked: HTTPConnection) -> str | None:
         """Return why a request is refused, the cookie last; None if it may pass."""
+        scope, headers = asked.scope, asked.headers
         origin, method = headers.get("origin"), scope.get("method", "GET")
         changes = scope["type"] == "websocket" or method not in _READING
         # A link that was followed from another site may show the page, which is then without its cookie.
         followed = scope["path"] == "/" and not changes
         objections = {
-            "two headers of one name": _TWICE in headers,
+            "two headers of one name": any(len(headers.getlist(name)) > 1 for name in _DECIDING),
             "the Host is not this machine's": headers.get("host") not in self._hosts,
             "the Origin is another page": origin is not None and origin not in self._origins,
             "there is no such method": method not in _METHODS,
             "it was sent by another site": not followed and headers.get("sec-fetch-site", "none") not in _OWN_SITES,
             "the Origin is missing": changes and origin is None,
-            _NO_COOKIE: not self._has_cookie(headers),
+            _NO_COOKIE: not compare_digest(asked.cookies.get(self._cookie, "").encode(), self._key.encode()),
         }
         return next((words for words, applies in objections.items() if applies), None)
 
-    def _has_cookie(self, headers: dict[str, str]) -> bool:
-        try:
-            given = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
-        except CookieError:
-            return False
-        return given is not None and compare_digest(given.value.encode(), self._key.encode())
-
-    def _set_cookie(self) -> str:
-        return f"{self._cookie}={self._key}; HttpOnly; SameSite=Strict; Path=/"
-
-    def _with_headers(self, send: Send) -> Send:
-        async def guarded(message: MutableMapping[str, Any]) -> None:
-            if message["type"] == "http.response.start":
-                own = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
-                more = [(k.lower().encode(), v.encode()) for k, v in _HEADERS.items() if k.lower() not in own]
-                message = {**message, "headers": [*message.get("headers", ()), *more]}
-            await send(message)
-
-        return guarded
+    def _refusal(self, asked: HTTPConnection, reason: str) -> Response:
+        """Return the answer to a request that may not pass: the cookie, if it follows a link that lets it in."""
+        token = asked.query_params.get("token")
+        follows = asked.scope["path"] == "/" and asked.scope["method"] == "GET" and token is not None
+        if reason != _NO_COOKIE or not follows:
+            return PlainTextResponse(f"Refused: {reason}. Open the link that dehyst workbench printed.", 403)
+        if not self._admits(str(token)):
+            return PlainTextResponse(_USED, 403)
+        cookie = f"{self._cookie}={self._key}; HttpOnly; SameSite=Strict; Path=/"
+        return HTMLResponse(_ENTRANCE, headers={"Set-Cookie": cookie})
 
 
-def _token(scope: Scope) -> str | None:
-    """Return the token of a link that a browser follows; None if there is none."""
-    if scope["path"] != "/" or scope["method"] != "GET":
-        return None
-    return next(iter(parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", ())), None)
+def _with_headers(send: Send) -> Send:
+    """Return a `send` that adds the headers of every answer."""
 
+    async def guarded(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in _HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
 
-def _single_headers(scope: Scope) -> dict[str, str]:
-    """Return the headers by name; with `_TWICE` if one that decides comes twice."""
-    headers: dict[str, str] = {}
-    for raw, value in scope["headers"]:
-        name = raw.decode("latin-1").lower()
-        if name in headers and name in ("host", "origin", "cookie", "sec-fetch-site"):
-            headers[_TWICE] = name
-        headers[name] = value.decode("latin-1")
-    return headers
-
-
-async def _answer(send: Send, status: int, words: str, more: dict[str, str] | None = None) -> None:
-    headers = {"Content-Type": "text/plain", **(more or {})}
-    encoded = [(name.lower().encode(), value.encode()) for name, value in headers.items()]
-    await send({"type": "http.response.start", "status": status, "headers": encoded})
-    await send({"type": "http.response.body", "body": words.encode()})
+    return guarded

@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from dehyst._errors import DehystError
 from dehyst.operations.registry import find
@@ -65,26 +65,6 @@ class Finished:
     def words(self) -> str:
         """A sentence on why there is no result."""
         return str(self.error.get("message", "it was stopped"))
-
-
-class Runner(Protocol):
-    """Something that runs the operations of a job."""
-
-    @property
-    def alive(self) -> bool:
-        """Whether it can run another operation."""
-
-    async def run(self, step: Step, progress: Progress) -> Finished:
-        """Run an operation to its end; call `progress` with texts on the present activity."""
-
-    def finish(self) -> None:
-        """Request the best result so far."""
-
-    def stop(self) -> None:
-        """End it without a result."""
-
-    async def close(self) -> None:
-        """End the worker."""
 
 
 class Worker:
@@ -190,11 +170,11 @@ class Jobs:
         Makes a worker.
     """
 
-    def __init__(self, folder: Folder, changed: Callable[[], None], worker: Callable[[Path], Runner]) -> None:
+    def __init__(self, folder: Folder, changed: Callable[[], None], worker: Callable[[Path], Worker]) -> None:
         self.entries: dict[str, JobEntry] = {}
         self._folder, self._changed, self._worker = folder, changed, worker
-        self._idle: list[Runner] = []
-        self._busy: dict[str, Runner] = {}
+        self._idle: list[Worker] = []
+        self._busy: dict[str, Worker] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._turns, self._last = asyncio.Semaphore(_AT_ONCE), 0
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import mimetypes
 import os
 import shutil
 import stat
@@ -12,9 +11,7 @@ import tempfile
 import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
-from functools import wraps
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from starlette.applications import Starlette
@@ -60,65 +57,40 @@ class Events:
     """
 
     def __init__(self, state: Callable[[], Mapping[str, Any]]) -> None:
-        self._state = state
-        self._pages: set[asyncio.Event] = set()
-        self._text = ""
-        self._pending: asyncio.Task[None] | None = None
+        self._state, self._change = state, asyncio.Event()
 
     def changed(self) -> None:
         """Send the state soon; several changes are sent together."""
-        self._text = ""
-        if self._pages and (self._pending is None or self._pending.done()):
-            self._pending = asyncio.get_running_loop().create_task(self._publish())
+        before, self._change = self._change, asyncio.Event()
+        before.set()
 
     async def page(self) -> AsyncIterator[str]:
         """Yield the states for one page, the present one first. A slow page receives only the newest state."""
-        change = asyncio.Event()
-        change.set()
-        self._pages.add(change)
-        try:
-            while True:
-                await change.wait()
-                change.clear()
-                yield self._now()
-        finally:
-            self._pages.discard(change)
-
-    def _now(self) -> str:
-        """Return the state as text, made once for all pages."""
-        self._text = self._text or json.dumps(self._state(), allow_nan=False)
-        return self._text
-
-    async def _publish(self) -> None:
-        await asyncio.sleep(_PAUSE)
-        for change in self._pages:
-            change.set()
+        while True:
+            change = self._change
+            yield json.dumps(self._state(), allow_nan=False)
+            await change.wait()
+            await asyncio.sleep(_PAUSE)
 
 
 _PAGE = Path(__file__).with_name("page")
 _TYPES = {".css": "text/css", ".js": "text/javascript"}
 _SCRIPTS = '<script type="module"'
-# Records of a measured actuator to try, in the repository; an installed package makes the records of a virtual one.
-MEASURED = Path(__file__).resolve().parents[3] / "examples" / "measured" / "p885"
-_VIRTUAL = "virtual-loops.csv"
-_MEASURED_ON = "a PICMA P-885.91 stack in a flexure stage, measured by Aye and Ang (ICSTSD 2018, MIT licence)"
-_VIRTUAL_ON = "a record of a virtual actuator"
+# The record to try, which is made when it is asked for.
+EXAMPLE = "virtual-loops.csv"
 
 
 class PageFiles:
-    """The page, its scripts and styles.
+    """The page, its scripts and styles, and a record to try.
 
     The page lists all modules, because a browser would find nested imports only one after another.
     """
 
-    def __init__(self, measured: Path = MEASURED) -> None:
+    def __init__(self) -> None:
         texts = {name: files.text(name) for name in files.names()}
         texts |= {one.name: one.read_text(encoding="utf-8") for one in _PAGE.iterdir() if one.suffix in _TYPES}
+        texts["declared.js"] = f"export const DECLARED = {json.dumps(forms.declared())};\n"
         self._files = {name: (text.encode(), _TYPES[Path(name).suffix]) for name, text in texts.items()}
-        self._examples = {f"p885-{path.name}": path for path in sorted(measured.glob("*.csv"))}
-        names, origin = (list(self._examples), _MEASURED_ON) if self._examples else ([_VIRTUAL], _VIRTUAL_ON)
-        examples = {"names": names, "origin": origin}
-        self._files["declared.js"] = (_declared(examples).encode(), _TYPES[".js"])
         scripts = sorted(name for name in self._files if name.endswith(".js"))
         links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
         page = (_PAGE / "index.html").read_text(encoding="utf-8")
@@ -129,27 +101,14 @@ class PageFiles:
         return Response(self._index, media_type="text/html")
 
     async def file(self, request: Request) -> Response:
-        """Return a script, a style or a record to try."""
+        """Return a script, a style or the record to try."""
         name = request.path_params["name"]
-        if name in self._examples:
-            return FileResponse(self._examples[name], media_type="text/csv")
-        if name == _VIRTUAL and name not in self._files:
+        if name == EXAMPLE and name not in self._files:
             self._files[name] = (await asyncio.to_thread(_virtual_loops), "text/csv")
         body, kind = self._files.get(name, (None, None))
         if body is None:
             raise HTTPException(404)
         return Response(body, media_type=kind)
-
-
-def _declared(examples: Mapping[str, Any]) -> str:
-    """Return a module with the records to try, the fields of all forms, and the kinds of scans and exports."""
-    declared = {
-        "examples": examples,
-        "forms": {**forms.FORMS, "scan": forms.scan_form()},
-        "scans": forms.scan_kinds(),
-        "exports": forms.EXPORTS,
-    }
-    return f"export const DECLARED = {json.dumps(declared)};\n"
 
 
 def _virtual_loops() -> bytes:
@@ -158,15 +117,12 @@ def _virtual_loops() -> bytes:
     from dehyst.records import write_record
     from dehyst.virtual import PlayActuator
 
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / _VIRTUAL
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / EXAMPLE
         write_record(file, record_loops(PlayActuator())[0])
         return file.read_bytes()
 
 
-# The computer's own table may have others, and the page's types are not guessed by browsers.
-mimetypes.add_type("text/javascript", ".js")
-mimetypes.add_type("text/css", ".css")
 # What a page that dehyst wrote may do when it is opened from here: nothing but run its own script, without this origin.
 _SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
@@ -182,24 +138,33 @@ class TooLargeError(DehystError, ValueError):
     status = 413
 
 
-_Handler: TypeAlias = Callable[["Workbench", Request], Awaitable[Any]]
+def _refused(_: Request, error: Exception) -> Response:
+    """Answer an error with its fields: status 400 or its own."""
+    assert isinstance(error, DehystError)
+    return JSONResponse({**error.as_dict(), "error": str(error)}, getattr(error, "status", 400))
 
 
-def answered(handler: _Handler) -> _Handler:
-    """Answer with JSON values, or with an error and its fields: status 400 or its own, 500 for disk errors."""
+def _unusable(_: Request, error: Exception) -> Response:
+    """Answer an error of the disk."""
+    assert isinstance(error, OSError)
+    return JSONResponse({"error": f"the folder cannot be used: {error.strerror}; is it still there?"}, 500)
 
-    @wraps(handler)
-    async def answer(self: Workbench, request: Request) -> Response:
-        try:
-            found = await handler(self, request)
-            return found if isinstance(found, Response) else JSONResponse(found or {})
-        except ClientDisconnect:
-            # Nobody reads this answer.
-            return Response(status_code=400)
-        except DehystError as error:
-            return JSONResponse({**error.as_dict(), "error": str(error)}, getattr(error, "status", 400))
-        except OSError as error:
-            return JSONResponse({"error": f"the folder cannot be used: {error.strerror}; is it still there?"}, 500)
+
+def _gone(_: Request, __: Exception) -> Response:
+    """Answer a page that has left: nobody reads it."""
+    return Response(status_code=400)
+
+
+_ERRORS = {DehystError: _refused, OSError: _unusable, ClientDisconnect: _gone}
+_Handler: TypeAlias = Callable[[Request], Awaitable[Any]]
+
+
+def _answering(handler: _Handler) -> Callable[[Request], Awaitable[Response]]:
+    """Return a handler whose JSON values are answers."""
+
+    async def answer(request: Request) -> Response:
+        found = await handler(request)
+        return found if isinstance(found, Response) else JSONResponse(found or {})
 
     return answer
 
@@ -271,7 +236,7 @@ class Workbench:
     def app(self) -> Starlette:
         """Return the application."""
         page = PageFiles()
-        handlers = {
+        handlers: dict[str, dict[str, _Handler]] = {
             "GET": {
                 "/": page.index,
                 "/page/{name}": page.file,
@@ -299,8 +264,8 @@ class Workbench:
         }
         routes: list[BaseRoute] = [WebSocketRoute("/api/events", self.news)]
         for method, paths in handlers.items():
-            routes += [Route(path, handler, methods=[method]) for path, handler in paths.items()]
-        return Starlette(routes=routes, lifespan=self._life)
+            routes += [Route(path, _answering(handler), methods=[method]) for path, handler in paths.items()]
+        return Starlette(routes=routes, lifespan=self._life, exception_handlers=_ERRORS)
 
     def state(self) -> dict[str, Any]:
         """Return the state that all pages show."""
@@ -328,25 +293,22 @@ class Workbench:
             with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await sending
 
-    @answered
     async def get_state(self, _: Request) -> Any:
         """Return the state."""
         return self.state()
 
-    @answered
     async def upload(self, request: Request) -> Any:
         """Receive a file, and read it as a record."""
         name = Path(request.query_params.get("name", "record.csv").replace("\\", "/")).name
         place = self.session.folder.new(places.UPLOADS, Path(name).stem, Path(name).suffix[:10])
         declared = request.headers.get("content-length", "0")
+        self._demand_size(int(declared) if declared.isdigit() else 0)
         with self.session.folder.receive(place) as upload:
-            self._demand_size(int(declared) if declared.isdigit() else 0)
             async for part in request.stream():
-                self._demand_size(upload.size + len(part))
-                upload.add(part)
-            if not upload.size:
+                upload.write(part)
+                self._demand_size(upload.tell())
+            if not upload.tell():
                 raise RequestError(f"{name}: is empty; choose a file with time, voltage and displacement")
-            upload.complete()
         return {"id": self.session.add_record(place, name).id}
 
     def _demand_size(self, size: int) -> None:
@@ -356,12 +318,10 @@ class Workbench:
                 "workbench with a larger --max-size"
             )
 
-    @answered
     async def excite(self, request: Request) -> Any:
         """Write an excitation to play."""
         return {"job": self.session.excite(await body_of(request))}
 
-    @answered
     async def read(self, request: Request) -> Any:
         """Read a record again: with the text of columns, with the values of its form, or with its guesses verified."""
         body, key = await body_of(request), request.path_params["key"]
@@ -372,24 +332,20 @@ class Workbench:
             columns = verified(record.columns)
         self.session.read_record(key, columns if values is None else columns_of(record, values))
 
-    @answered
     async def record_data(self, request: Request) -> Any:
         """Return the columns of a record, or of an axis of it."""
         entry = self.session.record(request.path_params["key"])
         axis = _axis(request, entry.axes)
         return await self._columns(lambda file: record_columns(file, axis), entry.file)
 
-    @answered
     async def identify(self, request: Request) -> Any:
         """Start an identification."""
         return {"id": self.session.identify(await body_of(request)).id}
 
-    @answered
     async def end(self, request: Request) -> Any:
         """End an identification."""
         self.session.end(request.path_params["key"])
 
-    @answered
     async def wasm(self, request: Request) -> Any:
         """Return a model as WebAssembly, for one period between samples."""
         entry = self.session.model(request.path_params["key"], ready=True)
@@ -403,41 +359,34 @@ class Workbench:
         module = await asyncio.to_thread(wasm, self.session.folder.path / entry.file, seconds)
         return Response(module, media_type="application/wasm")
 
-    @answered
     async def scan(self, request: Request) -> Any:
         """Return the path of a scan."""
         of = json_of(request.query_params.get("of", ""))
         columns = await asyncio.to_thread(scan_columns, of, of.pop("rate", None))
         return Response(packed(columns), media_type="application/octet-stream")
 
-    @answered
     async def voltage_data(self, request: Request) -> Any:
         """Return the columns of a voltage, or of an axis of it."""
         entry = self.session.voltage(request.path_params["key"])
         axis = _axis(request, entry.axes)
         return await self._columns(lambda file: voltage_columns(file, axis), entry.file)
 
-    @answered
     async def insight(self, request: Request) -> Any:
         """Start an assessment."""
         return {"job": self.session.insight(request.path_params["key"])}
 
-    @answered
     async def check(self, request: Request) -> Any:
         """Start a check of a model by a record."""
         return {"job": self.session.check(request.path_params["key"], await body_of(request))}
 
-    @answered
     async def update(self, request: Request) -> Any:
         """Start an update of a model from a record."""
         return {"job": self.session.update(request.path_params["key"], await body_of(request))}
 
-    @answered
     async def path(self, request: Request) -> Any:
         """Start the computation of a voltage."""
         return {"job": self.session.follow(request.path_params["key"], await body_of(request))}
 
-    @answered
     async def points(self, request: Request) -> Any:
         """Return the points of a path in a file."""
         entry = self.session.model(request.path_params["key"], ready=True)
@@ -447,24 +396,20 @@ class Workbench:
             file.write_bytes(await text_of(request))
             return {"points": await asyncio.to_thread(path_points, file, self.session.folder.path / entry.file)}
 
-    @answered
     async def export(self, request: Request) -> Any:
         """Start an export."""
         body = await body_of(request)
         kind = str(body.pop("kind", ""))
         return {"job": self.session.export(request.path_params["key"], kind, body)}
 
-    @answered
     async def cancel(self, request: Request) -> Any:
         """End a job."""
         self.session.cancel(request.path_params["key"])
 
-    @answered
     async def delete(self, request: Request) -> Any:
         """Remove an entry from the list."""
         self.session.delete(request.path_params["key"])
 
-    @answered
     async def file(self, request: Request) -> Any:
         """Return a file of the folder, or a folder of it as a ZIP archive."""
         relative = request.path_params["path"]

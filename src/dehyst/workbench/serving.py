@@ -11,12 +11,8 @@ import time
 from collections.abc import Callable
 from hmac import compare_digest
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dehyst._errors import DehystError, MissingExtraError
-
-if TYPE_CHECKING:
-    import uvicorn
 
 # Seconds for which a link is valid.
 LIFETIME = 60.0
@@ -63,7 +59,7 @@ class Door:
         return self._link(self._token())
 
     def page(self) -> Path:
-        """Write a file that leads a browser to a new link, and return it; it is deleted when the link ends.
+        """Write a file that leads a browser to a new link, and return it; it is deleted when the link is used.
 
         A browser's command line, which other users can read, then holds no token.
         """
@@ -73,9 +69,6 @@ class Door:
             self._filed = token
         with os.fdopen(os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
             stream.write(_REDIRECT.format(link=self._link(token)))
-        end = threading.Timer(LIFETIME, self._expire, [token])
-        end.daemon = True
-        end.start()
         return self._file
 
     def admits(self, given: str) -> bool:
@@ -87,7 +80,8 @@ class Door:
             if token is None:
                 return False
             del self._ends[token]
-        self._expire(token)
+            if token == self._filed:
+                self.close()
         return True
 
     def close(self) -> None:
@@ -102,12 +96,6 @@ class Door:
 
     def _link(self, token: str) -> str:
         return f"{self._address}/?token={token}"
-
-    def _expire(self, token: str) -> None:
-        with self._lock:
-            if token != self._filed:
-                return
-        self.close()
 
 
 HOST = "127.0.0.1"
@@ -137,7 +125,7 @@ def serve(
     upload_limit : float, optional
         Most bytes of an upload.
     opened : callable, optional
-        Called with the door, which makes the links, once the server listens.
+        Called with the door, which makes the links, once a browser may come.
 
     Raises
     ------
@@ -174,35 +162,20 @@ def serve(
             timeout_graceful_shutdown=_PATIENCE,
         )
         try:
-            _announcing(config, lambda: opened(door)).run(sockets=[listener])
+            # The socket listens already: a browser that is faster than the server waits.
+            opened(door)
+            uvicorn.Server(config).run(sockets=[listener])
         finally:
             door.close()
 
 
-def _announcing(config: uvicorn.Config, announce: Callable[[], None]) -> uvicorn.Server:
-    """Return a server that announces when it listens."""
-    import uvicorn
-
-    class AnnouncingServer(uvicorn.Server):
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets)
-            announce()
-
-    return AnnouncingServer(config)
-
-
 def _listening(port: int | None) -> socket.socket:
-    """Return a socket that is bound to a port."""
-    wanted = PORT if port is None else port
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    """Return a socket that listens at a port."""
     try:
-        listener.bind((HOST, wanted))
+        return socket.create_server((HOST, PORT if port is None else port))
     except OSError as error:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
             raise
         if port is not None:
-            listener.close()
             raise DehystError(f"port {port}: is in use or not allowed; give another --port, or 0 for any") from error
-        listener.bind((HOST, 0))
-    return listener
+        return socket.create_server((HOST, 0))

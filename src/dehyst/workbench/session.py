@@ -14,15 +14,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from dehyst._errors import DehystError, FileFormatError
-from dehyst._io import finite, write_json
+from dehyst._io import finite
 from dehyst._version import __version__
 from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import limits_of, written_path
-from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry
+from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry, verdict_of, worst
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import EXPORTS, in_page
-from dehyst.workbench.jobs import Finished, Jobs, Runner, Step, Worker
+from dehyst.workbench.jobs import Finished, Jobs, Step, Worker
 from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
@@ -36,6 +36,9 @@ _NO_RECORD = (
 )
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "goal", "time_limit", "sensor_lag")
+
+
+_KINDS = {"records": RecordEntry, "models": ModelEntry, "voltages": VoltageEntry, "excitations": ExcitationEntry}
 
 
 class SessionError(DehystError, ValueError):
@@ -58,13 +61,13 @@ class WorkbenchSession:
         self,
         folder: Folder,
         changed: Callable[[], None] = lambda: None,
-        worker: Callable[[Path], Runner] = Worker,
+        worker: Callable[[Path], Worker] = Worker,
     ) -> None:
         self.folder, self.revision = folder, 0
-        self.records: dict[str, RecordEntry] = {}
-        self.models: dict[str, ModelEntry] = {}
-        self.voltages: dict[str, VoltageEntry] = {}
-        self.excitations: dict[str, ExcitationEntry] = {}
+        self.records: dict[str, RecordEntry]
+        self.models: dict[str, ModelEntry]
+        self.voltages: dict[str, VoltageEntry]
+        self.excitations: dict[str, ExcitationEntry]
         self.changed, self._last = changed, 0
         self._saved: dict[str, Any] = {}
         self._saving: asyncio.TimerHandle | None = None
@@ -191,7 +194,7 @@ class WorkbenchSession:
         stem = Path(file).stem
         entry = ModelEntry(self._id("m"), stem, file, [one.id for one in train], [one.id for one in validate])
         entry.options, entry.report = given, f"{places.REPORTS}/{stem}.html"
-        outputs = {"output": file, "traces": entry.traces, "report": entry.report}
+        outputs = {"output": file, "report": entry.report}
         held_out = {"validate": [one.file for one in validate]} if validate else {}
         read = train[0].reading
         step = Step("identify", {"records": [one.file for one in train], **outputs, **given, **held_out, **read})
@@ -206,11 +209,9 @@ class WorkbenchSession:
 
         async def done(finished: Finished) -> None:
             entry.seconds, entry.progress, entry.provisional = time.monotonic() - began, "", False
-            if finished.result is not None:
-                write_json(self.folder.path / entry.fit, finished.result)
-                if (self.folder.path / file).exists():
-                    # Before the entry is ready: a page uses the ranges of every model that is.
-                    await asyncio.to_thread(entry.fill_ranges, self.folder.path / file)
+            if finished.result is not None and (self.folder.path / file).exists():
+                # Before the entry is ready: a page uses the ranges of every model that is.
+                await asyncio.to_thread(entry.fill_ranges, self.folder.path / file)
             entry.fill(finished)
 
         self.jobs.start("identify", entry.id, [step], done, progress)
@@ -277,9 +278,9 @@ class WorkbenchSession:
             parts = found.get("axes", {"": found})
             if not any(one["used"] for one in parts.values()):
                 raise SessionError("; ".join(one["sentence"] for one in parts.values()))
-            basis = "parts of the record that were held out"
+            basis, goal = f"{record.name}, parts of it held out", model.verdict["goal"] if model.verdict else 1.0
             verdicts = {
-                axis: model.measured(one["held_out_percent"], one["stroke_m"], basis, one["sentences"])
+                axis: verdict_of(one["promise"], "READY" if one["good"] else "USABLE", basis, goal, one["sentences"])
                 for axis, one in parts.items()
             }
             self._list_updated(model, file, record.name, verdicts)
@@ -289,14 +290,13 @@ class WorkbenchSession:
 
     def _list_updated(self, model: ModelEntry, file: str, record: str, verdicts: Mapping[str, dict[str, Any]]) -> None:
         """List a model that another one became by a record, with the verdict of each axis."""
-        worst = max(verdicts.values(), key=lambda one: one["largest_percent"])
         entry = replace(
             model,
             id=self._id("m"),
             name=Path(file).stem,
             file=file,
             origin=f"Updated from {record}. Before: {model.name}. The report is that of the identification.",
-            verdict={**worst, "remarks": model.verdict["remarks"] if model.verdict else []},
+            verdict={**worst(verdicts), "remarks": model.verdict["remarks"] if model.verdict else []},
             coupling=model.coupling and {**model.coupling, "verdicts": verdicts},
             seconds=None,
             insight=None,
@@ -342,8 +342,8 @@ class WorkbenchSession:
 
     def delete(self, key: str) -> None:
         """Remove a record, a model or a voltage from the list; its files stay in the folder."""
-        for entries in (self.records, self.models, self.voltages, self.excitations):
-            if key in entries:
+        for kind in _KINDS:
+            if key in (entries := getattr(self, kind)):
                 for job in self.jobs.running(key):
                     self.jobs.stop(job)
                 del entries[key]
@@ -405,12 +405,7 @@ class WorkbenchSession:
             self._saving = asyncio.get_running_loop().call_later(_SOON, self._save)
 
     def _entries(self) -> dict[str, Any]:
-        return {
-            "records": [asdict(one) for one in self.records.values()],
-            "models": [asdict(one) for one in self.models.values()],
-            "voltages": [asdict(one) for one in self.voltages.values()],
-            "excitations": [asdict(one) for one in self.excitations.values()],
-        }
+        return {kind: [asdict(one) for one in getattr(self, kind).values()] for kind in _KINDS}
 
     def _save(self) -> None:
         """Write the entries if they changed; the progress of an identification is no change."""
@@ -428,10 +423,8 @@ class WorkbenchSession:
     def _take_up(self, saved: Mapping[str, Any]) -> None:
         """Take up the session that the folder holds; what ran when it ended was cancelled."""
         self._last = int(saved.get("last", 0))
-        self.records = _restored(RecordEntry, saved.get("records", ()))
-        self.models = _restored(ModelEntry, saved.get("models", ()))
-        self.voltages = _restored(VoltageEntry, saved.get("voltages", ()))
-        self.excitations = _restored(ExcitationEntry, saved.get("excitations", ()))
+        for kind, entry in _KINDS.items():
+            setattr(self, kind, _restored(entry, saved.get(kind, ())))
         for record in self.records.values():
             if record.status == "reading":
                 record.status, record.error = "refused", "the workbench ended while it was read; read it again"

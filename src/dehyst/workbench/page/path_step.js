@@ -4,7 +4,7 @@ import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
 import { COLOURS, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
-import { APART, duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
+import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
 import { PathFigures, curve, judged, verdict } from "./path_figures.js";
 import { ScanForm } from "./scans.js";
@@ -224,7 +224,7 @@ function planAxes(model) {
   });
   return {
     light,
-    first: `Expect ${expected.join(", ")}, ${APART}.`,
+    first: `Expect ${expected.join(", ")}, ${model.verdict.apart}.`,
     facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
     remarks: model.verdict.remarks,
   };
@@ -258,7 +258,7 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach,
   if (recorded && steepest > recorded * 1.001) {
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
-  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed });
+  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, apart: known.apart });
   return { ...said, remarks: known.remarks };
 }
 

@@ -1,7 +1,7 @@
 // What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
 import { h, table } from "./dom.js";
 import { fold, list, options } from "./forms.js";
-import { APART, length, percent, range } from "./numbers.js";
+import { length, percent, range } from "./numbers.js";
 import { reportParts } from "./report.js";
 import * as server from "./server.js";
 
@@ -24,9 +24,9 @@ function verdictCells(verdict) {
 
 export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
-  const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [] } = verdict;
+  const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [], apart } = verdict;
   const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
-  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect, ${APART}`);
+  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect, ${apart}`);
   return h("div", { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
     h("strong", words),
     h("b", percent(largest), " ", told),
