@@ -85,14 +85,19 @@ def test_a_given_slew_rate_holds_and_only_a_miss_beyond_the_promise_is_a_failure
     assert (status, said[0].startswith("CLAMPED")) == (int(loud), loud)
 
 
-@pytest.mark.parametrize("change", [{"delay_s": 50.0}, {"limits_V": [0, 1e9]}, {"limits_V": [210, 215]}])
-def test_what_no_record_has_shown_is_remarked(folder, change):
+@pytest.mark.parametrize(
+    ("change", "status"), [({"delay_s": 50.0}, 0), ({"limits_V": [0, 1000]}, 2), ({"limits_V": [210, 215]}, 2)]
+)
+def test_what_no_record_has_shown_is_remarked_and_no_voltage_of_it_is_sent(folder, change, status):
     tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0), speeds=(1.0, SPEED))
     replace(PLAIN, identification=Identification(validity=tested)).save(folder / "tested.json")
     model = json.loads((folder / "tested.json").read_text())
     (folder / "edited.json").write_text(json.dumps(model | change))
     assert "tested.json: its " not in run("compensate", "tested.json", "slow.csv", "-o", "out.csv", cwd=folder)[2]
-    assert "edited.json: its " in run("compensate", "edited.json", "slow.csv", "-o", "out.csv", cwd=folder)[2]
+    (folder / "edited.csv").unlink(missing_ok=True)
+    answer = run("compensate", "edited.json", "slow.csv", "-o", "edited.csv", cwd=folder)
+    assert (answer[0], (folder / "edited.csv").exists()) == (status, not status)
+    assert f"edited.json: {'limits: got' if status else 'its '}" in answer[2]
 
 
 @pytest.mark.parametrize("model", ["model", "stage"])

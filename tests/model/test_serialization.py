@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dehyst import Compensator
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import read_json, write_json
 from dehyst.identification import Outcome
@@ -23,12 +24,14 @@ from dehyst.model import (
     MaxwellSlip,
     SmoothSlip,
     Spring,
+    Stage,
     State,
     Thermal,
     Transformer,
     slew_rate_of_records,
     with_identification,
 )
+from dehyst.model.promise import Validity
 
 # Wide enough for every exponent, narrow enough that no difference overflows.
 numbers = st.floats(-1e300, 1e300)
@@ -275,6 +278,27 @@ def test_refuses_numbers_of_no_piezo_actuator(where, value):
     with pytest.raises(ModelError) as caught:
         Actuator.from_dict(data)
     assert caught.value.argument.startswith(where) and caught.value.got and caught.value.need
+
+
+@pytest.mark.parametrize("wide", [(0.0, 1000.0), (-50.0, 100.0), (0.0, 102.1), (200.0, 300.0)])
+def test_limits_reach_no_farther_than_records_did(tmp_path, wide):
+    tested = Validity(1e-8, 1e-7, 0.0, 1.1e-5, limits=(0.0, 100.0))
+    actuator = with_identification(made(), validity=tested)
+    for near in ((0.0, 100.0), (20.0, 30.0), (-2.0, 102.0)):
+        assert through_a_file(replace(actuator, limits=near), tmp_path / "a.json").limits == near
+    for make in (
+        lambda: Actuator.from_dict(actuator.as_dict() | {"limits_V": list(wide)}),
+        lambda: Stage.from_dict(
+            Stage([actuator]).as_dict() | {"actuators": [actuator.as_dict() | {"limits_V": [*wide]}]}
+        ),
+        lambda: replace(actuator, limits=wide),
+        lambda: with_identification(replace(made(), limits=wide), validity=tested),
+    ):
+        with pytest.raises(ModelError) as caught:
+            make()
+        assert caught.value.argument == "limits" and caught.value.got and caught.value.need and caught.value.hint
+    # Whoever plans a voltage states wider limits.
+    assert Compensator(actuator, wide).limits == wide
 
 
 def test_every_truncated_file(tmp_path):

@@ -46,7 +46,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         Default initial state of simulations and compensations; if it is not given: the upper turning point of a major
         loop at the spring's last knot, every cart trailing by its breakaway elongation (Remark 5).
     limits : (float, float), optional
-        Least and largest voltage [V] of the actuator; default: no limits.
+        Least and largest voltage [V] of the actuator, which its records went to; default: no limits. Wider ones are
+        given where a voltage is planned, as in `dehyst.plan_path`.
     delay : float, optional
         Time [s] by which the measured displacement lagged the voltage. Used in comparisons with measurements only.
     name : str, optional
@@ -73,9 +74,9 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     Raises
     ------
     ModelError
-        If the state does not fit the elements, the limits are no interval, a slew rate is not positive, graded elements
-        leave a branch on which the voltage does not rise with the displacement, or a number is too large to compute
-        with (magnitude over 1e30).
+        If the state does not fit the elements, the limits are no interval or reach beyond the voltages of the records
+        by over 2 % of their range, graded elements leave a branch on which the voltage does not rise with the
+        displacement, or a number is too large to compute with (magnitude over 1e30).
     """
 
     slip: MaxwellSlip | GradedSlip
@@ -103,6 +104,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         _ = self._evaluator.core  # refuses what a part alone cannot check
         if self.limits is not None:
             keep(self, limits=interval(self.limits))
+            checks.demand_recorded(self)
 
     def __repr__(self) -> str:
         from dehyst.model.summary import one_line

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,8 @@ _NUMBERS = (
 )
 # Largest magnitude over that of the range from which on a displacement is more likely in another unit.
 _UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
+# Voltages that are beyond those of the records by at most this part of their range count as recorded.
+_AS_RECORDED = 0.02
 ANYWAY = "or extrapolate to compute it anyway"
 # Duration of a step in creep's longest time constants: w moves evenly in it and leaves strains of one part in 1e9.
 _REST = 1e9
@@ -66,8 +68,24 @@ def checked_parts(actuator: Actuator) -> dict[str, float]:
     return found
 
 
-@dataclass(frozen=True)
-class Range:
+def demand_recorded(actuator: Actuator) -> None:
+    """Raise `ModelError` if the limits reach farther beyond the voltages of the records than these count as tested."""
+    known = actuator.identification
+    if actuator.limits is None or known is None or known.validity is None:
+        return
+    recorded = Range(*known.validity.limits)
+    margin = _AS_RECORDED * known.validity.span
+    allowed = Range(recorded.low - margin, recorded.high + margin)
+    if allowed.joined(actuator.limits) != allowed:
+        raise ModelError(
+            argument="limits",
+            got=f"{_ends(*actuator.limits)} V",
+            need=f"{_ends(*allowed)} V or less, as the model was identified from {_ends(*recorded)} V",
+            hint="give wider limits where a path is planned, or record these voltages and identify again",
+        )
+
+
+class Range(NamedTuple):
     """Range of displacements [m] or voltages [V] of a model, the lower end first."""
 
     low: float

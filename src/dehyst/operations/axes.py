@@ -15,7 +15,7 @@ from dehyst._units import quantity_of
 from dehyst.control import Compensator, PathPlan, StageCompensator
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
-from dehyst.operations.files import MIDDLE, Columns, edited, is_model, read_model, values_of
+from dehyst.operations.files import MIDDLE, Columns, implausible_delay, is_model, read_model, values_of
 from dehyst.operations.run import Run
 from dehyst.records import Table
 from dehyst.records.columns import Entry, columns_of_axis
@@ -145,7 +145,7 @@ class AxesModel:
             return cls(None, (read_model(run, path),), ("",))
         stage = Stage.load(path)
         for axis, actuator in zip(stage.axes, stage.actuators, strict=True):
-            for sentence in edited(actuator):
+            if sentence := implausible_delay(actuator):
                 run.note(f"{path}: {axis}: {sentence}")
         return cls(stage, stage.actuators, stage.axes)
 

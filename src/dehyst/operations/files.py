@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,8 +72,6 @@ def warmth_of(table: Table, samples: int, columns: Columns) -> Array | None:
 
 # Significant digits of a table: 0.1 nV of 100 V.
 _DIGITS = 12
-# Part of the voltages of its records by which the limits of a model may be wider.
-_BEYOND = 0.1
 # A start that is farther from the limits by this multiple of their range is impossible.
 _IMPOSSIBLE = 100.0
 _LONGEST = 1_000_000
@@ -101,28 +99,19 @@ def read_model(run: Run, path: Path) -> Actuator:
         run.note(f"{path}: when this model was identified: {known.outcome.value}")
     if known is not None and known.provisional:
         run.note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
-    for sentence in edited(actuator):
+    if sentence := implausible_delay(actuator):
         run.note(f"{path}: {sentence}")
     return actuator
 
 
-def edited(actuator: Actuator) -> Iterator[str]:
-    """Yield warnings of edited limits and delay in a model file, which its records cannot have shown."""
+def implausible_delay(actuator: Actuator) -> str:
+    """Return a warning of a delay in a model file that its records cannot have shown; empty without one."""
     tested = None if actuator.identification is None else actuator.identification.validity
-    if tested is None:
-        return
-    low, high = tested.limits
-    least, most = actuator.voltage_range
-    if max(low - least, most - high) > _BEYOND * (high - low):
-        yield (
-            f"its limits, {least:.6g} to {most:.6g} V, are wider than the voltages of its records, {low:.6g} to "
-            f"{high:.6g} V: nothing was measured there. Record these voltages and identify again"
-        )
-    elif least >= high or most <= low:
-        yield f"its limits, {least:.6g} to {most:.6g} V, hold no voltage of its records, {low:.6g} to {high:.6g} V"
     lag = actuator.delay + actuator.lag
-    if lag * tested.speeds[1] > high - low:
-        yield f"its delay, {lag:.4g} s, is longer than its records took from {low:.6g} to {high:.6g} V: correct it"
+    if tested is None or lag * tested.speeds[1] <= tested.span:
+        return ""
+    low, high = tested.limits
+    return f"its delay, {lag:.4g} s, is longer than its records took from {low:.6g} to {high:.6g} V: correct it"
 
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:

@@ -25,7 +25,7 @@ from dehyst.identification import (
     part_of,
     prepare_for,
 )
-from dehyst.model import Actuator, Promise, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
+from dehyst.model import Actuator, Promise, Range, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
 from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
@@ -370,9 +370,10 @@ class _Refit:
             # A record that confirms the promise does not widen it.
             rms_ = largest_ = 0.0
         if known is None or known.validity is None:
-            stroke = self.recheck.stroke
-            played = self.record.time, self.record.voltage
-            return Validity.by_records([played], rms=rms_, largest=largest_, disagreement=0.0, stroke=stroke)
+            errors = {"rms": rms_, "largest": largest_, "disagreement": 0.0, "stroke": self.recheck.stroke}
+            found = Validity.by_records([(self.record.time, self.record.voltage)], **errors)
+            # Where the record does not go, the old model holds.
+            return replace(found, limits=Range(*found.limits).joined(self.old.voltage_range))
         return known.validity.with_record(self.record, rms=rms_, largest=largest_)
 
     def _missing(self) -> list[str]:
