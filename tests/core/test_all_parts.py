@@ -246,3 +246,9 @@ def test_a_sample_that_is_not_a_number_moves_nothing(kind, stack, bad):
     if "mass" not in kind:
         assert came[0] == held.w
         assert came[71] == came[70] == came[69]
+        there = np.isfinite(path)
+        shorter = pace._replace(bounds=np.array([0, np.count_nonzero(there)]))
+        good, end = model.core.compensate(path[there], shorter, held, stack=stack)
+        plain_records.assert_close(sent[there], good, 1e-12 * np.ptp(good))
+        for one, two in zip(reached, end, strict=True):
+            plain_records.assert_close(one, two, 1e-12 * np.ptp(path[there]))

@@ -85,5 +85,5 @@ def test_errors_are_both_ours_and_the_builtin_one():
     for error in (dehyst.ModelError, dehyst.RecordError, dehyst.IdentifyError, dehyst.FileFormatError):
         assert issubclass(error, dehyst.DehystError)
         assert issubclass(error, ValueError)
-    with pytest.raises(ValueError, match="strictly increase"):
+    with pytest.raises(ValueError, match="strictly increasing"):
         dehyst.Spring(np.zeros(2), [0, 1])

@@ -11,8 +11,7 @@ import pytest
 import strategies
 
 from dehyst import Actuator, Compensator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, Spring
-from dehyst._validation import FARTHEST, LEAST, MOST
-from dehyst.model import GradedSlip, SmoothSlip, Transformer
+from dehyst._validation import FARTHEST, MOST
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
@@ -45,7 +44,7 @@ except dehyst.ModelError as error:
 else:
     actuator.simulate(numpy.linspace(-10, 0.3, 200))
 """
-    assert "spring knots: got 4.8e+143, which cannot be computed with" in survives(program, str(path))
+    assert "spring displacement: got 4.8e+143, which cannot be computed with" in survives(program, str(path))
 
 
 @pytest.mark.parametrize("stack", [True, False])
@@ -76,59 +75,6 @@ def test_a_voltage_of_1e281_is_refused():
 def test_a_displacement_of_which_no_finite_voltage_comes_is_refused():
     with pytest.raises(ModelError, match="voltage: value 1 would be"):
         PLAIN.compensate([0.0, 1e305], extrapolate=True)
-
-
-@pytest.mark.parametrize("lag", [1.7e308, 1e31, 1e-31, 5e-324])
-def test_a_lag_that_cannot_be_computed_with_is_refused_at_load(lag):
-    data = {**replace(PLAIN, lag=1e-3).as_dict(), "lag_s": lag}
-    with pytest.raises(ModelError, match=r"lag \[s\]:"):
-        Actuator.from_dict(data)
-
-
-BAD = (1.7e308, 1.01 * MOST)
-MAKERS = {
-    "spring knot": lambda x: Spring([0.0, x], [0.0, 1.0]),
-    "spring voltage": lambda x: Spring([0.0, 1.0], [-x, 1.0]),
-    "transformer voltage": lambda x: Transformer([-x, 1.0], [0.0, 1.0]),
-    "transformer drive": lambda x: Transformer([0.0, 1.0], [0.0, x]),
-    "creep time": lambda x: DisplacementCreep([x], [0.1]),
-    "creep gain": lambda x: DisplacementCreep([1.0], [x]),
-    "smooth length": lambda x: SmoothSlip([x], [1.0], [1.0]),
-    "smooth stiffness": lambda x: SmoothSlip([1.0], [1.0], [x]),
-    "frequency": lambda x: Dynamics(x, 0.1),
-    "damping": lambda x: Dynamics(1.0, x),
-    "series": lambda x: Dynamics(1.0, 0.1, x),
-    "load stiffness": lambda x: replace(PLAIN, load_stiffness=x),
-    "grade knot": lambda x: GradedSlip([1.0], [0.0, x], [[1.0]]),
-    # More than one row: the place of the worst number is one in the whole table.
-    "grade stiffness": lambda x: GradedSlip([1.0, 2.0], [0.0, 1.0, 2.0], [[1.0, 1.0], [1.0, x]]),
-}
-DIVIDED_BY = {
-    "spring step": lambda x: Spring([0.0, x], [0.0, 1.0]),
-    "spring rise": lambda x: Spring([0.0, 1.0], [0.0, x]),
-    "transformer step": lambda x: Transformer([0.0, x], [0.0, 1.0]),
-    "creep time": lambda x: DisplacementCreep([x], [0.1]),
-    "smooth length": lambda x: SmoothSlip([x], [1.0], [1.0]),
-    "frequency": lambda x: Dynamics(x, 0.1),
-    "load stiffness": lambda x: replace(PLAIN, load_stiffness=x),
-    "grade step": lambda x: GradedSlip([1.0], [0.0, x], [[1.0]]),
-}
-
-
-@pytest.mark.parametrize("bad", BAD)
-@pytest.mark.parametrize("name", MAKERS)
-def test_numbers_too_large_are_refused_and_said(name, bad):
-    MAKERS[name](1e3)
-    with pytest.raises(ModelError, match="cannot be computed with"):
-        MAKERS[name](bad)
-
-
-@pytest.mark.parametrize("bad", [5e-324, 1e-200, 0.99 * LEAST])
-@pytest.mark.parametrize("name", DIVIDED_BY)
-def test_numbers_too_small_to_divide_by_are_refused_and_said(name, bad):
-    DIVIDED_BY[name](1e-3)
-    with pytest.raises(ModelError, match="cannot be computed with"):
-        DIVIDED_BY[name](bad)
 
 
 @pytest.mark.parametrize(("limits", "delay"), [((-1e308, 1e308), 0.0), (None, 1.7e308)])

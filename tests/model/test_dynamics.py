@@ -205,36 +205,6 @@ def test_a_record_with_a_mass_may_be_cut_at_any_sample():
         np.testing.assert_allclose(rest.state.motion, whole.state.motion, atol=1e-11 * np.abs(whole.state.motion[1]))
 
 
-MASS = Dynamics(OMEGA / (2 * np.pi), 0.1)
-MOVING, LOADED = Actuator(PLAIN, CURVE, dynamics=MASS), Actuator(PLAIN, CURVE, load_stiffness=1)
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: Dynamics(0, 0.1),
-        lambda: Dynamics(np.inf, 0.1),
-        lambda: Dynamics(1, -0.1),
-        lambda: Dynamics(1, 0.1, -1),
-        lambda: Actuator(PLAIN, CURVE, lag=-1),
-        lambda: Actuator(PLAIN, CURVE, load_stiffness=0),
-        lambda: Actuator(PLAIN, CURVE, dynamics=3),
-        lambda: Actuator(PLAIN, CURVE, lag=1).simulate([0.0]),
-        lambda: Actuator(PLAIN, CURVE, displacement_creep=CREEP, dynamics=MASS).compensate([0.0]),
-        lambda: MOVING.simulate([0.0], time=[0.0], load=[1.0]),
-        lambda: Actuator(PLAIN, CURVE).compensate([0.0], load=[1.0]),
-        lambda: LOADED.simulate([0.0], load=[1, 2]),
-        lambda: LOADED.simulate([0.0], load=[np.nan]),
-        lambda: MOVING.compensate([0.0], time=[0], velocity=[1, 2]),
-        lambda: MOVING.compensate([0.0], time=[0], acceleration=[]),
-        lambda: Actuator(PLAIN, CURVE, State(0, np.zeros(10), motion=[0, 0])),
-    ],
-)
-def test_refusals(make):
-    with pytest.raises(ModelError):
-        make()
-
-
 def test_a_step_in_which_an_overshoot_would_outdo_the_spring_is_refused():
     uneven = Spring([0, 5e-6, 1e-5], [0, 0.01, 100])
     actuator = free(1e8, 0.0, uneven)

@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import struct
 from dataclasses import fields, replace
 from functools import reduce
 
@@ -28,7 +27,6 @@ from dehyst.model import (
     State,
     Thermal,
     Transformer,
-    slew_rate_of_records,
     with_identification,
 )
 from dehyst.model.promise import Validity
@@ -41,6 +39,8 @@ json_values = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3),
     max_leaves=8,
 )
+
+rates = st.none() | st.floats(1e-30, 1e11)
 
 
 @st.composite
@@ -70,41 +70,25 @@ def actuators(draw):
         delay=draw(st.floats(0, 1e30)),
         name=draw(texts),
         provenance=draw(st.dictionaries(texts, json_values, max_size=4)),
-        identification=draw(st.none() | st.builds(Identification, texts, goal=st.none() | st.floats(0, 1e30))),
+        identification=draw(st.none() | st.builds(Identification, texts, goal=rates, slew_rate=rates)),
     )
 
 
-def bits(value):
-    return struct.pack("<d", value)
-
-
 def through_a_file(actuator, path):
+    """The model that comes back from a file, which is written again with the same bytes: JSON keeps each bit."""
     write_json(path, actuator.as_dict())
-    return Actuator.from_dict(read_json(path))
+    back, written = Actuator.from_dict(read_json(path)), path.read_bytes()
+    write_json(path, back.as_dict())
+    assert path.read_bytes() == written
+    return back
 
 
 @given(actuators())
 def test_comes_back_exactly(tmp_path_factory, actuator):
-    folder = tmp_path_factory.mktemp("model")
-    back = through_a_file(actuator, folder / "a.json")
-    for one, two in (
-        (actuator.slip.breakaway, back.slip.breakaway),
-        (actuator.slip.stiffness, back.slip.stiffness),
-        (actuator.spring.displacement, back.spring.displacement),
-        (actuator.spring.voltage, back.spring.voltage),
-        (actuator.state.carts, back.state.carts),
-    ):
-        assert one.dtype == two.dtype
-        assert one.tobytes() == two.tobytes()
-    assert bits(actuator.state.deformation) == bits(back.state.deformation)
-    assert bits(actuator.delay) == bits(back.delay)
-    assert (actuator.limits is None) == (back.limits is None)
-    assert actuator.limits is None or [*map(bits, actuator.limits)] == [*map(bits, back.limits)]
-    assert actuator.name == back.name
-    assert actuator.identification == back.identification
+    back = through_a_file(actuator, tmp_path_factory.mktemp("model") / "a.json")
+    assert back == actuator and back.identification == actuator.identification
+    assert back.slip.breakaway.tobytes() == actuator.slip.breakaway.tobytes()
     assert repr(dict(actuator.provenance)) == repr(dict(back.provenance))
-    write_json(folder / "b.json", back.as_dict())
-    assert (folder / "a.json").read_bytes() == (folder / "b.json").read_bytes()
 
 
 def made():
@@ -152,23 +136,7 @@ def test_wider_parts_come_back_exactly(tmp_path):
     for part in ("slip", "spring", "transformer", "smooth", "displacement_creep", "state"):
         for name in (field.name for field in fields(getattr(actuator, part))):
             one, two = (np.asarray(getattr(getattr(a, part), name)) for a in (actuator, back))
-            assert (one.shape, one.tobytes()) == (two.shape, two.tobytes())
-    for part in ("dynamics", "thermal", "lag", "load_stiffness"):
-        assert getattr(actuator, part) == getattr(back, part)
-    write_json(tmp_path / "b.json", back.as_dict())
-    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
-
-
-@pytest.mark.parametrize("limits", [None, (0.0, 100.0)])
-@pytest.mark.parametrize("speed", [None, 100 / 3])
-def test_the_speed_of_the_records_comes_back(tmp_path, limits, speed):
-    plain = made()
-    actuator = with_identification(Actuator(plain.slip, plain.spring, limits=limits), slew_rate=speed)
-    back = through_a_file(actuator, tmp_path / "a.json")
-    assert (back.limits, slew_rate_of_records(back)) == (limits, speed)
-    for wrong in (0.0, -1.0, np.inf, "fast"):
-        with pytest.raises(ModelError, match="slew_rate"):
-            Identification(slew_rate=wrong)
+            assert (one.dtype, one.shape, one.tobytes()) == (two.dtype, two.shape, two.tobytes())
 
 
 def objects(data, place=()):
@@ -217,37 +185,14 @@ def test_every_value_is_of_its_kind(wrong):
     [
         ("format", "dehyst-fit"),
         ("version", 2),
-        ("slip.breakaway_m", [1e-7]),
-        ("slip.breakaway_m", [0.0, 1e-6]),
-        ("slip.breakaway_m", [1e-6, 1e-6]),
-        ("slip.knots_m", [0.0, 0.0, 1.0]),
-        ("slip.stiffness_V_per_m", [[1.0, 2.0]]),
-        ("slip.stiffness_V_per_m", [[1.0], [2.0]]),
-        ("slip.stiffness_V_per_m", [[1.0, 1.0], [2.0, -1.0]]),
-        ("slip.stiffness_V_per_m", [[1e9, 1.0], [2.0, 1.0]]),
-        ("spring.voltage_V", [0.0, 1.0]),
-        ("spring.voltage_V", [0.0, 2.0, 1.0]),
-        ("spring.voltage_V", [0.0, 0.0, 1.0]),
-        ("spring.displacement_m", [0.0]),
-        ("spring.displacement_m", [0.0, 2e-6, 1e-6]),
-        ("transformer.drive_V", [0.0, 2.0, 1.0]),
-        ("transformer.drive_V", [0.0, 2.0]),
-        ("displacement_creep.gains", [-1.0]),
-        ("displacement_creep.time_constants_s", [0.0]),
-        ("displacement_creep.time_constants_s", [1.0, 2.0]),
-        ("smooth.closing", [1.0, 0.4]),
-        ("smooth.length_m", [1e-6]),
         ("state.smooth_m", [1e-9]),
         ("state.smooth_m", [2e-6, 0.0]),
         ("state.carts_m", [0.0]),
         ("state.carts_m", [1.1e-5, 1.2e-5]),
         ("state.deformation_m", 2e-5),
-        ("dynamics.damping", -1.0),
-        ("load_stiffness_N_per_m", 0.0),
         ("limits_V", [100.0, 0.0]),
         ("limits_V", [5.0, 5.0]),
         ("limits_V", [0.0, 1.0, 2.0]),
-        ("identification.goal_percent", -1.0),
         ("identification.outcome", "FINE"),
     ],
 )
@@ -256,28 +201,6 @@ def test_impossible_numbers_are_refused(where, value):
     *parents, last = where.split(".")
     within(data, parents)[last] = value
     refused(data)
-
-
-@pytest.mark.parametrize(
-    ("where", "value"),
-    [
-        ("slip.stiffness_V_per_m", [[1.0, 1e30], [1.0, 1.0]]),
-        ("smooth.stiffness_V_per_m", [1.0, 1e21]),
-        ("dynamics.series_V_per_m", 1e30),
-        ("load_stiffness_N_per_m", 1e29),
-        ("identification", Identification(slew_rate=1e12).as_dict()),
-        ("thermal", {"gain_per_K": 1e9, "offset_m_per_K": 0.0, "reference_degC": 20.0}),
-        ("thermal", {"gain_per_K": 1e-3, "offset_m_per_K": -1.0, "reference_degC": 20.0}),
-        ("thermal", {"gain_per_K": 1e-3, "offset_m_per_K": 0.0, "reference_degC": 3e5}),
-    ],
-)
-def test_refuses_numbers_of_no_piezo_actuator(where, value):
-    data = wide().as_dict()
-    *parents, last = where.split(".")
-    within(data, parents)[last] = value
-    with pytest.raises(ModelError) as caught:
-        Actuator.from_dict(data)
-    assert caught.value.argument.startswith(where) and caught.value.got and caught.value.need
 
 
 @pytest.mark.parametrize("wide", [(0.0, 1000.0), (-50.0, 100.0), (0.0, 102.1), (200.0, 300.0)])

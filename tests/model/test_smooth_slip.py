@@ -12,15 +12,13 @@ import strategies as our
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import Actuator, DisplacementCreep, MaxwellSlip, ModelError, Spring, State
-from dehyst._native import CoreState, StepCoefficients
-from dehyst.model import GradedSlip, SmoothSlip, Transformer, evaluator_of
+from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring, State
+from dehyst.model import GradedSlip, SmoothSlip, Transformer
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
 SMOOTH = SmoothSlip([1e-6, 3e-6], [1, 0.7], [4e6, 2e6])
 ACTUATOR = Actuator(SLIP, SPRING, smooth=SMOOTH)
-NONE = np.zeros(0)
 
 
 def make_smooth(seed, span, volts, count):
@@ -228,21 +226,6 @@ def test_the_equation_holds_to_its_rounding(seed):
     assert np.all(np.abs(actuator.compensate(y, extrapolate=True).voltage - v) <= 2 * rounding)
 
 
-def test_a_sample_that_is_not_a_number_moves_nothing():
-    core, held = evaluator_of(ACTUATOR).core, evaluator_of(ACTUATOR).core_state(ACTUATOR.state)
-
-    def pace(samples):
-        return StepCoefficients(np.array([0, samples]), *np.empty((3, 1, 0)))
-
-    for run, drive in ((core.compensate, [9e-6, np.nan, 7e-6]), (core.simulate, [90.0, np.inf, 60.0])):
-        out, reached = run(np.array(drive), pace(3), held)
-        good, there = run(np.array(drive)[[0, 2]], pace(2), held)
-        assert out[0] == out[1]
-        plain_records.assert_close(out[[0, 2]], good, 1e-12 * abs(out[0]))
-        for one, two in zip(reached, there, strict=True):
-            plain_records.assert_close(one, two, 1e-20)
-
-
 def test_after_a_long_motion_they_are_as_long_as_they_get():
     far = ACTUATOR.compensate([1.0, -1.0, 5e-6], extrapolate=True).state
     turned = ACTUATOR.turned(5e-6)
@@ -252,29 +235,6 @@ def test_after_a_long_motion_they_are_as_long_as_they_get():
     assert ACTUATOR.state.smooth.tolist() == SMOOTH.length.tolist()
     slipping = SLIP.friction.sum() + SMOOTH.stiffness @ SMOOTH.length
     assert ACTUATOR.voltage(turned) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: SmoothSlip([1, 2], [1], [1]),
-        lambda: SmoothSlip([0], [1], [1]),
-        lambda: SmoothSlip([1], [1], [-1]),
-        lambda: SmoothSlip([1], [0.4], [1]),
-        lambda: SmoothSlip([1], [1.1], [1]),
-        lambda: SmoothSlip([np.nan], [1], [1]),
-        lambda: SMOOTH.elongations([0, np.nan]),
-        lambda: Actuator(SLIP, SPRING, smooth=SLIP),
-        lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[1e-6]), smooth=SMOOTH),
-        lambda: Actuator(SLIP, SPRING, State(0, [0, 0], smooth=[0.0])),
-        lambda: ACTUATOR.voltage(State(0, [0, 0], smooth=[0, -3.1e-6])),
-        lambda: evaluator_of(ACTUATOR).core.voltage(CoreState(0.0, np.zeros(2), np.zeros(1), NONE)),
-        lambda: evaluator_of(ACTUATOR).core.voltage(CoreState(0.0, np.zeros(2), np.ones(2), NONE)),
-    ],
-)
-def test_refusals(make):
-    with pytest.raises(ModelError):
-        make()
 
 
 def test_what_rounding_left_of_a_state_is_taken():

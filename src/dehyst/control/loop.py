@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -13,10 +14,8 @@ from dehyst._errors import ModelError
 from dehyst._io import VERSION
 from dehyst._native import CoreState, Loop, StepCoefficients, checked
 from dehyst._types import Array
-from dehyst._validation import keep, vector
 from dehyst.control.limits import VoltageLimits, warn_of_sample
-from dehyst.model import Actuator, State, evaluator_of
-from dehyst.model import serialization as files
+from dehyst.model import Actuator, JsonFile, Numbers, State, entry, evaluator_of, instance, text
 
 FORMAT = "dehyst-loop"
 # Range of the core's counts on every machine.
@@ -81,8 +80,15 @@ def make_loop(
     return loop
 
 
+def _counts(value: Any, where: str) -> tuple[int, int, int]:
+    whole = isinstance(value, Sequence) and [type(n) for n in value] == [int] * 3
+    if not whole or not all(0 <= n < _MOST for n in value):
+        raise ModelError(argument=where, got=repr(value), need=f"three whole numbers below {_MOST}")
+    return value[0], value[1], value[2]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Snapshot(files.JsonFile):
+class Snapshot(JsonFile):
     """The memory of a loop between two steps.
 
     Attributes
@@ -100,37 +106,17 @@ class Snapshot(files.JsonFile):
         Checksum of all numbers of the model in use, because several models may have the same shape.
     """
 
-    key: str
-    state: State
-    rest: Array
-    counts: tuple[int, int, int]
-    model: str = ""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.state, State):
-            raise ModelError(argument="snapshot", got=f"a state of type {type(self.state).__name__}", need="a State")
-        counts = self.counts
-        whole = isinstance(counts, Sequence) and [type(n) for n in counts] == [int] * 3
-        if not whole or not all(0 <= n < _MOST for n in counts):
-            raise ModelError(argument="snapshot: counts", got=repr(counts), need=f"three whole numbers below {_MOST}")
-        keep(self, rest=vector(self.rest, "snapshot: rest"), counts=tuple(counts))
+    _head = MappingProxyType({"format": FORMAT, "version": VERSION})
+    _part = "snapshot"
+    _order = "key model state rest counts"
+    key: str = entry("key", text)
+    state: State = entry("state", instance(State))
+    rest: Array = entry("rest", Numbers(1, largest=math.inf))
+    counts: tuple[int, int, int] = entry("counts", _counts)
+    model: str = entry("model", text, "")
 
     def __repr__(self) -> str:
         return f"<Snapshot: {self.rest[0]:.6g} V, {self.state!r}, of the model {self.model}>"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values; `from_dict` reads them back without loss."""
-        head = {"format": FORMAT, "version": VERSION, "key": self.key, "model": self.model}
-        memory = {"rest": self.rest.tolist(), "counts": list(self.counts)}
-        return {**head, "state": files.state_dict(self.state), **memory}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Snapshot:
-        """Rebuild from the `data` of `as_dict`, strictly; raise `ModelError` if it is not a valid snapshot."""
-        files.demand_format(data, FORMAT)
-        files.demand_keys(data, {"format", "version", "key", "model", "state", "rest", "counts"}, "snapshot")
-        rest = files.numbers(data["rest"], "rest")
-        return cls(str(data["key"]), files.state(data), rest, data["counts"], str(data["model"]))
 
     def resume(self, loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str) -> None:
         """Set the memory of a `loop` that `key` identifies; after an error it is unchanged.

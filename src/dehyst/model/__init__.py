@@ -1,6 +1,5 @@
 """The model: an actuator, its parts and its state."""
 
-from dehyst.model import serialization
 from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import (
@@ -26,6 +25,7 @@ from dehyst.model.elements import (
     parts_in_segments,
     segment_of,
 )
+from dehyst.model.entries import JsonFile, Numbers, entry, instance, text
 from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome, slew_rate_of_records, with_identification
 from dehyst.model.physical import Physical

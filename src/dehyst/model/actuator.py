@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
+from dehyst._io import VERSION
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
 from dehyst._views.pictures import Plotted
-from dehyst.model import checks, serialization
+from dehyst.model import checks
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.model.checks import Range
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, feedback_margins
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.model.entries import JsonFile, Numbers, entry, instance, mapping, text
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
-from dehyst.model.serialization import JsonFile
 
 # The voltage of a state is a sum: it has an error of at most this part of the spring's range.
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)
+
+_LAG = Numbers(least=0.0, divides=True)
+_LOAD_STIFFNESS = Numbers(positive=True, divides=True, plausible=1e15, optional=True)
+
+
+def _limits(value: Sequence[float] | None, where: str) -> tuple[float, float] | None:
+    return None if value is None else interval(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,32 +88,37 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         displacement, or a number is too large to compute with (magnitude over 1e30).
     """
 
-    slip: MaxwellSlip | GradedSlip
-    spring: Spring
-    state: State = None  # type: ignore[assignment]
-    limits: tuple[float, float] | None = None
-    delay: float = 0.0
-    name: str = "actuator"
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    identification: Identification | None = None
-    transformer: Transformer | None = None
-    dynamics: Dynamics | None = None
-    lag: float = 0.0
-    load_stiffness: float | None = None
-    smooth: SmoothSlip | None = None
-    displacement_creep: DisplacementCreep | None = None
-    thermal: Thermal | None = None
+    _head = MappingProxyType({"format": "dehyst-actuator", "version": VERSION})
+    _order = (
+        "name slip spring transformer smooth displacement_creep thermal dynamics load_stiffness lag state limits delay "
+        "identification provenance"
+    )
+    slip: MaxwellSlip | GradedSlip = entry("slip", instance(MaxwellSlip, GradedSlip))
+    spring: Spring = entry("spring", instance(Spring))
+    state: State = entry("state", instance(State, optional=True), None)
+    limits: tuple[float, float] | None = entry("limits_V", _limits, None)
+    delay: float = entry("delay_s", Numbers(least=0.0), 0.0)
+    name: str = entry("name", text, "actuator")
+    provenance: Mapping[str, Any] = entry("provenance", mapping, factory=dict)
+    identification: Identification | None = entry("identification", instance(Identification, optional=True), None)
+    transformer: Transformer | None = entry("transformer", instance(Transformer, optional=True), None)
+    dynamics: Dynamics | None = entry("dynamics", instance(Dynamics, optional=True), None)
+    lag: float = entry("lag_s", _LAG, 0.0)
+    load_stiffness: float | None = entry("load_stiffness_N_per_m", _LOAD_STIFFNESS, None)
+    smooth: SmoothSlip | None = entry("smooth", instance(SmoothSlip, optional=True), None)
+    displacement_creep: DisplacementCreep | None = entry(
+        "displacement_creep", instance(DisplacementCreep, optional=True), None
+    )
+    thermal: Thermal | None = entry("thermal", instance(Thermal, optional=True), None)
 
-    def __post_init__(self) -> None:
-        keep(self, **checks.checked_parts(self))
+    def _demand_together(self) -> None:
+        """Complete the state; raise `ModelError` if parts do not fit each other."""
         least_slope(self.slip, self.spring)
         if self.state is None:
             keep(self, state=self.turned(checks.knots_of(self)[1], extrapolate=True))
         self._start(self.state)
         _ = self._evaluator.core  # refuses what a part alone cannot check
-        if self.limits is not None:
-            keep(self, limits=interval(self.limits))
-            checks.demand_recorded(self)
+        checks.demand_recorded(self)
 
     def __repr__(self) -> str:
         from dehyst.model.summary import one_line
@@ -349,18 +363,6 @@ class Actuator(Plotted, JsonFile, AbstractModel):
             raise ModelError(argument="margin_db", got=margin_db, need="above 0 and at most 120 dB", hint="try 6")
         factor = 10 ** (margin_db / 20)
         return feedback_margins(self.dynamics, period, factor, preview=preview)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values in SI units; `from_dict` reads them back without loss."""
-        return serialization.as_dict(self)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Actuator:
-        """Rebuild from the `data` of `as_dict`, strictly.
-
-        Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
-        """
-        return cls(**serialization.parts(data))
 
     def _implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
         """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,13 +17,32 @@ from dehyst._types import Array
 from dehyst._validation import keep, number, vector
 from dehyst._views import html, tables
 from dehyst._views.lines import span_of
+from dehyst.model.entries import Entries, Numbers, demand_keys, entry
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from dehyst.model.entries import Numeric
 
-@dataclass(frozen=True, eq=False)
-class State:
+
+# Numbers of a state; those that are too large to compute with are refused where they are used.
+_ANY = Numbers(largest=inf), Numbers(1, largest=inf)
+_OF_MOTION = "displacement_m", "velocity_m_per_s"
+
+
+def _motion(value: Any, where: str) -> Array:
+    """Return displacement and velocity of a mass, or nothing; of a file with a key for each, or null."""
+    if isinstance(value, Mapping):
+        demand_keys(value, {*_OF_MOTION}, where)
+        value = [number(value[key], where) for key in _OF_MOTION]
+    found = vector(() if value is None else value, where)
+    if found.size not in (0, 2):
+        raise ModelError(argument=where, got=f"{found.size} numbers", need="displacement and velocity, or none")
+    return found
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class State(Entries):
     """The memory of an actuator; its displacement is `Compensator.displacement` or `Actuator.displacement`.
 
     Attributes
@@ -39,26 +60,13 @@ class State:
         Strain e_k of each branch of creep in displacement [m]; empty: all has crept.
     """
 
-    deformation: float
-    carts: Array
-    motion: Array
-    smooth: Array
-    displacement_creep: Array
-
-    def __init__(
-        self,
-        deformation: float,
-        carts: ArrayLike,
-        motion: ArrayLike = (),
-        smooth: ArrayLike = (),
-        displacement_creep: ArrayLike = (),
-    ) -> None:
-        keep(self, deformation=number(deformation, "state: deformation"))
-        keep(self, carts=vector(carts, "carts"))
-        keep(self, motion=vector(motion, "motion"), smooth=vector(smooth, "smooth elongations"))
-        keep(self, displacement_creep=vector(displacement_creep, "strains of displacement creep"))
-        if self.motion.size not in (0, 2):
-            raise ModelError(f"state: got a motion of {self.motion.size} numbers, need displacement and velocity")
+    _part = "state"
+    _order = "deformation carts smooth displacement_creep motion"
+    deformation: float = entry("deformation_m", _ANY[0])
+    carts: Numeric = entry("carts_m", _ANY[1])
+    motion: Numeric = entry("motion", _motion, ())
+    smooth: Numeric = entry("smooth_m", _ANY[1], ())
+    displacement_creep: Numeric = entry("displacement_creep_m", _ANY[1], ())
 
     @classmethod
     def _unchecked(
@@ -92,17 +100,8 @@ class State:
         return State(self.deformation + by, self.carts + by, motion, self.smooth, self.displacement_creep)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values, without the parts that the actuator does not have."""
-        more = {
-            "motion_m_and_m_per_s": self.motion,
-            "smooth_m": self.smooth,
-            "displacement_creep_m": self.displacement_creep,
-        }
-        return {
-            "deformation_m": self.deformation,
-            "carts_m": self.carts.tolist(),
-            **{name: values.tolist() for name, values in more.items() if values.size},
-        }
+        """Return JSON values; `from_dict` reads them back without loss."""
+        return super().as_dict() | {"motion": dict(zip(_OF_MOTION, self.motion.tolist(), strict=False)) or None}
 
 
 @dataclass(frozen=True, eq=False)

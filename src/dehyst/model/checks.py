@@ -10,30 +10,12 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
-from dehyst._validation import demand_divisors, demand_magnitudes, number
-from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
-from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.records import Record
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
     from dehyst.model.base import Motion, State
 
-_KINDS: dict[str, tuple[type, ...]] = {
-    "slip": (MaxwellSlip, GradedSlip),
-    "spring": (Spring,),
-    "transformer": (Transformer, type(None)),
-    "dynamics": (Dynamics, type(None)),
-    "smooth": (SmoothSlip, type(None)),
-    "displacement_creep": (DisplacementCreep, type(None)),
-    "thermal": (Thermal, type(None)),
-}
-# Name, unit, what is needed, whether 0 is impossible and None allowed, and whether it is divided by.
-_NUMBERS = (
-    ("delay", "s", "0 or more: a displacement does not lead its voltage", False, False),
-    ("lag", "s", "0 s or more", False, True),
-    ("load_stiffness", "N/m", "a positive number of N/m", True, True),
-)
 # Largest magnitude over that of the range from which on a displacement is more likely in another unit.
 _UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
 # Voltages that are beyond those of the records by at most this part of their range count as recorded.
@@ -43,29 +25,6 @@ ANYWAY = "or extrapolate to compute it anyway"
 _REST = 1e9
 # Smooth elements forget their start slowly.
 _VISITS = 60
-
-
-def checked_parts(actuator: Actuator) -> dict[str, float]:
-    """Return delay, lag and load stiffness as floats if they are given.
-
-    Raise `ModelError` if a part is not of its class, or a number is impossible.
-    """
-    for name, kinds in _KINDS.items():
-        part = getattr(actuator, name)
-        if not isinstance(part, kinds):
-            needed = " or ".join(kind.__name__ for kind in kinds if kind is not type(None))
-            raise ModelError(argument=name, got=type(part).__name__, need=f"a {needed}")
-    found = {}
-    for name, unit, need, above_zero, divides in _NUMBERS:
-        given = getattr(actuator, name)
-        if given is None and above_zero:
-            continue
-        found[name] = value = number(given, name)
-        if value < 0 or (above_zero and not value):
-            raise ModelError(argument=name, got=given, need=need)
-        if value:
-            (demand_divisors if divides else demand_magnitudes)(value, f"{name} [{unit}]")
-    return found
 
 
 def demand_recorded(actuator: Actuator) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,9 +13,13 @@ from dehyst._errors import ModelError
 from dehyst._native import StepCoefficients, output_creep, steps, strains
 from dehyst._types import Array
 from dehyst._units import COLDEST, HOTTEST
-from dehyst._validation import demand_divisors, demand_magnitudes, demand_result, keep, number, untimely, vector
-from dehyst._views.lines import brief
+from dehyst._validation import demand_result, number, untimely, vector
 from dehyst.model.elements import Spring
+from dehyst.model.entries import Entries, Numbers, entry
+
+if TYPE_CHECKING:
+    from dehyst.model.entries import Numeric
+
 
 # Terms of Taylor's series at a norm of 1: 1/20! is below the last digit.
 _TERMS = 21
@@ -24,8 +29,8 @@ _ASTRAY, _UNKNOWN_GAIN, _LARGEST_GAIN = 0.05, 0.01, 0.5
 _LONGEST = 2.0**40
 
 
-@dataclass(frozen=True, eq=False)
-class DisplacementCreep:
+@dataclass(frozen=True, eq=False, repr=False)
+class DisplacementCreep(Entries):
     """K branches of creep in displacement, applied after elements and mass (Kuhnen and Krejci; theory section 19).
 
     ``y = m + sum_k g_k lowpass_k(m)``, with m the displacement without creep and tau_k the time constant of low-pass k.
@@ -36,25 +41,13 @@ class DisplacementCreep:
     a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
-    time_constants: Array
-    gains: Array
+    _part = "displacement_creep"
+    time_constants: Numeric = entry("time_constants_s", Numbers(1, positive=True, divides=True))
+    gains: Numeric = entry("gains", Numbers(1, least=0.0))
 
-    __repr__ = brief
-
-    def __init__(self, time_constants: ArrayLike, gains: ArrayLike) -> None:
-        tau = vector(time_constants, "displacement creep time constants")
-        g = vector(gains, "displacement creep gains")
-        if tau.size != g.size:
-            raise ModelError(
-                f"got {tau.size} displacement creep time constants and {g.size} gains, need one of each for a branch"
-            )
-        if np.any(tau <= 0):
-            raise ModelError(f"displacement creep time constants must be positive, got {tau}")
-        if np.any(g < 0):
-            raise ModelError(f"displacement creep gain {int(np.argmin(g))} is {g.min():g}, need 0 or more")
-        demand_divisors(tau, "displacement creep time constants [s]")
-        demand_magnitudes(g, "displacement creep gains")
-        keep(self, time_constants=tau, gains=g)
+    def _demand_together(self) -> None:
+        """Raise `ModelError` unless each branch has one of each."""
+        self._demand_one_size()
 
     def __len__(self) -> int:
         return self.time_constants.size
@@ -118,7 +111,7 @@ class DisplacementCreep:
 
 
 @dataclass(frozen=True)
-class Thermal:
+class Thermal(Entries):
     """Gain and offset of the displacement that depend on temperature (theory section 22).
 
     ``y = offset dT + (1 + gain dT) y_r``, with dT the temperature minus `reference`, and y_r the displacement at the
@@ -139,15 +132,10 @@ class Thermal:
         If a number is not finite or too large to compute with (magnitude over 1e30).
     """
 
-    gain: float
-    offset: float = 0.0
-    reference: float = 20.0
-
-    def __post_init__(self) -> None:
-        for name in ("gain", "offset", "reference"):
-            value = number(getattr(self, name), f"thermal {name}")
-            demand_magnitudes(value, f"thermal {name}")
-            keep(self, **{name: value})
+    _part = "thermal"
+    gain: float = entry("gain_per_K", Numbers(plausible=1.0))
+    offset: float = entry("offset_m_per_K", Numbers(plausible=1e-3), 0.0)
+    reference: float = entry("reference_degC", Numbers(plausible=1e3), 20.0)
 
     def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
         """Return gains and offsets [m] at one `temperature` [degC], or at one for each of `samples`.
@@ -214,7 +202,7 @@ def clock(time: ArrayLike, samples: int) -> tuple[NDArray[np.int64], Array]:
 
 
 @dataclass(frozen=True)
-class Dynamics:
+class Dynamics(Entries):
     """Mass, damping and the series spring between the electrical and the mechanical side (theory section 9).
 
     ``y'' + 2 zeta omega y' + omega^2 y = omega^2 (w + F_ext/kc)``, and the voltage also holds ``beta (w - y)``: the
@@ -236,19 +224,10 @@ class Dynamics:
         If a number is impossible or too large to compute with (magnitude over 1e30).
     """
 
-    frequency: float
-    damping: float
-    series: float = 0.0
-
-    def __post_init__(self) -> None:
-        if number(self.frequency, "frequency") <= 0:
-            need, hint = "a positive number of hertz", "without inertia leave Dynamics out"
-            raise ModelError(argument="frequency", got=self.frequency, need=need, hint=hint)
-        for name in ("damping", "series"):
-            if number(getattr(self, name), name) < 0:
-                raise ModelError(argument=name, got=getattr(self, name), need="0 or more")
-            demand_magnitudes(getattr(self, name), name)
-        demand_divisors(self.frequency, "frequency [Hz]")
+    _part = "dynamics"
+    frequency: float = entry("frequency_Hz", Numbers(positive=True, divides=True, hint="leave Dynamics out"))
+    damping: float = entry("damping", Numbers(least=0.0))
+    series: float = entry("series_V_per_m", Numbers(least=0.0, plausible=1e20), 0.0)
 
     @property
     def omega(self) -> float:

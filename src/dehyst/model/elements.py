@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import ModelError
 from dehyst._native import smooth_elongations
 from dehyst._types import Array
-from dehyst._validation import demand_curve, demand_divisors, demand_magnitudes, keep, matrix, vector
-from dehyst._views.lines import brief
+from dehyst._validation import keep, vector
+from dehyst.model.entries import Entries, Numbers, entry
+
+if TYPE_CHECKING:
+    from dehyst.model.entries import Numeric
+
+
+# Breakaway elongations of slip elements [m], and their stiffnesses [V/m] by the number of dimensions.
+_BREAKAWAY = Numbers(1, positive=True, rising=True)
+_STIFFNESS = [Numbers(dimensions, least=0.0, plausible=1e20) for dimensions in (0, 1, 2)]
+_KNOTS = Numbers(1, rising=True, divides=True)
 
 
 def segment_of(knots: Array, y: ArrayLike) -> NDArray[np.intp]:
@@ -37,32 +47,8 @@ def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
     return np.asarray(values[j] + slopes[j] * (x - knots[j]))
 
 
-def _elements(breakaway: ArrayLike, stiffness: Array) -> tuple[Array, Array]:
-    """Return breakaway elongations (N,) [m] and stiffnesses (N, ...) [V/m] of slip elements after checking them."""
-    rho = vector(breakaway, "breakaway elongations")
-    if np.any(rho <= 0) or np.any(np.diff(rho) <= 0):
-        raise ModelError(f"breakaway elongations must be positive and strictly increasing, got {rho}")
-    if np.any(stiffness < 0):
-        place = ", ".join(map(str, np.unravel_index(int(np.argmin(stiffness)), stiffness.shape)))
-        raise ModelError(f"stiffness {place} is {stiffness.min():g} V/m; a negative one grows without bound")
-    demand_magnitudes(stiffness, "stiffnesses")
-    demand_magnitudes(rho, "breakaway elongations")
-    return rho, stiffness
-
-
-def _curve(x: ArrayLike, y: ArrayLike, what: str, names: tuple[str, str]) -> tuple[Array, Array]:
-    """Return the points of a curve after checking that there are at least two and the knots strictly increase."""
-    (first, second), (knots, values) = names, (vector(x, f"{what} {names[0]}"), vector(y, f"{what} {names[1]}"))
-    if knots.size != values.size or knots.size < 2:
-        sizes = f"{knots.size} {what} {first} and {values.size} {second}"
-        raise ModelError(f"got {sizes}, need the same number, at least two")
-    if np.any(np.diff(knots) <= 0):
-        raise ModelError(f"{what} {first} must strictly increase, got {knots}")
-    return knots, values
-
-
-@dataclass(frozen=True, eq=False)
-class MaxwellSlip:
+@dataclass(frozen=True, eq=False, repr=False)
+class MaxwellSlip(Entries):
     """N Maxwell-slip elements in parallel: springs in series with Coulomb friction (Eq. 1).
 
     Element i holds the voltage ``stiffness_i * s_i``; its elongation follows the displacement y as the stop operator
@@ -72,18 +58,13 @@ class MaxwellSlip:
     = k_i / (T c) [V/m], not negative. Raise `ModelError` if lengths differ, or a value is impossible.
     """
 
-    breakaway: Array
-    stiffness: Array
+    _part = "slip"
+    breakaway: Numeric = entry("breakaway_m", _BREAKAWAY)
+    stiffness: Numeric = entry("stiffness_V_per_m", _STIFFNESS[1])
 
-    __repr__ = brief
-
-    def __init__(self, breakaway: ArrayLike, stiffness: ArrayLike) -> None:
-        rho, kappa = _elements(breakaway, vector(stiffness, "stiffnesses"))
-        if rho.size != kappa.size:
-            raise ModelError(
-                f"got {rho.size} breakaway elongations and {kappa.size} stiffnesses, need one of each for an element"
-            )
-        keep(self, breakaway=rho, stiffness=kappa)
+    def _demand_together(self) -> None:
+        """Raise `ModelError` unless each element has one of each."""
+        self._demand_one_size()
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -98,8 +79,8 @@ class MaxwellSlip:
         return self
 
 
-@dataclass(frozen=True, eq=False)
-class GradedSlip:
+@dataclass(frozen=True, eq=False, repr=False)
+class GradedSlip(Entries):
     """N Maxwell-slip elements whose stiffness depends on the position of their cart (theory section 8).
 
     Element i holds ``psi_i(y) - psi_i(b_i)``, with b_i the position of its cart, which is dragged along at the distance
@@ -121,25 +102,22 @@ class GradedSlip:
         If shapes do not fit, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
-    breakaway: Array
-    knots: Array
-    stiffness: Array
+    _part = "slip"
+    breakaway: Numeric = entry("breakaway_m", _BREAKAWAY)
+    knots: Numeric = entry("knots_m", _KNOTS)
+    stiffness: Numeric = entry("stiffness_V_per_m", _STIFFNESS[2])
 
-    __repr__ = brief
-
-    def __init__(self, breakaway: ArrayLike, knots: ArrayLike, stiffness: ArrayLike) -> None:
-        ends = vector(knots, "grade knots")
-        rho, kappa = _elements(breakaway, matrix(stiffness, "stiffnesses"))
-        if ends.size < 2 or kappa.shape != (rho.size, ends.size - 1):
+    def _demand_together(self) -> None:
+        """Raise `ModelError` unless the stiffnesses have a row for each element and a column for each segment."""
+        elements, segments = len(self), self.knots.size - 1
+        if not elements:
+            keep(self, stiffness=np.zeros((0, max(segments, 0))))
+        if segments < 1 or self.stiffness.shape != (elements, segments):
             raise ModelError(
-                f"got stiffnesses of shape {kappa.shape} for {rho.size} breakaway elongations and {ends.size} grade "
-                f"knots, need ({rho.size}, {max(ends.size, 2) - 1}): one row for an element, one column for a segment"
+                argument="slip stiffness",
+                got=f"the shape {self.stiffness.shape} for {elements} breakaway elongations and {segments + 1} knots",
+                need=f"({elements}, {max(segments, 1)}): a row for each element, a column for each segment",
             )
-        if np.any(np.diff(ends) <= 0):
-            raise ModelError(f"grade knots must strictly increase, got {ends}")
-        demand_magnitudes(ends, "grade knots")
-        demand_divisors(np.diff(ends), "grade knots: steps")
-        keep(self, breakaway=rho, knots=ends, stiffness=kappa)
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -166,8 +144,33 @@ class GradedSlip:
         return np.asarray(self.stiffness[np.arange(len(self)), segment])
 
 
-@dataclass(frozen=True, eq=False)
-class Spring:
+class Curve(Entries):
+    """A rising curve, piecewise linear through knots and continued linearly: its second entry over its first."""
+
+    def _demand_together(self) -> None:
+        """Raise `ModelError` unless there are at least two knots, each with one value."""
+        self._demand_one_size()
+        if self._points[0].size < 2:
+            raise ModelError(argument=self._part, got=f"{self._points[0].size} knots", need="at least two")
+
+    @property
+    def _points(self) -> tuple[Array, Array]:
+        x, y = (getattr(self, one.name) for one in fields(self))  # type: ignore[arg-type]
+        return x, y
+
+    @property
+    def slopes(self) -> Array:
+        """(M - 1,) slopes of the segments: of a spring [V/m], of a transformer [V/V]."""
+        x, y = self._points
+        return np.asarray(np.diff(y) / np.diff(x))
+
+    def __call__(self, at: ArrayLike) -> Array:
+        """Return the voltage [V] of a spring at displacements [m], or the drive [V] at voltages [V], of any shape."""
+        return on_curve(*self._points, at)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Spring(Curve):
     """The parallel spring h in terminal coordinates: voltage eta(y), piecewise linear, continued linearly.
 
     `displacement` (M,): knots [m], strictly increasing, M >= 2. `voltage` (M,): eta at the knots [V], strictly
@@ -175,21 +178,9 @@ class Spring:
     too large to compute with (over 1e30).
     """
 
-    displacement: Array
-    voltage: Array
-
-    __repr__ = brief
-
-    def __init__(self, displacement: ArrayLike, voltage: ArrayLike) -> None:
-        y, v = _curve(displacement, voltage, "spring", ("knots", "voltages"))
-        falls = np.flatnonzero(np.diff(v) <= 0)
-        if falls.size:
-            raise ModelError(
-                f"the spring's voltage must strictly increase (Assumption I); it does not between knots {falls[0]} and "
-                f"{falls[0] + 1}. Identify with a slope floor, or with fewer elements"
-            )
-        demand_curve(y, v, "spring")
-        keep(self, displacement=y, voltage=v)
+    _part = "spring"
+    displacement: Numeric = entry("displacement_m", _KNOTS)
+    voltage: Numeric = entry("voltage_V", replace(_KNOTS, hint="identify with a slope floor, or with fewer elements"))
 
     @classmethod
     def of_slopes(cls, displacement: Array, slopes: Array, first: float) -> Spring:
@@ -199,18 +190,9 @@ class Spring:
         """
         return cls(displacement, first + np.concatenate([[0.0], np.cumsum(slopes * np.diff(displacement))]))
 
-    @property
-    def slopes(self) -> Array:
-        """(M - 1,) slopes of the segments [V/m]."""
-        return np.diff(self.voltage) / np.diff(self.displacement)
 
-    def __call__(self, displacement: ArrayLike) -> Array:
-        """Return the voltage [V] at displacements [m] of any shape."""
-        return on_curve(self.displacement, self.voltage, displacement)
-
-
-@dataclass(frozen=True, eq=False)
-class Transformer:
+@dataclass(frozen=True, eq=False, repr=False)
+class Transformer(Curve):
     """A nonlinear transformer: tau(v) drives the elements instead of v (theory section 8).
 
     Piecewise linear, strictly increasing, continued linearly. This is a fitted map: with it, the charge q = T x no
@@ -221,26 +203,9 @@ class Transformer:
     (over 1e30).
     """
 
-    voltage: Array
-    drive: Array
-
-    __repr__ = brief
-
-    def __init__(self, voltage: ArrayLike, drive: ArrayLike) -> None:
-        v, tau = _curve(voltage, drive, "transformer", ("knots", "drives"))
-        if np.any(np.diff(tau) <= 0):
-            raise ModelError(f"transformer drives must strictly increase, got {tau}: each drive needs one voltage")
-        demand_curve(v, tau, "transformer")
-        keep(self, voltage=v, drive=tau)
-
-    @property
-    def slopes(self) -> Array:
-        """(K - 1,) slopes of the segments [V/V]."""
-        return np.diff(self.drive) / np.diff(self.voltage)
-
-    def __call__(self, voltage: ArrayLike) -> Array:
-        """Return the drive tau(v) [V] at voltages [V] of any shape."""
-        return on_curve(self.voltage, self.drive, voltage)
+    _part = "transformer"
+    voltage: Numeric = entry("voltage_V", _KNOTS)
+    drive: Numeric = entry("drive_V", replace(_KNOTS, hint="each drive needs one voltage"))
 
     def inverse(self, drive: ArrayLike) -> Array:
         """Return the voltages [V] at which tau equals `drive`.
@@ -250,8 +215,8 @@ class Transformer:
         return on_curve(self.drive, self.voltage, drive)
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothSlip:
+@dataclass(frozen=True, eq=False, repr=False)
+class SmoothSlip(Entries):
     """L elements in parallel whose friction grows gradually.
 
     Element l holds ``k_l q_l``; its elongation q follows the displacement y as
@@ -275,25 +240,14 @@ class SmoothSlip:
         If lengths differ, or a value is impossible or too large to compute with (magnitude over 1e30).
     """
 
-    length: Array
-    closing: Array
-    stiffness: Array
+    _part = "smooth"
+    length: Numeric = entry("length_m", Numbers(1, positive=True, divides=True))
+    closing: Numeric = entry("closing", Numbers(1, least=0.5, most=1.0))
+    stiffness: Numeric = entry("stiffness_V_per_m", _STIFFNESS[1])
 
-    __repr__ = brief
-
-    def __init__(self, length: ArrayLike, closing: ArrayLike, stiffness: ArrayLike) -> None:
-        given = {"length": length, "closing": closing, "stiffness": stiffness}
-        columns = {name: vector(values, f"smooth elements: {name}") for name, values in given.items()}
-        keep(self, **columns)
-        if len({column.size for column in columns.values()}) > 1:
-            sizes = ", ".join(f"{column.size} of {name}" for name, column in columns.items())
-            raise ModelError(f"smooth elements: got {sizes}; need one of each for an element")
-        if np.any(self.length <= 0) or np.any(self.stiffness < 0):
-            raise ModelError("smooth elements: need lengths above 0 and stiffnesses of 0 or more")
-        demand_divisors(self.length, "smooth elements: length [m]")
-        demand_magnitudes(self.stiffness, "smooth elements: stiffness [V/m]")
-        if np.any((self.closing < 0.5) | (self.closing > 1)):
-            raise ModelError(f"smooth elements: closing must be 1/2 to 1, got {self.closing}")
+    def _demand_together(self) -> None:
+        """Raise `ModelError` unless each element has one of each."""
+        self._demand_one_size()
 
     def __len__(self) -> int:
         return self.length.size

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from enum import Enum
-from math import inf
 from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import ModelError
-from dehyst._validation import keep, number
-from dehyst._views.fields import json_value
+from dehyst.model.entries import Entries, Numbers, entry, flag, text
 from dehyst.model.promise import Validity
 
 if TYPE_CHECKING:
@@ -37,42 +34,15 @@ class Outcome(Enum):
         return self not in (Outcome.INACCURATE, Outcome.VALIDATION_MISSED)
 
 
-def _flag(value: object, where: str) -> bool:
-    if not isinstance(value, bool):
-        raise ModelError(f"{where}: got {value!r}, need true or false")
-    return value
-
-
-def _text(value: object, where: str) -> str:
-    if not isinstance(value, str):
-        raise ModelError(f"{where}: got {value!r}, need text")
-    return value
-
-
-def _size(value: object, where: str) -> float:
-    """Return a number after checking that it is 0 or more."""
-    size = number(value, where)
-    if not 0 <= size < inf:
-        raise ModelError(f"{where}: got {value!r}, need a finite number of 0 or more")
-    return size
-
-
-def _size_or_none(value: object, where: str) -> float | None:
-    return None if value is None else _size(value, where)
-
-
-def _rate_or_none(value: object, where: str) -> float | None:
-    rate = _size_or_none(value, where)
-    if rate == 0:
-        raise ModelError(argument=where, got=rate, need="a positive number of volts a second, or None")
-    return rate
+_SIZE = Numbers(least=0.0)
 
 
 def _outcome(value: object, where: str) -> Outcome | None:
     if value is None or isinstance(value, Outcome):
         return value
     if not isinstance(value, str) or value not in Outcome.__members__:
-        raise ModelError(f"{where}: got {value!r}, need one of {', '.join(Outcome.__members__)}, or null")
+        need = f"one of {', '.join(Outcome.__members__)}, or null"
+        raise ModelError(argument=where, got=repr(value), need=need)
     return Outcome[value]
 
 
@@ -80,13 +50,8 @@ def _validity(value: object, where: str) -> Validity | None:
     return value if value is None or isinstance(value, Validity) else Validity.from_dict(value)
 
 
-def _entry(default: Any, read: Callable[[object, str], Any], key: str = "") -> Any:
-    """Return a dataclass field with the check of its value and its key in a model file, by default its name."""
-    return field(default=default, metadata={"read": read, "key": key})
-
-
 @dataclass(frozen=True)
-class Identification:
+class Identification(Entries):
     """How an actuator was identified, and its errors then; later judgements of the model depend on it.
 
     A number that is not known is None.
@@ -122,34 +87,18 @@ class Identification:
         If a value has another type, or a number is negative or not finite.
     """
 
-    lag_of: str = _entry("", _text)
-    shared_datum: bool = _entry(False, _flag)
-    drift: bool = _entry(True, _flag)
-    sensor_lag: float = _entry(0.0, _size, "sensor_lag_s")
-    ringing: bool = _entry(False, _flag)
-    outcome: Outcome | None = _entry(None, _outcome)  # noqa: RUF009
-    provisional: bool = _entry(False, _flag)
-    largest_error: float | None = _entry(None, _size_or_none, "largest_error_m")
-    goal: float | None = _entry(None, _size_or_none, "goal_percent")
-    slew_rate: float | None = _entry(None, _rate_or_none, "slew_rate_V_per_s")
-    validity: Validity | None = _entry(None, _validity)  # noqa: RUF009
-
-    def __post_init__(self) -> None:
-        keep(self, **{one.name: one.metadata["read"](getattr(self, one.name), one.name) for one in fields(self)})
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {key: json_value(getattr(self, name)) for key, name in self.keys().items()}
-
-    @classmethod
-    def keys(cls) -> dict[str, str]:
-        """Return the field name of each key in a model file."""
-        return {one.metadata["key"] or one.name: one.name for one in fields(cls)}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Identification:
-        """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        return cls(**{name: data[key] for key, name in cls.keys().items()})
+    _part = "identification"
+    lag_of: str = entry("lag_of", text, "")
+    shared_datum: bool = entry("shared_datum", flag, False)
+    drift: bool = entry("drift", flag, True)
+    sensor_lag: float = entry("sensor_lag_s", _SIZE, 0.0)
+    ringing: bool = entry("ringing", flag, False)
+    outcome: Outcome | None = entry("outcome", _outcome, None)
+    provisional: bool = entry("provisional", flag, False)
+    largest_error: float | None = entry("largest_error_m", replace(_SIZE, optional=True), None)
+    goal: float | None = entry("goal_percent", replace(_SIZE, optional=True), None)
+    slew_rate: float | None = entry("slew_rate_V_per_s", Numbers(positive=True, plausible=1e11, optional=True), None)
+    validity: Validity | None = entry("validity", _validity, None)
 
 
 def with_identification(actuator: Actuator, **entries: Any) -> Actuator:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from math import inf
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,17 +16,15 @@ from dehyst._errors import ModelError, of_part
 from dehyst._io import VERSION
 from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names, keep, matrix
-from dehyst._views.fields import json_values
 from dehyst.model.actuator import Actuator
 from dehyst.model.base import Motion, State
-from dehyst.model.serialization import JsonFile, demand_format, demand_keys, numbers
+from dehyst.model.entries import JsonFile, Numbers, entry, instance, mapping, text, texts
 from dehyst.model.temperatures import demand_thermal, temperature_columns
 from dehyst.records import Record
 
 # A stage whose inverse multiplies errors by more cannot be driven.
 _WORST_CONDITION = 1e3
 FORMAT = "dehyst-stage"
-_KEYS = {"format", "version", "name", "axes", "coupling", "actuators", "provenance", "recorded_columns"}
 
 
 def inverse(coupling: Array) -> Array:
@@ -86,6 +86,15 @@ def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: 
     return result
 
 
+_ACTUATOR = instance(Actuator)
+
+
+def _actuators(value: Sequence[Any], where: str) -> tuple[Actuator, ...]:
+    if not isinstance(value, list | tuple) or not value:
+        raise ModelError(argument=where, got=type(value).__name__, need="one Actuator for each axis")
+    return tuple(_ACTUATOR(one, where) for one in value)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Stage(JsonFile):
     """Several coupled actuators, ``y = coupling @ h(v)`` where h_j is the hysteresis of actuator j.
@@ -111,19 +120,19 @@ class Stage(JsonFile):
         If the numbers of actuators, rows and names differ, the diagonal is not 1, or the matrix is nearly singular.
     """
 
-    actuators: tuple[Actuator, ...]
-    coupling: Array = None  # type: ignore[assignment]
-    axes: tuple[str, ...] = DEFAULT_AXES
-    name: str = "stage"
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    recorded_columns: tuple[str, ...] = ()
+    _head = MappingProxyType({"format": FORMAT, "version": VERSION})
+    _order = "name axes coupling actuators recorded_columns provenance"
+    actuators: tuple[Actuator, ...] = entry("actuators", _actuators)
+    coupling: Array = entry("coupling", Numbers(2, largest=inf, optional=True), None)
+    axes: tuple[str, ...] = entry("axes", texts, DEFAULT_AXES)
+    name: str = entry("name", text, "stage")
+    provenance: Mapping[str, Any] = entry("provenance", mapping, factory=dict)
+    recorded_columns: tuple[str, ...] = entry("recorded_columns", texts, ())
 
-    def __post_init__(self) -> None:
-        actuators = tuple(self.actuators)
-        if not actuators or not all(isinstance(one, Actuator) for one in actuators):
-            raise ModelError("actuators: need one Actuator for each axis")
-        count = len(actuators)
-        table = np.eye(count) if self.coupling is None else matrix(self.coupling, "coupling")
+    def _demand_together(self) -> None:
+        """Complete coupling and axes; raise `ModelError` if they do not fit the actuators."""
+        count = len(self.actuators)
+        table = np.eye(count) if self.coupling is None else self.coupling
         if table.shape != (count, count):
             raise ModelError(
                 argument="coupling",
@@ -135,7 +144,7 @@ class Stage(JsonFile):
                 argument="coupling", got=f"the diagonal {np.diag(table).tolist()}", need="1 for each axis itself"
             )
         axes = self.axes[:count] if self.axes == DEFAULT_AXES else self.axes
-        keep(self, actuators=actuators, coupling=table, axes=axis_names(axes, count, "stage"))
+        keep(self, coupling=table, axes=axis_names(axes, count, "stage"))
         if not self.condition < _WORST_CONDITION:
             raise ModelError(
                 argument="coupling",
@@ -290,37 +299,6 @@ class Stage(JsonFile):
                 need=f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}",
             )
         return table
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values in SI units; `from_dict` reads them back without loss."""
-        keys = "name axes coupling actuators recorded_columns"
-        described = {"format": FORMAT, "version": VERSION, **json_values(self, keys)}
-        return described | {"provenance": dict(self.provenance)}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Stage:
-        """Rebuild from the `data` of `as_dict`, strictly.
-
-        Raise `ModelError` if the format or version differs, a key is unknown or missing, or a number is impossible.
-        """
-        demand_format(data, FORMAT)
-        demand_keys(data, _KEYS, "stage")
-        lists = all(isinstance(data[key], list) for key in ("axes", "coupling", "actuators"))
-        if not lists or not all(isinstance(one, Mapping) for one in data["actuators"]):
-            raise ModelError("stage: axes, coupling and actuators must be lists, and each actuator an object")
-        if not isinstance(data["name"], str) or not isinstance(data["provenance"], Mapping):
-            raise ModelError("stage: name must be text and provenance an object")
-        rows = [numbers(row, f"coupling[{i}]") for i, row in enumerate(data["coupling"])]
-        if len({row.size for row in rows}) > 1:
-            raise ModelError(
-                argument="coupling", got=f"rows of {[row.size for row in rows]} numbers", need="rows of one length"
-            )
-        actuators = tuple(Actuator.from_dict(one) for one in data["actuators"])
-        columns = data["recorded_columns"]
-        if not isinstance(columns, list) or not all(isinstance(one, str) for one in columns):
-            raise ModelError(f"stage: recorded_columns: got {columns!r}, need a list of text")
-        described = data["name"], data["provenance"], tuple(columns)
-        return cls(actuators, np.array(rows), tuple(data["axes"]), *described)
 
 
 def by_axis(axes: Sequence[str], results: Sequence[Any]) -> dict[str, Any]:

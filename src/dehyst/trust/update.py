@@ -372,7 +372,6 @@ class _Refit:
         if known is None or known.validity is None:
             errors = {"rms": rms_, "largest": largest_, "disagreement": 0.0, "stroke": self.recheck.stroke}
             found = Validity.by_records([(self.record.time, self.record.voltage)], **errors)
-            # Where the record does not go, the old model holds.
             return replace(found, limits=Range(*found.limits).joined(self.old.voltage_range))
         return known.validity.with_record(self.record, rms=rms_, largest=largest_)
 

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.model import Actuator, State, needs_time
-from dehyst.model.serialization import DESCRIPTION
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
 from dehyst.virtual.plays import PlayActuator
 from truths.bouc_wen import BoucWenActuator
@@ -20,7 +19,7 @@ from truths.preisach import PreisachActuator
 # Share of a step that the actuator "creep" adds in each decade of time.
 _CREEP = 0.01
 # Keys of a model file that do not describe the actuator itself.
-_NOT_THE_ACTUATOR = DESCRIPTION | {"state", "limits"}
+_NOT_THE_ACTUATOR = {"format", "version", "name", "provenance", "identification", "state", "limits"}
 
 
 class ModelledActuator(VirtualActuator):

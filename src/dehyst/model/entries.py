@@ -1,0 +1,269 @@
+"""What a model is made of: one description of each entry checks its value, and is its key in a model file.
+
+A part, a state or an actuator is a dataclass whose fields are made by `entry`. Its constructor and its file go through
+the same checks; a file is read strictly, and comes back without loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from math import inf
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError
+from dehyst._io import OTHER_VERSION, VERSION, PathLike, read_json, write_json
+from dehyst._types import Array
+from dehyst._validation import MOST, demand_divisors, demand_magnitudes, keep, matrix, number, vector
+from dehyst._views.fields import json_value
+from dehyst._views.lines import brief
+
+# Returns the value of an entry that is kept, from a value of Python or of a file, and its name in messages.
+Reader = Callable[[Any, str], Any]
+if TYPE_CHECKING:
+
+    class Numeric:
+        """Type of an array of an object: the constructor takes numbers of any form."""
+
+        def __get__(self, owner: Any, kind: Any = None) -> Array: ...
+        def __set__(self, owner: Any, value: ArrayLike) -> None: ...
+
+
+def entry(key: str, read: Reader, default: Any = MISSING, factory: Any = MISSING) -> Any:
+    """Return a dataclass field: its `key` in a file, with the unit, and what checks its value."""
+    given = {"default": default} if factory is MISSING else {"default_factory": factory}
+    return field(**given, metadata={"key": key, "read": read})
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Reader of a number, a vector or a table: what each of its numbers must be.
+
+    `dimensions`: 0, 1 or 2. `positive`: above 0. `least`, `most`: smallest and largest number. `rising`: each is larger
+    than the one before. `divides`: results are divided by those that are not 0, or by
+    the steps of rising ones. `largest`: magnitude
+    that can be computed with. `plausible`: largest magnitude in a file, far beyond those of any piezo actuator.
+    `optional`: None is allowed.
+    """
+
+    dimensions: int = 0
+    positive: bool = False
+    least: float = -inf
+    most: float = inf
+    rising: bool = False
+    divides: bool = False
+    largest: float = MOST
+    plausible: float = inf
+    optional: bool = False
+    hint: str = ""
+
+    def __call__(self, value: Any, where: str) -> Any:
+        """Return the number as a float, or numbers as an array; raise `ModelError` if one is impossible."""
+        if value is None and self.optional:
+            return None
+        if self.dimensions == 2 and isinstance(value, list) and not value:
+            value = np.zeros((0, 0))
+        found = (number, vector, matrix)[self.dimensions](value, where)
+        demand_magnitudes(found, where, self.largest)
+        numbers = np.atleast_1d(found)
+        bad = (numbers < self.least) | (numbers > self.most) | (self.positive & (numbers <= 0))
+        if self.rising:
+            bad[1:] |= np.diff(numbers) <= 0
+        if bad.any():
+            first = tuple(np.argwhere(bad)[0].tolist())
+            place = f" at index {', '.join(map(str, first))}" if self.dimensions else ""
+            raise ModelError(argument=where, got=f"{numbers[first]:.6g}{place}", need=self.need, hint=self.hint)
+        if self.divides:
+            steps = np.diff(numbers) if self.rising else numbers[numbers != 0]
+            demand_divisors(steps, f"{where}: steps" if self.rising else where)
+        return found
+
+    @property
+    def need(self) -> str:
+        """What the numbers must be, in words."""
+        bounds = (f"{self.least:g} or more", self.least), (f"{self.most:g} or less", self.most)
+        words = [text for text, bound in bounds if abs(bound) < inf] + ["above 0"] * self.positive
+        # Where numbers strictly increase, each is larger than the one before.
+        words += ["strictly increasing"] * self.rising
+        return f"{'numbers' if self.dimensions else 'a number'}, {' and '.join(words)}"
+
+    def demand_plausible(self, found: Any, where: str) -> None:
+        """Raise `ModelError` for numbers in a file that no piezo actuator has."""
+        size = float(np.abs(0.0 if found is None else found).max(initial=0.0))
+        if size > self.plausible:
+            raise ModelError(
+                argument=where,
+                got=f"{size:.6g}",
+                need=f"{self.plausible:g} at most in magnitude, far beyond any piezo actuator",
+                hint="correct the file, or identify again",
+            )
+
+
+def instance(*kinds: type, optional: bool = False) -> Reader:
+    """Return a reader of an object of one of the `kinds`, or of the JSON values of one with the same keys."""
+
+    def read(value: Any, where: str) -> Any:
+        if isinstance(value, kinds) or (value is None and optional):
+            return value
+        own = [kind for kind in kinds if issubclass(kind, Entries) and isinstance(value, Mapping)]
+        if own:
+            return next((kind for kind in own if set(kind._keys()) == set(value)), own[0]).from_dict(value)
+        needed = " or ".join(kind.__name__ for kind in kinds)
+        raise ModelError(argument=where, got=type(value).__name__, need=f"a {needed}")
+
+    return read
+
+
+class Entries:
+    """An object that is made of entries.
+
+    `_part`: its name in an actuator, in a model file and in messages. `_head`: format and version of its file, if it
+    has one. `_order`: names of the entries in the order of the file, if it is another than that of the fields.
+    """
+
+    _part: ClassVar[str] = ""
+    _head: ClassVar[Mapping[str, Any]] = {}
+    _order: ClassVar[str] = ""
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        for one in _described(type(self)):
+            where = f"{self._part} {one.name}".strip()
+            keep(self, **{one.name: one.metadata["read"](getattr(self, one.name), where)})
+        self._demand_together()
+
+    def _demand_together(self) -> None:
+        """Raise `ModelError` if entries do not fit each other."""
+
+    def _demand_one_size(self) -> None:
+        """Raise `ModelError` unless all arrays have the same number of numbers."""
+        sizes = {one.name: getattr(self, one.name).size for one in _described(type(self))}
+        if len(set(sizes.values())) > 1:
+            got = ", ".join(f"{size} {name}" for name, size in sizes.items())
+            raise ModelError(argument=self._part, got=got, need="the same number of each")
+
+    @classmethod
+    def _keys(cls) -> dict[str, str]:
+        """Return the field name of each key in a file, in the order of the file."""
+        keys = {one.name: one.metadata["key"] for one in _described(cls)}
+        return {keys[name]: name for name in cls._order.split() or keys}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values in SI units; `from_dict` reads them back without loss."""
+        return {**self._head, **{key: json_value(getattr(self, name)) for key, name in self._keys().items()}}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """Rebuild from the `data` of `as_dict`, strictly.
+
+        Raise `ModelError` if the format or version differs, a key is unknown or missing, or a value is impossible.
+        """
+        where = cls._part or cls.__name__.lower()
+        if cls._head:
+            demand_format(data, cls._head["format"])
+        demand_keys(data, {*cls._head, *cls._keys()}, where)
+        made = cls(**{name: data[key] for key, name in cls._keys().items()})
+        for key, value in made.as_dict().items():
+            if not _same(data[key], value):
+                need = "the value as it is written: a number is no flag, and nothing is left to a default"
+                raise ModelError(argument=f"{where}.{key}", got=f"{data[key]!r:.60}", need=need)
+        for one in _described(cls):
+            key, read = one.metadata["key"], one.metadata["read"]
+            if isinstance(read, Numbers):
+                read.demand_plausible(getattr(made, one.name), f"{cls._part}.{key}" if cls._part else key)
+        return made
+
+
+def _described(kind: type) -> list[Field[Any]]:
+    return [one for one in fields(kind) if one.metadata]
+
+
+def _same(given: Any, written: Any) -> bool:
+    """Return whether two JSON values are equal, apart from whole numbers written as such; 1 is not true."""
+    if isinstance(given, list) and isinstance(written, list):
+        return len(given) == len(written) and all(map(_same, given, written))
+    return bool(given == written) and isinstance(given, bool) == isinstance(written, bool)
+
+
+class JsonFile(Entries):
+    """An object that is saved in a JSON file."""
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (type(other) is type(self) and self.as_dict() == other.as_dict())
+
+    def __hash__(self) -> int:
+        return hash((type(self).__name__, getattr(self, "name", "")))
+
+    def save(self, path: PathLike) -> None:
+        """Write the file (JSON) at `path`, completely or not at all; raise `FileFormatError` if that fails."""
+        write_json(path, self.as_dict())
+
+    @classmethod
+    def load(cls, path: PathLike) -> Self:
+        """Read the file at `path`, strictly.
+
+        Raises
+        ------
+        FileFormatError
+            If the file cannot be read or is not JSON.
+        ModelError
+            If it is of another format or version, or holds impossible values.
+        """
+        data = read_json(path)
+        try:
+            return cls.from_dict(data)
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from error
+
+
+def text(value: object, where: str) -> str:
+    """Return a text; raise `ModelError` for anything else."""
+    if not isinstance(value, str):
+        raise ModelError(argument=where, got=repr(value), need="text")
+    return value
+
+
+def texts(value: object, where: str) -> tuple[str, ...]:
+    """Return texts as a tuple; raise `ModelError` for anything else."""
+    if not isinstance(value, list | tuple):
+        raise ModelError(argument=where, got=repr(value), need="a list of text")
+    return tuple(text(one, where) for one in value)
+
+
+def flag(value: object, where: str) -> bool:
+    """Return true or false; raise `ModelError` for anything else."""
+    if not isinstance(value, bool):
+        raise ModelError(argument=where, got=repr(value), need="true or false")
+    return value
+
+
+def mapping(value: object, where: str) -> Mapping[str, Any]:
+    """Return a mapping; raise `ModelError` for anything else."""
+    if not isinstance(value, Mapping):
+        raise ModelError(argument=where, got=type(value).__name__, need="an object with keys")
+    return value
+
+
+def demand_format(data: Mapping[str, Any], name: str) -> None:
+    """Raise `ModelError` if JSON values have another format than `name`, another version, or are no object."""
+    if not isinstance(data, Mapping):
+        raise ModelError(got=type(data).__name__, need=f"an object of the format {name!r}")
+    kind, found = data.get("format"), data.get("version")
+    if kind != name or type(found) is not int or found != VERSION:
+        raise ModelError(
+            got=f"format {kind!r} version {found!r}",
+            need=f"{name!r} version {VERSION}",
+            hint=OTHER_VERSION if kind == name else "",
+        )
+
+
+def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
+    """Raise `ModelError` if JSON values are no object, or at unknown and missing keys."""
+    missing, unknown = sorted(needed - set(mapping(data, where))), sorted(set(data) - needed)
+    if missing or unknown:
+        found = f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}"
+        raise ModelError(found, hint=OTHER_VERSION)
