@@ -21,7 +21,7 @@ ROOMS = {
     "foundation": 1417,
     "identification": 6139,
     "instruments": 2859,
-    "model": 3657,
+    "model": 3656,
     "operations": 4216,
     "paper": 1168,
     "records": 5239,
@@ -34,7 +34,7 @@ ROOMS = {
     "workbench": 2453,
 }
 HOUSE = {
-    "lines of Python": 41382,
+    "lines of Python": 41381,
     "files of Python": 198,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 3047,

@@ -34,7 +34,6 @@ from dehyst.model.promise import (
     USELESS,
     Promise,
     Validity,
-    are_tested,
     distances,
     excite_command,
     legs,
@@ -56,7 +55,7 @@ from dehyst.model.states import (
     state_within_limits,
     timed,
 )
-from dehyst.model.summary import Slopes, bend, parts_of, step_response
+from dehyst.model.summary import Slopes, parts_of, step_response
 from dehyst.model.temperatures import (
     demand_thermal,
     temperature_columns,
