@@ -37,8 +37,6 @@ HERE = Path(__file__).resolve().parent
 # Loops a second. The device keeps time, by which its place in a wave is known; without a fault it hurries.
 _OPTIONS = ("--frequency", "5")
 _HURRIED, _TRUE = ("--speed", "20"), ("--speed", "1")
-# Bytes that a file may have on a disk that is full.
-_FULL = 60_000
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,8 @@ def against(folder: Path, serve: tuple[str, ...], *options: str, again: bool = F
 
 
 def stopped_with(fault: str) -> Callable[[Path], Outcome]:
-    return lambda folder: against(folder, ("--speed", "1", "--fault", f"{fault}@20"), act=sent(INTERRUPT))
+    slow = ("--frequency", "0.2")  # the voltage is then still far from 0 V when Ctrl-C comes
+    return lambda folder: against(folder, (*_TRUE, "--fault", f"{fault}@20"), *slow, act=sent(INTERRUPT))
 
 
 def nobody(address: str, folder: Path) -> Outcome:
@@ -165,7 +164,7 @@ CASES = (
     Case(
         "full",
         "The disk is full, and then is not",
-        lambda folder: against(folder, _TRUE, largest_file=_FULL, again=True),
+        lambda folder: against(folder, _TRUE, largest_file=60_000, again=True),
     ),
     Case("file", "The output folder is a file", not_a_folder),
 )

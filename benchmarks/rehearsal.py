@@ -110,9 +110,10 @@ class Act:
 
 
 def recording(folder: Path, size: int = 40_000) -> bool:
-    """Whether a record is in the midst of being made."""
-    with contextlib.suppress(OSError):
-        return any(path.stat().st_size > size for path in (folder / "records").glob("*.csv"))
+    """Whether a record is in the midst of being made, with its last voltage above 80 V."""
+    with contextlib.suppress(OSError, IndexError, ValueError):
+        begun = [path for path in (folder / "records").glob("*.csv") if path.stat().st_size > size]
+        return any(float(path.read_bytes()[-200:].split(b"\n")[-2].split(b",")[1]) > 80 for path in begun)
     return False
 
 

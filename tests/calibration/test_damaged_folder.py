@@ -6,13 +6,14 @@ import shutil
 import pytest
 
 from dehyst import FileFormatError, RecordError, read
-from dehyst.calibration.plan import ExcitationPlan
+from dehyst.calibration.plan import Excitations
 from dehyst.calibration.session import ProgressListener, Session
+from dehyst.control import VoltageLimits
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import files
 from dehyst.virtual import PlayActuator
 
-LOOK = ExcitationPlan(0, 200, 400.0).homing()
+LOOK = Excitations((VoltageLimits(0, 200),), 400.0).homing()
 RECORD = "records/look.csv"
 
 
@@ -131,7 +132,7 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(files, "content_of", refuse)
         with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
-            assert not job.is_whole(LOOK, "look")
+            assert job.stored("look", LOOK) is None
     assert go_on(folder)
 
 
@@ -142,7 +143,7 @@ def test_an_undamaged_record_is_kept(folder, base):
 
 def test_a_record_of_another_name_copied_over_is_not_taken(folder):
     with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
-        job.record(ExcitationPlan(0, 200, 200.0).homing(), "homing")
+        job.record(Excitations((VoltageLimits(0, 200),), 200.0).homing(), "homing")
     shutil.copy(folder / "records" / "homing.csv", folder / RECORD)
     assert not go_on(folder)
 

@@ -1,6 +1,7 @@
 """The whole experiment on a bench in a time of its own: what it finds, what it leaves on disk, how it goes on."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ from calibration_listener import Heard
 from dehyst import Actuator, DehystError, FileFormatError, Record, RecordError, read
 from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.experiment import _unsteady
-from dehyst.calibration.plan import ExcitationPlan, steps
+from dehyst.calibration.plan import Excitations, steps
 from dehyst.calibration.session import ProgressListener, Session
+from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.records import about_of
 from dehyst.report import write_report
+from dehyst.trust import Change
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation, raised_cosine
 
@@ -80,7 +83,7 @@ def test_the_loop_error_is_told_while_it_plays(finished):
     found, _, _, heard = finished
     told = np.concatenate(heard.expected)
     assert np.nanmax(told) == pytest.approx(0.01 * found.nominal.largest_percent)
-    assert np.isnan(told).sum() == 2 * len(ExcitationPlan(0, 200, 100.0).homing())
+    assert np.isnan(told).sum() == 2 * len(Excitations((VoltageLimits(0, 200),), 100.0).homing())
 
 
 def test_a_second_call_plays_nothing(finished):
@@ -103,7 +106,7 @@ def test_two_calibrations_into_one_folder_are_refused(tmp_path):
 
 @pytest.mark.parametrize(("gain", "offset", "degrees", "count"), [(1, 0, 0, 0), (1.01, 0, 0, 1), (1, 0.01, 1, 2)])
 def test_a_rig_that_warms_or_drifts_is_remarked(gain, offset, degrees, count):
-    homing = ExcitationPlan(0, 200, 100.0).homing()
+    homing = Excitations((VoltageLimits(0, 200),), 100.0).homing()
     y = PlayActuator().play(homing.voltage)
     others = [{"temperature_C": 20 + k * degrees * np.linspace(0, 1, y.size)} for k in (0, 1)]
     first = Record(homing.time, homing.voltage, y, others=others[0])
@@ -111,6 +114,24 @@ def test_a_rig_that_warms_or_drifts_is_remarked(gain, offset, degrees, count):
         homing.time, homing.voltage, gain * (y - y.mean()) + y.mean() + offset * np.ptp(y), others=others[1]
     )
     assert len([*_unsteady([first, second], homing, np.arange(y.size))]) == count
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "count"), [(0.01, 0.002, 1), (-0.01, 0.002, 1), (0.004, 0.002, 0), (0.0019, 1e-5, 0)]
+)
+def test_a_rig_that_warms_slowly_is_remarked_where_its_gain_is_sure(change, error, count):
+    homing = Excitations((VoltageLimits(0, 200),), 100.0).homing()
+    record = Record(homing.time, homing.voltage, PlayActuator().play(homing.voltage))
+    checked = SimpleNamespace(changes=[Change("width", 0.5, 0.01, 1e-6, 0.0), Change("gain", change, error, 1e-6, 0.0)])
+    assert len([*_unsteady([record, record], homing, np.arange(len(homing)), [checked])]) == count
+
+
+def test_a_noisy_rig_that_does_not_warm_is_not_remarked():
+    homing, rng = Excitations((VoltageLimits(0, 200),), 100.0).homing(), np.random.default_rng(3)
+    y = PlayActuator().play(homing.voltage)
+    for _ in range(20):
+        noisy = [Record(homing.time, homing.voltage, y + rng.normal(0, 0.01 * np.ptp(y), y.size)) for _ in range(2)]
+        assert not [*_unsteady(noisy, homing, np.arange(y.size))]
 
 
 def test_it_goes_on_after_an_interrupt(tmp_path):
@@ -160,14 +181,16 @@ def test_a_folder_of_another_instrument_is_refused(finished):
 
 
 def test_a_given_protocol_is_played_as_it_is(tmp_path):
-    given = raised_cosine([200, 150, 100, 50], cycles=2, drive=ExcitationPlan(0, 200, 400.0, 1.0).sampling())
+    given = raised_cosine(
+        [200, 150, 100, 50], cycles=2, drive=Excitations((VoltageLimits(0, 200),), 400.0, 1.0).samplings()[0]
+    )
     found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
     assert [one.name for one in found.training] == ["given-1"]
     np.testing.assert_allclose(read(tmp_path / "records" / "given-1.csv").voltage, given.voltage, atol=1e-9)
 
 
 def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
-    given = raised_cosine([150.0], drive=ExcitationPlan(0, 200, 400.0).sampling())
+    given = raised_cosine([150.0], drive=Excitations((VoltageLimits(0, 200),), 400.0).samplings()[0])
     rig = SimulatedRig(PlayActuator(), limits=(0, 100))
     with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
         calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
@@ -177,7 +200,7 @@ def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
 
 def test_it_retreats_from_what_stops_it_between_records(tmp_path):
     """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
-    rising = raised_cosine([200, 100], cycles=1, drive=ExcitationPlan(0, 200, 400.0, 1.0).sampling())
+    rising = raised_cosine([200, 100], cycles=1, drive=Excitations((VoltageLimits(0, 200),), 400.0, 1.0).samplings()[0])
     given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
     rig = SimulatedRig(PlayActuator())
 

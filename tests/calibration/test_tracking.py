@@ -9,8 +9,9 @@ from truths.warm_rig import WarmRig
 
 import dehyst
 from dehyst.calibration import TrackedPath
-from dehyst.calibration.plan import ExcitationPlan
+from dehyst.calibration.plan import Excitations
 from dehyst.calibration.tracking import PathPlanner, SeenTemperature
+from dehyst.control import VoltageLimits
 from dehyst.virtual import PlayActuator
 
 
@@ -25,13 +26,14 @@ def model():
 def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):
     """While it warms by 20 K, by an eighth of that along the path."""
     truth = AgeingActuator(PlayActuator(seed=1), AgeingCourse(gain=-7, seconds=60, kelvins=20))
-    rig, plan = WarmRig(truth), ExcitationPlan(0.0, 200.0, 400.0)
+    rig, plan = WarmRig(truth), Excitations((VoltageLimits(0.0, 200.0),), 400.0)
     rig._wait(30.0)
-    planner = PathPlanner(plan.homing(), [rig.limits], plan.leg, ends=model.reach)
+    planner = PathPlanner(plan.homing(), [rig.limits], plan.leg)
     aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []
     for one in (model, aware):
-        before = rig.play(planner.nominal(one).excitation)
-        planned = planner.compensated(one, [before])
+        homed = rig.play(planner.homing)
+        before = [homed, rig.play(planner.nominal(one, [homed]).excitation)]
+        planned = planner.compensated(one, before)
         reached = rig.play(planned.excitation)
         missed.append(TrackedPath.of(planned, reached, rig.rows(len(planned.excitation))).rms_percent)
     assert missed[0] > 1 and missed[1] < 0.25

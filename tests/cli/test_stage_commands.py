@@ -156,7 +156,7 @@ def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):
 OWN_RIG = """
 from fake_rig import FakeRig
 from dehyst.instruments import AbstractRig
-from dehyst.instruments.base import bounds_of_axes
+from dehyst.instruments.output import bounds_of_axes
 
 
 class Pair(FakeRig):

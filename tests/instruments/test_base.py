@@ -2,27 +2,24 @@
 
 import os
 import signal
-import subprocess
 import sys
-import textwrap
 import threading
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
-import places
 import pytest
 from fake_rig import FakeRig
+from hand_clock import ramps_by
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.calibration.plan import Plan, steps
 from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, host_timed
-from dehyst.instruments.base import VoltageNote
 from dehyst.instruments.interrupts import shielded
-from dehyst.instruments.samples import SensorWatch
+from dehyst.instruments.waves import SensorWatch
 from dehyst.waveforms import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
@@ -249,9 +246,7 @@ def test_a_clock_that_jumps_is_an_error_at_once(jump, act):
 @pytest.mark.parametrize("answer", [0.05, 0.2, 0.35])
 def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(monkeypatch, answer):
     rig, clock = FakeRig((0.0, 100.0)), SimpleNamespace(now=0.0)
-    clock.monotonic, clock.sleep = lambda: clock.now, None
-    for module in ("base", "output"):
-        monkeypatch.setattr(f"dehyst.instruments.{module}.time", clock)
+    ramps_by(monkeypatch, lambda: clock.now)
     put, read, sent = rig._put, rig._read, []
 
     def late(call):
@@ -344,8 +339,9 @@ def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name, error):
 
 
 @pytest.mark.parametrize("number", [2, 30, 77])
-def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_reading_fails(number):
+def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_reading_fails(monkeypatch, number):
     rig, reads = FakeRig((0.0, 100.0), slew_rate=600.0), []
+    ramps_by(monkeypatch, lambda: rig.instrument.now)
     read = rig._read
 
     def reading():
@@ -367,10 +363,8 @@ def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_r
 
 @pytest.mark.parametrize("silent", [0.0, 0.03, 5.0])
 def test_a_wave_timed_by_the_device_is_brought_back_from_where_it_is_by_now_if_its_reading_fails(monkeypatch, silent):
-    rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0, sleep=None)
-    clock.monotonic = lambda: clock.now
-    monkeypatch.setattr("dehyst.instruments.base.time", clock)
-    monkeypatch.setattr("dehyst.instruments.output.time", clock)
+    rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0)
+    ramps_by(monkeypatch, lambda: clock.now)
 
     def unplugged():
         raise OSError("unplugged")
@@ -539,7 +533,7 @@ def test_a_buffer_that_a_driver_fills_again_changes_no_record():
 
 
 def test_a_wave_of_empty_batches_ends(monkeypatch):
-    monkeypatch.setattr("dehyst.instruments.base._PATIENCE", 0.01)
+    monkeypatch.setattr("dehyst.instruments.waves._PATIENCE", 0.01)
     rig = FakeRig()
     rig._wave = lambda *_: iter(lambda: Samples(*np.zeros((3, 0))), None)
     with pytest.raises(LinkError, match="empty batches"):
@@ -743,69 +737,3 @@ def test_ctrl_c_during_a_retreat_waits_for_its_end():
     with pytest.raises(KeyboardInterrupt):
         rig.retreat()
     assert rig.instrument.voltage == 0.0
-
-
-CHILD = """
-import sys, time
-sys.path.insert(0, {tests!r})
-from fake_rig import FakeRig
-from dehyst.waveforms import Excitation
-import numpy as np
-rig = FakeRig()
-rig._wait = time.sleep
-try:
-    with rig:
-        rig.play(Excitation("up", np.linspace(0, 50, 10_000), 1000.0), lambda _: print(time.sleep(0.01), flush=True))
-finally:
-    print(rig.instrument.voltage, rig.done.count("close"), flush=True)
-"""
-
-
-@POSIX
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
-def test_a_process_told_to_end_brings_the_voltage_back(name):
-    number = getattr(signal, name)
-    script = textwrap.dedent(CHILD.format(tests=str(places.SUPPORT)))
-    process = subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    for _ in range(10):
-        assert process.stdout.readline() == "None\n"
-    process.send_signal(number)
-    out, err = process.communicate(timeout=30)
-    assert out.splitlines()[-1] == "0.0 1"
-    assert process.returncode == (-signal.SIGINT if name == "SIGINT" else 128 + number)
-    assert ("KeyboardInterrupt" in err) == (name == "SIGINT")
-
-
-@pytest.mark.parametrize(
-    ("limits", "slew"),
-    [((0.0, 1e-320), None), ((0.0, 9e-4), 1.0), ((0.0, 100.0), 1e-300), ((0.0, 100.0), 100.0 / 3601), (None, 0.033)],
-)
-def test_limits_that_vanish_and_ramps_of_more_than_an_hour_are_refused(limits, slew):
-    with pytest.raises(RigError):
-        FakeRig(limits=limits, slew_rate=slew)
-
-
-@pytest.mark.parametrize(("limits", "slew"), [((0.0, 1e-3), 1.0), ((0.0, 100.0), 100.0 / 3599)])
-def test_a_narrow_range_and_a_slow_ramp_are_allowed(limits, slew):
-    rig = FakeRig(limits=limits, slew_rate=slew)
-    assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (*limits, slew)
-
-
-@pytest.mark.parametrize("safe", [True, False])
-def test_the_note_on_an_error_knows_whether_the_voltage_is_safe(safe):
-    rig = FakeRig()
-
-    def fail():
-        raise OSError("gone")
-
-    def listen(_):
-        if not safe:
-            rig._halt = fail
-        raise ValueError("first")
-
-    with pytest.raises(ValueError, match="first") as caught:
-        rig.play(UP, listen)
-    (note,) = caught.value.__notes__
-    assert isinstance(note, VoltageNote) and note.safe is safe

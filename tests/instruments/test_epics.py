@@ -11,13 +11,13 @@ import pytest
 
 pytest.importorskip("softioc", reason="softioc is not installed: there is no EPICS server to test against")
 pytest.importorskip("aioca", reason="aioca is not installed: there is no Channel Access client")
+from hand_clock import Hand, ramps_by
 from ioc_process import IocProcess
 
 from dehyst import ClampWarning, RecordError
 from dehyst._errors import MissingExtraError
 from dehyst.instruments import DeviceError, LinkError, RigError, SensorError
-from dehyst.instruments.channel_access import ChannelAccess
-from dehyst.instruments.epics import EpicsRig, PvNames
+from dehyst.instruments.epics import ChannelAccess, EpicsRig, PvNames
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation
 
@@ -235,13 +235,17 @@ def test_without_aioca(monkeypatch):
         EpicsRig.connect("BENCH")
 
 
-def test_limits_narrower_than_told(doomed):
+def test_limits_narrower_than_told(doomed, monkeypatch):
     """Set and played: refused by the device, said with its words, and the voltage brought back."""
-    rig = EpicsRig.connect(doomed.prefix)
+    rig, clock = EpicsRig.connect(doomed.prefix), Hand()
+    ramps_by(monkeypatch, clock)
+    monkeypatch.setattr(rig, "_wait", clock.wait)
     doomed.do("instrument.axis._limits = VoltageLimits(0, 80)")
-    with pytest.raises(DeviceError, match=r"reports: VOLTAGE: got 8\d") as caught:
+    # The range of 200 V takes a second, and a step 10 ms.
+    with pytest.raises(DeviceError, match="reports: VOLTAGE: got 82") as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
+    monkeypatch.undo()
     with pytest.raises(DeviceError, match=r"reports: start: got 0 to 99.* V, need 0 to 80 V"):
         rig.play(cosine())
     assert doomed.log()["highest"] <= 80.0
@@ -260,6 +264,20 @@ def test_limits_narrower_in_the_record(ioc):
         assert rig.read().voltage == 0.0
     finally:
         link.put("VOLTAGE.DRVH", 200.0)
+
+
+STALE = """
+import emulator.epics_ioc as served; ioc = served._running[0]; refresh = ioc._refresh; ioc._refresh = lambda: None;
+threading.Timer(1.8, lambda: vars(ioc).pop("_refresh")).start()
+"""
+
+
+def test_a_reading_that_is_older_than_the_command_contradicts_nothing(doomed):
+    """Of an IOC that is so busy that it reads its amplifier two seconds later."""
+    rig = EpicsRig.connect(doomed.prefix)
+    doomed.do(" ".join(STALE.split()))
+    assert rig.set_voltage(60.0) == 60.0
+    assert rig.read().voltage == 60.0
 
 
 def test_killed_in_mid_wave(doomed):

@@ -13,8 +13,8 @@ from fake_rig import FakeRig
 from pi_on_emulator import by_pipe
 
 from dehyst.instruments import AbstractRig, DeviceError, LinkError, Reading, SensorError
-from dehyst.instruments.base import VoltageNote
 from dehyst.instruments.interrupts import Terminated
+from dehyst.instruments.output import VoltageNote
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation

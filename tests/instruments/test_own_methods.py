@@ -29,19 +29,6 @@ def test_no_attribute_of_a_rig_hides_what_limits_and_retreat_rely_on(name):
         Own()
 
 
-def test_a_rig_whose_bases_hide_the_check_of_its_class_cannot_be_constructed():
-    class Silent:
-        def __init_subclass__(cls):
-            pass
-
-    class Own(Silent, FakeRig):
-        def play(self, excitation):
-            pass
-
-    with pytest.raises(TypeError, match="replaces play "):
-        Own()
-
-
 def test_a_base_of_a_rig_may_have_what_a_driver_writes():
     class Mixin:
         def _wait(self, seconds):

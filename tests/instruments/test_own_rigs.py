@@ -23,7 +23,7 @@ def test_each_is_short(path):
 
 
 def test_a_card_whose_clock_does_not_arrive(monkeypatch):
-    monkeypatch.setattr("dehyst.instruments.base._PATIENCE", 0.0)
+    monkeypatch.setattr("dehyst.instruments.waves._PATIENCE", 0.0)
     with fake_nidaqmx.opened((-2.0, 10.0)) as (rig, card):
         card.clockless, rig._device_speed = True, 1e6
         with pytest.raises(LinkError, match="empty batches"):

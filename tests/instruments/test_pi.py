@@ -1,6 +1,7 @@
 """The PI rig on a fake controller in this process, odd ones too."""
 
 import math
+import re
 import time
 import warnings
 
@@ -194,18 +195,6 @@ def test_the_users_limits_serve_where_the_controller_tells_none():
     assert (rig.limits.low, rig.limits.high) == (0.0, 50.0)
 
 
-def test_a_slew_rate_in_open_loop_is_asked_for():
-    spa = FakeController().on_spa_asked
-    told = {
-        "HPA?": ["0x07000200=0 1 FLOAT Slew Rate closed loop", "0x07000201=0 1 FLOAT Open Loop Slew Rate V/s"],
-        "SPA?": lambda a: [f"1 {a[1]}=250.0"] if a[1] == "0x07000201" else spa(*a),
-    }
-    controller = FakeController(told=told)
-    controller.known.append("HPA?")
-    assert quick(controller).slew_rate == 250.0
-    assert quick(controller, slew_rate=100.0).slew_rate == 100.0
-
-
 def test_narrower_limits_than_told_are_an_error_of_the_device():
     controller = FakeController(limits=(-20.0, 60.0), told={"VMA?": ["1=120"]})
     rig = quick(controller)
@@ -256,6 +245,22 @@ def test_a_generator_that_goes_on_is_told():
     controller = FakeController(told={"WGO?": ["1=1"]})
     with pytest.raises(DeviceError, match="goes on; switch it off by hand"):
         quick(controller).retreat()
+
+
+@pytest.mark.parametrize("answer", [["x!y z"], None, ["0", "1"]])
+@pytest.mark.parametrize("spoilt", [("ERR?",), ("ERR?", "VOL?")])
+def test_a_retreat_needs_no_answer_but_that_the_wave_has_stopped(spoilt, answer):
+    controller = FakeController()
+    rig = quick(controller, slew_rate=1000.0)
+    rig.set_voltage(55.0)
+    controller.told = dict.fromkeys(spoilt, answer)
+    with pytest.raises(LinkError, match=re.escape("'ERR?'")) as caught:
+        rig.set_voltage(60.0)
+    (note,) = caught.value.__notes__
+    assert controller.bench.axis.voltage == 0.0
+    assert note.safe is ("VOL?" not in spoilt)
+    assert note.safe or "0 V was sent last, and no answer confirms it" in note
+    assert controller.bench.axis.log.highest <= 60.0
 
 
 def test_a_latched_error_is_said_with_its_number():

@@ -13,16 +13,16 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 995,
+    "calibration": 1189,
     "cli": 680,
     "control": 4349,
     "exports": 1288,
     "fleet": 312,
     "foundation": 1417,
     "identification": 6139,
-    "instruments": 2859,
+    "instruments": 2802,
     "model": 3656,
-    "operations": 4216,
+    "operations": 4029,
     "paper": 1168,
     "records": 5239,
     "report": 1496,
@@ -34,11 +34,11 @@ ROOMS = {
     "workbench": 2453,
 }
 HOUSE = {
-    "lines of Python": 41381,
+    "lines of Python": 41331,
     "files of Python": 198,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 3047,
-    "lines of tests": 40030,
+    "lines of tests": 39956,
     "lines of benchmarks": 5306,
     "words of docs": 27801,
     "public names": 118,

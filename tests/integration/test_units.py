@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.instruments import Samples
-from dehyst.instruments.samples import admitted
+from dehyst.instruments.waves import admitted
 from dehyst.model import evaluator_of
 from dehyst.waveforms import standard
 

@@ -25,8 +25,9 @@ from dehyst.waveforms import Excitation
 
 # The model, next to the folder of records: of one axis, and of several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
-# Temperature [K], and displacement and stroke as a share of the stroke, from whose change on it is remarked.
-_WARMS, _DRIFTS = 0.5, 2e-3
+# Temperature [K], and displacement and stroke as a share of the stroke, from whose change on it is remarked, if the
+# change exceeds so many of its standard errors.
+_WARMS, _DRIFTS, _SURE = 0.5, 2e-3, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +136,9 @@ def calibrate(
 def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> Calibration:
     """Record and identify, then play a path with a constant ratio and with the model."""
     excitations, several = plan.excitations(rig), len(rig.axes) > 1
-    given = [(f"given-{i}", excitation) for i, excitation in enumerate(plan.protocol, 1)]
-    own = [("axes" if several else "recommended", excitations.recommended())]
-    training = [session.record(excitation, name) for name, excitation in given or own]
+    training = [session.record(excitation, name) for name, _, excitation in plan.training(excitations)]
     fit, insight_ = _identified(rig, training, listener)
-    planner = PathPlanner(excitations.homing(), [one.limits for one in rig.rigs], excitations.leg)
+    planner = PathPlanner(excitations.homing(), excitations.limits, excitations.leg)
 
     def play(planned: PlannedRun, *, again: bool = False) -> Record:
         return session.record(
@@ -149,7 +148,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
     linear = planner.nominal(fit.model, session.sequence)
     before = play(linear)
     modelled = planner.compensated(fit.model, session.sequence)
-    if "nominal" in session.kept and not session.is_whole(modelled.excitation, "compensated"):
+    if "nominal" in session.kept and session.stored("compensated", modelled.excitation) is None:
         # Only a record just before shows what crept meanwhile.
         session.sequence.pop()
         before = play(linear, again=True)
@@ -209,13 +208,15 @@ def _unsteady(
     for k, axis in enumerate(records[-1].axes or ("",)):
         first, second = (record.axis(k).displacement[last] for record in records[-2:])
         stroke, of = float(np.ptp(first)), f" of axis {axis}" if axis else ""
-        gain = float(np.ptp(second)) / stroke - 1
-        moved = float(second.mean() - first.mean()) / stroke
-        if abs(moved) > _DRIFTS:
-            yield f"The displacement{of} drifted by {100 * moved:+.2g} % of the stroke from one path to the next."
-        if abs(gain) > _DRIFTS:
-            yield f"The stroke{of} changed by {100 * gain:+.2g} % from one path to the next: does the rig warm?"
-        changes = checked[k].changes if checked else ()
-        slow = next((change.value for change in changes if change.name == "gain"), 0.0)
-        if abs(slow) > _DRIFTS:
-            yield f"The stroke{of} changed by {100 * slow:+.2g} % since the first records: does the rig warm slowly?"
+        (gain, moved), covariance = np.polyfit(first - first.mean(), second - first.mean(), 1, cov=True)
+        scatter, spread = np.sqrt(covariance.diagonal())
+        if abs(moved) > max(_DRIFTS * stroke, _SURE * spread):
+            part = 100 * moved / stroke
+            yield f"The displacement{of} drifted by {part:+.2g} % of the stroke from one path to the next."
+        if abs(gain - 1) > max(_DRIFTS, _SURE * scatter):
+            part = 100 * (gain - 1)
+            yield f"The stroke{of} changed by {part:+.2g} % from one path to the next: does the rig warm?"
+        slow = [one for one in (checked[k].changes if checked else ()) if one.name == "gain"]
+        if any(abs(one.value) > max(_DRIFTS, _SURE * one.error) for one in slow):
+            part = 100 * slow[0].value
+            yield f"The stroke{of} changed by {part:+.2g} % since the first records: does the rig warm slowly?"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from dehyst._errors import FileFormatError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.calibration.tracking import PathPlanner
+from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, played_rate
 from dehyst.records import read_table
 from dehyst.waveforms import (
@@ -31,87 +31,60 @@ _UNEVEN = 1e-3
 
 
 @dataclass(frozen=True)
-class ExcitationPlan:
-    """The excitations of a calibration of one axis, from `low` to `high` [V], at a `sample_rate` [Hz] of the rig.
+class Excitations:
+    """The excitations of a calibration of one axis or several, with one column for each of several `axes`.
 
-    A leg takes half a cycle of the `frequency` [Hz], or longer if the `slew_rate` [V/s] requires it; the path and the
-    homing before it are `faster`. Raise `RecordError` if a number is impossible, or there are fewer than 8 samples per
-    cycle.
+    `limits`: voltages and slew rate of each axis. A leg takes half a cycle of the `frequency` [Hz], or longer if a slew
+    rate requires it; the path and the homing before it are `faster`. Raise `RecordError` if a number is impossible, or
+    there are fewer than 8 samples per cycle.
     """
 
-    low: float
-    high: float
+    limits: tuple[VoltageLimits, ...]
     sample_rate: float
     frequency: float = 0.1
-    slew_rate: float | None = None
     faster: float = 5.0
+    axes: tuple[str, ...] = ("1",)
 
     def __post_init__(self) -> None:
-        self.sampling()
+        self.samplings()
 
-    def sampling(self, faster: float = 1.0) -> Sampling:
-        """Return the sampling of the voltages, `faster` times faster."""
-        return Sampling(
-            frequency=faster * self.frequency,
-            sample_rate=self.sample_rate,
-            base=self.low,
-            limits=(self.low, self.high),
-            slew_rate=self.slew_rate,
-        )
+    def samplings(self, faster: float = 1.0) -> list[Sampling]:
+        """Return the sampling of the voltages of each axis, `faster` times faster."""
+        return [
+            Sampling(
+                frequency=faster * self.frequency,
+                sample_rate=self.sample_rate,
+                base=one.low,
+                limits=(one.low, one.high),
+                slew_rate=one.slew_rate,
+            )
+            for one in self.limits
+        ]
 
-    def recommended(self) -> Excitation:
-        """Play the recommended excitation."""
-        return recommended(self.high, drive=self.sampling())
-
-    @property
-    def leg(self) -> int:
-        """Samples between two turns of a path: half a faster cycle, or more to use at most half of the slew rate."""
-        samples = 0.5 * self.sample_rate / (self.faster * self.frequency)
-        if self.slew_rate is not None:
-            samples = max(samples, np.pi * (self.high - self.low) * self.sample_rate / self.slew_rate)
-        return int(np.ceil(samples))
-
-    def homing(self) -> Excitation:
-        """Play two major cycles: after them the state is known."""
-        return raised_cosine([self.high], cycles=2, drive=self.sampling(self.faster))
-
-
-@dataclass(frozen=True)
-class AxesExcitations:
-    """The excitations of a calibration of several axes, with one column for each axis.
-
-    `axes`: names. `each`: speed and voltages of each axis. `steps`: number of descending tops of each axis alone.
-    `cycles`: cycles of the first axis when all move together.
-    """
-
-    axes: tuple[str, ...]
-    each: tuple[ExcitationPlan, ...]
-    steps: int
-    cycles: int
-
-    def recommended(self) -> Excitation:
-        """Play the axes one after the other, then together."""
-        played = stage_excitation(
-            [one.high for one in self.each],
-            drive=[one.sampling() for one in self.each],
-            steps=self.steps,
-            cycles=self.cycles,
-            axes=self.axes,
-        )
+    def recommended(self, steps: int = 16, cycles: int = 24) -> Excitation:
+        """Return the recommended excitation; of several axes one after the other, then together: see `Plan`."""
+        tops, drives = [one.high for one in self.limits], self.samplings()
+        if len(tops) == 1:
+            return recommended(tops[0], drive=drives[0])
+        played = stage_excitation(tops, drive=drives, steps=steps, cycles=cycles, axes=self.axes)
         return Excitation("axes", played.voltage, played.sample_rate)
 
-    def homing(self) -> Excitation:
-        """Play two major cycles of all axes at once."""
-        cycles = [one.homing().voltage for one in self.each]
-        longest = max(map(len, cycles))
-        # Axes that are faster wait at their lowest voltage first.
-        columns = [np.concatenate([np.full(longest - len(one), one[0]), one]) for one in cycles]
-        return Excitation("homing", np.column_stack(columns), self.each[0].sample_rate)
-
     @property
     def leg(self) -> int:
-        """Samples between two turns of a path of the first axis: half a cycle, or more if slew rates require it."""
-        return max(one.leg for one in self.each)
+        """Samples between two turns of a path: half a faster cycle, or more to use at most half of each slew rate."""
+        seconds = [np.pi * (one.high - one.low) / (one.slew_rate or np.inf) for one in self.limits]
+        return int(np.ceil(self.sample_rate * max(0.5 / (self.faster * self.frequency), *seconds)))
+
+    def homing(self) -> Excitation:
+        """Return two major cycles of all axes at once: after them the state is known."""
+        drives = zip(self.limits, self.samplings(self.faster), strict=True)
+        cycles = [raised_cosine([one.high], cycles=2, drive=drive) for one, drive in drives]
+        if len(cycles) == 1:
+            return cycles[0]
+        longest = max(map(len, cycles))
+        # Axes that are faster wait at their lowest voltage first.
+        columns = [np.append(np.full(longest - len(one), one.voltage[0]), one.voltage) for one in cycles]
+        return Excitation("homing", np.column_stack(columns), self.sample_rate)
 
 
 @dataclass(frozen=True)
@@ -147,27 +120,24 @@ class Plan:
         positive(1.0 if self.frequency is None else self.frequency, "frequency")
         positive(self.goal, "goal")
 
-    def excitations(self, rig: AbstractRig) -> ExcitationPlan | AxesExcitations:
+    def excitations(self, rig: AbstractRig) -> Excitations:
         """Return the excitations of this plan on a `rig`; raise RecordError if it has several axes and a protocol."""
         usual, samples, faster = _ALONE if len(rig.axes) == 1 else _TOGETHER
         frequency = self.frequency or usual
-        each = tuple(
-            ExcitationPlan(
-                one.limits.low,
-                one.limits.high,
-                played_rate(one, samples * frequency),
-                frequency,
-                one.slew_rate,
-                faster,
-            )
-            for one in rig.rigs
-        )
-        if len(each) == 1:
-            return each[0]
-        if self.protocol:
+        if self.protocol and len(rig.axes) > 1:
             hint = "leave it out, or calibrate one axis at a time"
             raise RecordError("a protocol is of one axis", argument="protocol", hint=hint)
-        return AxesExcitations(rig.axes, each, self.steps, self.cycles)
+        limits = tuple(one.limits for one in rig.rigs)
+        return Excitations(limits, played_rate(rig.rigs[0], samples * frequency), frequency, faster, rig.axes)
+
+    def training(self, excitations: Excitations) -> list[tuple[str, str, Excitation]]:
+        """Return name, description and excitation of each record for the identification."""
+        if self.protocol:
+            return [(f"given-{i}", f"{one.name}, as given", one) for i, one in enumerate(self.protocol, 1)]
+        whole = excitations.recommended(self.steps, self.cycles)
+        if len(excitations.axes) > 1:
+            return [("axes", "each axis alone, then all together", whole)]
+        return [("recommended", "the recommended excitation: loops, random turns, speeds, holds", whole)]
 
 
 class PlannedStep(NamedTuple):
@@ -181,25 +151,16 @@ class PlannedStep(NamedTuple):
 
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     """Return the steps that a calibration would play; raise `RecordError` if they exceed the rig's limits."""
-    planned = tuple(_steps(rig, plan))
+    excitations = plan.excitations(rig)
+    planned = [PlannedStep(*step) for step in plan.training(excitations)]
+    homing = excitations.homing()
+    path = PathPlanner(homing, excitations.limits, excitations.leg).samples
+    for name, words in (("nominal", "by a constant ratio"), ("compensated", "by the model")):
+        what = f"homing, then a path of nine reversals {words}; its voltages follow"
+        planned.append(PlannedStep(name, what, homing, path))
     for step in planned:
         rig.check(step.excitation)
-    return planned
-
-
-def _steps(rig: AbstractRig, plan: Plan) -> Iterator[PlannedStep]:
-    excitations = plan.excitations(rig)
-    for i, given in enumerate(plan.protocol, 1):
-        yield PlannedStep(f"given-{i}", f"{given.name}, as given", given)
-    if isinstance(excitations, AxesExcitations):
-        yield PlannedStep("axes", "each axis alone, then all together", excitations.recommended())
-    elif not plan.protocol:
-        words = "the recommended excitation: loops, random turns, speeds, holds"
-        yield PlannedStep("recommended", words, excitations.recommended())
-    homing = excitations.homing()
-    path = PathPlanner(homing, [axis.limits for axis in rig.rigs], excitations.leg).samples
-    for name, words in (("nominal", "by a constant ratio"), ("compensated", "by the model")):
-        yield PlannedStep(name, f"homing, then a path of nine reversals {words}; its voltages follow", homing, path)
+    return tuple(planned)
 
 
 def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:

@@ -1,9 +1,10 @@
-"""A session: a folder of records that loses no sample, and does not repeat records that are whole."""
+"""A player of excitations, and a session: a folder of records that loses no sample and repeats none that is whole."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -17,12 +18,16 @@ from dehyst._io import PathLike, lock, made_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.instruments import AbstractRig, Samples
+from dehyst.instruments.waves import StepFunction
 from dehyst.records import Record, Recording, about_of, demand_disk_space, read, unused_path
 from dehyst.waveforms import Excitation
 
+# Column of the wanted displacement in a record.
+WANTED = "wanted_um"
+
 
 class ProgressListener:
-    """A receiver of the progress of a calibration; this one ignores it."""
+    """A receiver of the progress on a rig; this one ignores it."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
         """Receive the beginning of step `name`, which plays for `seconds` [s]; 0 for a step that computes."""
@@ -32,6 +37,78 @@ class ProgressListener:
 
     def message(self, text: str) -> None:
         """Receive a `text` on the present activity of the step."""
+
+
+class Player:
+    """Plays excitations on a `rig`; samples are in the files `paths`, one an axis, before the `listener` has them.
+
+    `about`: written above the samples, beside the name of the axis. `states_wanted`: whether the files have a column of
+    the wanted displacement. Use it in a with-statement; a file without a sample is removed at its end. Raise
+    `FileFormatError` if a file exists or cannot be written.
+    """
+
+    def __init__(
+        self,
+        rig: AbstractRig,
+        paths: Sequence[Path],
+        about: Mapping[str, Any],
+        listener: ProgressListener,
+        *,
+        states_wanted: bool = False,
+    ) -> None:
+        self._rig, self._listener, self._states_wanted = rig, listener, states_wanted
+        others = (*rig.others, WANTED) if states_wanted else rig.others
+        self.files: list[Recording] = []
+        with ExitStack() as stack:
+            for path, axis in zip(paths, rig.axes, strict=True):
+                file = Recording(path, about={"axis": axis, **about}, others=others)
+                self.files.append(stack.enter_context(file))
+            self._opened = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+        for file in self.files:
+            if not file.samples:
+                file.path.unlink(missing_ok=True)
+
+    def play(
+        self,
+        excitation: Excitation,
+        wanted: Array | None = None,
+        strokes: Any = 1.0,
+        *,
+        begin: int = 0,
+        step: StepFunction | None = None,
+    ) -> Record:
+        """Play an `excitation` and return its record; raise as `AbstractRig.play`, or `FileFormatError` on a full disk.
+
+        `wanted`: displacements [m] at each voltage, (n,) or (n, axes). From the sample `begin` on, the listener has
+        those of the axis that is farthest off, relative to the `strokes` [m] of each axis. `step` as of the rig.
+        """
+        rows, count = self._rig.rows(len(excitation)), 0
+        columns = None if wanted is None else wanted.reshape(len(excitation), -1)
+        each = np.broadcast_to(np.asarray(strokes, dtype=np.float64), (len(self.files),))
+
+        def listen(samples: Samples) -> None:
+            nonlocal count
+            at = rows[count : count + samples.time.size]
+            count += samples.time.size
+            own = [samples.axis(j) for j in range(len(self.files))]
+            for j, (file, one) in enumerate(zip(self.files, own, strict=True)):
+                more = {} if columns is None or not self._states_wanted else {WANTED: 1e6 * columns[at, j]}
+                file.add(one._replace(others={**one.others, **more}))
+            if columns is None:
+                self._listener.samples(own[0])
+                return
+            expected = np.where(at[:, None] < begin, np.nan, columns[at])
+            error = np.abs(np.column_stack([one.displacement for one in own]) - expected) / each
+            worst = int(np.nan_to_num(error).max(axis=0).argmax())
+            self._listener.samples(own[worst], expected[:, worst], float(each[worst]))
+
+        return self._rig.play(excitation, listen, step=step)
 
 
 class Session:
@@ -53,8 +130,7 @@ class Session:
         self.kept: list[str] = []
         self.aside: list[Path] = []
         self.sequence: list[Record] = []
-        # Windows opens no folders; there nothing is locked.
-        self._lock = -1 if os.name == "nt" else os.open(self.records, os.O_RDONLY)
+        self._lock = -1 if os.name == "nt" else os.open(self.records, os.O_RDONLY)  # Windows opens no folders
         try:
             self._demand_own()
         except BaseException:
@@ -74,7 +150,7 @@ class Session:
         self._lock = -1
 
     def record(
-        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = None, again: bool = False
+        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = 1.0, again: bool = False
     ) -> Record:
         """Play an excitation and write its record, unless the record is on disk already and `again` is false.
 
@@ -83,7 +159,7 @@ class Session:
         For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN if there is none, and the
         `stroke` [m] of each axis, the reference of the error.
         """
-        record = None if again else self._stored(name, excitation)
+        record = None if again else self.stored(name, excitation)
         if record is not None:
             self.kept.append(name)
         else:
@@ -98,10 +174,6 @@ class Session:
             self.played.append(name)
         self.sequence.append(record)
         return record
-
-    def is_whole(self, excitation: Excitation, name: str) -> bool:
-        """Return whether the whole record of an excitation is on disk."""
-        return self._stored(name, excitation) is not None
 
     def _demand_own(self) -> None:
         """Lock the folder, and refuse records of another instrument."""
@@ -140,39 +212,9 @@ class Session:
             "program": __version__,
             "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
         }
-        rows = self.rig.rows(len(excitation))
-        files = [
-            Recording(path, about={"axis": axis, **about}, others=self.rig.others)
-            for path, axis in zip(self._paths(name), self.rig.axes, strict=True)
-        ]
-        try:
-            with ExitStack() as stack:
-                for file in files:
-                    stack.enter_context(file)
-
-                def listen(samples: Samples) -> None:
-                    indices = rows[files[0].samples : files[0].samples + samples.time.size]
-                    for j, file in enumerate(files):
-                        file.add(samples.axis(j))
-                    self._report(samples, None if wanted is None else wanted[indices], stroke)
-
-                self.rig.play(excitation, listen)
-        except BaseException:
-            for file in files:
-                if not file.samples:
-                    file.path.unlink(missing_ok=True)
-            raise
+        with Player(self.rig, self._paths(name), about, self._listener) as player:
+            player.play(excitation, wanted, stroke)
         return self._read(name)
-
-    def _report(self, samples: Samples, wanted: Array | None, stroke: Any) -> None:
-        """Pass samples to the listener: with several axes, the samples of the axis with the largest error."""
-        if wanted is None or len(self.rig.axes) == 1:
-            self._listener.samples(samples.axis(0), wanted, stroke)
-            return
-        # Nothing is wanted during a homing.
-        error = np.nan_to_num(np.abs(samples.displacement - wanted)) / stroke
-        worst = int(error.max(axis=0).argmax())
-        self._listener.samples(samples.axis(worst), wanted[:, worst], float(stroke[worst]))
 
     def _read(self, name: str) -> Record:
         """Return a record from its files, with what its recording states."""
@@ -185,7 +227,7 @@ class Session:
         )
         return replace(first, voltage=voltage, displacement=displacement, axes=self.rig.axes)
 
-    def _stored(self, name: str, excitation: Excitation) -> Record | None:
+    def stored(self, name: str, excitation: Excitation) -> Record | None:
         """Return the record on disk if it is whole, and of this excitation and instrument."""
         try:
             record = self._read(name)

@@ -67,22 +67,18 @@ class PlannedRun:
     warnings: tuple[str, ...] = ()
 
 
-class _Place(NamedTuple):
-    """Place of a path, as sensor readings [m] of each axis (axes,).
+class _Homed(NamedTuple):
+    """What is known after the next homing, as sensor readings [m] of each axis (axes,).
 
-    `low`: reading with all axes at their lowest voltage. `stroke`: stroke of the major loop. `origin`, `reach`: the
-    path covers `origin` plus 0 to 1 times `reach`.
+    `low`: with all axes at their lowest voltage. `stroke`: of the major loop. `wanted`: way to the path, and path
+    (n, axes). `states` of the actuators, and zeros of the sensors, `datum`.
     """
 
     low: Array
     stroke: Array
-    origin: Array
-    reach: Array
-
-    @classmethod
-    def between(cls, low: float, high: float) -> _Place:
-        """Return the place of a path of one axis between two sensor readings [m]."""
-        return cls(*(np.array([value]) for value in (low, high - low, low, high - low)))
+    wanted: Array
+    states: tuple[State, ...]
+    datum: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +87,7 @@ class PathPlanner:
 
     `homing`: two major cycles, from and to the lowest voltage: after them the state is known; it also sets the sample
     rate. `limits`: allowed voltages and slew rate of each axis. `leg`: samples between turning points of the first
-    axis; several axes have periods that do not repeat together. `ends`: measured displacement [m] of a single axis at
-    the lowest and highest voltage of the homing, at the reference temperature of its model; for several axes they
-    follow from the model.
+    axis; several axes have periods that do not repeat together.
 
     Models that depend on temperature move in that of the last record, which goes on as it drifted.
     """
@@ -101,28 +95,21 @@ class PathPlanner:
     homing: Excitation
     limits: Sequence[VoltageLimits]
     leg: int = 200
-    ends: tuple[float, float] | None = None
 
     @property
     def samples(self) -> int:
         """Samples of a path with the way to it, after the homing."""
         return self.leg + (len(TURNS) - 1) * max(self._legs)
 
-    def nominal(self, model: Actuator | Stage | None = None, before: Sequence[Record] = ()) -> PlannedRun:
+    def nominal(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a constant ratio of voltage to displacement, without coupling.
 
-        With several axes, the `model` determines the place of the path after all records so far, `before`.
+        The `model` determines the place of the path after all records so far, `before`.
         """
-        seen = _seen(model, before)
-        if self.ends is not None or model is None:
-            place = self._between_ends(model, seen)
-            start = place.low
-        else:
-            place, start, *_ = self._homed(model, before, seen)
+        homed = self._homed(model, before, _seen(model, before))
         bottom, top = (np.array([getattr(one, key) for one in self.limits]) for key in ("low", "high"))
-        wanted = self._wanted(place, start)
-        voltage = bottom + (wanted - place.low) * (top - bottom) / place.stroke
-        return self._run("nominal", wanted, np.clip(voltage, bottom, top), place)
+        voltage = bottom + (homed.wanted - homed.low) * (top - bottom) / homed.stroke
+        return self._run("nominal", homed, np.clip(voltage, bottom, top))
 
     def compensated(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a `model`; its state follows from all earlier records, its zero from the last.
@@ -131,11 +118,11 @@ class PathPlanner:
         before the records and for the drift of the sensor.
         """
         seen = _seen(model, before)
-        place, start, states, datum = self._homed(model, before, seen)
-        wanted = self._wanted(place, start)
+        homed = self._homed(model, before, seen)
+        wanted = homed.wanted
         time = np.arange(len(wanted)) / self.homing.sample_rate
         actuators = model.actuators if isinstance(model, Stage) else (model,)
-        zeros = zip(actuators, wanted.T, datum.tolist(), strict=True)
+        zeros = zip(actuators, wanted.T, homed.datum.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + one.delay, time, column) - zero for one, column, zero in zeros])
         # The path stays where it is while the temperature drifts.
         warmth = None if seen is None else seen.after(self.homing.duration + time)
@@ -145,23 +132,18 @@ class PathPlanner:
             "limits": bounds if several else bounds[0],
             "slew_rate": rates if several else rates[0],
         }
-        given |= {"start": states, "present": self.homing.voltage[-1], "home": False, "on_time": False}
+        given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False, "on_time": False}
         plan = plan_path(model, ahead if several else ahead[:, 0], time=time, temperature=warmth, **given)
         voltage = plan.voltage[plan.first :].reshape(wanted.shape)
-        return self._run("compensated", wanted, voltage, place, plan.warnings)
+        return self._run("compensated", homed, voltage, plan.warnings)
 
     @property
     def _legs(self) -> list[int]:
         """Samples between two turning points of each axis."""
         return [round(self.leg * RATIO**j) for j in range(len(self.limits))]
 
-    def _homed(
-        self, model: Actuator | Stage, before: Sequence[Record], seen: SeenTemperature | None
-    ) -> tuple[_Place, Array, tuple[State, ...], Array]:
-        """Return the place of the path, and the readings [m], states and sensor zeros [m] after the next homing.
-
-        All are at the temperature that was `seen` last. The zeros come from the last record.
-        """
+    def _homed(self, model: Actuator | Stage, before: Sequence[Record], seen: SeenTemperature | None) -> _Homed:
+        """Return what the records `before` tell of the next homing, at the temperature that was `seen` last."""
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
@@ -174,8 +156,6 @@ class PathPlanner:
         options["temperature"] = None if seen is None else seen.after(homing.time)
         homed = stage.simulate(rows, time=homing.time, states=played.state, **options)
         start = homed.displacement[-1] + datum
-        if self.ends is not None:
-            return self._between_ends(model, seen), start, homed.state, datum
         # Each actuator alone at the ends of its major loop.
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
@@ -184,18 +164,11 @@ class PathPlanner:
         share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
         middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + datum
         low = apply(stage.coupling, bottom[None])[0] + datum
-        place = _Place(low, stroke, middle - 0.5 * share * stroke, share * stroke)
-        return place, start, homed.state, datum
+        wanted = self._wanted(middle - 0.5 * share * stroke, share * stroke, start)
+        return _Homed(low, stroke, wanted, homed.state, datum)
 
-    def _between_ends(self, model: Actuator | Stage | None, seen: SeenTemperature | None) -> _Place:
-        """Return the place of the path of a single axis at the temperature that was `seen` last."""
-        ends = np.array(self.ends or (0.0, 1.0))
-        if isinstance(model, Actuator) and model.thermal is not None and seen is not None:
-            ends = model.thermal.warmed(ends, seen.last)
-        return _Place.between(*ends.tolist())
-
-    def _wanted(self, place: _Place, start: Array) -> Array:
-        """Return the way from the end of the homing to the path, and the path (n, axes) [m]."""
+    def _wanted(self, origin: Array, reach: Array, start: Array) -> Array:
+        """Return the way from the `start` [m] after the homing to the path (n, axes) [m], and the path."""
         legs = self._legs
         # As many samples as the slowest axis needs for all its turning points.
         count = (len(TURNS) - 1) * max(legs) + 1
@@ -204,27 +177,23 @@ class PathPlanner:
             later = islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // leg + 2)
             turns = TURNS if len(legs) == 1 else tuple(later)
             paths.append(wanted_path(1.0, turns, leg=leg)[:count])
-        path = place.origin + place.reach * np.column_stack(paths)
+        path = origin + reach * np.column_stack(paths)
         way = [wanted_path(1.0, ends, leg=self.leg) for ends in zip(start.tolist(), path[0].tolist(), strict=True)]
         return np.vstack([np.column_stack(way)[1:], path[1:]])
 
-    def _run(
-        self, name: str, wanted: Array, voltage: Array, place: _Place, warnings: tuple[str, ...] = ()
-    ) -> PlannedRun:
-        home, one = self.homing, self.homing.voltage.ndim == 1
-        stroke = float(place.stroke[0]) if one else place.stroke
-        shape = (-1,) if one else (-1, len(self.limits))
+    def _run(self, name: str, homed: _Homed, voltage: Array, warnings: tuple[str, ...] = ()) -> PlannedRun:
+        home, several = self.homing, self.homing.voltage.ndim > 1
+        shape = (-1, len(self.limits)) if several else (-1,)
         excitation = Excitation(name, np.concatenate([home.voltage, voltage.reshape(shape)]), home.sample_rate)
-        shown = np.concatenate([np.full(home.voltage.shape, np.nan), wanted.reshape(shape)])
+        shown = np.concatenate([np.full(home.voltage.shape, np.nan), homed.wanted.reshape(shape)])
+        stroke = homed.stroke if several else float(homed.stroke[0])
         return PlannedRun(shown, len(home) + self.leg - 1, excitation, stroke, warnings)
 
 
-def _seen(model: Actuator | Stage | None, records: Sequence[Record]) -> SeenTemperature | None:
+def _seen(model: Actuator | Stage, records: Sequence[Record]) -> SeenTemperature | None:
     """Return the temperature after the records; None if it does not move the model or was not measured."""
     actuators = model.actuators if isinstance(model, Stage) else (model,)
-    if any(one is not None and one.thermal is not None for one in actuators) and records:
-        return SeenTemperature.of(records[-1])
-    return None
+    return SeenTemperature.of(records[-1]) if any(one.thermal is not None for one in actuators) else None
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:
@@ -282,6 +251,15 @@ class TrackedPath:
         """RMS error [% of the stroke]; for several axes a tuple with one for each."""
         found = tuple(percent(rms(one.error), one.stroke) for one in self.each)
         return found if self.axes else found[0]
+
+    @property
+    def words(self) -> str:
+        """The errors of each axis as text, in % of its stroke."""
+        named = zip(self.axes or ("",), self.each, strict=True)
+        errors = (
+            (axis, f"largest error {one.largest_percent:.3f} %, RMS {one.rms_percent:.3f} %") for axis, one in named
+        )
+        return "; ".join(f"{axis}: {error}" if axis else error for axis, error in errors)
 
     @property
     def each(self) -> tuple[TrackedPath, ...]:

@@ -2,8 +2,8 @@
 
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig
-from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, host_timed, played_rate
-from dehyst.instruments.samples import Reading, Samples
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, host_timed, played_rate
 
 __all__ = [
     "HIGHEST_RATE",

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
 from dehyst._errors import DehystError, RigError, Terminated
-from dehyst.instruments.base import AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.output import AxisLimits, AxisSlewRates, bounds_of_axes
 
 _Options: TypeAlias = dict[str, Any]
 
@@ -41,31 +42,31 @@ def open_rig(
     """
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
     word, separator, rest = address.partition("://")
-    scheme = SCHEMES.get(word.lower()) if separator else None
-    if axes is not None and separator and (scheme is None or not scheme.several):
-        raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'].form}")
-    if scheme is not None:
-        given = {**options, "axes": axes} if scheme.several else dict(options)
-        return _checked(scheme.open(rest, given), options)
-    forms = f"{', '.join(one.form for one in SCHEMES.values())} or path/to/my_rig.py:make"
+    forms = f"{', '.join(form for form, _ in SCHEMES.values())} or path/to/my_rig.py:make"
     if separator:
-        raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {forms}")
+        if word.lower() not in SCHEMES:
+            raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {forms}")
+        if word.lower() == "pi":
+            options["axes"] = axes
+        elif axes is not None:
+            raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'][0]}")
+        _, opened = SCHEMES[word.lower()]
+        return _checked(opened(rest, options), limits, slew_rate)
     path, separator, name = address.rpartition(":")
     if not (separator and path.endswith(".py") and name.isidentifier()):
         raise RigError(f"{address!r}: is not the address of a rig; need {forms}")
-    rig = _checked(_custom(Path(path), name, options), options)
+    rig = _checked(_custom(Path(path), name, options), limits, slew_rate)
     if axes is not None and tuple(axes) != rig.axes:
         rig.close()
         raise RigError(f"{address}: has the axes {', '.join(rig.axes)}, but {', '.join(axes)} were requested")
     return rig
 
 
-def _checked(rig: AbstractRig, options: _Options) -> AbstractRig:
+def _checked(rig: AbstractRig, limits: AxisLimits, slew_rate: AxisSlewRates) -> AbstractRig:
     """Return the rig if the limits of its axes lie within the requested ones; raises RigError."""
     if getattr(rig, "axes", None) is None:
         raise RigError(f"{type(rig).__name__}: its __init__ does not call super().__init__(name, limits, ...)")
-    wanted = bounds_of_axes(options["limits"], options["slew_rate"], len(rig.axes))
-    for one, (bounds, rate) in zip(rig.rigs, wanted, strict=True):
+    for one, (bounds, rate) in zip(rig.rigs, bounds_of_axes(limits, slew_rate, len(rig.axes)), strict=True):
         low, high = bounds or (one.limits.low, one.limits.high)
         steepest = rate or one.slew_rate
         if low <= one.limits.low and one.limits.high <= high and one.slew_rate <= steepest:
@@ -113,32 +114,27 @@ def _sim(name: str, options: _Options) -> AbstractRig:
     return SimulatedRig(PlayActuator(), **options)
 
 
-class Scheme(NamedTuple):
-    """A kind of address.
-
-    `form`: how it is written, for messages. `open`: function of the rest after ``://`` and of a dictionary of options,
-    `limits` and `slew_rate` as of `open_rig`; it returns an `AbstractRig`, to which it passes them on. If the rig may
-    have `several` axes, the options have `axes` too.
-    """
-
-    form: str
-    open: Callable[[str, _Options], AbstractRig]
-    several: bool = False
-
-
-SCHEMES = {
-    "pi": Scheme("pi://host:port[/axis or /1,2,3]", _pi, several=True),
-    "epics": Scheme("epics://PREFIX", _epics),
-    "sim": Scheme("sim://", _sim),
+# How each kind of address is written, and the function of the rest after ``://`` and of the options that opens it.
+SCHEMES: dict[str, tuple[str, Callable[[str, _Options], AbstractRig]]] = {
+    "pi": ("pi://host:port[/axis or /1,2,3]", _pi),
+    "epics": ("epics://PREFIX", _epics),
+    "sim": ("sim://", _sim),
 }
 
 
 def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
     """Run a user's file, and call its function `name`."""
-    make = getattr(_module(path), name, None)
-    if not callable(make):
-        raise RigError(f"{path}: has no function {name!r}; need one that takes limits and slew_rate and returns a rig")
+    if not path.is_file():
+        raise RigError(f"{path}: the file does not exist; need one with a function that makes a rig")
+    # As Python does for a script: modules in the same folder can be imported.
+    if (folder := str(path.resolve().parent)) not in sys.path:
+        sys.path.insert(0, folder)
     try:
+        make = runpy.run_path(str(path), run_name=path.stem).get(name)
+        if not callable(make):
+            raise RigError(
+                f"{path}: has no function {name!r}; need one that takes limits and slew_rate and returns a rig"
+            )
         rig = make(**options)
     except (DehystError, Terminated):
         raise
@@ -149,23 +145,3 @@ def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
     if not isinstance(rig, AbstractRig):
         raise RigError(f"{path}:{name}: returned a {type(rig).__name__}, need an AbstractRig (see dehyst.instruments)")
     return rig
-
-
-def _module(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise RigError(f"{path}: the file does not exist; need one with a function that makes a rig")
-    module = ModuleType(path.stem)
-    module.__file__ = str(path)
-    # Dataclasses and pickle look up the module there; a module of the same name is not replaced.
-    sys.modules.setdefault(path.stem, module)
-    # As Python does for a script: modules in the same folder can be imported.
-    if (folder := str(path.resolve().parent)) not in sys.path:
-        sys.path.insert(0, folder)
-    try:
-        # Without a bytecode cache: an edit takes effect at the next attempt.
-        exec(compile(path.read_bytes(), path, "exec"), module.__dict__)
-    except Terminated:
-        raise
-    except (Exception, SystemExit) as error:  # code of others may raise anything
-        raise RigError(f"{path}: {type(error).__name__}: {error}") from error
-    return module

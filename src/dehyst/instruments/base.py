@@ -6,82 +6,38 @@ import math
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
-from functools import partial
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from types import TracebackType
-from typing import Any, Self, TypeAlias, TypeVar, final
+from typing import Any, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError, SensorError
 from dehyst._types import Array
-from dehyst._validation import for_each, interval, number
+from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.instruments.interrupts import by_signal, shielded
-from dehyst.instruments.output import Output, ReadbackError
-from dehyst.instruments.samples import (
+from dehyst.instruments.output import Output, ReadbackError, VoltageNote, common_limits
+from dehyst.instruments.waves import (
     Listener,
-    PaceWatch,
     Reading,
     Samples,
-    SensorWatch,
+    StepFunction,
+    arriving,
     columns_of,
     driver_errors,
-    inspected,
+    pieces,
+    played_rate,
 )
 from dehyst.records import Record
 from dehyst.waveforms import Excitation
 
-# Of all axes, or of each; None for an axis: those of the device.
-AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
-AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
-# Of the displacement read before each sample [m]; returns the voltage to send [V].
-StepFunction: TypeAlias = Callable[[float | None], float]
-_Kind = TypeVar("_Kind", bound="np.generic[Any]")
-
-# Highest rate [Hz] that a host keeps with one round trip a sample.
-HIGHEST_RATE = 200.0
-# The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
-_LEAST_WATCHED = 0.25
-# Time [s] that a wave may take without a sample, beside twice its own.
-_PATIENCE = 5.0
 # A device's clock has jumped if it is ahead by this time [s], and so many times what has passed: emulators are fast.
 _JUMP, _FAST = 10.0, 50.0
-# Seconds between two batches of samples that the host times.
-_BATCH_SECONDS = 0.2
-# Seconds for the whole range, if neither device nor user gives a slew rate.
-_SHORTEST_SWEEP = 0.1
-# Least range [V], and longest ramp through it [s].
-_LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 # Relative slack for rates that a device rounds.
 _SLACK = 1e-6
-
-
-# Methods that a driver writes or may replace.
-_DRIVERS = ("nearest_rate", "_read", "_read_voltage", "_put", "_wave", "_halt", "_close", "_wait")
-# Special methods that no driver may have.
-_SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
-# What a device does that no command reaches.
-BY_HAND = "the device holds, or plays to its end, what it has; see to it by hand"
-
-
-class VoltageNote(str):
-    """A note on an error that says where the voltage was left.
-
-    `safe`: whether this is the safe voltage. `voltages`: those of the axes [V] by what was sent and taken, which a wave
-    that cannot be stopped leaves; NaN where nothing was sent.
-    """
-
-    safe: bool
-    voltages: tuple[float, ...]
-
-    def __new__(cls, text: str, *, safe: bool, voltages: Sequence[float]) -> Self:
-        """Return the text with its outcome."""
-        note = super().__new__(cls, text)
-        note.safe, note.voltages = safe, tuple(voltages)
-        return note
 
 
 class AbstractRig(ABC):
@@ -131,14 +87,12 @@ class AbstractRig(ABC):
         identity: str | None = None,
         others: Sequence[str] = (),
     ) -> None:
-        # Here too: its bases may have an __init_subclass__ of their own.
-        _refuse_replacements(type(self))
         self.others = tuple(others)
         self.name, self.longest, self.identity = name, longest, identity or name
         self._limits: VoltageLimits | None = None
         self._parts: tuple[AbstractRig, ...] = ()
         if isinstance(device, VoltageLimits):
-            self._limits = _common_limits(device, limits, slew_rate)
+            self._limits = common_limits(device, limits, slew_rate)
         else:
             self._parts = tuple(device)
         self.axes: tuple[str, ...] = tuple(one.axis for one in self._parts) or (axis,)
@@ -263,50 +217,10 @@ class AbstractRig(ABC):
         rate, axes = self.check(excitation), self.axes if self._parts else ()
         if step is not None:
             self._refuse_several()
-        spans = np.array([one.limits.high - one.limits.low for one in self.rigs])
-        sensors = [
-            SensorWatch(
-                max(float(np.ptp(column)), _LEAST_WATCHED * span),
-                f"the sensor of axis {one.axis}" if axes else "the sensor",
-            )
-            for one, column, span in zip(self.rigs, columns_of(excitation.voltage), spans.tolist(), strict=True)
-        ]
-        watch = PaceWatch(self.name, rate, self.rows(len(excitation)))
-        batches: list[Samples] = []
         with self.safely():
             starts = np.ravel(excitation.voltage[0]).tolist()
             self._ramp([one._output.ramp(start) for one, start in zip(self.rigs, starts, strict=True)])
-            pieces = _pieces(excitation.voltage, self.longest) if step is None else [excitation.voltage.copy()]
-            waves = self._wave if step is None else partial(host_timed, self, step=step)
-            for piece in pieces:
-                count, after = 0, float(batches[-1].time[-1]) if batches else -math.inf
-                self._host_paced = False
-                wave = partial(waves, piece, rate)
-                patience = _PATIENCE + 2 * len(piece) / rate
-                outputs = [one._output for one in self.rigs]
-                for output, column in zip(outputs, columns_of(piece), strict=True):
-                    output.plays(column, rate, self._device_speed)
-                # Closed before the retreat: what a driver does at the end of a wave must not come after it.
-                with closing(
-                    inspected(self.name, wave, piece, spans=spans, after=after, axes=axes, patience=patience)
-                ) as arriving:
-                    for samples in arriving:
-                        if set(samples.others) != set(self.others):
-                            found = ", ".join(samples.others) or "none"
-                            raise DeviceError(
-                                f"{self.name}: got further channels {found}, need {', '.join(self.others) or 'none'}; "
-                                "check the rig's _wave"
-                            )
-                        batches.append(samples)
-                        count += samples.time.size
-                        for output in outputs if not self._host_paced else ():
-                            output.observe(count)
-                        listen(samples)
-                        columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
-                        for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
-                            sensor.observe(voltage, displacement)
-                        watch.observe(samples.time)
-                        self._watch_clock(float(samples.time[-1]), samples.time.size / rate)
+            batches = list(arriving(self, excitation, rate, listen, step))
         times, voltages, displacements = (np.concatenate([one[k] for one in batches]) for k in range(3))
         others = {column: np.concatenate([one.others[column] for one in batches]) for column in self.others}
         meta = {"rig": self.name, "axis": self.axis}
@@ -416,7 +330,7 @@ class AbstractRig(ABC):
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
         """Return, for each sample, the number of its voltage (of `count`); where pieces join, two samples share one."""
-        return np.concatenate(list(_pieces(np.arange(count), self.longest)))
+        return np.concatenate(list(pieces(np.arange(count), self.longest)))
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Return the rate [Hz] nearest to `sample_rate` at which the device can play; by default `sample_rate`."""
@@ -554,18 +468,21 @@ class AbstractRig(ABC):
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(failed) == str(cause) else f" ({failed})"
             known = "; ".join(f"{one.axis + ': ' if self._parts else ''}{one._output.words}" for one in self.rigs)
-            said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {BY_HAND}."
+            holds = "the device holds, or plays to its end, what it has; see to it by hand"
+            said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {holds}."
         elif any(one._output.unread for one in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
         return VoltageNote(said, safe=failed is None, voltages=[one._output.likely for one in self.rigs])
 
 
-# Methods and properties that belong to the base class alone.
+# Methods that a driver writes or may replace; those of the base class alone; and special ones that no driver may have.
+_DRIVERS = ("nearest_rate", "_read", "_read_voltage", "_put", "_wave", "_halt", "_close", "_wait")
 _OWN = tuple(
     name
     for name, value in vars(AbstractRig).items()
     if (callable(value) or isinstance(value, property)) and name not in _DRIVERS and not name.startswith("__")
 )
+_SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
 
 
 def _refuse_replacements(kind: type[AbstractRig]) -> None:
@@ -578,93 +495,3 @@ def _refuse_replacements(kind: type[AbstractRig]) -> None:
     if found:
         drivers = ", ".join(_DRIVERS)
         raise TypeError(f"{kind.__name__}: replaces {', '.join(found)} of AbstractRig; a rig writes only {drivers}")
-
-
-def played_rate(rig: AbstractRig, sample_rate: float) -> float:
-    """Return the `nearest_rate` [Hz] of a rig; raise `DeviceError` if it fails or is not a positive number."""
-    with driver_errors(rig.name, "nearest_rate"):
-        nearest = rig.nearest_rate(sample_rate)
-        try:
-            rate = number(nearest, "rate")
-        except ModelError:
-            rate = math.nan
-        if not rate > 0:
-            raise DeviceError(
-                f"{rig.name}: nearest_rate of {sample_rate:.6g} Hz is {nearest!r}, need a positive number; check the "
-                "rig's nearest_rate, or the device; nothing was sent"
-            )
-    return rate
-
-
-def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
-    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
-
-    For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
-    slow, with uneven steps. Readings have the device's time, just after each voltage: `hold` is "line". `step`: as of
-    `AbstractRig.play`; it replaces the voltages after the first.
-    """
-    rig._host_paced = True
-    period, readings, yielded, read = 1 / rate, [], time.monotonic(), None
-    for k in range(len(voltage)):
-        if step is not None:
-            voltage[k] = rig.limits.towards(step(read), float(voltage[max(k - 1, 0)]), period)
-        v = voltage[k]
-        rig._put(float(v))
-        # From here a retreat begins if the reading fails: samples come later than voltages.
-        rig._output.puts(float(v))
-        # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
-        sent = time.monotonic()
-        readings.append(rig._read())
-        read = readings[-1][2]
-        now = time.monotonic()
-        if now - yielded >= _BATCH_SECONDS:
-            yield Samples(*np.array(readings, dtype=np.float64).T)
-            readings, yielded = [], now
-        rig._wait(max(0.0, sent + period - time.monotonic()))
-    if readings:
-        yield Samples(*np.array(readings, dtype=np.float64).T)
-
-
-def bounds_of_axes(
-    limits: AxisLimits, slew_rate: AxisSlewRates, count: int
-) -> list[tuple[tuple[float, float] | None, float | None]]:
-    """Return limits [V] and slew rate [V/s] that the user allows of each of `count` axes, given once or for each.
-
-    Raise `RigError` if there is another number of them, or one is no interval or no number.
-    """
-    pairs, rates = (
-        for_each(given, count, what, error=RigError) for what, given in (("limits", limits), ("slew_rate", slew_rate))
-    )
-    return [
-        (
-            None if pair is None else interval(pair, error=RigError),
-            None if rate is None else number(rate, "slew_rate", error=RigError),
-        )
-        for pair, rate in zip(pairs, rates, strict=True)
-    ]
-
-
-def _common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
-    """Return the limits that device and user both allow, always with a slew rate; refuse ramps of over an hour."""
-    given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
-    low, high = max(device.low, given.low), min(device.high, given.high)
-    if not low + _LEAST_RANGE <= high:
-        hint = f"nothing is left, give others, {_LEAST_RANGE:g} V apart at least"
-        raise RigError(f"got {given.words}, but the device has {device.words}", argument="limits", hint=hint)
-    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
-    rate = min(rates, default=(high - low) / _SHORTEST_SWEEP)
-    if high - low > _LONGEST_RAMP * rate:
-        least = (high - low) / _LONGEST_RAMP
-        raise RigError(
-            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, so that a stop would too; "
-            f"give {least:.3g} V/s at least, or narrower limits"
-        )
-    return VoltageLimits(low, high, rate)
-
-
-def _pieces(values: NDArray[_Kind], longest: int | None) -> Iterator[NDArray[_Kind]]:
-    """Yield rows (n, ...) in pieces of `longest` at most, each beginning where the one before ended."""
-    size = len(values)
-    step = longest or size
-    for start in range(0, max(1, size - 1), step - 1):
-        yield values[start : start + step]

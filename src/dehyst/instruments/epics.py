@@ -1,19 +1,23 @@
-"""A rig behind EPICS Channel Access: a laboratory's own IOC, by names of its process variables."""
+"""A rig behind EPICS Channel Access: a laboratory's own IOC, by names of its process variables and blocking calls."""
 
 from __future__ import annotations
 
+import asyncio
+import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
-from dehyst._errors import DeviceError, LinkError, RigError
+import numpy as np
+
+from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
 from dehyst._types import Array
+from dehyst._units import COUNTS, symbol_of
 from dehyst.control import VoltageLimits
-from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, host_timed
-from dehyst.instruments.channel_access import HINT, ChannelAccess
-from dehyst.instruments.samples import Reading, Samples
+from dehyst.instruments.base import AbstractRig
+from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, host_timed
 
 # Seconds between two polls of a wave; reading samples takes this share of the time at most.
 _POLL, _SHARE = 0.1, 0.1
@@ -21,6 +25,152 @@ _POLL, _SHARE = 0.1, 0.1
 _LATE, _SILENT = 1.0, 5
 # Rounding of a voltage that the IOC takes, as a share of the range.
 _ROUNDED = 1e-3
+# Most time [s] to wait for a reading of the voltage that is younger than the last command, and between two polls.
+_STALE, _POLL_READBACK = 0.5, 0.01
+# ECA_TIMEOUT of Channel Access.
+_TIMED_OUT = 80
+# Characters of an answer that a message quotes.
+_QUOTED = 60
+HINT = "is the IOC running, and does EPICS_CA_ADDR_LIST lead to it?"
+
+_Value = TypeVar("_Value")
+
+
+# The event loop, in a thread of its own, for all exchanges of this process; it runs until the process ends: channels
+# belong to the loop that made them, and Channel Access calls it back as long as they exist.
+_LOOP = asyncio.new_event_loop()
+threading.Thread(target=_LOOP.run_forever, name="dehyst instruments", daemon=True).start()
+
+
+def _run(task: Coroutine[Any, Any, _Value]) -> _Value:
+    """Return the result of a coroutine; if the wait is interrupted, cancel the coroutine."""
+    future = asyncio.run_coroutine_threadsafe(task, _LOOP)
+    try:
+        return future.result()
+    except BaseException:
+        future.cancel()
+        raise
+
+
+class ChannelAccess:
+    """Process variables with a common `prefix`, put before each name as it is.
+
+    `timeout`: seconds that one exchange may take. Raise `MissingExtraError` if aioca is not installed.
+    """
+
+    def __init__(self, prefix: str, timeout: float) -> None:
+        try:
+            import aioca
+        except ImportError as error:
+            raise MissingExtraError.of("aioca", "bench", "An EPICS rig") from error
+        self.prefix, self.timeout = prefix, timeout
+        self._ca: Any = aioca
+
+    def absent(self, names: Sequence[str]) -> list[str]:
+        """Return the names for which no server answers within the timeout."""
+        pvs = [self.prefix + name for name in names]
+        answers = _run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
+        return [name for name, answer in zip(names, answers, strict=True) if not answer.ok]
+
+    def connected(self, *names: str) -> bool:
+        """Return whether these variables, which were used before, are connected now."""
+
+        async def unconnected() -> set[str]:
+            return self._unconnected()
+
+        return _run(unconnected()).isdisjoint(self.prefix + name for name in names)
+
+    def numbers(self, *names: str) -> list[float]:
+        """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
+        return [number for number, _ in self.timed(*names)]
+
+    def timed(self, *names: str) -> list[tuple[float, float]]:
+        """Read numbers as `numbers`, each with the time [s] at which its record was processed, by the IOC's clock."""
+        numbers = []
+        for name, value in zip(names, self._get(names, format=self._ca.FORMAT_TIME), strict=True):
+            try:
+                numbers.append((float(value), float(value.timestamp)))
+            except (TypeError, ValueError) as error:
+                raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_QUOTED]}, need a number") from error
+        return numbers
+
+    def arrays(self, *names: str, count: int) -> list[Array]:
+        """Read the first `count` numbers of each array; raise `LinkError` if an answer is late, or has fewer."""
+        columns = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
+        for name, values in zip(names, columns, strict=True):
+            if values.size < count or values.dtype.kind not in "fiu":
+                raise LinkError(
+                    f"{self.prefix}{name}: got {values.size} values of {values.dtype}, need {count} numbers"
+                )
+        return [values[:count].astype(np.float64) for values in columns]
+
+    def text(self, name: str) -> str:
+        """Read a text, short or long."""
+        (value,) = self._get([name])
+        if isinstance(value, str):
+            return str(value)
+        return bytes(np.atleast_1d(np.asarray(value)).astype(np.uint8)).split(b"\0")[0].decode(errors="replace")
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the control limits of a number's record; 0 and 0 if it has none."""
+        (value,) = self._get([name], format=self._ca.FORMAT_CTRL)
+        return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
+
+    def metres(self, name: str) -> float | None:
+        """Return the unit of a record in metres, None if it has none; raise `LinkError` if it is not a length."""
+        (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
+        unit = str(getattr(value, "units", "")).strip()
+        count = COUNTS["m"].get(symbol_of(unit))
+        if unit and count is None:
+            raise LinkError(
+                f"{self.prefix}{name}: its unit is {unit!r}, need m, mm, um or nm; correct EGU in its record"
+            )
+        return 1 / count if count else None
+
+    def length(self, name: str) -> int:
+        """Return the capacity of an array, in elements."""
+        return int(self._answers(self._ca.cainfo, [name])[0].count)
+
+    def put(self, name: str, value: float | Array | str) -> None:
+        """Write a value, and wait until the IOC has processed it.
+
+        Raise `LinkError` if there is no answer in time: the value may have been written, or not. Raise `DeviceError` if
+        it is refused.
+        """
+        long_text = isinstance(value, str) and self.length(name) > 1
+        options = {"datatype": self._ca.DBR_CHAR_STR} if long_text else {}
+
+        async def request(pvs: list[str], **more: Any) -> list[Any]:
+            return [await self._ca.caput(pvs[0], value, wait=True, **more)]
+
+        self._answers(request, [name], **options)
+
+    def _get(self, names: Sequence[str], **options: Any) -> list[Any]:
+        return self._answers(self._ca.caget, names, **options)
+
+    def _answers(self, request: Any, names: Sequence[str], **options: Any) -> list[Any]:
+        """Return the answers to a request on these variables; raise LinkError or DeviceError if one failed."""
+        pvs = [self.prefix + name for name in names]
+
+        async def answered() -> list[Any]:
+            answers: list[Any] = await request(pvs, timeout=self.timeout, throw=False, **options)
+            for pv, answer in zip(pvs, answers, strict=True):
+                if answer.ok:
+                    continue
+                if pv in self._unconnected():
+                    raise LinkError(f"{pv}: not connected for {self.timeout:g} s; {HINT}")
+                if answer.errorcode == _TIMED_OUT:
+                    raise LinkError(
+                        f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?"
+                    )
+                raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
+            return answers
+
+        return _run(answered())
+
+    def _unconnected(self) -> set[str]:
+        """Return all variables of this process that are not connected; on the loop's thread."""
+        return {channel.name for channel in self._ca.get_channel_infos() if not channel.connected}
 
 
 @dataclass(frozen=True)
@@ -98,6 +248,8 @@ class EpicsRig(AbstractRig):
             tables = ("wave_voltage", "record_time", "record_voltage", "record_position")
             longest = min(link.length(self._pvs[table]) for table in tables)
         self._last, self._began = 0.0, time.monotonic()
+        # The variable of the last command.
+        self._commanded = names.voltage
         name = f"epics://{prefix}" + (f" ({identity})" if identity else "")
         super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate, longest=longest)
         self._clear_error()
@@ -152,7 +304,16 @@ class EpicsRig(AbstractRig):
         now = clock[0] if clock else time.monotonic() - self._began
         return Reading(now, voltage, self._metres * position)
 
+    def _read_voltage(self) -> float:
+        deadline = time.monotonic() + _STALE
+        while True:
+            (_, commanded), (voltage, read) = self._link.timed(self._commanded, self._names.readback)
+            if read >= commanded or time.monotonic() > deadline:
+                return voltage
+            self._wait(_POLL_READBACK)
+
     def _put(self, voltage: float) -> None:
+        self._commanded = self._names.voltage
         self._link.put(self._names.voltage, voltage)
         self._raise_error()
         (taken,) = self._link.numbers(self._names.voltage)
@@ -212,7 +373,8 @@ class EpicsRig(AbstractRig):
         self._clear_error()
         if not self._pvs:
             return
-        self._link.put(self._pvs["wave_stop"], 1)
+        self._commanded = self._pvs["wave_stop"]
+        self._link.put(self._commanded, 1)
         end = time.monotonic() + self._link.timeout
         while self._link.numbers(self._pvs["wave_busy"])[0]:
             if time.monotonic() > end:

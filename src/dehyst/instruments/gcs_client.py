@@ -24,8 +24,6 @@ _SLOWEST = 2
 _LOST, _LEAST = 2.0, 0.5
 # Seconds between two attempts to reconnect.
 _PAUSE = 0.02
-# Not a command of any controller: it makes a line that was sent in part invalid.
-_SPOILED = b" *spoiled*\n"
 
 
 class TcpLink:
@@ -91,15 +89,13 @@ class TcpLink:
         self._buffer.clear()
         if link is not None:
             with suppress(OSError):
-                if self._half_sent:
-                    link.sendall(_SPOILED)
-            self._half_sent = False
-            with suppress(OSError):
                 link.close()
 
     def _await(self, identity: str, seconds: float) -> None:
         """Query the identity, and discard what was still on its way, for some `seconds` [s]."""
-        self._send([IDENTITY])
+        # The error of a failed exchange would be taken for that of the next one; its number is discarded too. To a line
+        # that was sent in part over a serial bridge, this adds an argument that no command has.
+        self._send(["ERR?", IDENTITY])
         deadline = time.monotonic() + seconds
         wanted = identity.encode("ascii")
         # An answer that was cut off before has no line feed of its own.
@@ -215,8 +211,6 @@ class GcsClient:
         try:
             if not self._synchronised:
                 self._link.settle(self.identity)
-                # The error of a failed exchange would be taken for that of the next one.
-                self._link.exchange([], "ERR?")
             # Ctrl-C may interrupt the exchange.
             self._synchronised = False
             answer = parse(self._link.exchange(commands, line))

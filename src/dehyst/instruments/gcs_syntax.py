@@ -159,16 +159,6 @@ def parameter(lines: Sequence[str], item: str, number: int) -> float:
     return real(value.strip())
 
 
-def parameters(lines: Sequence[str]) -> dict[int, str]:
-    """Return the descriptions in an answer of HPA? by parameter number; other lines are left out."""
-    descriptions: dict[int, str] = {}
-    for line in lines:
-        key, equals, description = line.partition("=")
-        if equals and _PARAMETER.fullmatch(key.strip()):
-            descriptions[_decoded(key.strip())] = description.strip()
-    return descriptions
-
-
 def names(lines: Sequence[str]) -> list[str]:
     """Return axes, from an answer of SAI?; raises LinkError."""
     axes = [line.strip() for line in lines]
@@ -219,15 +209,8 @@ def shown(got: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 15]} ... {text[-10:]}"
 
 
-class GcsArray(NamedTuple):
-    """A GCS array: `sample_time` [s] from one row to the next; `columns` (k, n) in the controller's units."""
-
-    sample_time: float
-    columns: Array
-
-
-def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
-    """Parse an answer of DRR? that has `rows` rows and `columns` columns.
+def table(lines: Sequence[str], rows: int, columns: int) -> tuple[float, Array]:
+    """Return the time [s] from row to row and the columns (columns, rows) of an answer of DRR?, in its own units.
 
     Raise `LinkError` if the header is incomplete or has other sizes, or a row is not `columns` finite numbers.
     """
@@ -261,26 +244,18 @@ def table(lines: Sequence[str], rows: int, columns: int) -> GcsArray:
         if len(words) != columns:
             raise LinkError(f"got the row {shown(line)}, need {columns} numbers")
         numbers[index] = [real(word.strip()) for word in words]
-    return GcsArray(sample_time, np.ascontiguousarray(numbers.T))
+    return sample_time, np.ascontiguousarray(numbers.T)
 
 
 # Numbers of the public list that the commands used here can lead to.
 _ERRORS = {
     7: "the position or voltage is out of its limits",
-    10: "it was stopped by a command",
-    15: "it has no such axis",
     17: "a parameter is out of its range",
-    23: "it has no such axis or channel",
-    58: "it cannot record that",
     66: "the voltage is out of its limits",
-    67: "its memory does not hold the wave",
-    72: "the analog input is in command of the axis",
     73: "the wave generator is in command of the axis",
-    74: "the axis has no sensor or no piezo channel",
     79: "open-loop commands are not allowed with the servo on",
     215: "the cable between controller and stage may be broken",
     302: "the voltage is out of its limits",
-    303: "open-loop motion is not allowed with the servo on",
     333: "its hardware has failed",
     405: "a wave's value is out of its range",
     -1024: "the position error was too large, and it switched the servo off",

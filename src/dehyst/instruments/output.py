@@ -1,23 +1,32 @@
-"""Where the voltage of an axis is, by what was sent, when, and what was read; and the ramps from there."""
+"""Where the voltage of an axis may be, and where it is by what was sent, when, and what was read; ramps from there."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import deque
-from collections.abc import Generator
-from typing import TYPE_CHECKING
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING, Self, TypeAlias
 
 import numpy as np
 
-from dehyst._errors import DeviceError, RigError
+from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
+from dehyst._validation import for_each, interval, number
 from dehyst.control import VoltageLimits
-from dehyst.instruments.samples import READBACK_TOLERANCE, driver_errors
+from dehyst.instruments.waves import READBACK_TOLERANCE, driver_errors
 
 if TYPE_CHECKING:
     from dehyst.instruments.base import AbstractRig
 
+# Of all axes, or of each; None for an axis: those of the device.
+AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
+AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
+
+# Seconds for the whole range, if neither device nor user gives a slew rate.
+_SHORTEST_SWEEP = 0.1
+# Least range [V], and longest ramp through it [s].
+_LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 # Batches by which the place in a wave is known.
 _RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
@@ -32,6 +41,23 @@ _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
 # Readings, a tick apart, in which the readback must come near what was sent, and seconds after which that is enough;
 # readings before a retreat.
 _SETTLING, _PATIENT, _HASTY = 100, 2.0, 3
+
+
+class VoltageNote(str):
+    """A note on an error that says where the voltage was left.
+
+    `safe`: whether this is the safe voltage. `voltages`: those of the axes [V] by what was sent and taken, which a wave
+    that cannot be stopped leaves; NaN where nothing was sent.
+    """
+
+    safe: bool
+    voltages: tuple[float, ...]
+
+    def __new__(cls, text: str, *, safe: bool, voltages: Sequence[float]) -> Self:
+        """Return the text with its outcome."""
+        note = super().__new__(cls, text)
+        note.safe, note.voltages = safe, tuple(voltages)
+        return note
 
 
 class ReadbackError(DeviceError):
@@ -51,6 +77,8 @@ class Output:
         self._tolerance = READBACK_TOLERANCE * (rig.limits.high - rig.limits.low)
         # Voltages of the present wave, or the last one that was sent; None before that.
         self._sent: Array | None = None
+        # The last voltage since then of which it is not known whether it was taken.
+        self._unconfirmed: float | None = None
         self._pace, self._began = 0.0, 0.0
         self._arrived: deque[tuple[float, int]] = deque(maxlen=_RECENT)
 
@@ -62,6 +90,7 @@ class Output:
         """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]; `speed`: seconds of the device in one."""
         self._sent, self._pace, self._began = voltage, speed * rate, time.monotonic()
         self._arrived.clear()
+        self._unconfirmed = None
 
     def observe(self, count: int) -> None:
         """Take note that the sample of a number `count` came now."""
@@ -77,8 +106,10 @@ class Output:
         """What is known of the output, for a message."""
         if self._sent is None:
             return "nothing was sent yet"
+        if self._unconfirmed is not None:
+            return f"{self._unconfirmed:.6g} V was sent last, and no answer confirms it"
         if self._sent.size == 1:
-            return f"{self.likely:.6g} V was the last that it took"
+            return f"{self.likely:.6g} V was the last that it confirmed"
         # Samples that came are certain; where the device was since, and stops, its clock alone tells.
         left = self._sent[self._arrived[-1][1] - 1 if self._arrived else 0 :]
         way = f"between {left.min():.6g} and {left.max():.6g} V"
@@ -161,7 +192,7 @@ class Output:
         limits, slew = self._rig.limits, self._rig.slew_rate
         speed = min(slew, (limits.high - limits.low) / _GENTLE)
         gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
-        sending, again = time.monotonic(), _AGAIN if always else 0
+        sending, again, unread = time.monotonic(), _AGAIN if always else 0, False
         while present != end or always:
             # Before the first step too: a wave may have been stopped just now. It is so long that the slew rate allows
             # what the ramp's speed does, or there are few waits.
@@ -176,19 +207,25 @@ class Output:
                 if not again:
                     raise
                 # A device may complain of something else, and have taken the voltage.
-                if not (isinstance(error, DeviceError) and self._took(voltage, present)):
+                taken = None if unread else self._took(voltage, present)
+                if taken is None and isinstance(error, LinkError):
+                    # It may have been taken or not; the next step is within the slew rate from both voltages.
+                    unread, again, present = True, again - (voltage == end), voltage
+                    self._unconfirmed = voltage
+                    continue
+                if not taken:
                     again -= 1
                     continue
             present, always = voltage, False
             self.puts(present)
             answer = time.monotonic() - sending
 
-    def _took(self, voltage: float, present: float) -> bool:
-        """Return whether the output is read, and nearer to a `voltage` [V] than to the `present` one."""
+    def _took(self, voltage: float, present: float) -> bool | None:
+        """Return whether the output is read nearer to a `voltage` [V] than to the `present` one; None if unreadable."""
         try:
             read = self._rig._voltage_read()
         except RigError:
-            return False
+            return None
         return abs(read - voltage) < abs(read - present) or voltage == present
 
     def _standing(self) -> float:
@@ -217,3 +254,40 @@ class Output:
                 break
             yield TICK
         raise ReadbackError(self._rig.name, sent, read)
+
+
+def bounds_of_axes(
+    limits: AxisLimits, slew_rate: AxisSlewRates, count: int
+) -> list[tuple[tuple[float, float] | None, float | None]]:
+    """Return limits [V] and slew rate [V/s] that the user allows of each of `count` axes, given once or for each.
+
+    Raise `RigError` if there is another number of them, or one is no interval or no number.
+    """
+    pairs, rates = (
+        for_each(given, count, what, error=RigError) for what, given in (("limits", limits), ("slew_rate", slew_rate))
+    )
+    return [
+        (
+            None if pair is None else interval(pair, error=RigError),
+            None if rate is None else number(rate, "slew_rate", error=RigError),
+        )
+        for pair, rate in zip(pairs, rates, strict=True)
+    ]
+
+
+def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, slew_rate: float | None) -> VoltageLimits:
+    """Return the limits that device and user both allow, always with a slew rate; refuse ramps of over an hour."""
+    given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
+    low, high = max(device.low, given.low), min(device.high, given.high)
+    if not low + _LEAST_RANGE <= high:
+        hint = f"nothing is left, give others, {_LEAST_RANGE:g} V apart at least"
+        raise RigError(f"got {given.words}, but the device has {device.words}", argument="limits", hint=hint)
+    rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
+    rate = min(rates, default=(high - low) / _SHORTEST_SWEEP)
+    if high - low > _LONGEST_RAMP * rate:
+        least = (high - low) / _LONGEST_RAMP
+        raise RigError(
+            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, so that a stop would too; "
+            f"give {least:.3g} V/s at least, or narrower limits"
+        )
+    return VoltageLimits(low, high, rate)

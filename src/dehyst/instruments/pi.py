@@ -18,10 +18,11 @@ from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments import gcs_syntax
-from dehyst.instruments.base import HIGHEST_RATE, AbstractRig, AxisLimits, AxisSlewRates, bounds_of_axes, host_timed
+from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.gcs_client import GcsClient, TcpLink
 from dehyst.instruments.gcs_syntax import command
-from dehyst.instruments.samples import Reading, Samples
+from dehyst.instruments.output import AxisLimits, AxisSlewRates, bounds_of_axes
+from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, host_timed
 
 PORT = 50000
 # A recorder without a new sample for this time [s], and for this many sample periods, has stopped.
@@ -240,11 +241,14 @@ class PiRig(AbstractRig):
     def _halt(self) -> None:
         if self.waves is None:
             return
-        # Whatever error was reported before, and that it was stopped, is cleared by this.
-        self._client.query("ERR?", gcs_syntax.error, [command("WGO", self._generator, 0)])
+        query, stop = command("WGO?", self._generator), [command("WGO", self._generator, 0)]
         for _ in range(_STEPS_TO_STOP):
-            if self._client.counts("WGO?", self._generator) == [0]:
+            if self._client.query(query, lambda lines: gcs_syntax.counts(lines, [self._generator]), stop) == [0]:
+                # Clears the error that reports the stop. Whatever is answered, a ramp to the safe voltage is possible.
+                with suppress(LinkError):
+                    self._client.clear()
                 return
+            stop = []
             self._wait(_SHORTEST_POLL)
         raise DeviceError(f"{self.name}: its wave generator was sent a stop and goes on; switch it off by hand")
 
@@ -308,13 +312,12 @@ class PiRig(AbstractRig):
             number, quiet = min(ready - got, most), time.monotonic() - latest
             if number > 0:
                 query = command("DRR?", got + 1, number, *keys)
-                array = client.query(query, partial(gcs_syntax.table, rows=number, columns=len(keys)))
-                if abs(array.sample_time / interval - 1) > 1e-3:
+                period, columns = client.query(query, partial(gcs_syntax.table, rows=number, columns=len(keys)))
+                if abs(period / interval - 1) > 1e-3:
                     raise DeviceError(
-                        f"{client.name}: records every {array.sample_time:g} s, need {interval:g} s; check its servo "
-                        "update time"
+                        f"{client.name}: records every {period:g} s, need {interval:g} s; check its servo update time"
                     )
-                yield got, array.columns[::2].T, array.columns[1::2].T
+                yield got, columns[::2].T, columns[1::2].T
                 got, latest = got + number, time.monotonic()
             elif quiet > patience and not any(client.counts("WGO?", *(one._generator for one in self._pi_rigs))):
                 raise DeviceError(f"{client.name}: its wave generator stopped; {got} of {count} samples were recorded")
@@ -329,22 +332,15 @@ class PiRig(AbstractRig):
 
 def _device_limits(client: GcsClient, channel: str, given: tuple[float, float] | None) -> VoltageLimits:
     """Return the limits that a controller reports of a channel, or else those `given`."""
-    slew_rate = None
-    if {"HPA?", "SPA?"} <= client.commands:
-        # The largest abs(dv/dt) [V/s] in open loop, if a parameter has such a description.
-        listed = client.query("HPA?", gcs_syntax.parameters)
-        numbers = [number for number, text in listed.items() if "slew" in text.lower() and "open" in text.lower()]
-        rate = _parameter(client, numbers[0]) if numbers else None
-        slew_rate = rate if rate is not None and rate > 0 else None
     absent = [word for word in ("VMI?", "VMA?") if word not in client.commands]
     if absent and given is None:
         raise DeviceError(f"{client.name}: lacks the commands {', '.join(absent)}; give the allowed voltages (limits)")
     if absent and given is not None:
-        return VoltageLimits(*given, slew_rate)
+        return VoltageLimits(*given)
     low, high = (client.numbers(word, channel)[0] for word in ("VMI?", "VMA?"))
     if not low < high:
         raise LinkError(f"{client.name}: reports limits of {low:g} to {high:g} V, need a range; check its settings")
-    return VoltageLimits(low, high, slew_rate)
+    return VoltageLimits(low, high)
 
 
 def _wave_traits(client: GcsClient) -> tuple[WaveTraits | None, str]:

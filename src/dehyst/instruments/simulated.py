@@ -9,7 +9,7 @@ from dehyst._errors import DeviceError
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig
-from dehyst.instruments.samples import Reading, Samples
+from dehyst.instruments.waves import Reading, Samples
 from dehyst.virtual import VirtualActuator, VirtualBench
 
 # Batches of samples in one wave, so that progress can be shown.

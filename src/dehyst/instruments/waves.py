@@ -1,22 +1,39 @@
-"""Readings and samples of a rig, and their checks as they arrive from a driver."""
+"""Readings, samples and waves of a rig: played in pieces, checked as they arrive, timed by the host where need be."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, SensorError, Terminated
 from dehyst._types import Array
-from dehyst._validation import plain
+from dehyst._validation import number, plain
 from dehyst.instruments.interrupts import by_signal
+from dehyst.waveforms import Excitation
 
+if TYPE_CHECKING:
+    from dehyst.instruments.base import AbstractRig
+
+# Of the displacement read before each sample [m]; returns the voltage to send [V].
+StepFunction: TypeAlias = Callable[[float | None], float]
+_Kind = TypeVar("_Kind", bound="np.generic[Any]")
+
+# Highest rate [Hz] that a host keeps with one round trip a sample.
+HIGHEST_RATE = 200.0
+# The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
+_LEAST_WATCHED = 0.25
+# Time [s] that a wave may take without a sample, beside twice its own.
+_PATIENCE = 5.0
+# Seconds between two batches of samples that the host times.
+_BATCH_SECONDS = 0.2
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
 # A wave may not be faster than was asked by more than this factor, from so many samples on: clocks differ a little.
@@ -76,22 +93,16 @@ def driver_errors(name: str, method: str) -> Iterator[None]:
 
 
 def inspected(
-    name: str,
-    wave: Callable[[], Iterator[Samples]],
-    sent: Array,
-    *,
-    spans: Array,
-    after: float,
-    patience: float,
-    axes: tuple[str, ...] = (),
+    rig: AbstractRig, wave: Callable[[], Iterator[Samples]], sent: Array, *, spans: Array, after: float, patience: float
 ) -> Generator[Samples, None, None]:
     """Yield each batch of a `wave` that is not empty, admitted, and compared with the `sent` voltages after its use.
 
     Raise `LinkError` if samples cannot follow the previous ones, of which the last came at `after` [s], or batches are
     empty for longer than `patience` [s]. Raise `DeviceError` if they do not belong to the sent voltages, or some are
     missing; each axis has a range in `spans` [V].
-    Whatever the driver of the rig `name` raises is re-raised as `DeviceError`; its generator is closed.
+    Whatever the driver raises is re-raised as `DeviceError`; its generator is closed.
     """
+    name = rig.name
     # A recorder may be a sample or two late.
     steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)
     slack = np.maximum(READBACK_TOLERANCE * spans, 2 * steepest)
@@ -112,13 +123,16 @@ def inspected(
                         "check the rig's _wave, and the device's data recorder"
                     )
                 continue
+            if set(samples.others) != set(rig.others):
+                found, need = (", ".join(others) or "none" for others in (samples.others, rig.others))
+                raise DeviceError(f"{name}: got further channels {found}, need {need}; check the rig's _wave")
             yield samples
             latest = time.monotonic()
             count, after = count + samples.time.size, float(samples.time[-1])
             differences = np.abs(samples.voltage - sent[count - samples.time.size : count]).max(axis=0)
             if (differences > slack).any():
                 worst = int(np.argmax(differences - slack))
-                where = f"{name}, axis {axes[worst]}" if axes else name
+                where = f"{name}, axis {rig.axes[worst]}" if len(rig.axes) > 1 else name
                 raise DeviceError(
                     f"{where}: its output is {np.ravel(differences)[worst]:.4g} V away from what was sent; is the "
                     "amplifier on, the servo off and the channel the right one?"
@@ -232,3 +246,95 @@ class PaceWatch:
                 f"{row} came {passed:.4g} s after the first, need {row / self._rate:.4g} s; check the rig's _wave and "
                 "nearest_rate, and the device's clock"
             )
+
+
+def arriving(
+    rig: AbstractRig, excitation: Excitation, rate: float, listen: Listener, step: StepFunction | None
+) -> Iterator[Samples]:
+    """Play an `excitation` at a `rate` [Hz] from the present output; yield each batch when `listen` has received it.
+
+    `step`: as of `AbstractRig.play`. Raise `RigError` if the device, its link, its sensor or its clock fails.
+    """
+    spans = np.array([one.limits.high - one.limits.low for one in rig.rigs])
+    sensors = [
+        SensorWatch(
+            max(float(np.ptp(column)), _LEAST_WATCHED * span),
+            f"the sensor of axis {one.axis}" if len(rig.axes) > 1 else "the sensor",
+        )
+        for one, column, span in zip(rig.rigs, columns_of(excitation.voltage), spans.tolist(), strict=True)
+    ]
+    pace = PaceWatch(rig.name, rate, rig.rows(len(excitation)))
+    outputs, after = [one._output for one in rig.rigs], -math.inf
+    waves = rig._wave if step is None else partial(host_timed, rig, step=step)
+    for piece in pieces(excitation.voltage, rig.longest) if step is None else [excitation.voltage.copy()]:
+        count, rig._host_paced = 0, False
+        for output, column in zip(outputs, columns_of(piece), strict=True):
+            output.plays(column, rate, rig._device_speed)
+        wave, patience = partial(waves, piece, rate), _PATIENCE + 2 * len(piece) / rate
+        # Closed before the retreat: what a driver does at the end of a wave must not come after it.
+        with closing(inspected(rig, wave, piece, spans=spans, after=after, patience=patience)) as batches:
+            for samples in batches:
+                count += samples.time.size
+                for output in outputs if not rig._host_paced else ():
+                    output.observe(count)
+                listen(samples)
+                columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
+                for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
+                    sensor.observe(voltage, displacement)
+                pace.observe(samples.time)
+                after = float(samples.time[-1])
+                rig._watch_clock(after, samples.time.size / rate)
+                yield samples
+
+
+def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
+    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
+
+    For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
+    slow, with uneven steps. Readings have the device's time, just after each voltage: `hold` is "line". `step`: as of
+    `AbstractRig.play`; it replaces the voltages after the first.
+    """
+    rig._host_paced = True
+    period, readings, yielded, read = 1 / rate, [], time.monotonic(), None
+    for k in range(len(voltage)):
+        if step is not None:
+            voltage[k] = rig.limits.towards(step(read), float(voltage[max(k - 1, 0)]), period)
+        v = float(voltage[k])
+        rig._put(v)
+        # From here a retreat begins if the reading fails: samples come later than voltages.
+        rig._output.puts(v)
+        # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
+        sent = time.monotonic()
+        readings.append(rig._read())
+        read = readings[-1][2]
+        now = time.monotonic()
+        if now - yielded >= _BATCH_SECONDS:
+            yield Samples(*np.array(readings, dtype=np.float64).T)
+            readings, yielded = [], now
+        rig._wait(max(0.0, sent + period - time.monotonic()))
+    if readings:
+        yield Samples(*np.array(readings, dtype=np.float64).T)
+
+
+def pieces(values: NDArray[_Kind], longest: int | None) -> Iterator[NDArray[_Kind]]:
+    """Yield rows (n, ...) in pieces of `longest` at most, each beginning where the one before ended."""
+    size = len(values)
+    step = longest or size
+    for start in range(0, max(1, size - 1), step - 1):
+        yield values[start : start + step]
+
+
+def played_rate(rig: AbstractRig, sample_rate: float) -> float:
+    """Return the `nearest_rate` [Hz] of a rig; raise `DeviceError` if it fails or is not a positive number."""
+    with driver_errors(rig.name, "nearest_rate"):
+        nearest = rig.nearest_rate(sample_rate)
+        try:
+            rate = number(nearest, "rate")
+        except ModelError:
+            rate = math.nan
+        if not rate > 0:
+            raise DeviceError(
+                f"{rig.name}: nearest_rate of {sample_rate:.6g} Hz is {nearest!r}, need a positive number; check the "
+                "rig's nearest_rate, or the device; nothing was sent"
+            )
+    return rate

@@ -1,0 +1,212 @@
+"""Following a path on a rig: once, repeated, learnt, or with a sensor in the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dehyst._types import Array
+from dehyst.calibration.session import Player, ProgressListener
+from dehyst.calibration.tracking import TrackedPath
+from dehyst.control import Compensator, Feedback, PathPlan, Repetition, StageCompensator, VoltageLimits, plan_path
+from dehyst.control.stage_compensator import axes_of
+from dehyst.instruments import AbstractRig
+from dehyst.instruments.waves import StepFunction
+from dehyst.model import Actuator, Stage
+from dehyst.records import beyond_noise, largest
+from dehyst.waveforms import Excitation
+
+# Learning ends when none of the last repetitions lowered the RMS error by this share.
+_LAST, _LOWER = 3, 0.03
+# A path whose ends differ by more than this multiple of its largest step has a way back.
+_CLOSED = 1.5
+
+
+def closed_path(wanted: Array) -> Array:
+    """Return a path (n, axes) [m] with a way back to its first sample, unless it is closed."""
+    steps, gap = np.abs(np.diff(wanted, axis=0)).max(axis=0), wanted[0] - wanted[-1]
+    if (np.abs(gap) <= _CLOSED * steps).all():
+        return wanted
+    # A cosine as steep as the path is.
+    count = int(np.ceil(0.5 * np.pi * (np.abs(gap) / np.maximum(steps, 1e-15)).max())) + 1
+    way = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, count) / count)
+    return np.vstack([wanted, wanted[-1] + way[:, None] * gap])
+
+
+@dataclass(eq=False)
+class FollowedPath:
+    """A path `wanted` (n, axes) [m] at a `rate` [Hz] on a `rig` by a `model`, within `bounds` of each axis.
+
+    Its first `size` samples are compared; the rest is a way back. `temperature` [degC] of the path, (n,) or a number.
+    `listener` receives the progress, `say` lines on what is promised and on each repetition. `follow` sets: `tracked`,
+    the measured path of each repetition, and `best`, the best that was learnt, else the last; `promises` of each axis,
+    None without one; `noise` [m] of each sensor; `clamped`, the number of samples clamped or slewed; `learnt`, the
+    voltages (n, axes) [V] of the best cycle, None without one; `remarks`, sentences.
+    """
+
+    rig: AbstractRig
+    model: Actuator | Stage
+    bounds: Sequence[VoltageLimits]
+    rate: float
+    wanted: Array
+    size: int
+    temperature: Any = None
+    listener: ProgressListener = field(default_factory=ProgressListener)
+    say: Callable[[str], object] = lambda _: None
+
+    def __post_init__(self) -> None:
+        self._several = isinstance(self.model, Stage)
+        self._actuators = self.model.actuators if isinstance(self.model, Stage) else (self.model,)
+        self._axes = self.model.axes if isinstance(self.model, Stage) else ()
+        self._strokes = np.array([one.stroke for one in self._actuators])
+        self.promises: list[Any] = []
+        self.tracked: list[TrackedPath] = []
+        self.noise: list[float] = []
+        self.remarks: list[str] = []
+        self.clamped = 0
+        self.learnt: Array | None = None
+
+    @property
+    def kept(self) -> list[bool | None]:
+        """Whether the promise of each axis is kept, apart from a constant offset and the sensor's noise."""
+        apart = [largest(one.error - one.error.mean()) for one in self.best.each]
+        return [
+            None if promise is None else beyond_noise(error, noise) <= promise.largest
+            for promise, error, noise in zip(self.promises, apart, self.noise, strict=True)
+        ]
+
+    def follow(self, paths: Sequence[Path], *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
+        """Home, follow the path `repeat` times, then learn it in `lessons`; the files `paths` have all samples.
+
+        `feedback`: correct each sample of a single axis by the reading before. Raise `RigError` if the rig fails; the
+        voltage is then brought to the safe one, as at the end.
+        """
+        # Read before anything moves: a rig without a measurement is refused here.
+        present = [one.limits.nearest(one.read().voltage) for one in self.rig.rigs]
+        wanted = np.tile(self.wanted, (repeat, 1))
+        plan = self._plan(wanted, present)
+        self.promises = list(plan.promise) if self._several else [plan.promise]
+        for axis, promise in zip(self._axes or ("",), self.promises, strict=True):
+            for line in () if promise is None else promise.lines:
+                self.say(f"{axis}: {line}" if axis else line)
+        about = {"rig": self.rig.identity, "excitation": "path"}
+        with ExitStack() as stack:
+            player = stack.enter_context(Player(self.rig, paths, about, self.listener, states_wanted=True))
+            stack.enter_context(self.rig.safely())
+            if feedback:
+                reached = self._feed_back(player, plan, wanted, present)
+            else:
+                self.clamped = int(plan.clamped.sum())
+                reached = self._play(player, *self._even(plan), len(wanted))
+            self.tracked = [self._tracked(cycle) for cycle in np.split(reached, repeat)]
+            self.best = self.tracked[-1]
+            if lessons:
+                self._learn(player, plan.state, lessons)
+            self.rig.retreat()
+
+    def _plan(self, wanted: Array, present: list[float]) -> PathPlan:
+        """Return the plan of a path (n, axes) [m] with a homing."""
+        time, warmth = np.arange(len(wanted)) / self.rate, self.temperature
+        given: dict[str, Any] = {
+            "time": time,
+            "temperature": np.resize(warmth, len(wanted)) if isinstance(warmth, np.ndarray) else warmth,
+            "present": present if self._several else present[0],
+        }
+        rows = wanted if self._several else wanted[:, 0]
+        return plan_path(self._compensator(None), rows, home=True, on_time=True, **given)
+
+    def _compensator(self, states: Any, *, preview: bool = False) -> Compensator | StageCompensator:
+        """Return a compensator within the bounds that begins in these states, at the temperature of the path.
+
+        `preview`: of a single axis, whether it compensates lag and resonance.
+        """
+        limits, slews = [(one.low, one.high) for one in self.bounds], [one.slew_rate for one in self.bounds]
+        loop: Compensator | StageCompensator
+        if isinstance(self.model, Stage):
+            loop = StageCompensator(self.model, limits, slews, period=1 / self.rate, states=states)
+        else:
+            ahead = preview and (self.model.delay > 0 or self.model.dynamics is not None)
+            given: dict[str, Any] = {"period": 1 / self.rate, "state": states, "preview": ahead, "warns": False}
+            loop = Compensator(self.model, limits[0], slews[0], **given)
+        for part in axes_of(loop) if self.temperature is not None else ():
+            if part.actuator.thermal is not None:
+                gain, offset = part.actuator.thermal.scale(float(np.mean(self.temperature)), 1)
+                part.scale(float(np.ravel(gain)[0]), float(np.ravel(offset)[0]))
+        return loop
+
+    def _even(self, plan: PathPlan) -> tuple[Array, Array]:
+        """Return the voltages [V] and wanted displacements [m] (n, axes) of a plan, a sample a period."""
+        times = plan.time if plan.time is not None else np.zeros(1)
+        # Rows of the homing are farther apart, and the last row is a sample.
+        at = times[-1] - np.arange(round((times[-1] - times[0]) * self.rate), -1, -1) / self.rate
+        columns = (np.reshape(values, (times.size, -1)).T for values in (plan.voltage, plan.displacement))
+        volts, wanted = (np.column_stack([np.interp(at, times, column) for column in every]) for every in columns)
+        return volts, wanted
+
+    def _play(
+        self, player: Player, voltage: Array, wanted: Array, size: int, step: StepFunction | None = None
+    ) -> Array:
+        """Play voltages (n, axes) [V], record them with what is wanted [m], return what the last `size` reached."""
+        excitation = Excitation("path", voltage if self._several else voltage[:, 0], self.rate)
+        self.listener.step("path", excitation.duration)
+        record = player.play(excitation, wanted, self._strokes, begin=len(voltage) - size, step=step)
+        self.noise = [record.axis(j).noise for j in range(len(self.rig.axes))]
+        rows, reached = self.rig.rows(len(voltage)), np.empty(voltage.shape)
+        reached[rows] = record.displacement.reshape(rows.size, -1)
+        return reached[len(voltage) - size :]
+
+    def _feed_back(self, player: Player, plan: PathPlan, wanted: Array, present: list[float]) -> Array:
+        """Home, and follow the path with feedback; return what was reached."""
+        lead = self._plan(np.repeat(wanted[:1], 2, axis=0), present)
+        self._play(player, *self._even(lead), 0)
+        loop = self._compensator(lead.state)
+        corrected, ahead = Feedback(loop), iter(wanted[:, 0].tolist())  # type: ignore[arg-type]
+        volts = np.reshape(plan.voltage[-len(wanted) :], wanted.shape)
+
+        def step(measured: float | None) -> float:
+            return corrected.step(next(ahead), measured)
+
+        reached = self._play(player, volts, wanted, len(wanted), step)
+        self.clamped = _clamps(loop)
+        return reached
+
+    def _learn(self, player: Player, states: Any, most: int) -> None:
+        """Repeat the path from these states until the error no longer falls; keep the voltages of the best cycle."""
+        loop, size = self._compensator(states, preview=True), len(self.wanted)
+        repetition = Repetition(loop, self.wanted if self._several else self.wanted[:, 0])
+        errors: list[float] = []
+        for number in range(1, most + 1):
+            # The second cycle follows one like itself, as all later ones do.
+            pair = [np.reshape(repetition.next(), self.wanted.shape) for _ in range(2)]
+            reached = self._play(player, np.concatenate(pair), np.tile(self.wanted, (2, 1)), size)
+            tracked = self._tracked(reached)
+            self.tracked.append(tracked)
+            self.say(f"Repetition {number}: {tracked.words}")
+            errors.append(float(np.max(tracked.rms_percent)))
+            if errors[-1] == min(errors):
+                self.learnt, self.best = pair[1], tracked
+            repetition.learn(reached if self._several else reached[:, 0])
+            falls = len(errors) <= _LAST or min(errors[-_LAST:]) < (1 - _LOWER) * min(errors[:-_LAST])
+            if not (repetition.believed and falls):
+                break
+        self.clamped += _clamps(loop)
+        if not repetition.errors or not repetition.believed:
+            stray = f"read more than {1e6 * repetition.bound:.3g} um from the model"
+            self.remarks.append(f"nothing was learnt: voltages were clamped, or the sensor {stray}; try dehyst update")
+
+    def _tracked(self, reached: Array) -> TrackedPath:
+        """Return the path of a cycle without its way back, with what was reached (n, axes) [m]."""
+        wanted, got, time = self.wanted[: self.size], reached[: self.size], np.arange(self.size) / self.rate
+        if self._several:
+            return TrackedPath(time, wanted, got, self._strokes, self._axes)
+        return TrackedPath(time, wanted[:, 0], got[:, 0], float(self._strokes[0]))
+
+
+def _clamps(loop: Compensator | StageCompensator) -> int:
+    """Return the number of samples that were clamped or slewed."""
+    return sum(one.clamps.limited + one.clamps.slewed for one in axes_of(loop))
