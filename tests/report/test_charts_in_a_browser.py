@@ -92,16 +92,6 @@ def test_a_drag_enlarges_and_a_double_click_shows_the_whole(page):
     assert button.is_visible()
     page.mouse.dblclick(x, y)
     assert not button.is_visible()
-    # The wheel enlarges a chart that was clicked at, and otherwise moves the page.
-    page.mouse.wheel(0, -200)
-    button.wait_for()
-    canvas.evaluate("one => one.blur()")
-    button.click()
-    canvas.evaluate("one => one.blur()")
-    page.mouse.move(x, y)
-    page.mouse.wheel(0, 200)
-    page.wait_for_timeout(300)
-    assert not button.is_visible()
 
 
 def test_a_series_is_taken_out_by_its_name_in_the_legend(page):

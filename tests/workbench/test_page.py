@@ -218,14 +218,12 @@ def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp
     assert [one[0] for one in rows.all_inner_texts()] == ["x", "y"]
     person.sees(r"Coupling: y moves x by 4 %, x moves y by .3 %", within="#model")
     person.step("Path")
-    person.page.get_by_label("Axis to draw").select_option("y")
-    person.sees("Expect x within", within="#plan-words")
-    person.write_voltage()
-    person.page.get_by_role("radio", name="A file").check()
+    person.sees("Choose a file first", within="#path")
     (tmp_path / "path.csv").write_text("time_s,y_um,x_um\n0,3,2\n1,8,10\n2,12,4\n")
     person.page.locator("#path-file").set_input_files(tmp_path / "path.csv")
     # Its rate is offered once it is read.
     person.until("() => [...document.querySelectorAll('#path input')].some((field) => field.value === '1')")
+    person.sees("Expect x within", within="#plan-words")
     person.fill("Samples a second", 50, within="#path")
     person.write_voltage()
     _, content = person.download("link", "Download CSV", within="#voltage-list")

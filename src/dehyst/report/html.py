@@ -120,7 +120,8 @@ def bullets(title: str, items: Iterable[str], none: str = "") -> str:
 
 def reproduction(command: str | None) -> str:
     """Return the command line that made a page; empty if it is not known."""
-    return f"<h2>How to reproduce</h2>\n<pre>{escape(command)}</pre>" if command else ""
+    section = '<section class="command"><h2>How to reproduce</h2>\n<pre>{}</pre></section>'
+    return section.format(escape(command)) if command else ""
 
 
 def table(head: Row, rows: Iterable[Row], texts: int) -> str:

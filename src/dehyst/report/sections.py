@@ -224,7 +224,6 @@ def promised(found: Insight) -> str:
     """Return the error to expect, then the warnings."""
     promise, warnings = found.promise, found.warnings()
     expected = "The error to expect is not known." if promise is None else " ".join(found.expected)
-    # Of a path that nobody has asked for it is said, and no more.
     new = promise is not None and bool(promise.untested) and found.plan is not None
     title = "Warning" if warnings else "In part not tested" if new else "No warnings"
     items = "".join(f"<li>{words(warning)}</li>" for warning in warnings)

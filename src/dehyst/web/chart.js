@@ -9,16 +9,6 @@ const TITLE = 32; // pixels for the title of an upright axis, and the gap beside
 const REACH = 40; // pixels from the pointer to a sample that is read out
 const MANY = 3000; // vertices from which on a curve is inked pixel by pixel
 
-const charts = new Set();
-
-// On paper all are light and fine.
-for (const [kind, paper] of [["beforeprint", true], ["afterprint", false]]) {
-  window.addEventListener(kind, () => {
-    document.documentElement.classList.toggle("paper", paper);
-    for (const chart of charts) chart.draw();
-  });
-}
-
 // What a chart shows:
 //     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
 //     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
@@ -42,7 +32,6 @@ export class Chart {
     this.home = { x: [0, 1], y: [0, 1] };
     this.view = this.home;
     bindGestures(this);
-    charts.add(this);
     new ResizeObserver(() => this.request()).observe(holder);
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.request());
   }
@@ -102,7 +91,7 @@ export class Chart {
     const style = getComputedStyle(this.holder);
     this.colour = (name) => style.getPropertyValue(`--${name}`).trim() || "#888";
     this.font = `12px ${style.fontFamily}`;
-    this.scale = document.documentElement.classList.contains("paper") ? 2 : window.devicePixelRatio || 1;
+    this.scale = window.devicePixelRatio || 1;
     for (const canvas of [this.base, this.top]) {
       const [width, height] = [Math.round(clientWidth * this.scale), Math.round(clientHeight * this.scale)];
       if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];

@@ -1,58 +1,46 @@
 // Moving a chart's view by pointer and keys.
 const LEAST_DRAG = 6;
-const WHEEL = 0.0015;
 
 export const KEYS =
-  "Keys: arrows move, plus and minus zoom, 0 shows all. Pointer: drag a box to zoom, or click and turn the wheel; " +
-  "drag with Shift or the middle button to move; double-click shows all.";
+  "Keys: arrows move, plus and minus zoom, 0 shows all. Pointer: drag a box to zoom; double-click shows all.";
 
 const shifted = ([low, high], share) => [low + share * (high - low), high + share * (high - low)];
-// A range that is `factor` times as wide, about a value that keeps its place.
-const scaled = ([low, high], factor, about = (low + high) / 2) => [
-  about - factor * (about - low),
-  about + factor * (high - about),
-];
+// A range that is `factor` times as wide, about its middle.
+const scaled = ([low, high], factor) => {
+  const more = ((factor - 1) * (high - low)) / 2;
+  return [low - more, high + more];
+};
 
 export function bindGestures(chart) {
   const { top } = chart;
-  let drag = null;
+  let from = null;
   const mark = (box) => {
     chart.box = box;
     chart.request(false);
   };
-  const leave = () => {
-    chart.nearest = null;
-    chart.readout("");
-    chart.request(false);
-  };
   top.onpointerdown = (event) => {
-    if (!chart.area || event.button > 1) return;
+    if (!chart.area || event.button > 0) return;
     top.setPointerCapture(event.pointerId);
-    const pans = event.button === 1 || event.shiftKey;
-    if (pans) event.preventDefault();
-    drag = { pans, from: chart.place(event), view: chart.view };
+    from = chart.place(event);
   };
   top.onpointermove = (event) => {
     if (!chart.area) return;
     const at = chart.place(event);
-    if (!drag) {
-      chart.read(at);
-      return;
-    }
-    const { from, view, pans } = drag;
-    const { width, height } = chart.area;
-    chart.nearest = null;
-    if (pans) chart.show({ x: shifted(view.x, (from.x - at.x) / width), y: shifted(view.y, (at.y - from.y) / height) });
-    else mark(Math.hypot(at.x - from.x, at.y - from.y) > LEAST_DRAG ? boxed(chart.area, from, at) : null);
+    if (from) mark(Math.hypot(at.x - from.x, at.y - from.y) > LEAST_DRAG ? boxed(chart.area, from, at) : null);
+    else chart.read(at);
   };
   top.onpointerup = top.onpointercancel = ({ type }) => {
     const { box } = chart;
-    drag = null;
+    from = null;
     mark(null);
     if (!box || type === "pointercancel") return;
     chart.show({ x: [chart.vx(box.left), chart.vx(box.right)], y: [chart.vy(box.bottom), chart.vy(box.top)] });
   };
-  top.onpointerleave = () => drag || leave();
+  top.onpointerleave = () => {
+    chart.nearest = null;
+    chart.readout("");
+    chart.request(false);
+  };
   top.ondblclick = (event) => chart.double(event) || chart.show(chart.home);
   top.onkeydown = (event) => {
     const view = event.ctrlKey || event.metaKey ? null : viewAfter(chart, event.key);
@@ -60,20 +48,6 @@ export function bindGestures(chart) {
     event.preventDefault();
     chart.show(view);
   };
-  // Over a chart that nobody clicked at, the wheel moves the page.
-  const turned = (event) => {
-    if (!chart.area || document.activeElement !== top) return;
-    event.preventDefault();
-    const lines = event.deltaMode === 1 ? 20 : 1;
-    const factor = Math.exp(Math.max(-1, Math.min(1, WHEEL * lines * event.deltaY)));
-    const { view } = chart;
-    const at = chart.place(event);
-    chart.show({
-      x: event.altKey ? view.x : scaled(view.x, factor, chart.vx(at.x)),
-      y: event.shiftKey ? view.y : scaled(view.y, factor, chart.vy(at.y)),
-    });
-  };
-  top.addEventListener("wheel", turned, { passive: false });
 }
 
 // The box that a drag marks: all heights if it is nearly level, all of the abscissa if it is nearly upright.

@@ -73,10 +73,10 @@ export function roundDown(value) {
   return power * [5, 2, 1].find((one) => one * power <= value * (1 + 1e-9));
 }
 
-// An end that is zero but for rounding is written as 0.
+// An end that would not show beside the other one is written as 0.
 export function range(pair, unit, significant = 4) {
   if (pair?.length !== 2) return `${DASH} ${unit}`;
-  const [low, high] = pair.map((one) => short(Math.abs(one) < 1e-5 * (pair[1] - pair[0]) ? 0 : one, significant));
+  const [low, high] = pair.map((one) => short(Math.abs(one) < 5e-4 * (pair[1] - pair[0]) ? 0 : one, significant));
   return `${low} to ${high} ${unit}`;
 }
 

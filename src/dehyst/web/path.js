@@ -44,44 +44,24 @@ export function removed(points, index) {
   return points.length <= 2 || index <= 0 ? points : points.filter((_, k) => k !== index);
 }
 
-// Voltages for wanted displacements, what they reach, and the same of a straight gain within the same limits.
+// Voltages for wanted displacements, and what they reach.
 export function plan(compensator, wanted) {
-  const metres = Float64Array.from(wanted, (y) => MICRO * y);
   compensator.reset();
+  const metres = Float64Array.from(wanted, (y) => MICRO * y);
   const way = compensator.lead(metres[0]);
   const { voltage, displacement, clamped } = compensator.trajectory(metres);
-  const straight = straightGain(compensator, metres);
-  const reached = inMicrometres(displacement);
-  const straightReached = inMicrometres(compensator.simulate(straight));
+  const reached = Float32Array.from(displacement, (y) => y / MICRO);
   const count = (code) => clamped.reduce((sum, one) => sum + (one === code), 0);
   return {
     voltage,
     reached,
     clamped,
-    straight,
-    straightReached,
     missed: largestDifference(reached, wanted),
-    straightMissed: largestDifference(straightReached, wanted),
     clamps: { limited: count(1), slewed: count(2) },
     steepest: compensator.period ? largestDifference(voltage.subarray(1), voltage) / compensator.period : NaN,
     way: way * compensator.period, // seconds from the model's start to the first sample, within the slew rate
   };
 }
-
-// One gain and one offset: the ends of the voltage's range belong to the ends of the model's reach.
-function straightGain({ about, limits: [low, high], slewRate, period }, metres) {
-  const gain = (about.limits[1] - about.limits[0]) / (about.reach[1] - about.reach[0]);
-  const change = slewRate === null ? Infinity : slewRate * period;
-  const wanted = (y) => about.limits[0] + gain * (y - about.reach[0]);
-  let before = wanted(metres[0]);
-  return metres.map((y) => {
-    const within = Math.min(Math.max(wanted(y), before - change), before + change);
-    before = Math.min(high, Math.max(low, within));
-    return before;
-  });
-}
-
-const inMicrometres = (metres) => Float32Array.from(metres, (y) => y / MICRO);
 
 function largestDifference(some, others) {
   let most = 0;

@@ -1,4 +1,4 @@
-// The pictures of a plan: the wanted path with its points, the voltage, and the error.
+// The pictures of a plan: the wanted path with its points, the error, and the voltage.
 import { h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { extent, length, percent, range, short, whole } from "./numbers.js";
@@ -8,18 +8,18 @@ const NM = 1e3; // nanometres of a micrometre
 const FEW_LINES = 4; // that are shown together
 
 // A curve over time.
-export const curve = (name, colour, x, y, more) => ({ name, colour, x, y, rising: true, width: 1.8, ...more });
+export const curve = (name, colour, x, y) => ({ name, colour, x, y, rising: true, width: 1.8 });
 
 export class PathFigures {
   // `edited` is called with the points (s, um) after each change by the person.
   constructor(edited) {
-    const views = [["line", "One line"], ["all", "All"]];
+    this.views = [["line", "One line"], ["all", "All"]];
+    const { views } = this;
     this.path = new Figure({ title: "Displacement", keys: HANDLE_KEYS, views, choose: () => this.draw(this.last) });
-    this.voltage = new Figure({ title: "Voltage", help: false });
     this.error = new Figure({ title: "Error", help: false });
-    this.views = views;
+    this.voltage = new Figure({ title: "Voltage", help: false });
     this.handles = new PointHandles(this.path.chart, edited);
-    const all = [this.path, this.voltage, this.error];
+    const all = [this.path, this.error, this.voltage];
     this.element = make(h("div.figures.steady", all.map((one) => one.element)));
   }
 
@@ -27,46 +27,37 @@ export class PathFigures {
   // `line` is the time of a line of a scan (s): of many, one is shown.
   draw(last) {
     this.last = last;
-    const { path, planned, limits, reach, band, points, line } = last;
-    const { clamps, clamped } = planned;
-    const many = path.time.at(-1) > FEW_LINES * line;
+    const { path: { time, wanted }, planned, limits, reach, band, points, line } = last;
+    const { clamped, reached, voltage, missed } = planned;
+    const many = time.at(-1) > FEW_LINES * line;
     this.path.views = many ? this.views : [];
     // The second one: the first begins at the start.
     const shown = many && this.path.view === "line" ? [line, 2 * line] : undefined;
-    const cut = clamps.limited + clamps.slewed > 0;
-    const notes = band ? [["band", `promise, \u00b1${length(band)}`]] : [];
-    const straight = (y) => curve("straight gain", "without", path.time, y, { dash: [5, 4], width: 1.4 });
-    const off = (values) => Float32Array.from(values, (value, i) => NM * (value - path.wanted[i]));
-    const most = NM * Math.max(band ?? 0, planned.missed);
     this.handles.set(points ?? [], reach);
     const { x = shown, y } = this.handles.ranges();
-    const seconds = { ...SECONDS, range: x };
-    const show = (figure, spoken, spec) => figure.set({ x: seconds, ...spec }, { keep: true, spoken });
-    show(this.path, "Wanted displacement over time, and what a straight gain would reach.", {
-      y: { ...MICROMETRES, range: y },
-      series: [straight(planned.straightReached), ...wantedCurves({ path, planned })],
-    });
+    const show = (figure, spoken, spec) => figure.set({ x: { ...SECONDS, range: x }, ...spec }, { keep: true, spoken });
     const at = [...clamped.keys()].filter((i) => clamped[i]);
-    const [when, volts] = [path.time, planned.voltage].map((values) => Float32Array.from(at, (i) => values[i]));
+    const [when, volts] = [time, voltage].map((values) => Float32Array.from(at, (i) => values[i]));
+    const cut = at.length > 0;
+    show(this.path, "Wanted displacement over time.", {
+      y: { ...MICROMETRES, range: y },
+      series: [curve("wanted", "measured", time, wanted), ...(cut ? [curve("reached", "simulated", time, reached)] : [])],
+    });
+    const most = NM * Math.max(band, missed);
+    const promise = (sign, word) => ({ value: sign * NM * band, name: `promise ${word}${length(band)}`, colour: "measured" });
+    show(this.error, "Error over time where the model is the actuator, within the promise.", {
+      y: { label: "Error (nm)", unit: "nm", range: most ? [-1.4 * most, 1.4 * most] : undefined },
+      levels: [{ value: 0 }, ...(band ? [promise(1, "+"), promise(-1, "\u2212")] : [])],
+      band: band ? [-NM * band, NM * band] : undefined,
+      series: [curve("as planned", "simulated", time, Float32Array.from(wanted, (one, i) => NM * (reached[i] - one)))],
+    });
     show(this.voltage, "Voltage over time with its limits.", {
       y: VOLTS,
       levels: limits.map((value) => ({ value, name: `limit ${short(value, 4)} V`, colour: "limit" })),
       series: [
-        straight(planned.straight),
-        curve("dehyst", "simulated", path.time, planned.voltage),
+        curve("voltage", "simulated", time, voltage),
         ...(cut ? [{ name: "clamped", colour: "limit", kind: "points", width: 5, x: when, y: volts }] : []),
       ],
-    });
-    show(this.error, "Error over time of a straight gain, and of dehyst where the model is the actuator.", {
-      // Of the promise: a straight gain leaves the picture.
-      y: { label: "Error (nm)", unit: "nm", range: most ? [-1.6 * most, 1.6 * most] : undefined },
-      levels: [{ value: 0 }],
-      band: band ? [-NM * band, NM * band] : undefined,
-      series: [
-        straight(off(planned.straightReached)),
-        curve("dehyst, without the model's error", "simulated", path.time, off(planned.reached)),
-      ],
-      notes,
     });
     this.show(["path", "voltage", "error"]);
   }
@@ -77,30 +68,25 @@ export class PathFigures {
   }
 }
 
-// The wanted displacement of a plan, and what is reached if voltages are clamped.
-function wantedCurves({ path: { time, wanted }, planned: { clamps, reached } }) {
-  const all = [curve("wanted", "measured", time, wanted)];
-  if (clamps.limited + clamps.slewed > 0) all.push(curve("reached", "simulated", time, reached));
-  return all;
-}
-
 // What to expect of a plan: a light and a sentence, then facts. `stroke` and `band` in um.
 export function judged(planned, { stroke, band, light, speed, apart }) {
-  const { voltage, steepest, missed, straightMissed, clamps } = planned;
-  const share = (um) => `${length(um)} (${percent((100 * um) / stroke)} of the stroke)`;
+  const { voltage, steepest, missed, clamps } = planned;
   const cut = [
     clamps.limited && `${whole(clamps.limited)} samples are clamped`,
     clamps.slewed && `${whole(clamps.slewed)} samples are slewed`,
   ].filter(Boolean);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
-  const followed = `The path can be followed${band ? `: expect it within ${share(band)}` : ""}.`;
+  const within = band ? `: expect it within ${length(band)} (${percent((100 * band) / stroke)} of the stroke)` : "";
   return {
     light: cut.length ? "red" : light,
-    first: cut.length ? `${cut.join(" and ")}: the path is missed by up to ${length(missed)}.` : followed,
+    first: cut.length
+      ? `${cut.join(" and ")}: the path is missed by up to ${length(missed)}.`
+      : `The path can be followed${within}.`,
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
-      `A straight gain would miss it by up to ${share(straightMissed)}.`,
-      ...(band ? [`The promise is that of any path, ${apart}; a written file has its own.`] : []),
+      band
+        ? `The promise is that of any path, ${apart}; a written file has its own.`
+        : "There is no promise: by the last check this model is not true any more. Update it, or identify again.",
     ],
   };
 }

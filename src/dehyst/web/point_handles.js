@@ -28,10 +28,10 @@ export class PointHandles {
     this.place();
   }
 
-  // Ranges of a picture with these points and other columns of y: while a point is dragged, it stays where it is.
-  ranges(others = []) {
+  // Ranges of a picture with these points: while one is dragged, the picture stays where it is.
+  ranges() {
     const x = this.held ? this.chart.home.x : undefined;
-    return { x, y: this.points.length > 0 ? extent([this.ends, ...others], 0.02) : undefined };
+    return { x, y: this.points.length > 0 ? extent([this.ends], 0.02) : undefined };
   }
 
   get duration() {

@@ -33,7 +33,7 @@ export function reportParts(text) {
   const element = document.createElement("div");
   element.className = "report";
   element.append(...page.querySelector("main").children);
-  for (const one of element.querySelectorAll("h1")) one.remove();
+  for (const one of element.querySelectorAll("h1, .command")) one.remove();
   for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
   if (charts) drawCharts(element, JSON.parse(charts.textContent));
   return { element };

@@ -88,7 +88,6 @@ FORMS: dict[str, Form] = {
         "name": {"label": "Name of the model", "placeholder": "of the first record", "text": True},
     },
     "path": {
-        "axis": {"label": "Axis to draw"},
         "low": {"label": "Lowest voltage", "unit": "V"},
         "high": {"label": "Highest voltage", "unit": "V"},
         "slew": {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0},

@@ -278,7 +278,7 @@ class WorkbenchSession:
             parts = found.get("axes", {"": found})
             if not any(one["used"] for one in parts.values()):
                 raise SessionError("; ".join(one["sentence"] for one in parts.values()))
-            basis, goal = f"{record.name}, parts of it held out", model.verdict["goal"] if model.verdict else 1.0
+            basis, goal = f"parts of {record.name} held out in turn", model.verdict["goal"] if model.verdict else 1.0
             verdicts = {
                 axis: verdict_of(one["promise"], "READY" if one["good"] else "USABLE", basis, goal, one["sentences"])
                 for axis, one in parts.items()

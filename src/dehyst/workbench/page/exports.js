@@ -49,21 +49,14 @@ async function exportAs(kind) {
 }
 
 function modelLinks({ file, report }) {
-  const look = { class: "button", download: null, target: "_blank", rel: "noopener" };
   return [
     h("h3", "Model and report"),
     h("p", "The model as JSON, for Python and the command line; the report as one page that needs no server."),
     h("p.row",
       fileLink(file, "Model (JSON)", { class: "button main" }),
       report && fileLink(report, "Report (HTML)", { class: "button main" }),
-      report && fileLink(report, "Look at the report", look),
     ),
   ];
-}
-
-async function copy(text) {
-  await navigator.clipboard.writeText(text);
-  announce("Copied.");
 }
 
 // Instruments are driven from a terminal alone.
@@ -74,17 +67,19 @@ const rigCard = () =>
   card("On a rig", { id: "rig", key: "rig" },
     h("p", "A terminal drives the actuator: it records loops, identifies a model, and measures along a path."),
     h("pre", RIG),
-    h("p.row", button("Copy the command", "rig", () => copy(RIG))),
-    problem("rig"),
   );
 
 function script(log) {
   const about = { id: "script", tabindex: "0", role: "region", "aria-label": "Commands of this session" };
+  const copy = async () => {
+    await navigator.clipboard.writeText(session.state.log.join("\n"));
+    announce("Copied.");
+  };
   return h("section", { "aria-labelledby": "script-title" },
     h("h3#script-title", "Log as script"),
     h("p.muted", "The commands that do the same in a terminal, in this order."),
     h("pre", about, log.join("\n") || "# nothing was done yet"),
-    h("p.row", button("Copy", "script", () => copy(session.state.log.join("\n")))),
+    h("p.row", button("Copy", "script", copy)),
     problem("script"),
   );
 }

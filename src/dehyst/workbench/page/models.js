@@ -5,7 +5,7 @@ import { duration, percent, range } from "./numbers.js";
 import * as server from "./server.js";
 import { goTo, needsModel } from "./steps.js";
 import { assessment, checkCard } from "./trust.js";
-import { axesBlock, fileLink, modelChoice, mounted, verdictBlock } from "./verdict.js";
+import { axesBlock, fileLink, isOld, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
 const { announce, button, problem, readyModels } = server;
 let known = null; // models that were ready when the page last looked
@@ -33,21 +33,22 @@ export function modelView({ models }, model) {
 
 function body(model) {
   // The present verdict alone is in sight.
-  const isOld = model.check && !model.check.good;
+  const old = isOld(model);
   const look = { class: "button", download: null, target: "_blank" };
   const origin = model.origin || `Identified in ${duration(model.seconds)}.`;
   const ranges = `Known for ${range(model.range_v, "V")}; reaches ${range(model.range_um, "\u00b5m")}.`;
   return [
     modelChoice(),
-    isOld ? checkCard(model) : h("div#verdict", verdictBlock(model), axesBlock(model)),
+    old ? checkCard(model) : h("div#verdict", verdictBlock(model), axesBlock(model)),
     h("div.row.next",
       goTo("path", "Make a voltage"),
       fileLink(model.report, "Read the report", look),
     ),
     h("p.muted", `${ranges} ${origin} `, server.removeButton("models", model)),
     problem(`models ${model.id}`),
-    isOld ? fold("The promise before that record", verdictBlock(model), axesBlock(model)) : checkCard(model),
+    old ? fold("The promise before that record", verdictBlock(model), axesBlock(model)) : checkCard(model),
     assessment(model),
+    h("h2", "The identification"),
     problem(model.report),
     h("div#model-report", mounted(model.report)?.element),
   ];

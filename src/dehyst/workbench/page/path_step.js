@@ -9,21 +9,17 @@ import { plan, sampled } from "./path.js";
 import { PathFigures, curve, judged, verdict } from "./path_figures.js";
 import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
-import { fileLink, jobCards, lightOf, modelChoice } from "./verdict.js";
+import { fileLink, isOld, jobCards, lightOf, modelChoice } from "./verdict.js";
 
 const { button, chosenModel, complain, problem, redraw } = server;
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
 const scans = new ScanForm(replan);
-const form = new Form("path", DECLARED.forms.path, (name) => {
-  if (name === "axis") view.points = firstPoints();
-  replan();
-});
+const form = new Form("path", DECLARED.forms.path, replan);
 const figures = new PathFigures(usePoints);
 // Of a model of several axes, whose path is of all of them.
 const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
-const drawnAxis = () => chosenModel().axes?.find((one) => one.name === form.values.axis) ?? chosenModel();
 
 export function pathView(state, model) {
   if (!model) return null;
@@ -36,7 +32,6 @@ export function pathView(state, model) {
       modelChoice(),
       h("div.card",
         sourceChoice(model),
-        model.coupling && view.source === "points" && form.field("axis"),
         { scan: scanFields, points: pointsField, file: fileField }[view.source](),
         form.row(model.coupling ? ["rate"] : ["low", "high", "slew", "rate"]),
         button("Write voltage", "path", write, { class: "main wide-button", id: "write" }),
@@ -49,7 +44,7 @@ export function pathView(state, model) {
 }
 
 function sourceChoice(model) {
-  const sources = Object.entries(SOURCES).filter(([name]) => !model.coupling || name !== "scan");
+  const sources = Object.entries(SOURCES).filter(([name]) => !model.coupling || name === "file");
   const one = ([value, label]) => {
     const onchange = () => {
       view.source = value;
@@ -128,8 +123,8 @@ function pace({ range_v: [low, high], slew_v_per_s: slew }) {
 const frequency = (axis) => roundDown(Math.min(1, pace(axis) / 2.2));
 
 function firstPoints() {
-  const [low, high] = drawnAxis().range_um;
-  const seconds = 1 / frequency(drawnAxis());
+  const [low, high] = chosenModel().range_um;
+  const seconds = 1 / frequency(chosenModel());
   return [0.2, 0.75, 0.35, 0.6, 0.2].map((share, k) => [(k / 4) * seconds, low + share * (high - low)]);
 }
 
@@ -137,13 +132,12 @@ function firstPoints() {
 function adopt(model) {
   if (view.model === model.id) return;
   Object.assign(view, { model: model.id, file: null, written: null });
-  form.offer("axis", namesOf(model).map((name) => [name, name]));
-  if (model.coupling && view.source === "scan") view.source = "points";
+  if (model.coupling) view.source = "file";
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
   form.values.slew = "";
   // Ten thousand samples at most, so that a path is planned while its points are dragged.
-  form.values.rate = plain(Math.min(1000, 10_000 * frequency(drawnAxis())), 6);
+  form.values.rate = plain(Math.min(1000, 10_000 * frequency(model)), 6);
   scans.suggest(model.range_um, pace(model));
   replan();
 }
@@ -157,17 +151,11 @@ function replan() {
   redraw();
 }
 
-// The points of each axis: of a file, or drawn for one while the others rest in the middle of their reach.
+// The points of each axis: of a file, or drawn.
 function chosenPaths() {
-  if (view.source === "file") {
-    if (!view.file) throw new Error("Choose a file first.");
-    return view.file;
-  }
-  const { axes, coupling } = chosenModel();
-  if (!coupling) return [view.points];
-  const middle = ({ range_um: [low, high] }, time) => [time, (low + high) / 2];
-  const rest = (axis) => [view.points[0], view.points.at(-1)].map(([time]) => middle(axis, time));
-  return axes.map((one) => (one === drawnAxis() ? view.points : rest(one)));
+  if (view.source === "points") return [view.points];
+  if (!view.file) throw new Error("Choose a file first.");
+  return view.file;
 }
 
 const modules = new Map(); // by model and period: compiled
@@ -193,7 +181,7 @@ async function planNow(model) {
     const line = view.source === "scan" ? 1 / (scans.scan().frequency ?? NaN) : NaN;
     view.last = {
       ...{ path, planned, limits, points, line },
-      ...{ reach: model.range_um, band: model.verdict.largest_um },
+      ...{ reach: model.range_um, band: isOld(model) ? 0 : model.verdict.largest_um },
     };
     figures.draw(view.last);
     view.took = performance.now() - began;
@@ -210,13 +198,11 @@ async function planNow(model) {
 function planAxes(model) {
   const names = namesOf(model);
   const paths = chosenPaths();
-  figures.handles.set(view.source === "points" ? view.points : [], drawnAxis().range_um);
+  figures.handles.set([], model.range_um);
   const column = (k, at) => Float64Array.from(paths[k], (point) => point[at]);
   const series = curves(names, (k) => column(k, 0), (k) => column(k, 1));
-  const { x, y } = figures.handles.ranges(series.map((one) => one.y));
-  const axes = { x: { ...SECONDS, range: x }, y: { ...MICROMETRES, range: y } };
   const spoken = `Wanted displacement of ${names.join(", ")} over time.`;
-  figures.path.set({ ...axes, series }, { keep: true, spoken });
+  figures.path.set({ x: SECONDS, y: MICROMETRES, series }, { spoken });
   const [light] = lightOf(model.verdict);
   const expected = model.axes.map(({ name }) => {
     const { largest_um: um, largest_percent: share } = model.coupling.verdicts[name];
@@ -253,7 +239,7 @@ function cannotPlan(why) {
 
 function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach, band }) {
   const { steepest, clamps } = planned;
-  const [light] = lightOf(known);
+  const light = band ? lightOf(known)[0] : "amber";
   let speed = "";
   if (recorded && steepest > recorded * 1.001) {
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;

@@ -15,9 +15,8 @@ const { announce, button, problem, readyRecords, redraw, session } = server;
 const [drop, journey, file, example] = ["drop", "journey", "file", "example"].map(byId);
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
-const unseen = new Set(); // records that are not drawn
 const lately = new Map(); // status of each record as last seen
-const uploads = [];
+const uploads = new Set();
 // A record that arrives when there is a model waits until the person says what it is for.
 const isOpenQuestion = ({ id }) =>
   !roles.has(id) && session.state.models.length > 0 &&
@@ -31,14 +30,14 @@ export function recordsView({ records }) {
   const open = records.filter((one) => one.status !== "ready").reverse();
   const first = open.find((one) => one.status === "refused" && one.file_columns?.length)?.id;
   const cards = [...open, ...readyRecords()].map((one) => recordCard(one, one.id === first));
-  figure.draw(readyRecords().filter((one) => !unseen.has(one.id)));
+  figure.draw(readyRecords());
   scrollToRefused(records);
   drop.classList.toggle("small", records.length > 0);
   return [
     exciteCard(session.state),
     drop,
-    problem("example"),
-    h("ul#uploads.uploads", uploads.map(uploadRow)),
+    problem("upload"),
+    h("ul#uploads.uploads", [...uploads].map(uploadRow)),
     records.length === 0 && journey,
     records.length > 0 &&
       h("div#records-body.split", { key: "body" },
@@ -53,6 +52,7 @@ export function recordsView({ records }) {
 
 export function sendAll(files) {
   openStep("records");
+  server.complain("upload", "");
   for (const file of files) send(file);
 }
 
@@ -63,39 +63,30 @@ file.onchange = () => {
 // One may be chosen before this script is loaded.
 setTimeout(() => file.files.length > 0 && file.onchange());
 example.onclick = () =>
-  server.example("virtual-loops.csv").then((made) => sendAll([made]), (error) => server.complain("example", error.message));
+  server.example("virtual-loops.csv").then((made) => sendAll([made]), (error) => server.complain("upload", error.message));
 
 async function send(file) {
-  const one = { key: `${file.name} ${performance.now()}`, name: file.name, size: file.size };
+  const { name, size } = file;
+  const one = { key: `${name} ${performance.now()}`, name, size };
   const limit = session.state.upload_limit;
-  uploads.push(one);
+  uploads.add(one);
+  redraw();
   try {
-    if (limit && file.size > limit) {
-      throw new Error(`it has ${bytes(file.size)}, and at most ${bytes(limit)} can be read`);
-    }
-    redraw();
+    if (limit && size > limit) throw new Error(`it has ${bytes(size)}, and at most ${bytes(limit)} can be read`);
     await server.upload(file);
-    uploads.splice(uploads.indexOf(one), 1);
-    announce(`${file.name} was sent and is being read.`);
+    announce(`${name} was sent and is being read.`);
   } catch (error) {
-    one.error = error.message;
+    server.complain("upload", `${name} was not sent: ${error.message}`);
   }
+  uploads.delete(one);
   redraw();
 }
 
-function uploadRow(one) {
-  const { key, name, size, error } = one;
-  const dismiss = () => {
-    uploads.splice(uploads.indexOf(one), 1);
-    redraw();
-  };
-  if (error) {
-    const words = h("p.error", { role: "alert" }, `${name} was not sent: ${error}`);
-    return h("li", { key }, words, h("button", { type: "button", class: "quiet", onclick: dismiss }, "Dismiss"));
-  }
-  const bar = h("progress", { "aria-label": `Upload of ${name}` });
-  return h("li", { key }, h("span", `${name}, ${bytes(size)}: is being sent`), bar);
-}
+const uploadRow = ({ key, name, size }) =>
+  h("li", { key },
+    h("span", `${name}, ${bytes(size)}: is being sent`),
+    h("progress", { "aria-label": `Upload of ${name}` }),
+  );
 
 // A file that was refused is brought into view once.
 function scrollToRefused(records) {
@@ -138,15 +129,14 @@ function readyCard(record) {
   const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement } = record;
   const { words, problems, others } = record;
   const understood = words?.length > 0 || record.file_columns?.length > 0;
-  const box = (label, checked, change) => {
+  const verify = () => server.readRecord(id, { verified: true });
+  const role = (label, own) => {
     const onchange = (event) => {
-      change(event.target.checked);
+      roles.set(id, event.target.checked ? own : "none");
       redraw();
     };
-    return tick(label, { type: "checkbox", checked, spoken: `${label}: ${name}`, onchange });
+    return tick(label, { type: "checkbox", checked: roleOf(record) === own, spoken: `${label}: ${name}`, onchange });
   };
-  const verify = () => server.readRecord(id, { verified: true });
-  const role = (label, own) => box(label, roleOf(record) === own, (on) => roles.set(id, on ? own : "none"));
   return [
     facts([
       ["Samples", `${whole(samples)} in ${duration(seconds)}, ${short(rate, 4)} Hz`],
@@ -164,7 +154,6 @@ function readyCard(record) {
       role("Train", "train"),
       role("Validate", "validate"),
       server.chosenModel() && isOpenQuestion(record) && checkButton(record),
-      box("Draw", !unseen.has(id), (on) => (on ? unseen.delete(id) : unseen.add(id))),
     ),
   ];
 }

@@ -2,6 +2,7 @@
 import { byId, fill, h } from "./dom.js";
 import { percent } from "./numbers.js";
 import { chosenModel, readyRecords, session, watch } from "./server.js";
+import { isOld } from "./verdict.js";
 
 const counted = ({ length }, noun) => `${length} ${noun}${length === 1 ? "" : "s"}`;
 // The state of a step: done with these words, or not begun.
@@ -50,8 +51,8 @@ function refresh(state) {
   fill(byId(open), heading, needs && !model && needsModel(needs), pages[open](state, model));
 }
 
-export const goTo = (step, text) =>
-  h("button", { type: "button", class: "main", onclick: () => openStep(step, { focus: true }) }, text);
+export const goTo = (step, text, look = "main") =>
+  h("button", { type: "button", class: look, onclick: () => openStep(step, { focus: true }) }, text);
 
 // Of a step that needs a model, while there is none.
 export const needsModel = (words) => h("div.empty", h("p", words), goTo("records", "To the records"));
@@ -87,5 +88,6 @@ function recordsState({ records }) {
 function modelState({ models }) {
   if (models.some((one) => one.status === "identifying")) return { text: "identifying\u2026", mark: "busy" };
   const model = chosenModel();
+  if (model && isOld(model)) return { text: "not true any more", mark: "bad" };
   return reached(model && `${percent(model.verdict.largest_percent)} largest error`, "none yet");
 }

@@ -10,7 +10,9 @@ import { jobCards, mounted } from "./verdict.js";
 export function assessment({ id, insight }) {
   const jobs = openJobs("insight", id);
   const assess = () => workOn(id, "insight", {}, "The assessment has begun.");
-  if (insight) return [problem(insight.report), h("div#insight", mounted(insight.report)?.element)];
+  if (insight) {
+    return [problem(insight.report), h("h2", "What the records leave open"), h("div#insight", mounted(insight.report)?.element)];
+  }
   return card("What do the records leave open?", { id: "assess", key: "assess" },
     h("p",
       "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
@@ -39,13 +41,8 @@ export function checkCard(model) {
   const jobs = [...openJobs("check", model.id), ...openJobs("update", model.id)];
   const act = (text, what, record, begun, look) =>
     button(text, "check", () => workOn(model.id, what, { record }, begun), { ...look, hidden: jobs.some(runs) });
-  const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records")];
+  const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records", "")];
   return card("Is it still true?", { id: "check", key: "check" },
-    records.length === 0 && h("p", measure),
-    records.length > 0 && checking.field("record"),
-    records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun."),
-    h("ul.cards", jobCards(jobs)),
-    problem("check"),
     check &&
       h("div", { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
         check.sentences.map((one) => h("p.first", one)),
@@ -54,5 +51,10 @@ export function checkCard(model) {
         check.updates &&
           act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
       ),
+    records.length === 0 && h("p", measure),
+    records.length > 0 && checking.field("record"),
+    records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun."),
+    h("ul.cards", jobCards(jobs)),
+    problem("check"),
   );
 }

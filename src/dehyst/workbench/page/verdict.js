@@ -14,6 +14,9 @@ const LIGHTS = {
 };
 export const lightOf = ({ readiness }) => LIGHTS[readiness] ?? ["amber", readiness];
 
+// Whether the last check found that the model is not true any more.
+export const isOld = ({ check }) => Boolean(check && !check.good);
+
 // The cells of a verdict in a table, and their heads.
 const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
 function verdictCells(verdict) {
@@ -26,11 +29,10 @@ export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [], apart } = verdict;
   const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
-  const told = h("small", `of the stroke (${length(um)}) is the largest error to expect, ${apart}`);
   return h("div", { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
     h("strong", words),
-    h("b", percent(largest), " ", told),
-    h("p", `RMS ${percent(rms)}, from ${basis || "the records"}; goal ${percent(goal)}.`),
+    h("b", `${percent(largest)} of the stroke `, h("small", `or ${length(um)}`)),
+    h("p", `is the largest error to expect (RMS ${percent(rms)}, from ${basis}; goal ${percent(goal)}), ${apart}.`),
     why.length > 0 && fold(things, list(why)),
     list(verdict.remarks, "remarks"),
   );
