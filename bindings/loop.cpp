@@ -311,7 +311,7 @@ struct Feedback {
 int judge(Input expected, Input measured, double bound) {
     if (expected.size() != measured.size()) demand(DEHYST_ERR_SIZE);
     dehyst_sensor sensor;
-    dehyst_sensor_begin(&sensor);
+    dehyst_sensor_begin(&sensor, expected.size() ? expected(0) : 0, 0);
     for (size_t i = 0; i < expected.size(); i++) dehyst_sensor_read(&sensor, bound, expected(i), measured(i));
     return dehyst_sensor_judge(&sensor);
 }

@@ -128,17 +128,19 @@ typedef enum dehyst_fault {
     DEHYST_SCALED = 3,     /* it moves less than half, or more than twice, as much as the actuator */
     DEHYST_CONTRADICTS = 4 /* it moves at other times: inverted, late by more than a sixth of a cycle, or noise */
 } dehyst_fault;
-/* What a sensor says over a cycle, beside what it should: means, and squares and product about them. */
+/* What a sensor says over a cycle, beside what it should. */
 typedef struct dehyst_sensor {
-    dehyst_real expected, reading;       /* [m] */
-    dehyst_real moved, common, seen;     /* [m^2] */
+    dehyst_real expected, miss;        /* the sums are about these: displacement, and reading less displacement [m] */
+    dehyst_real way, missed;           /* sums of both [m] */
+    dehyst_real moved, common, spread; /* of their squares, and of their product [m^2] */
     unsigned long near_count, far_count; /* readings within the bound, and beyond */
 } dehyst_sensor;
-void dehyst_sensor_begin(dehyst_sensor *sensor);
+/* Begin a cycle; sums round least about a displacement of the cycle [m], and about the usual miss of the sensor [m]. */
+void dehyst_sensor_begin(dehyst_sensor *sensor, dehyst_real expected, dehyst_real miss);
 /* Take a reading [m] beside the one that is expected [m]; return whether it counts: it is a number within the bound [m]. */
 int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading);
-/* Return whether the sensor is believed after a cycle. */
-dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor);
+/* Return whether the sensor is believed after a cycle; the sums are then about their means. */
+dehyst_fault dehyst_sensor_judge(dehyst_sensor *sensor);
 
 /* Most samples by which a reading may be late. */
 #ifndef DEHYST_FEEDBACK_LATE
@@ -150,17 +152,16 @@ typedef struct dehyst_feedback {
     dehyst_real correction;                    /* added to the wanted displacement [m] */
     dehyst_real rest, back; /* where it goes without a sensor, and how far in a period [m] */
     dehyst_real low, high, last, travelled, sum; /* of the present cycle, and the sum of its corrections [m] */
-    dehyst_real blind;                           /* way since the last reading [m] */
+    dehyst_real heard;                           /* what was travelled at the last reading [m] */
     dehyst_real past[DEHYST_FEEDBACK_LATE + 1]; /* displacements that were meant [m] */
     int late, at;
     unsigned long samples; /* of the present cycle */
-    dehyst_real mismatch, spread; /* of readings and model in the present cycle: mean [m], sum of squares about it [m^2] */
-    dehyst_real usual;            /* mean square of the last mismatch that was no surprise [m^2]; 0: there is none */
-    dehyst_real moved;            /* range of the cycle before [m] */
-    unsigned long lasted;         /* samples of the cycle before */
-    int up;                       /* whether the present cycle began upwards */
-    int trial;                    /* 0: none; else its cycle: three without a correction, one with it again */
-    dehyst_fault fault;           /* DEHYST_BELIEVED, or why the sensor is not believed any more */
+    dehyst_real usual;    /* mean square of the last mismatch that was no surprise [m^2]; 0: there is none */
+    dehyst_real moved;    /* range of the cycle before [m] */
+    unsigned long lasted; /* samples of the cycle before */
+    int up;               /* whether the present cycle began upwards */
+    int trial;            /* 0: none; else its cycle: three without a correction, one with it again */
+    dehyst_fault fault;   /* DEHYST_BELIEVED, or why the sensor is not believed any more */
     dehyst_sensor sensor;
 } dehyst_feedback;
 /* Begin to feed back a sensor, without a correction; after a fault, this begins anew.

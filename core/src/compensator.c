@@ -167,7 +167,7 @@ dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loo
     if (model->output.branches > 0) {
         m = crept(&model->output, memory + dehyst_memory_size(model) - model->taps - model->output.branches, m);
     }
-    return has_output(model, loop) ? (loop->offset + (loop->gain * m)) : m;
+    return loop->offset + (loop->gain * m);
 }
 
 dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real offset)
@@ -190,40 +190,61 @@ dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real
 #define TOO_LITTLE ((dehyst_real)0.25)
 #define TOO_MUCH ((dehyst_real)4)
 
-void dehyst_sensor_begin(dehyst_sensor *sensor)
+void dehyst_sensor_begin(dehyst_sensor *sensor, dehyst_real expected, dehyst_real miss)
 {
-    sensor->expected = sensor->reading = sensor->moved = sensor->common = sensor->seen = 0;
+    sensor->expected = expected;
+    sensor->miss = miss;
+    sensor->way = sensor->missed = sensor->moved = sensor->common = sensor->spread = 0;
     sensor->near_count = sensor->far_count = 0;
 }
 
-int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading)
+static inline int take_reading(dehyst_sensor *s, dehyst_real bound, dehyst_real expected, dehyst_real reading)
 {
-    dehyst_sensor *s = sensor;
-    dehyst_real dm, dy;
-    if (!is_finite(reading)) { return 0; }
-    if (!(magnitude(reading - expected) <= bound)) {
-        s->far_count++;
+    dehyst_real way, missed = reading - expected;
+    if (!(magnitude(missed) <= bound)) {
+        s->far_count += (unsigned long)is_finite(reading);
         return 0;
     }
+    way = expected - s->expected;
+    missed -= s->miss;
+    s->way += way;
+    s->missed += missed;
+    s->moved += way * way;
+    s->common += way * missed;
+    s->spread += missed * missed;
     s->near_count++;
-    dm = expected - s->expected;
-    dy = reading - s->reading;
-    s->expected += dm / (dehyst_real)s->near_count;
-    s->reading += dy / (dehyst_real)s->near_count;
-    s->moved += dm * (expected - s->expected);
-    s->common += dm * (reading - s->reading);
-    s->seen += dy * (reading - s->reading);
     return 1;
 }
 
-dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor)
+int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading)
+{ return take_reading(sensor, bound, expected, reading); }
+
+/* Put the squares and the product about the means. */
+static void about_means(dehyst_sensor *s)
+{
+    const dehyst_real count = (dehyst_real)((s->near_count > 0) ? s->near_count : 1);
+    const dehyst_real way = s->way / count, missed = s->missed / count;
+    s->expected += way;
+    s->miss += missed;
+    s->moved -= s->way * way;
+    s->common -= s->way * missed;
+    s->spread -= s->missed * missed;
+    s->way = s->missed = 0;
+}
+
+dehyst_fault dehyst_sensor_judge(dehyst_sensor *sensor)
 {
     const dehyst_sensor *s = sensor;
+    dehyst_real moved, common, seen;
     if ((s->near_count + s->far_count) < LEAST_READINGS) { return DEHYST_BELIEVED; }
     if ((3 * s->far_count) > s->near_count) { return DEHYST_FAR; }
-    if (s->seen < (STUCK * s->moved)) { return DEHYST_STUCK; }
-    if ((s->seen < (TOO_LITTLE * s->moved)) || (s->seen > (TOO_MUCH * s->moved))) { return DEHYST_SCALED; }
-    if (!((s->common > 0) && ((s->common * s->common) > (CORRELATED * CORRELATED * s->moved * s->seen)))) {
+    about_means(sensor);
+    moved = s->moved;
+    common = moved + s->common;
+    seen = common + s->common + s->spread;
+    if (seen < (STUCK * moved)) { return DEHYST_STUCK; }
+    if ((seen < (TOO_LITTLE * moved)) || (seen > (TOO_MUCH * moved))) { return DEHYST_SCALED; }
+    if (!((common > 0) && ((common * common) > (CORRELATED * CORRELATED * moved * seen)))) {
         return DEHYST_CONTRADICTS;
     }
     return DEHYST_BELIEVED;
@@ -233,8 +254,9 @@ dehyst_fault dehyst_sensor_judge(const dehyst_sensor *sensor)
  * where limits or slew rate kept the elements from it, by as much less. */
 static dehyst_real meant(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
-    const dehyst_real *inputs = memory + dehyst_memory_size(model) - model->taps;
+    const dehyst_real *inputs;
     if (model->taps == 1) { return dehyst_loop_displacement(model, loop, memory); }
+    inputs = memory + dehyst_memory_size(model) - model->taps;
     return loop->offset + (loop->gain * (crept(&model->output, inputs - model->output.branches, inputs[0]) +
                                          (loop->w - loop->target)));
 }
@@ -251,16 +273,16 @@ dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop
     feedback->gain = gain;
     feedback->bound = bound;
     feedback->least = LEAST_MOTION * range;
-    feedback->correction = feedback->rest = feedback->back = feedback->sum = feedback->travelled = feedback->blind = 0;
+    feedback->correction = feedback->rest = feedback->back = feedback->sum = feedback->travelled = feedback->heard = 0;
     feedback->low = feedback->high = feedback->last = meant(model, loop, memory);
     for (k = 0; k <= late; k++) { feedback->past[k] = feedback->last; }
     feedback->late = late;
     feedback->at = 0;
     feedback->samples = feedback->lasted = 0;
-    feedback->mismatch = feedback->spread = feedback->usual = feedback->moved = 0;
+    feedback->usual = feedback->moved = 0;
     feedback->trial = feedback->up = 0;
     feedback->fault = DEHYST_BELIEVED;
-    dehyst_sensor_begin(&feedback->sensor);
+    dehyst_sensor_begin(&feedback->sensor, feedback->last, 0);
     return DEHYST_OK;
 }
 
@@ -280,7 +302,7 @@ static int grew(dehyst_real now, dehyst_real before, dehyst_real count)
 static void judge_answer(dehyst_feedback *f)
 {
     const dehyst_real count = (dehyst_real)f->sensor.near_count;
-    const dehyst_real mismatch = f->spread / count, moved = f->high - f->low, before = f->moved;
+    const dehyst_real mismatch = f->sensor.spread / count, moved = f->high - f->low, before = f->moved;
     const unsigned long off = (f->samples > f->lasted) ? (f->samples - f->lasted) : (f->lasted - f->samples);
     const int repeats = ((20 * off) <= f->samples) && ((8 * moved) <= (9 * before)) && ((8 * before) <= (9 * moved));
     f->lasted = f->samples;
@@ -305,20 +327,13 @@ static int takes_back(const dehyst_feedback *f)
     return (f->fault != DEHYST_BELIEVED) || ((f->trial > 0) && (f->trial <= WITHOUT));
 }
 
-/* Judge the sensor after each way there and back of the displacement without a correction, and begin another one. */
-static void judge_cycle(dehyst_feedback *f, dehyst_real plain)
+/* Return whether there was no reading for more than a cycle. */
+static int is_silent(const dehyst_feedback *f)
+{ return (f->moved > 0) && ((f->travelled - f->heard) > (2 * f->moved)); }
+
+/* Judge the sensor after a cycle of the displacement without a correction, which ends at `plain`; begin another one. */
+OUT_OF_LINE static void end_cycle(dehyst_feedback *f, dehyst_real plain)
 {
-    const int up = plain > f->last;
-    if (f->samples == 0) { f->up = up; }
-    f->samples++;
-    f->travelled += magnitude(plain - f->last);
-    f->blind += magnitude(plain - f->last);
-    f->sum += f->correction;
-    f->last = plain;
-    f->low = (plain < f->low) ? plain : f->low;
-    f->high = (plain > f->high) ? plain : f->high;
-    if (((f->high - f->low) < f->least) || (f->travelled < (2 * (f->high - f->low))) || (up != f->up)) { return; }
-    if ((f->sensor.near_count + f->sensor.far_count) < LEAST_READINGS) { return; }
     f->fault = dehyst_sensor_judge(&f->sensor);
     if ((f->fault == DEHYST_BELIEVED) && (f->sensor.near_count > 0)) { judge_answer(f); }
     /* Taken back within a quarter of the cycle, so that nothing jumps; without readings the mean of the cycle stays. */
@@ -326,9 +341,26 @@ static void judge_cycle(dehyst_feedback *f, dehyst_real plain)
     f->rest = takes_back(f) ? 0 : (f->sum / (dehyst_real)f->samples);
     f->sum = 0;
     f->low = f->high = plain;
-    f->travelled = f->mismatch = f->spread = 0;
+    f->heard -= f->travelled;
+    f->travelled = 0;
     f->samples = 0;
-    dehyst_sensor_begin(&f->sensor);
+    dehyst_sensor_begin(&f->sensor, plain, f->sensor.miss);
+}
+
+/* Follow the displacement without a correction, and end a cycle after each way there and back. */
+static void follow_cycle(dehyst_feedback *f, dehyst_real plain)
+{
+    const dehyst_real change = plain - f->last;
+    dehyst_real range;
+    if (f->samples++ == 0) { f->up = change > 0; }
+    f->travelled += magnitude(change);
+    f->sum += f->correction;
+    f->last = plain;
+    if (plain < f->low) { f->low = plain; }
+    if (plain > f->high) { f->high = plain; }
+    range = f->high - f->low;
+    if ((range < f->least) || (f->travelled < (2 * range)) || ((change > 0) != f->up)) { return; }
+    if ((f->sensor.near_count + f->sensor.far_count) >= LEAST_READINGS) { end_cycle(f, plain); }
 }
 
 dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
@@ -340,14 +372,9 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
     f->past[f->at] = meant(model, loop, memory);
     f->at = (f->at < f->late) ? (f->at + 1) : 0;
     expected = f->past[f->at];
-    near = (f->fault == DEHYST_BELIEVED) && dehyst_sensor_read(&f->sensor, f->bound, expected, measured);
-    if (near) {
-        const dehyst_real change = measured - expected - f->mismatch;
-        f->mismatch += change / (dehyst_real)f->sensor.near_count;
-        f->spread += change * (measured - expected - f->mismatch);
-        f->blind = 0;
-    }
-    if (takes_back(f) || ((f->moved > 0) && (f->blind > (2 * f->moved)))) {
+    near = (f->fault == DEHYST_BELIEVED) && take_reading(&f->sensor, f->bound, expected, measured);
+    if (near) { f->heard = f->travelled; }
+    if (takes_back(f) || (!near && is_silent(f))) {
         const dehyst_real left = f->rest - f->correction;
         const dehyst_real step = (left > f->back) ? f->back : ((left < -f->back) ? -f->back : left);
         f->correction += step;
@@ -355,7 +382,7 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
         /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
         f->correction -= f->gain * (measured - expected + f->correction);
     }
-    if (f->fault == DEHYST_BELIEVED) { judge_cycle(f, expected - f->correction); }
+    if (f->fault == DEHYST_BELIEVED) { follow_cycle(f, expected - f->correction); }
     return f->correction;
 }
 
