@@ -310,10 +310,7 @@ struct Feedback {
 // Why the sensor of a cycle is not believed, from what it should show [m] and shows; 0: it is.
 int judge(Input expected, Input measured, double bound) {
     if (expected.size() != measured.size()) demand(DEHYST_ERR_SIZE);
-    dehyst_sensor sensor;
-    dehyst_sensor_begin(&sensor, expected.size() ? expected(0) : 0, 0);
-    for (size_t i = 0; i < expected.size(); i++) dehyst_sensor_read(&sensor, bound, expected(i), measured(i));
-    return dehyst_sensor_judge(&sensor);
+    return dehyst_sensor_judge(expected.data(), measured.data(), long(expected.size()), bound);
 }
 
 // Loops with the same period. They belong to this bank alone.

@@ -128,19 +128,14 @@ typedef enum dehyst_fault {
     DEHYST_SCALED = 3,     /* it moves less than half, or more than twice, as much as the actuator */
     DEHYST_CONTRADICTS = 4 /* it moves at other times: inverted, late by more than a sixth of a cycle, or noise */
 } dehyst_fault;
-/* What a sensor says over a cycle, beside what it should. */
+/* What a sensor says over a cycle, beside what it should: sums about a displacement, and about a usual miss [m]. */
 typedef struct dehyst_sensor {
-    dehyst_real expected, miss;        /* the sums are about these: displacement, and reading less displacement [m] */
-    dehyst_real way, missed;           /* sums of both [m] */
-    dehyst_real moved, common, spread; /* of their squares, and of their product [m^2] */
-    unsigned long near_count, far_count; /* readings within the bound, and beyond */
+    dehyst_real expected, miss, way, missed; /* both, and the sums [m] */
+    dehyst_real moved, common, spread;       /* sums of squares, and of the product [m^2] */
+    unsigned long near_count, far_count;     /* readings within the bound, and beyond */
 } dehyst_sensor;
-/* Begin a cycle; sums round least about a displacement of the cycle [m], and about the usual miss of the sensor [m]. */
-void dehyst_sensor_begin(dehyst_sensor *sensor, dehyst_real expected, dehyst_real miss);
-/* Take a reading [m] beside the one that is expected [m]; return whether it counts: it is a number within the bound [m]. */
-int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading);
-/* Return whether the sensor is believed after a cycle; the sums are then about their means. */
-dehyst_fault dehyst_sensor_judge(dehyst_sensor *sensor);
+/* Return whether a sensor is believed after a cycle of n readings beside those that are expected [m], by a bound [m]. */
+dehyst_fault dehyst_sensor_judge(const dehyst_real *expected, const dehyst_real *reading, long n, dehyst_real bound);
 
 /* Most samples by which a reading may be late. */
 #ifndef DEHYST_FEEDBACK_LATE

@@ -157,10 +157,6 @@ dehyst_status dehyst_loop_begin(const dehyst_model *model, dehyst_loop *loop, de
     return DEHYST_OK;
 }
 
-/* Return whether the displacement is another one than that of the elements or the mass. */
-static int has_output(const dehyst_model *model, const dehyst_loop *loop)
-{ return (model->output.branches > 0) || (loop->gain != 1) || (loop->offset != 0); }
-
 dehyst_real dehyst_loop_displacement(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
     dehyst_real m = before_creep(model, loop);
@@ -190,7 +186,7 @@ dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real
 #define TOO_LITTLE ((dehyst_real)0.25)
 #define TOO_MUCH ((dehyst_real)4)
 
-void dehyst_sensor_begin(dehyst_sensor *sensor, dehyst_real expected, dehyst_real miss)
+static void begin_readings(dehyst_sensor *sensor, dehyst_real expected, dehyst_real miss)
 {
     sensor->expected = expected;
     sensor->miss = miss;
@@ -198,6 +194,7 @@ void dehyst_sensor_begin(dehyst_sensor *sensor, dehyst_real expected, dehyst_rea
     sensor->near_count = sensor->far_count = 0;
 }
 
+/* Take a reading beside the one that is expected; return whether it counts: it is a number within the bound. */
 static inline int take_reading(dehyst_sensor *s, dehyst_real bound, dehyst_real expected, dehyst_real reading)
 {
     dehyst_real way, missed = reading - expected;
@@ -216,38 +213,31 @@ static inline int take_reading(dehyst_sensor *s, dehyst_real bound, dehyst_real 
     return 1;
 }
 
-int dehyst_sensor_read(dehyst_sensor *sensor, dehyst_real bound, dehyst_real expected, dehyst_real reading)
-{ return take_reading(sensor, bound, expected, reading); }
-
-/* Put the squares and the product about the means. */
-static void about_means(dehyst_sensor *s)
+/* Return whether the sensor is believed after a cycle; put its usual miss, and the squares of misses about it. */
+static dehyst_fault judge_readings(dehyst_sensor *s)
 {
-    const dehyst_real count = (dehyst_real)((s->near_count > 0) ? s->near_count : 1);
-    const dehyst_real way = s->way / count, missed = s->missed / count;
-    s->expected += way;
-    s->miss += missed;
-    s->moved -= s->way * way;
-    s->common -= s->way * missed;
-    s->spread -= s->missed * missed;
-    s->way = s->missed = 0;
-}
-
-dehyst_fault dehyst_sensor_judge(dehyst_sensor *sensor)
-{
-    const dehyst_sensor *s = sensor;
-    dehyst_real moved, common, seen;
+    dehyst_real way, moved, common, seen;
     if ((s->near_count + s->far_count) < LEAST_READINGS) { return DEHYST_BELIEVED; }
     if ((3 * s->far_count) > s->near_count) { return DEHYST_FAR; }
-    about_means(sensor);
-    moved = s->moved;
-    common = moved + s->common;
-    seen = common + s->common + s->spread;
+    way = s->way / (dehyst_real)s->near_count;
+    s->spread -= s->missed * (s->missed / (dehyst_real)s->near_count);
+    s->miss += s->missed / (dehyst_real)s->near_count;
+    moved = s->moved - (way * s->way);
+    common = moved + (s->common - (way * s->missed));
+    seen = common + (s->common - (way * s->missed)) + s->spread;
     if (seen < (STUCK * moved)) { return DEHYST_STUCK; }
     if ((seen < (TOO_LITTLE * moved)) || (seen > (TOO_MUCH * moved))) { return DEHYST_SCALED; }
-    if (!((common > 0) && ((common * common) > (CORRELATED * CORRELATED * moved * seen)))) {
-        return DEHYST_CONTRADICTS;
-    }
-    return DEHYST_BELIEVED;
+    return ((common > 0) && ((common * common) > (CORRELATED * CORRELATED * moved * seen))) ? DEHYST_BELIEVED
+                                                                                           : DEHYST_CONTRADICTS;
+}
+
+dehyst_fault dehyst_sensor_judge(const dehyst_real *expected, const dehyst_real *reading, long n, dehyst_real bound)
+{
+    dehyst_sensor sensor;
+    long t;
+    begin_readings(&sensor, (n > 0) ? expected[0] : 0, 0);
+    for (t = 0; t < n; t++) { (void)take_reading(&sensor, bound, expected[t], reading[t]); }
+    return judge_readings(&sensor);
 }
 
 /* Return the displacement that a sensor without delay should show now. With preview, that is the newest wanted one;
@@ -282,7 +272,7 @@ dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop
     feedback->usual = feedback->moved = 0;
     feedback->trial = feedback->up = 0;
     feedback->fault = DEHYST_BELIEVED;
-    dehyst_sensor_begin(&feedback->sensor, feedback->last, 0);
+    begin_readings(&feedback->sensor, feedback->last, 0);
     return DEHYST_OK;
 }
 
@@ -323,32 +313,10 @@ static void judge_answer(dehyst_feedback *f)
 
 /* Return whether there is to be no correction. */
 static int takes_back(const dehyst_feedback *f)
-{
-    return (f->fault != DEHYST_BELIEVED) || ((f->trial > 0) && (f->trial <= WITHOUT));
-}
+{ return (f->fault != DEHYST_BELIEVED) || ((f->trial > 0) && (f->trial <= WITHOUT)); }
 
-/* Return whether there was no reading for more than a cycle. */
-static int is_silent(const dehyst_feedback *f)
-{ return (f->moved > 0) && ((f->travelled - f->heard) > (2 * f->moved)); }
-
-/* Judge the sensor after a cycle of the displacement without a correction, which ends at `plain`; begin another one. */
-OUT_OF_LINE static void end_cycle(dehyst_feedback *f, dehyst_real plain)
-{
-    f->fault = dehyst_sensor_judge(&f->sensor);
-    if ((f->fault == DEHYST_BELIEVED) && (f->sensor.near_count > 0)) { judge_answer(f); }
-    /* Taken back within a quarter of the cycle, so that nothing jumps; without readings the mean of the cycle stays. */
-    f->back = (4 * f->bound) / (dehyst_real)f->samples;
-    f->rest = takes_back(f) ? 0 : (f->sum / (dehyst_real)f->samples);
-    f->sum = 0;
-    f->low = f->high = plain;
-    f->heard -= f->travelled;
-    f->travelled = 0;
-    f->samples = 0;
-    dehyst_sensor_begin(&f->sensor, plain, f->sensor.miss);
-}
-
-/* Follow the displacement without a correction, and end a cycle after each way there and back. */
-static void follow_cycle(dehyst_feedback *f, dehyst_real plain)
+/* Judge the sensor after each way there and back of the displacement without a correction, and begin another one. */
+static void judge_cycle(dehyst_feedback *f, dehyst_real plain)
 {
     const dehyst_real change = plain - f->last;
     dehyst_real range;
@@ -360,7 +328,17 @@ static void follow_cycle(dehyst_feedback *f, dehyst_real plain)
     if (plain > f->high) { f->high = plain; }
     range = f->high - f->low;
     if ((range < f->least) || (f->travelled < (2 * range)) || ((change > 0) != f->up)) { return; }
-    if ((f->sensor.near_count + f->sensor.far_count) >= LEAST_READINGS) { end_cycle(f, plain); }
+    if ((f->sensor.near_count + f->sensor.far_count) < LEAST_READINGS) { return; }
+    f->fault = judge_readings(&f->sensor);
+    if ((f->fault == DEHYST_BELIEVED) && (f->sensor.near_count > 0)) { judge_answer(f); }
+    /* Taken back within a quarter of the cycle, so that nothing jumps; without readings the mean of the cycle stays. */
+    f->back = (4 * f->bound) / (dehyst_real)f->samples;
+    f->rest = takes_back(f) ? 0 : (f->sum / (dehyst_real)f->samples);
+    f->heard -= f->travelled;
+    f->sum = f->travelled = 0;
+    f->low = f->high = plain;
+    f->samples = 0;
+    begin_readings(&f->sensor, plain, f->sensor.miss);
 }
 
 dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
@@ -374,7 +352,7 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
     expected = f->past[f->at];
     near = (f->fault == DEHYST_BELIEVED) && take_reading(&f->sensor, f->bound, expected, measured);
     if (near) { f->heard = f->travelled; }
-    if (takes_back(f) || (!near && is_silent(f))) {
+    if (takes_back(f) || (!near && (f->moved > 0) && ((f->travelled - f->heard) > (2 * f->moved)))) {
         const dehyst_real left = f->rest - f->correction;
         const dehyst_real step = (left > f->back) ? f->back : ((left < -f->back) ? -f->back : left);
         f->correction += step;
@@ -382,7 +360,7 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
         /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
         f->correction -= f->gain * (measured - expected + f->correction);
     }
-    if (f->fault == DEHYST_BELIEVED) { follow_cycle(f, expected - f->correction); }
+    if (f->fault == DEHYST_BELIEVED) { judge_cycle(f, expected - f->correction); }
     return f->correction;
 }
 
@@ -435,7 +413,9 @@ dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehy
     dehyst_real *inputs, v;
     const dehyst_state state = state_of(model, loop, memory, &inputs);
     dehyst_candidate candidate;
-    if (has_output(model, loop)) { u = without_output(model, loop, inputs, u); }
+    if ((model->output.branches > 0) || (loop->gain != 1) || (loop->offset != 0)) {
+        u = without_output(model, loop, inputs, u);
+    }
     candidate.w = (model->taps > 1) ? filtered(model, inputs, u) : u;
     loop->wanted = u;
     loop->target = candidate.w;
