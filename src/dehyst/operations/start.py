@@ -159,9 +159,10 @@ def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> 
 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
     """Describe the state before the first sample, in brackets; by default the state of the start."""
-    voltage = f"{actuator.voltage(start.within(actuator, None) if state is None else state):.4g} V"
+    volts = actuator.voltage(start.within(actuator, None) if state is None else state)
+    voltage = f"{volts:.4g} V"
     words = {
-        "relaxed": "from rest, relaxed, at ",
+        "relaxed": "from rest, relaxed at 0 V, then moved to " if round(volts, 6) else "from rest, relaxed, at ",
         "homed": "homed, at ",
         "unknown": "from the middle of the possible starts, at ",
         "top": "coming from the top, ",

@@ -369,14 +369,14 @@ def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
 
 def played_homing(
     actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None, path: float
-) -> tuple[Excitation | None, Homing, tuple[str, ...]]:
-    """Return the shortest homing as an excitation (None if the state is known already), its `Homing`, and remarks.
+) -> tuple[Excitation | None, Homing, str]:
+    """Return the shortest homing as an excitation (None if the state is known already), its `Homing`, and an offer.
 
     Raise `RecordError` if there are too many samples.
 
     `drive`: speed and shape, with the sample rate of the path, the present
     voltage and limits. `tolerance`, `within`: as in `shortest_homing`. `path` [s]: duration of what follows; beside a
-    homing that is long for it, a remark offers a shorter one.
+    homing that is long for it, a shorter one is offered in words, else none.
     """
     rate = drive.rate
     # A long homing has a sample rate of its own: that of the path over a whole number.
@@ -391,11 +391,11 @@ def played_homing(
 
     homing = found(drive)
     if len(homing.turns) < 2:
-        return None, homing, homing.remarks
+        return None, homing, ""
     if homing.played.duration * rate <= _EVEN_SAMPLES and drive.sample_rate != rate:
         drive = replace(drive, sample_rate=rate)
         homing = found(drive)
-    remarks, seconds = homing.remarks, homing.played.duration
+    seconds, offer = homing.played.duration, ""
     if within is None and seconds > _LONG * path:
         # Without holds, and with the fewest legs as no tolerance asks for more.
         short = found(drive, hold=0.0, tolerance=1.0)
@@ -403,12 +403,9 @@ def played_homing(
             left, least = (100 * each.spread / actuator.stroke for each in (short, homing))
             digit = 10.0 ** (math.floor(math.log10(short.played.duration)) - 2)
             enough = digit * math.ceil(short.played.duration / digit)
-            remarks += (
-                f"the homing takes {seconds:.4g} s; home within {enough:.3g} s leaves up to {left:.2g} "
-                f"% of the stroke open, this one {least:.2g} %",
-            )
+            offer = f"home within {enough:.3g} s leaves up to {left:.2g} % of the stroke open, this one {least:.2g} %"
     # No remark on legs that take longer to keep the slew rate: no speed was requested.
-    return homing.played, homing, remarks
+    return homing.played, homing, offer
 
 
 def pace(compensator: Compensator) -> float | None:

@@ -210,7 +210,7 @@ class _Way(NamedTuple):
     start: PossibleStart
     state: State
     homing: Homing | None = None
-    warnings: tuple[str, ...] = ()
+    offer: str = ""
     time: Array = EMPTY
     phase: NDArray[np.int64] = EMPTY.astype(np.int64)
     voltage: Array = EMPTY
@@ -293,6 +293,9 @@ class Task:
                 if self.single is None:
                     raise ModelError(argument=name, got="it for several axes", need="a path of one axis")
                 self.rates[name] = self.single._in_metres(values, name)
+                if self.rates[name].size != len(self.rows):
+                    got = f"{self.rates[name].size} values for {len(self.rows)} samples"
+                    raise ModelError(argument=name, got=got, need="one a sample")
 
     def shift(self, on_time: bool | None) -> None:
         """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late."""
@@ -460,12 +463,12 @@ class Task:
         drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=limits, slew_rate=pace(loop))
         played: Excitation | None = None
         homing: Homing | None = None
-        remarks: tuple[str, ...] = ()
+        offer = ""
         if home:
             least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
             options: dict[str, Any] = {"tolerance": least, "within": self.home_within}
             options["path"] = math.inf if self.time is None else float(np.ptp(self.time))
-            played, homing, remarks = played_homing(actuator, drive, **options)
+            played, homing, offer = played_homing(actuator, drive, **options)
             state = homing.state
         else:
             start = PossibleStart(start.name, (state,))
@@ -485,7 +488,7 @@ class Task:
             start,
             state,
             homing,
-            remarks,
+            offer,
             np.concatenate([when, seconds + np.arange(ramp.size) / rate]),
             np.repeat([HOMING, WAY], [rows.size, ramp.size]),
             voltage,
@@ -599,7 +602,9 @@ class Task:
             tolerated = _TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
-            remarks = way.warnings
+            remarks = () if way.homing is None else way.homing.remarks
+            if way.offer and time is not None:
+                remarks += (f"the path begins after {time[first + after] - time[0]:.4g} s; {way.offer}",)
             if wanted is None:
                 remarks += shortfall(each.voltage, each.clamped, loop._bounds, missed, tolerated)
                 remarks += outside_identified(loop.actuator, each.voltage, refuse=False).warnings

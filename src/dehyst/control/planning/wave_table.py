@@ -28,7 +28,7 @@ _ROUNDS = 100
 _EPS = float(np.finfo(np.float64).eps)
 # Most difference of two steady cycles, as a share of the voltage range, and of a step from the slew rate.
 _REPEATS = 1e-9
-_MOST_CYCLES = 1000
+_MOST_CYCLES, _FALLS = 1000, 0.5
 # With clamped voltages: cycles before two are compared, most samples of these, and most cycles of a start-up.
 _CLAMPED, _MOST_CLAMPED, _MOST_CLAMPED_CYCLES = (0, 3, 6, 12, 24), 100_000, 47
 # Share of the stroke: deviation of the first steady cycle from the later ones.
@@ -294,8 +294,8 @@ def wave_table(
     home : bool, optional
         Whether the shortest homing comes first; default: unless there is a `start`.
     cycles : int, optional
-        Cycles in the start-up; by default as many as the tolerance requires, at most 1000 and 5e6 samples; with clamped
-        voltages, at most 47. Give all axes of a scan the same: the value of the slowest axis.
+        Cycles in the start-up; by default as many as the tolerance requires. If these are more than 5e6 samples, or
+        voltages are clamped, at most 1000; with clamped voltages at most 47. Give all axes of a scan the same: the value of the slowest axis.
     tolerance : float, optional
         Largest deviation of the first steady cycle [m]; by default 1e-4 of the stroke.
 
@@ -332,13 +332,21 @@ def wave_table(
     steady = _steady_cycle(compensator, path, state, sent)
     if steady.clamped.any():
         most = min(most, _MOST_CLAMPED_CYCLES)
+    before = inf
     while True:
         played = actuator.simulate(steady.voltage, time=once.time, state=state, extrapolate=True)
         deviation = float(np.abs(played.displacement - steady.reached).max())
-        if cycles is not None or deviation <= _SAFE * least or count >= min(most, _MOST_CYCLES):
+        if cycles is not None or deviation <= _SAFE * least:
             break
-        found = follow(compensator, **_rows(once), state=state, present=sent)
-        state, sent, count = found.state, float(found.voltage[-1]), count + 1
+        ahead = 1
+        if count >= min(most, _MOST_CYCLES):
+            ahead = 0 if steady.clamped.any() else _cycles_more(actuator, path, deviation / least)
+            # What does not fall is not creep.
+            if not ahead or count + ahead > most or deviation > _FALLS * before:
+                break
+            before = deviation
+        found = follow(compensator, **_rows(path.repeated(ahead)), state=state, present=sent)
+        state, sent, count = found.state, float(found.voltage[-1]), count + ahead
     task = _task(compensator, path.repeated(count + 1), home_within)
     ways, way, (found,) = task.after(ways, begins) if ways[0].voltage.size else task.begun(begins)
     size = len(once)
@@ -389,13 +397,17 @@ def _unsettled(
         f"NOT SETTLED: after {counted(count, 'cycle')} of start-up the first steady cycle deviates by up to "
         f"{error * 1e6:.3g} um, need {least * 1e6:.3g} um"
     )
-    times, period, most = creep_times(actuator), len(path) / path.sample_rate, MOST_ROWS // len(path)
-    if not times.size or steady.clamped.any():
+    more, most = _cycles_more(actuator, path, error / least), MOST_ROWS // len(path)
+    if not more or steady.clamped.any():
         yield f"{words}; give a start-up of more cycles"
-        return
-    more = ceil(float(times.max()) / period * log(error / least))
-    words += f": creep takes {counted(more, 'cycle')} more, {more * period:.3g} s"
-    if count + more <= most:
-        yield f"{words}; give a start-up of {counted(count + more, 'cycle')}, or wait"
+    elif count + more <= most:
+        yield f"{words}; give a start-up of {counted(count + more, 'cycle')}"
     else:
-        yield f"{words}, but a start-up has {counted(most, 'cycle')} at most; play the table for that time first"
+        seconds = more * len(path) / path.sample_rate
+        yield f"{words}, and no start-up is long enough; play the table for {seconds:.3g} s first"
+
+
+def _cycles_more(actuator: Actuator, path: ScanPath, ratio: float) -> int:
+    """Return the cycles in which creep falls to its share `1 / ratio`; 0 without creep."""
+    longest = float(creep_times(actuator).max(initial=0.0))
+    return ceil(longest * path.sample_rate / len(path) * log(ratio))
