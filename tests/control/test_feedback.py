@@ -113,7 +113,7 @@ def test_nothing_winds_up_at_a_limit():
 def test_a_refused_step_changes_nothing():
     feedback = Feedback(Compensator(PLANT, (-20, 220), period=PERIOD, state=PLANT.turned(0.3 * STROKE)))
     feedback.step(0.3 * STROKE, 0.3 * STROKE)
-    before = feedback.correction, feedback.compensator._snapshot_block()
+    before = feedback.correction, feedback.compensator.snapshot()
     for bad in ((np.nan, 0.31 * STROKE), *((0.3 * STROKE, reading) for reading in ("abc", b"x", 1j, [1, 2], {}))):
         with pytest.raises(ModelError, match="number"):
             feedback.step(*bad)
@@ -121,7 +121,7 @@ def test_a_refused_step_changes_nothing():
         warnings.simplefilter("error", ClampWarning)
         with pytest.raises(ClampWarning):
             feedback.step(5 * STROKE, 0.31 * STROKE)
-    assert (feedback.correction, feedback.compensator._snapshot_block()) == before
+    assert (feedback.correction, feedback.compensator.snapshot()) == before
 
 
 def test_what_a_feedback_needs_is_said():

@@ -58,7 +58,7 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
     low, high = loop.reach
     path = np.random.default_rng(3).uniform(low, high, 80)
     loop.run(path[:40])
-    kept, other = loop._snapshot_block(), loop._clone()
+    kept, other = loop.snapshot(), loop._clone()
     expected = loop.run(path[40:])
     for place in range(8 * len(kept)):
         broken = bytearray(kept)
@@ -70,11 +70,11 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
         kept + b"0",
         b"",
         loop._model_block(),
-        compiled_exports.KINDS["creep"]()._snapshot_block(),
+        compiled_exports.KINDS["creep"]().snapshot(),
     ):
         with pytest.raises(ModelError):
             other.restore(block)
-    assert other._snapshot_block() == loop._clone()._snapshot_block()
+    assert other.snapshot() == loop._clone().snapshot()
     other.restore(kept)
     np.testing.assert_array_equal(other.run(path[40:]), expected)
 

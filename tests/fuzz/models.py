@@ -1,4 +1,4 @@
-"""Mutated model files: what loads must simulate, compensate, step, follow a path and go on from a snapshot, in numbers.
+"""Mutated model files: what loads must simulate, compensate, step and follow a path, in numbers.
 
 What does not is refused by a `DehystError` of one sentence. Voltages that leave lie within limits and slew rate.
 """
@@ -24,7 +24,7 @@ import specimens
 import strategies
 from compensators import Life
 
-from dehyst import Actuator, Compensator, DehystError, Snapshot
+from dehyst import Actuator, Compensator, DehystError
 from dehyst.model import needs_time
 
 HUGE = (1e308, -1e308, 1.7e308, 1e300, 1e30, -1e30, 10**400, -(10**30), 1e15, -1e15)
@@ -131,11 +131,9 @@ def use(actuator, rng, note, folder):
         path = actuator.spring.displacement[0] + strategies.span_of(actuator) * dice.uniform(0, 1, SAMPLES)
         return np.isfinite(actuator.compensate(path, **clock).voltage).all()
 
-    def begun(memory=None):
+    def begun():
         slew, preview = (limits[1] - limits[0]) * 50, rng.random() < 0.2
         loop = Compensator(actuator, limits, slew, period=STEP, preview=preview)
-        if memory:
-            loop.restore(memory(loop))
         return Life(dice, loop, "mutated", note, findings)
 
     def step():
@@ -149,28 +147,13 @@ def use(actuator, rng, note, folder):
         begun().trajectory()
         return True
 
-    def go_on():
-        """From a snapshot that was mutated too."""
-
-        def memory(loop):
-            path = folder / "loop.json"
-            loop.snapshot().save(path)
-            path.write_text(json.dumps(mutated(json.loads(path.read_text()), rng)))
-            return Snapshot.load(path)
-
-        life = begun(memory)
-        note("restored")
-        for _ in range(SAMPLES):
-            life.step()
-        return True
-
     def come_back():
         """Saved and loaded it is the same."""
         actuator.save(folder / "again.json")
         again = Actuator.load(folder / "again.json")
         return json.dumps(again.as_dict()) == json.dumps(actuator.as_dict()) and bool(repr(actuator))
 
-    for way in (simulate, compensate, step, follow, go_on, come_back):
+    for way in (simulate, compensate, step, follow, come_back):
         try:
             if not way():
                 findings.append(f"{way.__name__}: not finite, or not the same")

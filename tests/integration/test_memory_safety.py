@@ -108,24 +108,6 @@ def test_a_state_whose_voltage_is_no_number_begins_no_loop():
         Compensator(PLAIN, state=far)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"rest": "123"},
-        {"rest": [[1.0]]},
-        {"counts": (0, -1, 0)},
-        {"counts": (0, 0)},
-        {"counts": 5},
-        {"counts": (0, 0, 2**70)},
-        {"state": None},
-    ],
-)
-def test_what_is_no_snapshot_is_refused_when_it_is_made(changes):
-    snapshot = Compensator(PLAIN).snapshot()
-    with pytest.raises(ModelError):
-        replace(snapshot, **changes)
-
-
 def test_a_loop_is_not_begun_anew_while_it_runs():
     """That freed the memory that the run worked in."""
     compensator = Compensator(PLAIN, (-10.0, 0.3))

@@ -172,7 +172,7 @@ def test_gain_and_offset_of_a_loop_are_inverted_and_kept(actuator):
     other = Compensator(actuator, (0, 200), period=1e-3, units="um")
     other.restore(loop.snapshot())
     assert other.step(5.0) == loop.step(5.0) and other._scaling == pytest.approx((1.05, 0.1))
-    assert other._snapshot_block() == loop._snapshot_block()
+    assert other.snapshot() == loop.snapshot()
     with pytest.warns(ClampWarning):
         loop.step(1e3)
 

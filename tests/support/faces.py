@@ -6,7 +6,7 @@ FACES = {
         "dehyst": """
             Actuator Bank ClampWarning Columns Compensator DehystError DisplacementCreep
             Dynamics Feedback FileFormatError Fit IdentifyError MaxwellSlip ModelError
-            PathPlan Record RecordError Repetition RigError Snapshot
+            PathPlan Record RecordError Repetition RigError
             Spring Stage
             StageCompensator State Structure Thermal VoltageLimits __version__ calibrate
             check compare export identify insight plan_path read update
@@ -20,8 +20,8 @@ FACES = {
         """,
         "control": """
             Bank ClampWarning Compensator Feedback Homing PathPlan PossibleStart Repetition
-            SensorFault SensorWarning Snapshot StageCompensator StartError VoltageLimits WaveTable
-            model_block plan_path shortest_homing snapshot_block wave_table
+            SensorFault SensorWarning StageCompensator StartError VoltageLimits WaveTable
+            model_block plan_path shortest_homing wave_table
         """,
         "exports": """
             SourceOnlyWarning export wasm_module

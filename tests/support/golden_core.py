@@ -40,7 +40,7 @@ def text():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         first = compensator.run(wanted[:SAVED_AT])
-        snapshot = compensator._snapshot_block()
+        snapshot = compensator.snapshot()
         sent = np.concatenate([first, compensator.run(wanted[SAVED_AT:])])
     return "\n".join(
         [

@@ -1,10 +1,9 @@
 """Control: from a wanted displacement to the voltage that produces it."""
 
 from dehyst.control.bank import Bank
-from dehyst.control.compensator import Compensator, model_block, snapshot_block
+from dehyst.control.compensator import Compensator, model_block
 from dehyst.control.feedback import Feedback
 from dehyst.control.limits import Clamps, ClampWarning, SensorFault, SensorWarning, VoltageLimits, outside_identified
-from dehyst.control.loop import Snapshot
 from dehyst.control.planning.homing import Homing, shortest_homing
 from dehyst.control.planning.path import plan_path, plan_voltage
 from dehyst.control.planning.plan import PathPlan
@@ -24,7 +23,6 @@ __all__ = [
     "Repetition",
     "SensorFault",
     "SensorWarning",
-    "Snapshot",
     "StageCompensator",
     "StartError",
     "VoltageLimits",
@@ -32,6 +30,5 @@ __all__ = [
     "model_block",
     "plan_path",
     "shortest_homing",
-    "snapshot_block",
     "wave_table",
 ]

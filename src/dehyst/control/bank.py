@@ -9,19 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError, of_part
+from dehyst._errors import ModelError
 from dehyst._native import Bank as Loops
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import FARTHEST, for_each
-from dehyst.control.compensator import Compensator
-from dehyst.control.limits import Clamps, ClampWarning
-from dehyst.control.loop import Snapshot
-from dehyst.control.stage_compensator import restore_all
+from dehyst._validation import FARTHEST
+from dehyst.control.limits import ClampWarning
+from dehyst.control.stage_compensator import Compensators, each_of
 from dehyst.model import Actuator, State
 
 
-class Bank:
+class Bank(Compensators):
     """Many actuators: wanted displacements in, voltages within limits out, or voltages in and displacements out.
 
     In arrays, each row is a sample and each column an actuator. Every actuator has its own memory, limits and slew
@@ -56,8 +54,6 @@ class Bank:
         `Compensator` with these arguments; the error names this actuator.
     """
 
-    _counts: tuple[int, int, int]
-
     def __init__(
         self,
         actuators: Sequence[Actuator],
@@ -73,18 +69,10 @@ class Bank:
         self.actuators, self.period = tuple(actuators), period
         if not self.actuators:
             raise ModelError("actuators: got none, need one at least")
+        names = [f"actuator {i}" for i in range(len(self.actuators))]
+        # The bank warns, of all actuators at once.
         given = {"limits": limits, "slew_rate": slew_rate, "states": states}
-        columns = [for_each(value, len(self.actuators), what) for what, value in given.items()]
-        self._compensators: list[Compensator] = []
-        for i, (actuator, bounds, slew, state) in enumerate(zip(self.actuators, *columns, strict=True)):
-            try:
-                # The bank warns, of all actuators at once.
-                compensator = Compensator(actuator, bounds, slew, period=period, state=state, warns=False)
-                self._compensators.append(compensator)
-                # It raises if the period is missing.
-                _ = compensator._loop
-            except ModelError as error:
-                raise of_part(error, f"actuator {i}") from error
+        self._each = each_of(self.actuators, names, period, runs=True, **given)
         self._warned: set[str] = set()
         self.reset()
 
@@ -148,7 +136,7 @@ class Bank:
             As `step`.
         """
         wanted = self._table(displacement, "displacement")
-        for i, compensator in enumerate(self._compensators):
+        for i, compensator in enumerate(self._each):
             if sentence := compensator._straying(wanted[:, i]):
                 raise ModelError(f"actuator {i}: {sentence}")
         result = np.empty(wanted.shape)
@@ -171,57 +159,35 @@ class Bank:
         """
         played = self._table(voltage, "voltage")
         result, before = np.empty(played.shape), self._counts[2]
-        self._counts = self._loops.run(played, result, True)
-        if refused := self._counts[2] - before:
+        if refused := self._loops.run(played, result, True)[2] - before:
             raise ModelError(f"voltage: {refused} of {played.size} cause displacements too large to compute with")
         return result
 
-    @property
-    def states(self) -> tuple[State, ...]:
-        """State of each actuator after all voltages sent."""
-        return tuple(compensator.state for compensator in self._compensators)
-
-    @property
-    def clamps(self) -> tuple[Clamps, ...]:
-        """Numbers of samples clamped so far, of each actuator."""
-        return tuple(compensator.clamps for compensator in self._compensators)
-
-    def snapshot(self) -> tuple[Snapshot, ...]:
-        """Return the whole memory, one snapshot for each actuator."""
-        return tuple(compensator.snapshot() for compensator in self._compensators)
-
-    def restore(self, snapshots: Sequence[Snapshot]) -> None:
-        """Continue from `snapshots`, one for each actuator.
-
-        Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
-        """
-        restore_all(self._compensators, snapshots)
-        self._count_anew()
-
     def reset(self) -> None:
         """Return to the initial states and set the counts of clamped samples to 0."""
-        for compensator in self._compensators:
+        for compensator in self._each:
             compensator.reset()
-        self._loops = Loops([compensator._loop for compensator in self._compensators])
-        self._count_anew()
+        self._loops = Loops([compensator._loop for compensator in self._each])
 
-    def _count_anew(self) -> None:
-        self._counts = self._loops.run(np.empty((0, len(self))), np.empty((0, len(self))), False)
+    @property
+    def _counts(self) -> tuple[int, int, int]:
+        """Numbers of samples limited, slewed and refused, of all actuators."""
+        return self._loops.run(np.empty((0, len(self))), np.empty((0, len(self))), False)
 
     def _follow(self, wanted: Array, voltage: Array) -> None:
         """Compute the `voltage` (n, M) [V] for displacements (n, M) [m], and warn of the first clamps of each kind."""
         if len(wanted) == 1 and self._loops.step(wanted[0], voltage[0]):
             return
         before, memory = self._counts, () if len(self._warned) == 2 else self.snapshot()
-        self._counts = self._loops.run(wanted, voltage, False)
-        if self._counts == before:
+        after = self._loops.run(wanted, voltage, False)
+        if after == before:
             return
         each, kinds = np.array(self.clamps), ("at a limit", "by the slew rate")
-        for kind, now, then, clamped in zip(kinds, self._counts[:2], before[:2], each.T, strict=True):
+        for kind, now, then, clamped in zip(kinds, after[:2], before[:2], each.T, strict=True):
             if now == then or kind in self._warned:
                 continue
             i = int(np.argmax(clamped))
-            sentence = self._compensators[i]._straying(wanted[:, i])
+            sentence = self._each[i]._straying(wanted[:, i])
             more = f". {sentence}" if sentence else ""
             words = f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}"
             try:

@@ -17,7 +17,7 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, keep, number, vector
 from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, warn_of_run
-from dehyst.control.loop import ReadOnly, Snapshot, make_loop, memory_of, preview_filter, set_memory
+from dehyst.control.loop import ReadOnly, make_loop, memory_of, preview_filter, set_memory
 from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits
 
 
@@ -306,29 +306,32 @@ class Compensator(ReadOnly):
         """Return a copy in the state at construction or the last reset, by default with the same `units`."""
         return Compensator(**self._options() | ({} if units is None else {"units": units}))
 
-    def snapshot(self) -> Snapshot:
-        """Return the loop's whole memory for saving; `restore` continues from it bit for bit."""
-        return Snapshot(self._key, self.state, self._loop.rest(), self._loop.counts(), f"{self._model_ids()[0]:08x}")
+    def snapshot(self) -> bytes:
+        """Return the loop's whole memory; `restore`, also in C, continues from it bit for bit."""
+        self._model_block()
+        return self._loop.save()
 
-    def restore(self, snapshot: Snapshot | bytes) -> bool:
-        """Continue from a `snapshot`; return whether its model is exactly this one, not only one of the same shape.
+    def restore(self, snapshot: bytes) -> None:
+        """Continue from a `snapshot`, or from the block of `dehyst_loop_save` in C.
 
-        Bytes are a block of `dehyst.control.snapshot_block` or of `dehyst_loop_save` in C; its model is this one.
-
-        Actuators have the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
-        resonance and lag agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The next
-        voltages follow this model as fast as the slew rate allows. Raise `ModelError` if the snapshot belongs to an
-        actuator of another shape, another period or preview, or is damaged: the loop is unchanged.
+        Its actuator has the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
+        resonance, lag and period agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The
+        next voltages follow this model as fast as the slew rate allows. Raise `ModelError` if the snapshot belongs to
+        an actuator of another shape, another period or preview, lies outside of the limits, or is damaged: the loop is
+        unchanged.
         """
-        if isinstance(snapshot, bytes):
-            self._model_block()
-            checked(self._loop.restore, snapshot)
-            return True
-        if not isinstance(snapshot, Snapshot):
-            got = type(snapshot).__name__
-            raise ModelError(argument="snapshot", got=got, need="a Snapshot", hint="Snapshot.load reads a file")
-        snapshot.resume(self._loop, self.actuator, self._bounds, self._key)
-        return snapshot.model == f"{self._model_ids()[0]:08x}"
+        if not isinstance(snapshot, bytes):
+            raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="the bytes of snapshot()")
+        self._model_block()
+        before = memory_of(self._loop)
+        try:
+            self._loop.restore(snapshot)
+            self._bounds.within(self._loop.sent(), "snapshot")
+        except CoreError as error:
+            raise ModelError(f"got one that is refused: {error}", argument="snapshot") from error
+        except ModelError:
+            set_memory(self._loop, *before)
+            raise
 
     def scale(
         self, gain: float | None = None, offset: float = 0.0, *, temperature: float | None = None
@@ -402,11 +405,6 @@ class Compensator(ReadOnly):
         self._model_block()
         return self._loop.ids()
 
-    def _snapshot_block(self) -> bytes:
-        """Return the block of `dehyst.control.snapshot_block`."""
-        self._model_block()
-        return self._loop.save()
-
     def _core_start(self) -> CoreState:
         """Return the state at the construction or the last reset, as numbers of the C core."""
         return evaluator_of(self.actuator).core_state(self._start)
@@ -414,10 +412,6 @@ class Compensator(ReadOnly):
     @property
     def _running(self) -> bool:
         return "_loop" in self.__dict__
-
-    @cached_property
-    def _key(self) -> str:
-        return f"{self._model_ids()[1]:08x}"
 
     @cached_property
     def _preview(self) -> tuple[Array, int]:
@@ -446,11 +440,6 @@ def model_block(compensator: Compensator) -> bytes:
     return compensator._model_block()
 
 
-def snapshot_block(compensator: Compensator) -> bytes:
-    """Return the memory of a `compensator` as the block that `dehyst_loop_restore` in C and its `restore` read."""
-    return compensator._snapshot_block()
-
-
 def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
     """Return the given limits [V], or the actuator's; raise `ModelError` if there are none or they are no interval."""
     chosen = actuator.limits if limits is None else limits
@@ -475,7 +464,7 @@ def same_scaling_after_errors(loops: Sequence[Compensator]) -> Iterator[None]:
         raise
 
 
-def _rebuilt(options: dict[str, Any], memory: Snapshot | None) -> Compensator:
+def _rebuilt(options: dict[str, Any], memory: bytes | None) -> Compensator:
     compensator = Compensator(**options)
     if memory is not None:
         compensator.restore(memory)

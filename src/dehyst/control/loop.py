@@ -1,25 +1,18 @@
-"""The loop of a compensator in the C core: its numbers, its preview, and the snapshot of its memory."""
+"""The loop of a compensator in the C core: its numbers, its preview, and its memory."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._io import VERSION
-from dehyst._native import CoreState, Loop, StepCoefficients, checked
+from dehyst._native import CoreState, Loop, StepCoefficients
 from dehyst._types import Array
 from dehyst.control.limits import VoltageLimits, warn_of_sample
-from dehyst.model import Actuator, JsonFile, Numbers, State, entry, evaluator_of, instance, text
+from dehyst.model import Actuator, evaluator_of
 
-FORMAT = "dehyst-loop"
-# Range of the core's counts on every machine.
-_MOST = 2**31
 # A delay this close to a whole number of steps is that number.
 _WHOLE = 1e-9
 # Most steps of a delay, or of a radian of the resonance.
@@ -78,71 +71,6 @@ def make_loop(
     loop = core.loop(coefficients, taps, np.array(numbers), warn if warns else lambda *_: None, start)
     begin = loop.sent()
     return loop
-
-
-def _counts(value: Any, where: str) -> tuple[int, int, int]:
-    whole = isinstance(value, Sequence) and [type(n) for n in value] == [int] * 3
-    if not whole or not all(0 <= n < _MOST for n in value):
-        raise ModelError(argument=where, got=repr(value), need=f"three whole numbers below {_MOST}")
-    return value[0], value[1], value[2]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Snapshot(JsonFile):
-    """The memory of a loop between two steps.
-
-    Attributes
-    ----------
-    key : str
-        Checksum of the shape of the model, on which the memory depends: the snapshot fits no other loop.
-    state : State
-        State of the actuator.
-    rest : (8 + M,) array
-        The remaining memory: the last voltage, the amplifier's output, its last two inputs, the velocity of the mass,
-        gain, offset, the displacement before displacement creep, and the M last inputs of the preview, newest first.
-    counts : (int, int, int)
-        Numbers of samples clamped at a limit, held back by the slew rate, and refused.
-    model : str, optional
-        Checksum of all numbers of the model in use, because several models may have the same shape.
-    """
-
-    _head = MappingProxyType({"format": FORMAT, "version": VERSION})
-    _part = "snapshot"
-    _order = "key model state rest counts"
-    key: str = entry("key", text)
-    state: State = entry("state", instance(State))
-    rest: Array = entry("rest", Numbers(1, largest=math.inf))
-    counts: tuple[int, int, int] = entry("counts", _counts)
-    model: str = entry("model", text, "")
-
-    def __repr__(self) -> str:
-        return f"<Snapshot: {self.rest[0]:.6g} V, {self.state!r}, of the model {self.model}>"
-
-    def resume(self, loop: Loop, actuator: Actuator, limits: VoltageLimits, key: str) -> None:
-        """Set the memory of a `loop` that `key` identifies; after an error it is unchanged.
-
-        Raise `ModelError` if the snapshot belongs to an `actuator` of another shape, another period or preview, lies
-        outside of the `limits`, or is damaged.
-        """
-        if self.key != key:
-            raise ModelError(
-                "it belongs to an actuator of another shape, another period or preview",
-                argument="snapshot",
-                hint="make the compensator as it was",
-            )
-        start, size = evaluator_of(actuator).complete_state(self.state), loop.rest().size
-        if self.rest.size != size:
-            raise ModelError(argument="snapshot", got=f"{self.rest.size} numbers beside the state", need=str(size))
-        if not limits.low <= self.rest[0] <= limits.high:
-            raise ModelError(
-                f"its voltage, {self.rest[0]:g} V, lies outside the limits {limits.words}", argument="snapshot"
-            )
-        before = memory_of(loop)
-        try:
-            checked(set_memory, loop, evaluator_of(actuator).core_state(start), self.rest, self.counts)
-        except ModelError:
-            set_memory(loop, *before)
-            raise
 
 
 def memory_of(loop: Loop) -> tuple[CoreState, Array, tuple[int, int, int]]:

@@ -12,14 +12,66 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, of_part
 from dehyst._types import Array
-from dehyst._validation import for_each, interval, keep, plain, vector
+from dehyst._validation import for_each, keep, plain, vector
 from dehyst.control.compensator import Compensator, same_scaling_after_errors
 from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
-from dehyst.control.loop import ReadOnly, Snapshot
-from dehyst.model import Stage, State, apply, dot, evaluator_of, reachable, state_after_loops
+from dehyst.control.loop import ReadOnly
+from dehyst.model import Actuator, Stage, State, apply, dot, evaluator_of, reachable, state_after_loops
 
 
-class StageCompensator(ReadOnly):
+class Compensators:
+    """A compensator for each of several actuators: what a stage and a bank have in common."""
+
+    _each: tuple[Compensator, ...]
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """State of each actuator after all voltages sent."""
+        return tuple(loop.state for loop in self._each)
+
+    @property
+    def clamps(self) -> tuple[Clamps, ...]:
+        """Numbers of samples clamped so far, of each actuator."""
+        return tuple(loop.clamps for loop in self._each)
+
+    def snapshot(self) -> tuple[bytes, ...]:
+        """Return the whole memory, one snapshot for each actuator."""
+        return tuple(loop.snapshot() for loop in self._each)
+
+    def restore(self, snapshots: Sequence[bytes]) -> None:
+        """Continue from `snapshots`, one for each actuator.
+
+        Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
+        """
+        given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
+        if given != len(self._each):
+            raise ModelError(argument="snapshots", got=str(given), need=f"{len(self._each)}, one for each")
+        with _unchanged_by_errors(self._each):
+            for loop, snapshot in zip(self._each, snapshots, strict=True):
+                loop.restore(snapshot)
+
+
+def each_of(
+    actuators: Sequence[Actuator], names: Sequence[str], period: float | None, *, runs: bool, **given: Any
+) -> tuple[Compensator, ...]:
+    """Return a compensator for each of several actuators, which does not warn; errors name the actuator.
+
+    `runs`: whether a missing period is an error. `given`: arguments of `Compensator`, one or one an actuator.
+    """
+    columns = [for_each(values, len(actuators), what) for what, values in given.items()]
+    made = []
+    for name, actuator, *values in zip(names, actuators, *columns, strict=True):
+        try:
+            options: dict[str, Any] = dict(zip(given, values, strict=True))
+            options["state"] = options.pop("states")
+            made.append(Compensator(actuator, **options, period=period, warns=False))
+            _ = runs and made[-1]._loop
+        except ModelError as error:
+            raise of_part(error, name) from error
+    return tuple(made)
+
+
+class StageCompensator(Compensators, ReadOnly):
     """Inverse control of a stage: ``w = coupling^-1 y``, then a `Compensator` for each axis.
 
     A clamped axis does not disturb the others. If the voltage of axis k is clamped, the displacement w_k of its
@@ -74,22 +126,16 @@ class StageCompensator(ReadOnly):
     ) -> None:
         if not isinstance(stage, Stage):
             raise ModelError(f"stage: got {type(stage).__name__}, need a Stage")
-        given = {"limits": limits, "slew_rate": slew_rate, "states": states}
-        columns = [for_each(values, len(stage.axes), what) for what, values in given.items()]
-        made = []
-        for axis, actuator, bounds, slew, start in zip(stage.axes, stage.actuators, *columns, strict=True):
-            allowed, state = actuator.limits if bounds is None else bounds, start
-            try:
-                if start is None and allowed is not None:
-                    state = state_after_loops(actuator, actuator.state, interval(allowed))
-                # The stage warns, of the displacement that is wanted of the axis.
-                made.append(Compensator(actuator, bounds, slew, period=period, state=state, warns=False))
-                keep(made[-1], _assumed=start is None)
-            except ModelError as error:
-                raise of_part(error, f"axis {axis}") from error
-        keep(self, stage=stage, compensators=tuple(made), period=made[0].period)
-        keep(self, limits=tuple(loop.limits for loop in made), slew_rate=tuple(loop.slew_rate for loop in made))
-        keep(self, clamped=(False,) * len(made), _table=stage.decoupling.tolist())
+        names = [f"axis {axis}" for axis in stage.axes]
+        # The stage warns, of the displacement that is wanted of the axis.
+        each = each_of(stage.actuators, names, period, runs=False, limits=limits, slew_rate=slew_rate, states=states)
+        for loop in each:
+            if loop._assumed:
+                loop.reset(state_after_loops(loop.actuator, loop.actuator.state, loop.limits))
+                keep(loop, _assumed=True)
+        keep(self, stage=stage, compensators=each, _each=each, period=each[0].period)
+        keep(self, limits=tuple(loop.limits for loop in each), slew_rate=tuple(loop.slew_rate for loop in each))
+        keep(self, clamped=(False,) * len(each), _table=stage.decoupling.tolist())
 
     _table: list[list[float]]
 
@@ -103,16 +149,6 @@ class StageCompensator(ReadOnly):
     def voltage(self) -> Array:
         """The last voltages sent (axes,) [V]."""
         return np.array([loop.voltage for loop in self.compensators])
-
-    @property
-    def states(self) -> tuple[State, ...]:
-        """State of each actuator after all voltages sent."""
-        return tuple(loop.state for loop in self.compensators)
-
-    @property
-    def clamps(self) -> tuple[Clamps, ...]:
-        """Numbers of samples clamped so far, of each axis."""
-        return tuple(loop.clamps for loop in self.compensators)
 
     @property
     def displacement(self) -> Array:
@@ -223,17 +259,6 @@ class StageCompensator(ReadOnly):
             for loop, state in zip(self.compensators, given, strict=True):
                 loop.reset(state)
 
-    def snapshot(self) -> tuple[Snapshot, ...]:
-        """Return the whole memory, one snapshot for each axis."""
-        return tuple(loop.snapshot() for loop in self.compensators)
-
-    def restore(self, snapshots: Sequence[Snapshot]) -> None:
-        """Continue from `snapshots`, one for each axis.
-
-        Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
-        """
-        restore_all(self.compensators, snapshots)
-
     def _values(self, values: ArrayLike, what: str) -> list[float]:
         numbers, count = vector(values, what), len(self.compensators)
         if numbers.size != count:
@@ -293,16 +318,6 @@ def _unchanged_by_errors(loops: Sequence[Compensator]) -> Iterator[None]:
         for loop, snapshot in zip(loops, before, strict=True):
             loop.restore(snapshot)
         raise
-
-
-def restore_all(loops: Sequence[Any], snapshots: Sequence[Any]) -> None:
-    """Continue each of several `loops` from its snapshot; after a `ModelError` the memory is unchanged."""
-    given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
-    if given != len(loops):
-        raise ModelError(argument="snapshots", got=str(given), need=f"{len(loops)}, one for each")
-    with _unchanged_by_errors(loops):
-        for loop, snapshot in zip(loops, snapshots, strict=True):
-            loop.restore(snapshot)
 
 
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:

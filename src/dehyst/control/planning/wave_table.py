@@ -295,7 +295,8 @@ def wave_table(
         Whether the shortest homing comes first; default: unless there is a `start`.
     cycles : int, optional
         Cycles in the start-up; by default as many as the tolerance requires. If these are more than 5e6 samples, or
-        voltages are clamped, at most 1000; with clamped voltages at most 47. Give all axes of a scan the same: the value of the slowest axis.
+        voltages are clamped, at most 1000; with clamped voltages at most 47. Give all axes of a scan the same: the
+        value of the slowest axis.
     tolerance : float, optional
         Largest deviation of the first steady cycle [m]; by default 1e-4 of the stroke.
 
