@@ -25,7 +25,6 @@ from dehyst.model.elements import (
     parts_in_segments,
     segment_of,
 )
-from dehyst.model.entries import JsonFile, Numbers, entry, instance, text
 from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome, slew_rate_of_records, with_identification
 from dehyst.model.physical import Physical

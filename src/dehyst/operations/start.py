@@ -160,7 +160,6 @@ def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
     """Describe the state before the first sample, in brackets; by default the state of the start."""
     volts = actuator.voltage(start.within(actuator, None) if state is None else state)
-    voltage = f"{volts:.4g} V"
     words = {
         "relaxed": "from rest, relaxed at 0 V, then moved to " if round(volts, 6) else "from rest, relaxed, at ",
         "homed": "homed, at ",
@@ -170,7 +169,7 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
     }
     began = start.name.startswith(_AS)
     other = f"as {start.name.removeprefix(_AS)} began" if began else f"as at the end of {start.name}"
-    return f"({words.get(start.name, f'{other}, at ')}{voltage})"
+    return f"({words.get(start.name, f'{other}, at ')}{volts:.4g} V)"
 
 
 def homed_words(homed: PathPlan) -> str:

@@ -333,7 +333,7 @@ def wave_table(
     steady = _steady_cycle(compensator, path, state, sent)
     if steady.clamped.any():
         most = min(most, _MOST_CLAMPED_CYCLES)
-    before = inf
+    last = inf
     while True:
         played = actuator.simulate(steady.voltage, time=once.time, state=state, extrapolate=True)
         deviation = float(np.abs(played.displacement - steady.reached).max())
@@ -343,9 +343,9 @@ def wave_table(
         if count >= min(most, _MOST_CYCLES):
             ahead = 0 if steady.clamped.any() else _cycles_more(actuator, path, deviation / least)
             # What does not fall is not creep.
-            if not ahead or count + ahead > most or deviation > _FALLS * before:
+            if not ahead or count + ahead > most or deviation > _FALLS * last:
                 break
-            before = deviation
+            last = deviation
         found = follow(compensator, **_rows(path.repeated(ahead)), state=state, present=sent)
         state, sent, count = found.state, float(found.voltage[-1]), count + ahead
     task = _task(compensator, path.repeated(count + 1), home_within)
