@@ -97,7 +97,7 @@ def test_commands_promise_the_same_of_coupled_axes(tmp_path):
     found = answer("identify", "r.csv", "--columns", "x=vx_V:x_um, y=vy_V:y_um", "-o", "m.json", cwd=tmp_path)
     seen = answer("insight", "m.json", "r.csv", cwd=tmp_path)["insights"]
     for axis, one in seen.items():
-        assert one["promise"] == found["axes"][axis]["verdict"]["promise"]
+        assert one["promise"] == found["fits"][axis]["verdict"]["promise"]
 
 
 def test_a_model_that_is_not_usable_is_remarked_and_not_good(tmp_path):

@@ -170,9 +170,10 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
         found.append(Change(name, float(value), error, float(value * most), least))
         if not found[-1].counts and SIGMAS * error * most > least:
             open_.append(place)
-    if len(open_) > 1:
-        found.append(_together(fit, covariance, open_, known, least))
-    return tuple(found)
+    # If not with the zero, then apart from a constant, as an error is.
+    shape = [place for place in open_ if fit.names[place] != "offset"]
+    joint = [_together(fit, covariance, places, known, least) for places in (open_, shape) if len(places) > 1]
+    return *found, *([one for one in joint if one.counts] or joint)[:1]
 
 
 def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:
@@ -275,7 +276,7 @@ class _ChangeFit:
         if not known.slow:
             for name in SLOW:
                 curve = _means(loop.slow(name, known.cycle), self.blocks)
-                error += (_UNSEEN * known.stroke) ** 2 * np.outer(curve - curve.mean(), curve - curve.mean())
+                error += (_UNSEEN * known.stroke) ** 2 * np.outer(curve, curve)
         error[np.diag_indices(len(error))] += known.noise**2 * len(error) / self.blocks.size
         scale = np.linalg.norm(self.columns, axis=0)
         back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT) / scale[:, None]
