@@ -27,7 +27,7 @@ ROOMS = {
     "records": 5239,
     "report": 1496,
     "testing": 492,
-    "trust": 2394,
+    "trust": 2340,
     "virtual": 828,
     "waveforms": 1350,
     "web": 50,

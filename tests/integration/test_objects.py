@@ -50,7 +50,7 @@ def things(record, fit, insight):
         "expectation": fit.promise,
         "errors": fit.errors[0],
         "trace": fit.traces[0],
-        "insight": replace(insight, evidence=replace(insight.evidence, actuator=hostile)),
+        "insight": replace(insight, actuator=hostile),
         "motion": motion,
         "plan": command,
         "homing": command.homing,

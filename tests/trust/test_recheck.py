@@ -213,11 +213,15 @@ def test_a_record_that_shows_nothing_is_refused():
 
 
 def test_a_check_as_json_has_no_trace_and_all_numbers():
-    data = dehyst.check(loops.model(), loops.later(gain=loops.GAIN)).as_dict()
+    record = loops.later(gain=loops.GAIN)
+    data = dehyst.check(loops.model(), record).as_dict()
     assert data["standing"] == "RECALIBRATE"
     assert data["changed"] == ["gain"]
     assert data["changes"][0]["name"] == "gain"
-    assert data["changes"][0]["effect_percent"] == pytest.approx(2.0, abs=0.1)
+    # Apart from a constant, as the error.
+    farthest = np.abs(record.displacement - record.displacement.mean()).max()
+    assert data["changes"][0]["effect_percent"] == pytest.approx(100 * loops.GAIN * farthest / STROKE, rel=0.05)
+    assert data["changes"][0]["effect_percent"] == pytest.approx(data["without_noise_percent"], rel=0.2)
     assert "trace" not in data
 
 

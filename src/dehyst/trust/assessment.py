@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,15 @@ from dehyst._views import html
 from dehyst._views.fields import json_values
 from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
-from dehyst.identification import Identifiability
+from dehyst.identification import (
+    Grid,
+    Identifiability,
+    RecordComparison,
+    compare_all,
+    errors_of,
+    identifiability,
+    probed,
+)
 from dehyst.model import (
     Actuator,
     Promise,
@@ -28,8 +37,7 @@ from dehyst.model import (
     promised,
     unusable,
 )
-from dehyst.records import Record
-from dehyst.trust.evidence import Evidence
+from dehyst.records import Record, largest
 from dehyst.trust.recheck import ANOTHER, coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
@@ -86,7 +94,8 @@ def insight(
     progress("reading the records beside the model")
     allowed = actuator.limits if limits is None else interval(limits)
     with one_thread():
-        return Insight(Evidence.from_records(actuator, records), allowed, plan)
+        compared, stroke = compare_all(actuator, records)
+        return Insight(actuator, compared, stroke, allowed, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +104,23 @@ class Insight(Plotted):
 
     Attributes
     ----------
-    evidence : Evidence
+    actuator : Actuator
+        The model.
+    comparisons : tuple of RecordComparison
+        Each record on the model's axis.
+    stroke : float
+        The range of the widest loop [m].
     limits : (float, float) or None
         Voltages allowed [V].
     plan : PathPlan or None
         The path that is judged; None: any path like the records.
     """
 
-    evidence: Evidence
+    actuator: Actuator
+    comparisons: tuple[RecordComparison, ...]
+    stroke: float
     limits: tuple[float, float] | None
     plan: PathPlan | None = None
-
-    @property
-    def actuator(self) -> Actuator:
-        """The model."""
-        return self.evidence.actuator
 
     @property
     def promise(self) -> Promise | None:
@@ -121,15 +132,32 @@ class Insight(Plotted):
         """The promise in sentences; none for records of another stage, where the warning is the answer."""
         return () if self.promise is None or self._of_others() else self.promise.lines
 
-    @property
+    @cached_property
     def identifiability(self) -> Identifiability:
-        """Identifiability of the stiffnesses; if the model has more parts, of ten plain slip elements instead."""
-        return self.evidence.identifiability
+        """What the turning points determine of the stiffnesses of a Maxwell-slip model, regardless of noise.
+
+        For models with more parts it concerns ten plain Maxwell-slip elements instead.
+        """
+        pieces = [
+            replace(piece, displacement=piece.displacement + item.datum)
+            for item in self.comparisons
+            for _, piece in item.pieces
+        ]
+        grid = Grid.of_actuator(self.actuator)
+        if self.actuator._wide:
+            return probed(pieces, (float(grid.knots[0]), float(grid.knots[-1])))
+        sliding = 2 * self.actuator.slip.breakaway < self.stroke * (1 - 1e-9)
+        return identifiability(pieces, replace(grid, sliding=sliding))
+
+    @cached_property
+    def misfit(self) -> float:
+        """Largest error of the model on the records [m]."""
+        return max(largest(errors_of(self.actuator, one, "training")[1].settled.residual) for one in self.comparisons)
 
     @property
     def turns(self) -> TurnPlane | None:
         """The plane of turning points: where the records turned, and which regions they test."""
-        records = (one.record.record for one in self.evidence.comparisons)
+        records = (one.record.record for one in self.comparisons)
         return turn_plane(((one.name, one.time, one.voltage) for one in records), self.actuator.limits)
 
     def __repr__(self) -> str:
@@ -169,15 +197,15 @@ class Insight(Plotted):
 
     def _of_others(self) -> str:
         """Return a warning if the records are not those that the model was identified from."""
-        missed, known = 100 * self.evidence.misfit / self.evidence.stroke, self.actuator.identification
+        missed, known = 100 * self.misfit / self.stroke, self.actuator.identification
         own = None if known is None else known.largest_error
-        if own is None or missed <= _WORTH or self.evidence.misfit <= _TIMES * own:
+        if own is None or missed <= _WORTH or self.misfit <= _TIMES * own:
             return ""
         far = f"{missed:.3g} % of their range"
         if missed > ANOTHER:
             return f"The model misses these records by up to {far}: they are of another actuator or in other units."
         return (
-            f"The model misses these records by up to {far}, {self.evidence.misfit / own:.2g} times as far as those it "
+            f"The model misses these records by up to {far}, {self.misfit / own:.2g} times as far as those it "
             "was identified from: give those, or see by dehyst check what has changed."
         )
 
@@ -209,7 +237,8 @@ class Insight(Plotted):
         """Return JSON values; lengths in metres."""
         directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values")
         return {
-            **self.evidence.as_dict(),
+            "records": [item.record.name for item in self.comparisons],
+            "stroke_m": self.stroke,
             "warnings": list(self.warnings()),
             **json_values(self, "promise record_next turns"),
             "directions": directions,

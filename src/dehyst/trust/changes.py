@@ -42,8 +42,6 @@ _EARLY = 0.1
 SLOW = ("creep", "drift")
 # Names of the changes that an update learns.
 LEARNT = ("gain", "width")
-# Columns whose range is their largest effect; of others it is the largest value.
-_RANGING = ("gain", *SLOW)
 # Factor and unit in which each is shown.
 _AND = " and "
 _NOUNS = {"gain": "gain", "width": "width", "offset": "zero", "delay": "lag", "creep": "creep", "drift": "drift"}
@@ -65,7 +63,8 @@ class Change:
         The change and its standard error: parts of 1 for gain and width, [m] for the offset, [s] for the delay,
         [m a decade of time] for creep, [m over the record] for a drift.
     effect : float
-        The largest displacement [m] due to the change on a path like the record, with the sign of `value`.
+        The largest error [m] due to the change on a path like the record, with the sign of `value`: apart from a
+        constant, as every error is, but for an offset.
     least : float
         Effect [m] from which a change counts.
     """
@@ -123,7 +122,7 @@ _WORDS = {
 _REMEDIES = {
     "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
     "width": "Check the temperature, the load and the range of the voltage.",
-    "offset": "Zero the sensor or home the actuator; that needs no new model.",
+    "offset": "No error counts it: zero the sensor or home the actuator; that needs no new model.",
     "delay": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",
     "drift": "Let the actuator warm up, or record at a constant temperature.",
@@ -335,7 +334,8 @@ def _regression(loop: _SimulatedLoop, known: Known, slow: str | None) -> _Change
     long = max(1, kept.size // _BLOCKS)
     blocks = kept[: kept.size // long * long].reshape(-1, long)
     whole = np.column_stack([columns[name] for name in names])
-    most = np.where([name in _RANGING for name in names], np.ptp(whole[kept], axis=0), np.abs(whole[kept]).max(axis=0))
+    apart = whole[kept] - np.where([name == "offset" for name in names], 0.0, whole[kept].mean(axis=0))
+    most = np.abs(apart).max(axis=0)
     few, target = _means(whole, blocks), _means(loop.measured - loop.simulated, blocks)
     scale = np.linalg.norm(few, axis=0)
     scale[scale == 0] = 1.0

@@ -168,7 +168,8 @@ class Recheck(Plotted):
         error = f"{self._percent(self.without_noise)} of the stroke without the sensor's noise"
         if not self.without_noise:
             error = "within the sensor's noise"
-        text = f"{self.standing.value.capitalize()}: the largest error is {error} (goal {self.goal:g} %)"
+        text = f"{self.standing.value.capitalize()}: the largest error is {error}, apart from a constant offset"
+        text += f" (goal {self.goal:g} %)"
         if self.promise is not None and not self.mismatch:
             promised = f"{self._percent(self.promise.largest)} on {self.promise.path}"
             text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"
