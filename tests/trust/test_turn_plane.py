@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from dehyst.model import are_tested, legs, speeds_of
-from dehyst.trust.turn_plane import Turn, turn_plane
+from dehyst.model import legs, speeds_of
+from dehyst.model.promise import are_tested
+from dehyst.trust.turn_plane import turn_plane
 
 RATE = 100.0
 
@@ -26,15 +27,9 @@ def plane(*ends, **options):
     return turn_plane([("loops", *played(*ends, **options))], (0.0, 100.0))
 
 
-def untested(found, *ends):
-    """Count the branches, as begin and end or as turns of a path, that no record tests, as the promise does."""
-    pairs = np.array([(end.begin, end.end) if isinstance(end, Turn) else end for end in ends])
-    return int(np.sum(~are_tested(pairs, found.rising, found.falling, found.edges)))
-
-
 def branch(found, begin, end):
-    """Whether a rise or fall between two voltages is tested."""
-    return not untested(found, (begin, end))
+    """Whether a rise or fall between two voltages is tested, as the promise has it."""
+    return are_tested(np.array([[begin, end]]), found.rising, found.falling, found.edges)[0]
 
 
 def test_loops_that_return_to_the_bottom_test_rises_from_there_only():
@@ -44,9 +39,9 @@ def test_loops_that_return_to_the_bottom_test_rises_from_there_only():
         assert branch(found, upper, 0) and branch(found, upper, upper / 2)
     assert not branch(found, 30, 70)
     assert not branch(found, 50, 90)
-    assert untested(found, *found.path(played(0, 100, 0, 60, 0)[1])) == 0
+    assert all(branch(found, turn.begin, turn.end) for turn in found.path(played(0, 100, 0, 60, 0)[1]))
     path = found.path(played(0, 100, 40, 80, 40, 100)[1])
-    assert untested(found, *path) == 2 and sum(turn.times for turn in path) == 5
+    assert sum(not branch(found, turn.begin, turn.end) for turn in path) == 2 and sum(turn.times for turn in path) == 5
 
 
 def test_a_branch_is_tested_as_far_as_a_record_went():
