@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import dehyst
-from dehyst.model import simulated
+from dehyst.model import simulated, turned
 
 OUTPUT = Path(__file__).with_suffix(".json")
 PERIOD, SAMPLES, CYCLES = 1e-4, 500, 30
@@ -252,7 +252,7 @@ def stable(seed: int) -> dict:
 def settled(model, resonance, period: float, preview: bool, every: int, late: int) -> float:
     """Return how much of an error is left in the end, with a reading `every` so many periods, `late` by a period."""
     (frequency, quality), said = resonance, [0.51 * STROKE] * (late + 1)
-    loop = dehyst.Compensator(model, LIMITS, period=period, preview=preview, state=model.turned(0.5 * STROKE))
+    loop = dehyst.Compensator(model, LIMITS, period=period, preview=preview, state=turned(model, 0.5 * STROKE))
     feedback = dehyst.Feedback(loop)
     zeta = 0.5 / quality
     pole = 2 * np.pi * frequency * complex(-zeta, np.sqrt(1 - zeta**2))

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 import compiled_exports
 
 import dehyst
-from dehyst.model import GradedSlip, MaxwellSlip, Spring, Transformer
+from dehyst.model import GradedSlip, MaxwellSlip, Spring, Transformer, turned
 
 SIZES = (100_000, 1_000_000, 10_000_000)
 OUTPUT = Path(__file__).parent / "size.json"
@@ -57,7 +57,7 @@ def record(samples: int, wide: bool) -> dehyst.Record:
     model = actuator(wide)
     turns = np.concatenate([[1, 0, 1], *([top, 0] for top in np.linspace(0.9, 0.2, 8)), [1, 0, 1, 0]])
     leg = samples // (turns.size - 1)
-    n, state = leg * (turns.size - 1), model.turned(STROKE)
+    n, state = leg * (turns.size - 1), turned(model, STROKE)
     voltage, displacement = np.empty(n), np.empty(n)
     rng = np.random.default_rng(1)
     shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(leg + 1) / leg)

@@ -23,7 +23,7 @@ from dehyst._text import counted
 from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst.identification import identify
-from dehyst.model import Actuator, knots_of, quasistatic, step_response
+from dehyst.model import Actuator, knots_of, quasistatic, step_response, turned, voltages_of
 from dehyst.records import LOADERS, Record
 from dehyst.records import read as read_record
 
@@ -215,9 +215,9 @@ def _described(actuator: Actuator) -> _Row:
 
 def loop_width(actuator: Actuator) -> float:
     """Return falling minus rising displacement [m] at the middle of the voltages, on a major loop without creep."""
-    low, high = actuator.voltage_range
+    low, high = voltages_of(actuator)
     fast = replace(quasistatic(actuator)._before_creep, state=None)  # type: ignore[arg-type]
-    begin = fast.turned(knots_of(fast)[0], rising=False, extrapolate=True)
+    begin = turned(fast, knots_of(fast)[0], rising=False)
     middle = 0.5 * (low + high)
     y = fast.simulate([low, middle, high, middle], state=begin, extrapolate=True).displacement
     return float(y[3] - y[1])

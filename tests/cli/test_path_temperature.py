@@ -10,7 +10,7 @@ from command_line import run
 
 import dehyst
 from dehyst.control import PossibleStart, plan_path
-from dehyst.model import Identification, Validity, with_identification
+from dehyst.model import Identification, Validity, turned, with_identification
 from dehyst.records import read_table, write_columns
 
 COLD = replace(plain_records.plant(6), limits=(0.0, 200.0))
@@ -55,7 +55,7 @@ def test_a_column_is_used_sample_by_sample(folder):
     voltage, warmth = table.column("voltage"), DEGREES
     after = np.flatnonzero(np.diff(table.column("time"), prepend=-1) > 0)[-TIME.size :]
     actuator = dehyst.Actuator.load(folder / "model.json")
-    start = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
+    start = turned(actuator, float(actuator.spring.displacement[0]), rising=False)
     whole = np.concatenate([np.full(voltage.size - TIME.size, warmth[0]), warmth])
     moved = 1e6 * actuator.simulate(voltage, temperature=whole, state=start).displacement
     np.testing.assert_allclose(moved[after], PATH, atol=1e-6)
@@ -154,7 +154,7 @@ def test_a_column_is_used_by_all_of_several_axes(folder):
     after = slice(len(table.columns[0].data) - TIME.size, None)
     np.testing.assert_allclose(written["temperature_C"][after], DEGREES, atol=1e-9)
     stage = dehyst.Stage.load(folder / "stage.json")
-    states = [one.turned(float(one.spring.displacement[0]), rising=False) for one in stage.actuators]
+    states = [turned(one, float(one.spring.displacement[0]), rising=False) for one in stage.actuators]
     volts = np.column_stack([written["vx_V"], written["vy_V"]])
     moved = 1e6 * stage.simulate(volts, temperature=written["temperature_C"], states=states).displacement
     np.testing.assert_allclose(moved[after], np.column_stack([PATH, PATH[::-1]]), atol=1e-6)

@@ -10,7 +10,7 @@ from command_line import WRITTEN, rare, refused, result, run
 
 from dehyst import Actuator, DisplacementCreep
 from dehyst._io import SCAN
-from dehyst.model import evaluator_of
+from dehyst.model import evaluator_of, turned
 from dehyst.records import read_table
 
 TRIANGLE = ("triangle", "--low", 2, "--high", 12, "--frequency", 10)
@@ -44,7 +44,7 @@ def test_a_scan_is_followed(folder):
     _, wanted, voltage, _ = rows(folder / "out.csv")
     assert wanted.size == 801 and (wanted.min(), wanted.max()) == (pytest.approx(2), pytest.approx(12))
     actuator = Actuator.load(folder / "model.json")
-    top = actuator.turned(float(actuator.spring.displacement[-1]))
+    top = turned(actuator, float(actuator.spring.displacement[-1]))
     assert np.allclose(actuator.simulate(voltage, state=top).displacement * 1e6, wanted, rtol=0, atol=1e-9)
 
 
@@ -63,7 +63,7 @@ def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folde
     np.testing.assert_allclose(wanted[-400:], table[1], rtol=WRITTEN)
     actuator = Actuator.load(folder / model)
     # It begins elsewhere than the file takes for granted: the homing is there for that.
-    state = actuator.turned(evaluator_of(actuator).core.spring_inverse(20.0), rising=False)
+    state = turned(actuator, evaluator_of(actuator).core.spring_inverse(20.0), rising=False)
     made = actuator.simulate(voltage, time=time if model == "creep.json" else None, state=state).displacement * 1e6
     assert np.abs(made - wanted)[-400:].max() <= (1e-7 if model == "creep.json" else 1e-9)
 

@@ -9,7 +9,7 @@ import pytest
 from command_line import result, run
 
 import dehyst
-from dehyst.model import Identification, Stage, slew_rate_of_records, with_identification
+from dehyst.model import Identification, Stage, slew_rate_of_records, turned, with_identification
 from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
 
@@ -122,7 +122,7 @@ def test_a_path_begins_at_the_last_voltage_of_a_file(folder, columns, words):
     """Also where the model needs another voltage to be where the record ends, and for voltages that leave it open."""
     time = np.arange(400) * 0.05
     voltage = 90 - 60 * np.cos(2 * np.pi * time / 8)
-    wanted = PLAIN.simulate(voltage, state=PLAIN.turned(0.0, rising=False)).displacement
+    wanted = PLAIN.simulate(voltage, state=turned(PLAIN, 0.0, rising=False)).displacement
     # The model misses the record by some volts at its end.
     wanted += 0.04 * (wanted - wanted.mean())
     if columns == "record":
@@ -183,7 +183,7 @@ def test_each_axis_has_a_present_voltage_of_its_own(folder, more):
 def test_an_identification_stores_the_speed_of_its_records():
     time = np.arange(2000) * 0.02
     voltage = np.interp(time, np.linspace(0, 40, 9), [0, 100, 0, 80, 0, 60, 0, 40, 0])
-    truth = plain_records.plant(6).turned(0.0, rising=False)
+    truth = turned(plain_records.plant(6), 0.0, rising=False)
     record = dehyst.Record(time, voltage, plain_records.plant(6).simulate(voltage, state=truth).displacement)
     fit = dehyst.identify(record, structure="maxwell_slip")
     assert slew_rate_of_records(fit.actuator) == pytest.approx(1.05 * 20, rel=0.02)

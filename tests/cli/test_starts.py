@@ -10,7 +10,7 @@ from command_line import WRITTEN, run
 
 import dehyst
 from dehyst import Actuator, Record
-from dehyst.model import needs_time, with_identification
+from dehyst.model import needs_time, stroke_of, turned, with_identification
 from dehyst.model.promise import promise
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.virtual import PlayActuator
@@ -62,7 +62,7 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
     # From wherever the actuator comes, the voltages lead it along the path.
     actuator = Actuator.load(folder / model)
     when = time
-    for state in (actuator.relaxed(), actuator.turned(actuator.reach[1]), actuator.turned(0.0, rising=False)):
+    for state in (actuator.relaxed(), turned(actuator, actuator.reach[1]), turned(actuator, 0.0, rising=False)):
         y = actuator.simulate(column(folder, "v.csv", "voltage_V"), time=when, state=state).displacement
         error = np.abs(1e6 * y[got["homing_samples"] :] - wanted).max() / (1e6 * np.ptp(actuator.reach))
         assert 100 * error <= got["start"]["model_error_percent"]
@@ -113,7 +113,7 @@ def test_a_simulation_from_an_unknown_start_is_bounded(folder):
         known = column(folder, "known.csv", "expected_um")
         assert np.all((low - slack <= known) & (known <= high + slack)), start
         assert "lowest_um" not in read_table(folder / "known.csv").names
-    stroke = 1e6 * actuator.stroke
+    stroke = 1e6 * stroke_of(actuator)
     assert got["start"]["largest_difference_percent"] == pytest.approx(100 * (high - low).max() / stroke)
     assert got["start"]["first_difference_percent"] == pytest.approx(100 * (high - low)[0] / stroke)
     settled = got["start"]["settled_sample"]

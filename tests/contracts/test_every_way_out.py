@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Actuator, Compensator, MaxwellSlip, Spring
+from dehyst.model import turned
 from examples import examples
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -43,7 +44,7 @@ def test_a_steep_end_of_the_spring_makes_no_first_jump():
     """The voltage of a state was rounded to 0 V by the range of the whole spring."""
     spring = Spring([0, 1e-5, 1.1e-5], [0, 10, 1e30])
     actuator = Actuator(MaxwellSlip([1e-6], [1e6]), spring, limits=(0, 10))
-    loop = Compensator(actuator, slew_rate=1.0, period=1e-3, state=actuator.turned(5e-6))
+    loop = Compensator(actuator, slew_rate=1.0, period=1e-3, state=turned(actuator, 5e-6))
     before = loop.voltage
     assert before == pytest.approx(6, rel=1e-12)
     assert abs(loop.step(0.0) - before) <= 1e-3 * (1 + 1e-9)

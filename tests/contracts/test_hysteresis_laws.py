@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, Spring, State
 from dehyst._native import slip_elongations
-from dehyst.model import Physical
+from dehyst.model import Physical, turned
 
 EXACT = 1e-12
 KM, T, KE = 1.4e6, 0.042, 8.82e4
@@ -100,7 +100,7 @@ def test_break_points(actuator):
         return T * actuator.spring(y) - paper.equivalent_stiffness * y / c
 
     down, up = top - 2 * slip.breakaway, bottom + 2 * slip.breakaway
-    at_top, at_bottom = actuator.turned(top), actuator.turned(bottom, rising=False)
+    at_top, at_bottom = turned(actuator, top), turned(actuator, bottom, rising=False)
     f_down = T * actuator.voltage(at_top) - drop + g(down) - g(top)
     f_up = T * actuator.voltage(at_bottom) + drop + g(up) - g(bottom)
     volts = scales(actuator)[0] + EXACT * paper.equivalent_stiffness * (top - bottom) / c / T
@@ -114,8 +114,8 @@ def test_break_points_of_a_uniform_grid(seed, n):
     actuator = our.make_actuator(seed, n, 2, uniform=True)
     delta, kappa = actuator.slip.breakaway[0], actuator.slip.stiffness
     falling = actuator.spring.displacement[-1] - 2 * delta * np.arange(n + 1)
-    down = compensated(actuator, falling, actuator.turned(falling[0]))
-    up = compensated(actuator, falling[::-1], actuator.turned(falling[-1], rising=False))
+    down = compensated(actuator, falling, turned(actuator, falling[0]))
+    up = compensated(actuator, falling[::-1], turned(actuator, falling[-1], rising=False))
     allowance = n * scales(actuator)[0] / delta
     assert close(np.diff(down, 2) / (2 * delta), kappa[:-1], allowance)
     assert close(-np.diff(up, 2) / (2 * delta), kappa[:-1], allowance)
@@ -142,8 +142,8 @@ def asymmetry(actuator):
     """Return v_up(yc + d) + v_down(yc - d) - v(top) - v(bottom) over a major loop about yc."""
     bottom, top = major(actuator)
     rise = np.linspace(bottom, top, 101)
-    up = compensated(actuator, rise, actuator.turned(bottom, rising=False))
-    down = compensated(actuator, rise[::-1], actuator.turned(top))
+    up = compensated(actuator, rise, turned(actuator, bottom, rising=False))
+    down = compensated(actuator, rise[::-1], turned(actuator, top))
     even = actuator.spring(rise) + actuator.spring(rise[::-1]) - actuator.spring(top) - actuator.spring(bottom)
     return up + down - up[-1] - down[-1], even
 
@@ -177,9 +177,7 @@ def test_residual_strain_shifts_the_loop(actuator, seed):
     rng, rho = np.random.default_rng(seed), actuator.slip.breakaway
     starts = [at_rest(actuator, rho * rng.uniform(-1, 1, rho.size)) for _ in range(2)]
     highest = max(start.deformation for start in starts) + 2 * rho[-1]
-    v = actuator.voltage(actuator.turned(highest, extrapolate=True)) * (
-        0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121))
-    )
+    v = actuator.voltage(turned(actuator, highest)) * (0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121)))
     loops = [actuator.simulate(v, state=s, extrapolate=True).displacement - s.deformation for s in starts]
     allowance, force = 4 * scales(actuator)[1], actuator.slip.friction.sum()
     shift = starts[1].deformation - starts[0].deformation
@@ -282,7 +280,7 @@ def test_dissipation_is_what_friction_takes(actuator, width):
     ends = np.concatenate([ticks[:-1], ticks[:0:-1], size + 2 * bottom - ticks])
     ticks = np.unique(np.append(ends, actuator.spring.displacement.clip(bottom, bottom + size)))
     loop = np.concatenate([ticks[:-1], ticks[:0:-1]])
-    v = np.array_split(compensated(actuator, np.tile(loop, 2), actuator.turned(bottom)), 2)[1]
+    v = np.array_split(compensated(actuator, np.tile(loop, 2), turned(actuator, bottom)), 2)[1]
     lost = 2 * friction @ np.maximum(0, size - 2 * rho)
     assert close(loop_area(v, loop), lost, EXACT * loop.size * size * np.ptp(v) + scales(actuator)[0] * size)
 

@@ -21,7 +21,7 @@ from dehyst import (
     ModelError,
     Spring,
 )
-from dehyst.model import GradedSlip, SmoothSlip, Transformer
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, voltages_of
 from examples import examples
 
 PERIOD = 1e-3
@@ -36,7 +36,7 @@ def mixed(seed, count, kinds=("plain", "creep", "tau", "both")):
     for _ in range(count):
         seed = int(rng.integers(2**32))
         one = make_actuator(seed, int(rng.integers(0, 23)), int(rng.integers(2, 30)), uniform=bool(rng.integers(2)))
-        low, high = one.voltage_range
+        low, high = voltages_of(one)
         kind = kinds[int(rng.integers(len(kinds)))]
         parts = {}
         if kind in ("creep", "both"):

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, State
 from dehyst.control.following import follow
+from dehyst.model import turned
 
 PLANT = plain_records.plant(10, seed=4)
 PERIOD = 1 / wide.RATE
@@ -45,7 +46,7 @@ def wanted(seed, size=300):
 
 
 def started(actuator, seed):
-    return actuator.turned(plain_records.STROKE * np.random.default_rng(seed).uniform(0.2, 0.8))
+    return turned(actuator, plain_records.STROKE * np.random.default_rng(seed).uniform(0.2, 0.8))
 
 
 def quietly(function, *arguments):
@@ -123,9 +124,9 @@ def test_what_is_not_clamped_is_followed(name, seed):
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_a_start_beyond_the_limits_is_taken_to_have_been_brought_to_the_nearest(name):
     actuator = PLANTS[name]
-    high = 0.5 * actuator.voltage(actuator.turned(0.9 * plain_records.STROKE))
+    high = 0.5 * actuator.voltage(turned(actuator, 0.9 * plain_records.STROKE))
     compensator = Compensator(
-        actuator, (0.0, high), 1e3, period=PERIOD, state=actuator.turned(0.9 * plain_records.STROKE)
+        actuator, (0.0, high), 1e3, period=PERIOD, state=turned(actuator, 0.9 * plain_records.STROKE)
     )
     assert compensator.voltage == pytest.approx(high, abs=1e-12 * high)
     assert compensator.voltage <= high
@@ -168,7 +169,7 @@ def test_a_voltage_from_which_no_step_returns_within_the_slew_rate_is_refused(vo
 def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):
     """Tracking error [% of the stroke] after the last clamp, memory true; and that of clipping the voltage alone."""
     path = plain_records.path(turns, 200)
-    start = actuator.turned(float(path[0]), rising=False)
+    start = turned(actuator, float(path[0]), rising=False)
     compensator = Compensator(actuator, limits, state=start)
     tight = quietly(compensator.run, path)
     clipped = np.clip(actuator.compensate(path, state=start).voltage, *limits)
@@ -188,7 +189,7 @@ def test_after_saturation_the_memory_is_true(seed):
     """130 V wanted, 100 V allowed. Clipping alone remembers a turn at 130 V that never was."""
     plant = plain_records.plant(10, seed=seed)
     most = plant.compensate(
-        plain_records.path((0.3, 1), 200), state=plant.turned(0.3 * plain_records.STROKE, rising=False)
+        plain_records.path((0.3, 1), 200), state=turned(plant, 0.3 * plain_records.STROKE, rising=False)
     ).voltage.max()
     true, clipped = through_saturation(plant, (0.0, most / 1.3))
     assert true < 1e-9
@@ -282,7 +283,7 @@ def test_a_first_step_that_the_slew_rate_holds_back_names_the_voltage_that_was_a
     assert Compensator(PLANT, **options)._assumed_voltage == top
     (said,) = said_of(Compensator(PLANT, **options).step, low)
     assert said.assumed == top
-    given = PLANT.turned(0.9 * plain_records.STROKE)
+    given = turned(PLANT, 0.9 * plain_records.STROKE)
     (said,) = said_of(Compensator(PLANT, **options, state=given).step, low)
     assert said.assumed is None
     (said,) = said_of(Compensator(PLANT, **options).run, path)
@@ -293,12 +294,12 @@ def test_a_first_step_that_the_slew_rate_holds_back_names_the_voltage_that_was_a
     later = Compensator(PLANT, **options)
     assert said_of(later.step, later.state.deformation - 1e-9) == []
     assert said_of(later.step, low)[0].assumed is None
-    later.reset(PLANT.turned(0.9 * plain_records.STROKE))
+    later.reset(turned(PLANT, 0.9 * plain_records.STROKE))
     assert (later._assumed_voltage, said_of(later.run, path)[0].assumed) == (None, None)
 
 
 def test_a_clamp_that_is_made_an_error_has_moved_nothing():
-    compensator = Compensator(PLANT, (0, 100), state=PLANT.turned(0.2 * plain_records.STROKE))
+    compensator = Compensator(PLANT, (0, 100), state=turned(PLANT, 0.2 * plain_records.STROKE))
     before = compensator.snapshot()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -418,7 +419,7 @@ def test_a_period_too_short_to_look_ahead_is_refused(period):
 
 
 def test_a_reset_begins_again():
-    compensator = Compensator(PLANT, (0, 100), state=PLANT.turned(5e-6))
+    compensator = Compensator(PLANT, (0, 100), state=turned(PLANT, 5e-6))
     path = wanted(3)
     voltage = quietly(compensator.run, path)
     compensator.reset()
@@ -429,7 +430,7 @@ def test_a_reset_begins_again():
 
 
 def test_a_trajectory_starts_from_the_loop_and_leaves_it_alone():
-    compensator = Compensator(PLANT, (0, 200), state=PLANT.turned(2e-6))
+    compensator = Compensator(PLANT, (0, 200), state=turned(PLANT, 2e-6))
     compensator.step(9e-6)
     before = compensator.snapshot()
     command = follow(compensator, plain_records.path((0.5, 0.7, 0.3), 50))
@@ -453,7 +454,7 @@ def test_preview_makes_up_for_delay_and_inertia(parts, delay):
     for period in (PERIOD, PERIOD / 2):
         actuator = replace(PLANTS[parts], lag=0.0, delay=delay * period)
         time = np.arange(round(2.5 / period)) * period
-        start = actuator.turned(plain_records.STROKE / 2)
+        start = turned(actuator, plain_records.STROKE / 2)
         compensator = Compensator(actuator, FREE, period=period, state=start, preview=True)
         ahead = compensator.samples_ahead
         voltage = compensator.run(smooth_path(time + (ahead + 1) * period))
@@ -478,7 +479,7 @@ def test_a_lag_is_led():
     """An amplifier of five periods: without lead it would be late by as much."""
     actuator = replace(PLANT, lag=5 * PERIOD)
     path = smooth_path(np.arange(500) * PERIOD, 1.0)
-    start = PLANT.turned(float(path[0]))
+    start = turned(PLANT, float(path[0]))
     led = Compensator(actuator, FREE, period=PERIOD, state=start).run(path)
     unled = Compensator(PLANT, FREE, state=start).run(path)
     misses = [np.abs(replayed(actuator, start, sent).displacement[1:] - path).max() for sent in (led, unled)]
@@ -565,7 +566,7 @@ def test_a_state_after_0_volts_is_held_by_0_volts(elements):
     for seed in range(20):
         turns = np.random.default_rng(seed).uniform(0, 200, 40)
         for last in (0.0, 1e-9):
-            state = actuator.simulate([*turns, last], state=actuator.turned(0.0, rising=False)).state
+            state = actuator.simulate([*turns, last], state=turned(actuator, 0.0, rising=False)).state
             assert actuator.voltage(state) == pytest.approx(last, rel=1e-3, abs=0)
             assert Compensator(actuator)._held(state) == pytest.approx(last, rel=1e-3, abs=0)
 

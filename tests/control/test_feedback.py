@@ -10,6 +10,7 @@ import pytest
 import dehyst
 from dehyst import ClampWarning, Compensator, Dynamics, Feedback, ModelError
 from dehyst.control import SensorFault, SensorWarning
+from dehyst.model import turned
 
 PLANT, STROKE, PERIOD = plain_records.plant(10, seed=4), plain_records.STROKE, 1e-3
 AGED = replace(PLANT, spring=replace(PLANT.spring, voltage=1.02 * PLANT.spring.voltage))
@@ -18,7 +19,7 @@ PATH = STROKE * (0.45 - 0.4 * np.cos(2 * np.pi * np.arange(2000) / 1000))
 
 def tracked(sensor, *, plant=AGED, path=PATH, **options):
     """Follow a path on a plant; return true displacements (n,), and the feedback."""
-    start = PLANT.turned(float(path[0]), rising=False)
+    start = turned(PLANT, float(path[0]), rising=False)
     loop = Compensator(PLANT, (-20, 220), period=PERIOD, state=start, warns=False)
     feedback, state, said, found = Feedback(loop, **options), start, None, np.empty(path.size)
     for k, wanted in enumerate(path.tolist()):
@@ -100,7 +101,7 @@ def test_a_sensor_that_falls_silent_leaves_its_mean_correction():
 
 
 def test_nothing_winds_up_at_a_limit():
-    loop = Compensator(PLANT, (0, 100), period=PERIOD, state=PLANT.turned(0.3 * STROKE), warns=False)
+    loop = Compensator(PLANT, (0, 100), period=PERIOD, state=turned(PLANT, 0.3 * STROKE), warns=False)
     feedback, state = Feedback(loop), loop.state
     said = None
     for _ in range(3000):
@@ -111,7 +112,7 @@ def test_nothing_winds_up_at_a_limit():
 
 
 def test_a_refused_step_changes_nothing():
-    feedback = Feedback(Compensator(PLANT, (-20, 220), period=PERIOD, state=PLANT.turned(0.3 * STROKE)))
+    feedback = Feedback(Compensator(PLANT, (-20, 220), period=PERIOD, state=turned(PLANT, 0.3 * STROKE)))
     feedback.step(0.3 * STROKE, 0.3 * STROKE)
     before = feedback.correction, feedback.compensator.snapshot()
     for bad in ((np.nan, 0.31 * STROKE), *((0.3 * STROKE, reading) for reading in ("abc", b"x", 1j, [1, 2], {}))):
@@ -157,7 +158,7 @@ def test_the_gain_keeps_a_margin_on_a_resonance(frequency, quality, preview):
     )
     gain, bandwidth = model.margins(period, preview=preview)
     assert 0 < gain <= model.margins(period, 3, preview=preview)[0] <= 1 and 0 < bandwidth < 0.5 / period
-    loop = Compensator(model, period=period, preview=preview, state=model.turned(5e-6))
+    loop = Compensator(model, period=period, preview=preview, state=turned(model, 5e-6))
     feedback, pole = Feedback(loop), 2 * np.pi * frequency * complex(-zeta, np.sqrt(1 - zeta**2))
     swing, pushed, y = 0j, 5e-6, 5e-6
     for _ in range(int(30 / gain)):

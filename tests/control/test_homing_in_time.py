@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, Spring
 from dehyst.control import shortest_homing
 from dehyst.control.planning.states import possible_states
-from dehyst.model import SmoothSlip
+from dehyst.model import SmoothSlip, turned
 from dehyst.waveforms import Sampling
 from examples import examples
 
@@ -44,7 +44,7 @@ def past(actuator, seed, present):
     turns = rng.uniform(*LIMITS, 12)
     turns[rng.integers(0, 12, 4)] = rng.choice(LIMITS, 4)
     time = np.cumsum(rng.choice([0.1, 5.0, 1e4], 13))
-    start = still.turned(float(rng.uniform(0, plain_records.STROKE)), rising=bool(rng.integers(2)))
+    start = turned(still, float(rng.uniform(0, plain_records.STROKE)), rising=bool(rng.integers(2)))
     # The long first rest lets creep forget what no voltage led to.
     voltage = np.concatenate([turns[:1], turns[:-1], [present]])
     state = still.simulate(voltage, time=time, state=start).state
@@ -76,7 +76,7 @@ def test_the_bounding_states_are_where_a_long_way_ends(name, side):
     actuator = {**ORDERED, "plain": PLAIN}[name]
     for v in np.linspace(*LIMITS, 9).tolist():
         y = possible_states(actuator, v)[side < 0].deformation
-        start = actuator.turned(y - 100 * side * plain_records.STROKE, rising=side > 0, extrapolate=True)
+        start = turned(actuator, y - 100 * side * plain_records.STROKE, rising=side > 0)
         reached = actuator.simulate([v], state=start, extrapolate=True)
         assert reached.displacement[0] == pytest.approx(y, abs=1e-11 * plain_records.STROKE)
 

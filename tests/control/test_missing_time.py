@@ -6,7 +6,7 @@ from summaries import NEEDING_TIME, PARTS, STROKE, anatomy
 
 from dehyst import Compensator, DehystError, ModelError, plan_path
 from dehyst.control.following import follow
-from dehyst.model import major_loop
+from dehyst.model import major_loop, turned
 
 PERIOD = 1e-3
 N = 50
@@ -34,7 +34,7 @@ def calls(actuator, **time):
         "compensate": lambda: actuator.compensate(PATH, **time),
         "follow": lambda: follow(compensator, PATH, **time),
         "plan": lambda: plan_path(compensator, PATH, home=False, **time),
-        "trajectory from a state": lambda: follow(compensator, PATH, state=actuator.turned(0.0), **time),
+        "trajectory from a state": lambda: follow(compensator, PATH, state=turned(actuator, 0.0), **time),
         "trajectory with a velocity": lambda: follow(compensator, PATH, velocity=np.zeros(N), **time),
         "trajectory with both": lambda: follow(
             compensator, PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time

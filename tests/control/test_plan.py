@@ -7,7 +7,7 @@ import plain_records
 import pytest
 
 from dehyst import Actuator, Compensator, ModelError, Stage, StageCompensator, plan_path
-from dehyst.model import Identification, with_identification
+from dehyst.model import Identification, turned, with_identification
 
 STEP, DELAY = 5e-3, 0.0172
 TIME = STEP * np.arange(600)
@@ -25,7 +25,7 @@ def shown(actuator: Actuator, plan):
 
 @pytest.mark.parametrize("home", [True, False])
 def test_a_path_of_an_actuator_that_lags_is_on_time(home):
-    start = None if home else LATE.turned(float(WANTED[0]))
+    start = None if home else turned(LATE, float(WANTED[0]))
     plan = plan_path(LATE, WANTED, time=TIME, home=home, start=start)
     assert np.count_nonzero(plan.phase == 2) == WANTED.size and plan.followed and not plan.clamped.any()
     np.testing.assert_array_equal(plan.displacement[plan.first :], WANTED)
@@ -40,7 +40,7 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
 @pytest.mark.parametrize("lag_of", ["", "sensor"])
 def test_a_lag_that_is_not_the_actuators_is_made_up_for_only_if_that_is_asked(lag_of):
     actuator = replace(LATE, identification=Identification(lag_of=lag_of))
-    plan = plan_path(actuator, WANTED, time=TIME, start=PLANT.turned(float(WANTED[0])))
+    plan = plan_path(actuator, WANTED, time=TIME, start=turned(PLANT, float(WANTED[0])))
     np.testing.assert_array_equal(plan.voltage, plan_path(PLANT, WANTED, time=TIME, start=plan.start).voltage)
     assert any("later" in one for one in plan.warnings) == (lag_of == "")
     asked = plan_path(actuator, WANTED, time=TIME, start=plan.start, on_time=True)
@@ -69,7 +69,7 @@ def test_a_path_is_as_fast_as_it_is_and_jumps_to_it_are_as_fast_as_the_records()
 
 @pytest.mark.parametrize(("share", "loud"), [(0.999, False), (0.5, True)])
 def test_capitals_are_for_a_miss_beyond_what_is_promised(share, loud):
-    start = PLANT.turned(float(WANTED[0]))
+    start = turned(PLANT, float(WANTED[0]))
     free = plan_path(PLANT, WANTED, time=TIME, start=start)
     most = share * np.abs(np.diff(free.voltage[free.first :])).max() / STEP
     plan = plan_path(PLANT, WANTED, time=TIME, start=start, slew_rate=most)

@@ -9,6 +9,7 @@ import pytest
 import dehyst
 from dehyst import ClampWarning, Compensator, ModelError, Repetition
 from dehyst.control import SensorFault, SensorWarning
+from dehyst.model import turned
 
 PLANT, STROKE, PERIOD = plain_records.plant(10, seed=4), plain_records.STROKE, 1e-3
 AGED = replace(PLANT, spring=replace(PLANT.spring, voltage=1.02 * PLANT.spring.voltage))
@@ -20,7 +21,7 @@ class Life:
     """A plant, its repetition, and the true errors of its cycles."""
 
     def __init__(self, *, limits=(-20, 220), path=PATH, **options):
-        self.state = PLANT.turned(float(path[0]), rising=False)
+        self.state = turned(PLANT, float(path[0]), rising=False)
         self.loop = Compensator(PLANT, limits, period=PERIOD, state=self.state, warns=False)
         self.repetition, self.errors = Repetition(self.loop, path, **options), []
         self.random = np.random.default_rng(0)
@@ -122,7 +123,7 @@ def test_axes_of_a_stage_are_learnt_together():
     stage = dehyst.Stage((PLANT, PLANT), coupling=[[1, 0.02], [0.01, 1]])
     aged = dehyst.Stage((AGED, PLANT), coupling=stage.coupling)
     path = np.column_stack([PATH, 0.9 * np.roll(PATH, 60) + 0.05 * STROKE])
-    starts = [PLANT.turned(float(y), rising=False) for y in path[0] @ np.linalg.inv(stage.coupling).T]
+    starts = [turned(PLANT, float(y), rising=False) for y in path[0] @ np.linalg.inv(stage.coupling).T]
     loop = dehyst.StageCompensator(stage, period=PERIOD, limits=(-20, 220), states=starts)
     repetition, states, errors = Repetition(loop, path), starts, []
     for _ in range(6):

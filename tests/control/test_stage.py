@@ -13,6 +13,7 @@ from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
 from dehyst.control import PossibleStart, plan_path
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.stage_compensator import targets_and_clamped
+from dehyst.model import turned
 
 
 def actuator(scale=1.0, **options):
@@ -309,7 +310,7 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
             return StageCompensator(model, period=1e-3, **options).compensators
         return dehyst.Bank(model.actuators, period=1e-3, **options)._each
 
-    pair, state = (0.0, 100.0), model.actuators[0].turned(3e-6)
+    pair, state = (0.0, 100.0), turned(model.actuators[0], 3e-6)
     for limits in (pair, list(pair), np.array(pair), [pair], [pair, pair], np.array([pair, pair])):
         assert [one.limits for one in made(limits=limits)] == [pair] * 2
     assert [one.limits for one in made(limits=[pair, None])] == [pair, (-150.0, 200.0)]

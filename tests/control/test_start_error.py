@@ -14,7 +14,7 @@ from dehyst import Compensator, DisplacementCreep, Dynamics, ModelError, RecordE
 from dehyst.control import PossibleStart, StartError, plan_path, wave_table
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.planning.start import model_error
-from dehyst.model import Identification, SmoothSlip, Validity, apply, needs_time, standing, with_identification
+from dehyst.model import Identification, SmoothSlip, Validity, apply, needs_time, standing, turned, with_identification
 from dehyst.waveforms import Triangle
 
 LIMITS = -40.0, 260.0
@@ -38,7 +38,7 @@ def history(actuator, rng, present):
     time = np.cumsum(rng.choice([0.5, 5.0, 1e4], turns.size))
     still = replace(actuator, dynamics=None, state=None)
     # The long first rest lets creep forget what no voltage led to.
-    state = still.simulate(turns, time=time, state=still.turned(0.5 * STROKE)).state
+    state = still.simulate(turns, time=time, state=turned(still, 0.5 * STROKE)).state
     if actuator.dynamics is None:
         return state
     return replace(state, motion=[state.deformation, 0.0])

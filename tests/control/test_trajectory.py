@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from dehyst import Actuator, Compensator, Dynamics, ModelError, Thermal
 from dehyst.control import following
 from dehyst.control.following import follow
+from dehyst.model import turned
 from examples import examples
 
 PLANT = plain_records.plant(10, seed=4)
@@ -183,7 +184,7 @@ SCALES = st.floats(0.5, 2.0), st.floats(-0.5, 0.5).map(lambda share: share * pla
 @given(st.sampled_from([None, *WIDE]), st.integers(0, 10**6), *SCALES)
 def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kind, seed, gain, offset):
     plant = PLANT if kind is None else wider(kind)
-    loop = Compensator(plant, (-1e4, 1e4), period=1e-3, state=plant.turned(0.0))
+    loop = Compensator(plant, (-1e4, 1e4), period=1e-3, state=turned(plant, 0.0))
     plain = loop._clone()
     loop.scale(gain, offset)
     inside = plain_records.path(np.random.default_rng(seed).uniform(0, 1, 6), 40)

@@ -13,7 +13,7 @@ from dehyst import DisplacementCreep, Dynamics, RecordError
 from dehyst.control import Compensator, wave_table
 from dehyst.control.following import follow
 from dehyst.control.planning.wave_table import steady_state, timed
-from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing, turned, voltages_of
 from dehyst.waveforms import Raster, Triangle
 from examples import at_night
 
@@ -40,7 +40,7 @@ SCANS = {
 
 def simulated(actuator, played, state=None):
     """What the actuator does with all that is played, by default after slow loops."""
-    start = standing(actuator, float(played.voltage[0]), actuator.voltage_range) if state is None else state
+    start = standing(actuator, float(played.voltage[0]), voltages_of(actuator)) if state is None else state
     time = played.time
     return actuator.simulate(played.voltage, time=time, state=start).displacement
 
@@ -111,14 +111,14 @@ def followed(compensator, path, state):
 
 
 def after_two_cycles(compensator, path):
-    return followed(compensator, path.repeated(2), compensator.actuator.turned(2 * UM))
+    return followed(compensator, path.repeated(2), turned(compensator.actuator, 2 * UM))
 
 
 @pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("name", ["creep", "smooth", "creep and smooth"])
 def test_the_steady_state_is_what_cycles_tend_to(name, scan):
     actuator, path = ACTUATORS[name], SCANS[scan].path()
-    compensator, state = Compensator(actuator), ACTUATORS[name].turned(2 * UM)
+    compensator, state = Compensator(actuator), turned(ACTUATORS[name], 2 * UM)
     for _ in range(120):
         state = followed(compensator, path.repeated(1), state)
     found = steady_state(actuator, path, after_two_cycles(compensator, path))
@@ -159,14 +159,14 @@ def test_the_axes_of_a_scan_can_be_kept_together():
 
 
 def test_a_scan_that_stands_where_it_begins_has_no_way():
-    table = wave_table(PLAIN, TRIANGLE.path(), start=PLAIN.turned(2 * UM, rising=False))
+    table = wave_table(PLAIN, TRIANGLE.path(), start=turned(PLAIN, 2 * UM, rising=False))
     assert table.rows(0) == table.cycles * TRIANGLE.samples
     assert np.array_equal(table.played(0).phase, np.ones(table.rows(0)))
 
 
 def test_a_start_up_that_cannot_lead_to_the_cycle_is_refused():
     with pytest.raises(RecordError) as caught:
-        wave_table(PLAIN, TRIANGLE.path(), slew_rate=2500.0, start=PLAIN.turned(20 * UM), cycles=0)
+        wave_table(PLAIN, TRIANGLE.path(), slew_rate=2500.0, start=turned(PLAIN, 20 * UM), cycles=0)
     assert caught.value.argument == "cycles"
 
 

@@ -14,6 +14,7 @@ from packaging.version import Version
 import dehyst
 from dehyst import ModelError
 from dehyst.exports.model_header import config_header
+from dehyst.model import turned
 from examples import at_night
 
 
@@ -82,7 +83,7 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
 def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
     loop = compiled_exports.plain()
     block, numbers = loop._model_block(), loop._model_ids()
-    loop.reset(loop.actuator.turned(0.5 * sum(loop.reach), rising=False))
+    loop.reset(turned(loop.actuator, 0.5 * sum(loop.reach), rising=False))
     assert loop._model_block() != block
     assert loop._model_ids() == numbers != compiled_exports.KINDS["creep"]()._model_ids()
 

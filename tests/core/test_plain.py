@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
 from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, slip_elongations
-from dehyst.model import evaluator_of
+from dehyst.model import evaluator_of, turned
 from examples import at_night, examples
 
 RANGE = 1e-12
@@ -205,9 +205,9 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
         (lambda: Actuator(SLIP, SPRING, limits=("a", "b")), "limits"),
         (lambda: Actuator(SLIP, SPRING, limits=(1,)), "limits"),
         (lambda: Actuator(SLIP, SPRING, limits=3), "limits"),
-        (lambda: ACTUATOR.turned("far"), "displacement"),
+        (lambda: turned(ACTUATOR, "far"), "displacement"),
         (lambda: ACTUATOR.relaxed("off"), "voltage"),
-        (lambda: ACTUATOR.turned(np.nan), "displacement: got nan, need a finite number"),
+        (lambda: turned(ACTUATOR, np.nan), "displacement: got nan, need a finite number"),
         (lambda: ACTUATOR.simulate([0], state=State(0, [5e-6, 0])), "cart 0 is"),
     ],
 )

@@ -9,6 +9,7 @@ from compiled_exports import KINDS
 from dehyst import Compensator
 from dehyst.exports import export
 from dehyst.exports.model_header import ExportedStart
+from dehyst.model import turned
 
 
 @pytest.mark.parametrize("kind", ["plain", "all", "moving"])
@@ -29,10 +30,10 @@ def test_the_way_to_where_memory_begins_leads_there(rising):
     """Two ways: the words followed on the virtual actuator, and the state that was exported."""
     actuator = plain_records.plant(10, seed=4)
     low, high = (
-        actuator.voltage(actuator.turned(0, rising=False)),
-        actuator.voltage(actuator.turned(plain_records.STROKE)),
+        actuator.voltage(turned(actuator, 0, rising=False)),
+        actuator.voltage(turned(actuator, plain_records.STROKE)),
     )
-    state = actuator.turned(plain_records.STROKE if rising else 0, rising=rising)
+    state = turned(actuator, plain_records.STROKE if rising else 0, rising=rising)
     outset = ExportedStart.of(Compensator(actuator, (low, high), state=state))
     first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
     assert outset.way.startswith(words)

@@ -14,7 +14,7 @@ import numpy as np
 import strategies
 
 from dehyst import Actuator, Compensator
-from dehyst.model import Dynamics, SmoothSlip
+from dehyst.model import Dynamics, SmoothSlip, turned
 
 KINDS = ("plain", "plain", "wide", "dynamics", "lag", "smooth", "all")
 
@@ -55,7 +55,7 @@ def random_start(rng, actuator):
     if rng.random() < 0.5:
         return None
     y = actuator.spring.displacement[0] + strategies.span_of(actuator) * rng.uniform(-1, 2)
-    return actuator.turned(float(y), rising=bool(rng.integers(2)))
+    return turned(actuator, float(y), rising=bool(rng.integers(2)))
 
 
 def random_compensator(rng, kind):

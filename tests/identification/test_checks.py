@@ -10,6 +10,7 @@ import structured_records
 from dehyst import identify
 from dehyst.identification import Structure, Trace, Verdict
 from dehyst.identification.checks import model_checks
+from dehyst.model import turned
 
 STROKE = plain_records.STROKE
 PLANT = structured_records.plant(structured_records.STRUCTURES["graded, transformer"])
@@ -103,7 +104,7 @@ def test_the_least_slope_is_that_of_a_branch():
     check = checks_of(lambda *_: 0.0)["Rising branches"]
     y = np.linspace(*WIDE.spring.displacement[[0, -1]], 4001)
     straight = replace(WIDE, transformer=None)
-    volts = [[straight.voltage(straight.turned(float(at), rising=up)) for at in y] for up in (True, False)]
+    volts = [[straight.voltage(turned(straight, float(at), rising=up)) for at in y] for up in (True, False)]
     least = min(float((np.diff(one) / np.diff(y)).min()) for one in volts)
     assert check.value * 1e6 == pytest.approx(least, rel=0.02)
 

@@ -13,6 +13,7 @@ import structured_records as wide
 import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
 from dehyst.identification import Deadline, Outcome, Structure
+from dehyst.model import turned, voltages_of
 
 PLANT, STROKE = plain_records.plant(10), plain_records.STROKE
 TEN = Structure(elements=10, knots=11, smoothing=0.0)
@@ -183,7 +184,7 @@ def test_impossible_options_are_refused(options):
         dehyst.identify(TOPS, **options)
 
 
-GROWING = plain_records.loops(PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=PLANT.turned(0.5 * STROKE))
+GROWING = plain_records.loops(PLANT, (0.5, 0.55, 0.44, 0.7, 0.2, 1.0), samples=16, state=turned(PLANT, 0.5 * STROKE))
 COPY = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
 
 
@@ -259,7 +260,7 @@ def test_a_first_model_comes_once_and_says_that_it_is_provisional(structure):
     (first,) = models
     assert first.identification.provisional
     assert not fit.actuator.identification.provisional
-    path = np.linspace(*graded().voltage_range, 50)
+    path = np.linspace(*voltages_of(graded()), 50)
     assert np.ptp(first.simulate(path).displacement) == pytest.approx(np.ptp(graded().displacement), rel=0.2)
 
 

@@ -16,6 +16,7 @@ from dehyst import Thermal
 from dehyst.identification import Structure, search
 from dehyst.identification.program import _neighbours, with_folds
 from dehyst.identification.regressors import Rows, epochs
+from dehyst.model import turned
 
 STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
 NAMES = tuple(wide.STRUCTURES)
@@ -216,7 +217,7 @@ def test_no_branch_falls(monkeypatch):
     for held, (path, rising) in product(
         (one.to_actuator(plant.grid, 0.0) for one in (found, softer)), ((y, True), (y[::-1], False))
     ):
-        v = held.compensate(path, state=held.turned(float(path[0]), rising=rising)).voltage
+        v = held.compensate(path, state=turned(held, float(path[0]), rising=rising)).voltage
         assert (np.diff(v) / np.diff(path)).min() > program.floor * (1 - 1e-3)
 
 

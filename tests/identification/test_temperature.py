@@ -10,6 +10,7 @@ import dehyst
 from dehyst import Actuator
 from dehyst.identification import Structure
 from dehyst.identification.motion import temperatures_of
+from dehyst.model import turned
 
 STROKE = plain_records.STROKE
 GAIN = -2.5e-3
@@ -22,7 +23,7 @@ def at(first, last, seed, *, name="record", gain=GAIN, offset=0.0, known=True):
     random = np.random.default_rng(seed)
     voltage = plain_records.VOLTS / STROKE * plain_records.path((0, 1, 0, *random.uniform(0, 1, 12), 0))
     made = plain_records.driven(
-        TRUE, voltage, noise=2e-9, seed=seed, state=TRUE.turned(0.0, rising=False), name=f"{name} {seed}"
+        TRUE, voltage, noise=2e-9, seed=seed, state=turned(TRUE, 0.0, rising=False), name=f"{name} {seed}"
     )
     temperature = np.linspace(first, last, len(made))
     y = (1 + gain * (temperature - 20)) * made.displacement + offset * (temperature - 20)

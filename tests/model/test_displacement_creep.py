@@ -10,7 +10,7 @@ from scipy.signal import lsim
 from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, Thermal
 from dehyst.control import shortest_homing
 from dehyst.control.following import follow
-from dehyst.model import at_rest, knots_of
+from dehyst.model import at_rest, knots_of, turned, voltages_of
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -52,7 +52,7 @@ def test_the_inverse_is_exact_at_uneven_steps(name):
     time = uneven(3000) if name not in ("inertia", "lag") else np.arange(6000) * 2e-4
     path = smooth(time)
     load = 20 * np.sin(5 * time) if actuator.load_stiffness else None
-    state = replace(actuator.turned(path[0]), displacement_creep=[1e-7, -2e-7, 3e-7])
+    state = replace(turned(actuator, path[0]), displacement_creep=[1e-7, -2e-7, 3e-7])
     start = actuator.compensate(path[:1], time=time[:1], load=None if load is None else load[:1], state=state).state
     motion = actuator.compensate(path, time=time, load=load, state=start)
     back = actuator.simulate(motion.voltage, time=time, load=load, state=start, extrapolate=True)
@@ -68,7 +68,7 @@ def test_derivatives_that_are_given_are_those_of_the_displacement():
     low, high = actuator.reach
     middle, size = 0.5 * (low + high), 0.3 * (high - low)
     path = middle + size * np.sin(3 * time)
-    state = actuator.turned(middle)
+    state = turned(actuator, middle)
     given = actuator.compensate(
         path, time=time, state=state, velocity=3 * size * np.cos(3 * time), acceleration=-9 * size * np.sin(3 * time)
     )
@@ -82,7 +82,7 @@ def test_a_held_voltage_ends_at_the_displacement_at_rest():
     assert at_rest(CREEPING) == pytest.approx(1.09)
     np.testing.assert_allclose(CREEPING.reach, 1.09 * np.array(PLANT.reach), rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(knots_of(CREEPING), 1.09 * PLANT.spring.displacement[[0, -1]], rtol=1e-12)
-    top = CREEPING.turned(5e-6)
+    top = turned(CREEPING, 5e-6)
     assert CREEPING.displacement(top) == pytest.approx(5e-6, rel=1e-14)
     held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
     assert held.displacement[-1] == pytest.approx(1.09 * held.state.deformation, rel=1e-12)
@@ -93,7 +93,7 @@ def test_a_held_voltage_ends_at_the_displacement_at_rest():
 def test_a_loop_is_the_equation_to_the_bit():
     """A loop without this creep, and the equation of `dehyst_model.h` in Python, for 1e5 random steps with clamps."""
     period, samples = 1e-3, 10**5
-    start = PLANT.turned(0.3 * plain_records.STROKE)
+    start = turned(PLANT, 0.3 * plain_records.STROKE)
     loop, inner = (Compensator(one, (10, 130), 3e4, period=period, state=start) for one in (CREEPING, PLANT))
     gains = PART.gains.tolist()
     decay, rise = (table[0].tolist() for table in PART.tables(np.array([period])))
@@ -195,7 +195,7 @@ def test_temperature_is_a_gain_and_an_offset_behind_all_other_parts():
 
 
 def test_a_loop_follows_a_temperature():
-    time, state = 1e-3 * np.arange(300), CREEPING.turned(8e-6)
+    time, state = 1e-3 * np.arange(300), turned(CREEPING, 8e-6)
     path, warm = smooth(time), 25 + 15 * np.sin(2 * time)
     loop = Compensator(THERMAL, (0, 200), period=1e-3, state=state)
     sent = np.array([loop.step(y, temperature) for y, temperature in zip(path, warm, strict=True)])
@@ -217,8 +217,6 @@ def test_a_cycle_repeats_from_its_steady_strains():
 
 
 def test_homing_waits_for_creep_in_displacement():
-    homing = shortest_homing(
-        CREEPING, limits=CREEPING.voltage_range, tolerance=0.01 * float(np.ptp(knots_of(CREEPING)))
-    )
+    homing = shortest_homing(CREEPING, limits=voltages_of(CREEPING), tolerance=0.01 * float(np.ptp(knots_of(CREEPING))))
     assert homing.certified
     assert np.ptp(homing.played.time) > PART.time_constants[-1]

@@ -1,5 +1,7 @@
 """Inertia, damping, load and lag: SciPy's exact steps, an ODE solver, and second order where no step is exact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import reference_model
@@ -120,14 +122,8 @@ def follow(actuator, n, *, given):
 @pytest.mark.parametrize("given", [True, False], ids=["derivatives", "spline"])
 def test_simulating_the_feedforward_converges_at_second_order(slip, lag, series, given):
     """With hysteresis, transformer and a load that begins as a preload."""
-    actuator = Actuator(
-        slip,
-        CURVE,
-        transformer=TAU,
-        dynamics=Dynamics(HERTZ, 0.05, series),
-        lag=lag,
-        load_stiffness=5e6,
-    )
+    dynamics = Dynamics(HERTZ, 0.05, series)
+    actuator = Actuator(slip, CURVE, transformer=TAU, dynamics=dynamics, lag=lag, load_stiffness=5e6)
     errors = [follow(actuator, n, given=given) for n in (800, 1600, 3200, 6400)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(orders > 1.9), (errors, orders)
@@ -157,15 +153,8 @@ def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
 def test_the_stack_moves_a_mass_as_the_carts_do(motion, series):
     actuator, state, time, path = motion
     volts = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
-    moving = Actuator(
-        actuator.slip,
-        actuator.spring,
-        transformer=actuator.transformer,
-        displacement_creep=actuator.displacement_creep,
-        dynamics=Dynamics(
-            1.0 / np.median(np.diff(time)) if time.size > 1 else 1.0, 0.3, series * actuator.spring.slopes.min()
-        ),
-    )
+    hertz = 1.0 / np.median(np.diff(time)) if time.size > 1 else 1.0
+    moving = replace(actuator, dynamics=Dynamics(hertz, 0.3, series * actuator.spring.slopes.min()))
     one, two = (
         moving.simulate(volts, time=time, state=state, stack=stack, extrapolate=True) for stack in (True, False)
     )

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring, State
-from dehyst.model import GradedSlip, SmoothSlip, Transformer
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, turned
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
@@ -217,7 +217,7 @@ def test_the_equation_holds_to_its_rounding(seed):
         span * 10 ** rng.uniform(-4, 1, count), rng.uniform(0.5, 1, count), 10 ** rng.uniform(-3, 6, count)
     )
     actuator = Actuator(slip, spring, smooth=smooth)
-    ends = [actuator.voltage(actuator.turned(end, rising=end > 0)) for end in (0.0, span)]
+    ends = [actuator.voltage(turned(actuator, end, rising=end > 0)) for end in (0.0, span)]
     v = ends[0] + (ends[1] - ends[0]) * rng.uniform(-0.3, 1.3, 60)
     y = actuator.simulate(v, extrapolate=True).displacement
     slope = slip.stiffness.sum() + spring.slopes.max() + 2 * smooth.stiffness.sum()
@@ -228,13 +228,13 @@ def test_the_equation_holds_to_its_rounding(seed):
 
 def test_after_a_long_motion_they_are_as_long_as_they_get():
     far = ACTUATOR.compensate([1.0, -1.0, 5e-6], extrapolate=True).state
-    turned = ACTUATOR.turned(5e-6)
-    plain_records.assert_close(far.smooth, turned.smooth, 0.0)
-    plain_records.assert_close(far.carts, turned.carts, 1e-18)
-    assert np.array_equal(ACTUATOR.turned(0, rising=False).smooth, -SMOOTH.length)
+    top = turned(ACTUATOR, 5e-6)
+    plain_records.assert_close(far.smooth, top.smooth, 0.0)
+    plain_records.assert_close(far.carts, top.carts, 1e-18)
+    assert np.array_equal(turned(ACTUATOR, 0, rising=False).smooth, -SMOOTH.length)
     assert ACTUATOR.state.smooth.tolist() == SMOOTH.length.tolist()
     slipping = SLIP.friction.sum() + SMOOTH.stiffness @ SMOOTH.length
-    assert ACTUATOR.voltage(turned) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
+    assert ACTUATOR.voltage(top) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
 
 
 def test_what_rounding_left_of_a_state_is_taken():

@@ -6,7 +6,7 @@ import pytest
 import structured_records
 
 from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, Spring
-from dehyst.model import GradedSlip, Transformer
+from dehyst.model import GradedSlip, Transformer, turned
 from dehyst.model.summary import Slopes, bend, parts_of, resonance, step_response
 
 EVERYTHING = structured_records.STRUCTURES["all"]
@@ -34,7 +34,7 @@ def test_steep_where_stiff():
     y = found.displacement
     actuator = Actuator(slip, spring)
     for slope, side in ((found.rising, True), (found.falling, False)):
-        volts = np.array([actuator.voltage(actuator.turned(float(at), rising=side)) for at in y])
+        volts = np.array([actuator.voltage(turned(actuator, float(at), rising=side)) for at in y])
         steps = np.diff(volts) / np.diff(y)
         smooth = slope[1:] == slope[:-1]
         np.testing.assert_allclose(steps[smooth], slope[1:][smooth], rtol=1e-9)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 import dehyst
 from dehyst import Record, plan_path
 from dehyst.identification.preparation import prepare
+from dehyst.model import turned
 from dehyst.records.cleaning import glitches, settled, spikes, transients, voltage_steps
 
 DATA = places.DATA
@@ -64,7 +65,7 @@ def measured(rng, kind, cycle, size, lag):
     """Voltage and displacement that comes `lag` samples late, whole or not."""
     v = excited(rng, kind, cycle, size)
     plant = PLANTS[rng.integers(len(PLANTS))]
-    y = plant.simulate(v, state=plant.turned(0.0)).displacement
+    y = plant.simulate(v, state=turned(plant, 0.0)).displacement
     return v, np.interp(np.arange(size) - lag, np.arange(size), y)
 
 
@@ -146,10 +147,10 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
     v = 100 - 100 * np.cos(2 * np.pi * np.arange(1200) / 200)
     v[650 : 650 + width] += pulse
     plant = plain_records.plant(10)
-    y = plant.simulate(v, state=plant.turned(0.0)).displacement
+    y = plant.simulate(v, state=turned(plant, 0.0)).displacement
     late = np.interp(np.arange(1200) - lag, np.arange(1200), y)
     assert not glitches(v, late).any()
-    still = plant.simulate(np.delete(v, slice(650, 650 + width)), state=plant.turned(0.0)).displacement
+    still = plant.simulate(np.delete(v, slice(650, 650 + width)), state=turned(plant, 0.0)).displacement
     unmoved = np.insert(still, 650, np.full(width, still[650]))
     assert samples_of(glitches(v, unmoved)) == set(range(650, 650 + width))
 
@@ -159,9 +160,9 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
 def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):
     v = 100 - 100 * np.cos(2 * np.pi * np.arange(1200) / 200)
     plant = plain_records.plant(10)
-    still = plant.simulate(v, state=plant.turned(0.0)).displacement
+    still = plant.simulate(v, state=turned(plant, 0.0)).displacement
     v[:width] = 60.0
-    y = plant.simulate(v, state=plant.turned(0.0)).displacement
+    y = plant.simulate(v, state=turned(plant, 0.0)).displacement
     assert not glitches(v, y[np.maximum(np.arange(1200) - lag, 0)]).any()
     assert samples_of(glitches(v, still)) == set(range(width))
 
@@ -226,7 +227,7 @@ def rare(samples, cycle=200):
     middle = 5 * cycle // 2
     v[middle - samples // 2 : middle - samples // 2 + samples] = 200.0
     plant = plain_records.plant(10)
-    return plain_records.driven(plant, np.concatenate([v, v[: 2 * cycle]]), state=plant.turned(0.0))
+    return plain_records.driven(plant, np.concatenate([v, v[: 2 * cycle]]), state=turned(plant, 0.0))
 
 
 @pytest.mark.parametrize("samples", [2, 8])

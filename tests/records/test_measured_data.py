@@ -14,6 +14,7 @@ import pytest
 
 import dehyst
 from dehyst.identification import Outcome
+from dehyst.model import turned
 
 DATA = places.DATA
 
@@ -88,7 +89,7 @@ def test_the_identified_actuator_compensates_within_the_recorded_voltages():
     assert (low, high) == pytest.approx((0.0, 3.6), abs=0.02)
     knots = actuator.spring.displacement
     path = knots[0] + (knots[-1] - knots[0]) * (0.3 + 0.1 * np.sin(np.linspace(0, 12, 400)))
-    command = dehyst.plan_path(actuator, path, start=actuator.turned(float(path[0])))
+    command = dehyst.plan_path(actuator, path, start=turned(actuator, float(path[0])))
     assert not command.clamped.any()
-    played = actuator.simulate(command.voltage, state=actuator.turned(float(path[0]))).displacement
+    played = actuator.simulate(command.voltage, state=turned(actuator, float(path[0]))).displacement
     assert abs(played - path).max() < 1e-9 * (knots[-1] - knots[0])

@@ -15,6 +15,7 @@ import structured_records
 from dehyst import Compensator, DisplacementCreep, Dynamics
 from dehyst.exports.firmware import SOURCES, code
 from dehyst.exports.naming import shipped
+from dehyst.model import turned
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off")
 CORTEX_M4 = ("-O2", "-mcpu=cortex-m4", "-mthumb")
@@ -99,7 +100,7 @@ COUNTS_AN_INSTRUCTION = 1.6
 def plain(elements=10, *, slew=None, period=None):
     """A compensator of the plain class."""
     actuator = plain_records.plant(elements, seed=4)
-    return Compensator(actuator, LIMITS, slew, period=period, state=actuator.turned(0.3 * plain_records.STROKE))
+    return Compensator(actuator, LIMITS, slew, period=period, state=turned(actuator, 0.3 * plain_records.STROKE))
 
 
 def wider(kind, *, moving=False, creeping=False):

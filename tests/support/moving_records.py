@@ -9,6 +9,7 @@ import structured_records as wide
 
 from dehyst import DisplacementCreep, Dynamics, Record, Thermal
 from dehyst.identification.preparation import prepare
+from dehyst.model import turned
 
 STROKE, STEP = plain_records.STROKE, 1 / wide.RATE
 STRUCTURE = wide.STRUCTURES["plain"]
@@ -56,7 +57,7 @@ def swinging(noise=0.0, dynamics=DYNAMICS):
     """The displacement behind a resonance."""
     moved, one = replace(plant().actuator, dynamics=dynamics), still()
     first = float(one.displacement[0])
-    state = replace(moved.turned(first), motion=[first, 0.0])
+    state = replace(turned(moved, first), motion=[first, 0.0])
     played = moved.simulate(one.voltage, time=one.time, state=state, extrapolate=True)
     return seen(one, played.displacement, noise)
 

@@ -10,6 +10,7 @@ import numpy as np
 import places
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, State
+from dehyst.model import turned
 
 CORE_SOURCES = tuple(path.name for path in places.CORE_FILES if path.suffix == ".c" and "src" in path.parts)
 STROKE = 16e-6
@@ -61,7 +62,7 @@ def any_state(actuator, displacement, seed):
 
 def record(actuator, displacement, *, state=None, rate=200.0, name="made", noise=0.0, seed=0, datum=0.0):
     """The record of a displacement path, played from `state` (default: after a long rise to the path's start)."""
-    start = actuator.turned(float(displacement[0])) if state is None else state
+    start = turned(actuator, float(displacement[0])) if state is None else state
     motion = actuator.compensate(displacement, state=start)
     sensor = displacement - datum + noise * np.random.default_rng(seed).normal(size=displacement.size)
     return Record(np.arange(displacement.size) / rate, motion.voltage, sensor, name)

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring, State
-from dehyst.model import GradedSlip, Transformer
+from dehyst.model import GradedSlip, Transformer, turned
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_KINDS = ("relaxed", "turned up", "turned down", "reached", "arbitrary", "extreme")
@@ -82,7 +82,7 @@ def make_state(actuator, seed, kind):
     if kind == "relaxed":
         return State(y, np.full(rho.size, y))
     if kind.startswith("turned"):
-        return actuator.turned(y, rising=kind.endswith("up"))
+        return turned(actuator, y, rising=kind.endswith("up"))
     if kind == "extreme":
         return State(y, y + rng.choice([-1, 1], rho.size) * rho)
     if kind == "arbitrary":

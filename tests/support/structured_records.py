@@ -17,7 +17,7 @@ from dehyst.identification.preparation import prepare
 from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.structure import Grid
-from dehyst.model import GradedSlip, SmoothSlip, Transformer
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, turned
 
 SLOPE = plain_records.VOLTS / plain_records.STROKE
 FLOOR = 0.1 * SLOPE
@@ -83,7 +83,7 @@ def plant(structure, seed=0, path=None):
         parts["smooth"] = SmoothSlip(grid.lengths, grid.closings, share / grid.lengths / grid.lengths.size)
     actuator = Actuator(**parts)
     # Smooth elements begin at none, as the program takes them to; what they forget would take many cycles.
-    state = replace(actuator.turned(float(y[0])), smooth=np.zeros(grid.lengths.size))
+    state = replace(turned(actuator, float(y[0])), smooth=np.zeros(grid.lengths.size))
     if structure.transformer:
         drive = actuator.compensate(y, time=np.arange(y.size) / RATE, state=state).voltage
         ends = float(drive.min()), float(drive.max())

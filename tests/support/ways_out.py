@@ -20,7 +20,7 @@ from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
 from dehyst.control import PossibleStart, StageCompensator, plan_path, wave_table
 from dehyst.control.following import follow
-from dehyst.model import DisplacementCreep, Dynamics, Stage, with_identification
+from dehyst.model import DisplacementCreep, Dynamics, Stage, turned, with_identification
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of
 
@@ -130,7 +130,9 @@ class Life:
         if self.rng.random() < 0.4:
             return None
         low, high = self.actuator.reach
-        return self.actuator.turned(low + (high - low) * self.rng.uniform(-0.2, 1.2), rising=bool(self.rng.integers(2)))
+        return turned(
+            self.actuator, low + (high - low) * self.rng.uniform(-0.2, 1.2), rising=bool(self.rng.integers(2))
+        )
 
     def held(self, state):
         return min(max(self.actuator.voltage(state), self.low), self.high)

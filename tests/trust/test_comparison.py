@@ -12,7 +12,7 @@ import dehyst
 from dehyst import FileFormatError, IdentifyError, Record, RecordError
 from dehyst.identification import prepare
 from dehyst.identification.regressors import epochs
-from dehyst.model import AbstractModel
+from dehyst.model import AbstractModel, turned
 from dehyst.report import write_comparison
 from dehyst.trust import AbstractBaseline, ModelComparison, compare
 from dehyst.trust.baselines import Linear
@@ -90,7 +90,7 @@ class Stranger(AbstractModel):
     shift: float
 
     def simulate(self, voltage, *, state=None, time=None):
-        motion = PLANT.simulate(voltage, state=state or PLANT.turned(0.0, rising=False))
+        motion = PLANT.simulate(voltage, state=state or turned(PLANT, 0.0, rising=False))
         return replace(motion, displacement=motion.displacement + self.shift)
 
     def compensate(self, displacement, *, state=None, time=None):

@@ -11,7 +11,7 @@ import structured_records
 
 from dehyst import Record, Structure, identify
 from dehyst.control import Compensator, plan_path
-from dehyst.model import with_identification
+from dehyst.model import turned, with_identification
 from dehyst.report.pages import render, write_insight
 from dehyst.trust import insight
 
@@ -30,7 +30,7 @@ def truth(name):
     made = identify(plant.record(), structure=STRUCTURES[name], delay=0.0).actuator
     # As a record is taken to begin: smooth elements at none.
     smooth = np.zeros(0 if made.smooth is None else len(made.smooth))
-    state = replace(made.turned(float(plant.path[0])), smooth=smooth)
+    state = replace(turned(made, float(plant.path[0])), smooth=smooth)
     return replace(plant, actuator=replace(made, limits=None), state=state)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import dehyst
 from dehyst import Actuator, DisplacementCreep, IdentifyError, MaxwellSlip, Spring, Structure
+from dehyst.model import turned
 
 TRAINED = (1, 0, 1, 0, 0.8, 0, 0.6, 0, 0.4, 0, 0.2, 0)
 ONE_LOOP = (0, 1, 0, 1, 0)
@@ -33,7 +34,7 @@ def aged(gain, width):
 def driven(stage, turns, **options):
     """The record of a voltage through turns, as parts of 0 to 200 V."""
     voltage = plain_records.VOLTS / plain_records.STROKE * plain_records.path(turns)
-    start = stage.turned(0.0, rising=False)
+    start = turned(stage, 0.0, rising=False)
     return plain_records.driven(stage, voltage, noise=2e-9, state=start, **options)
 
 
@@ -89,7 +90,7 @@ def test_one_loop_of_a_creeping_actuator_is_enough_too():
 
     def played(turns, seed, samples):
         voltage = plain_records.VOLTS / plain_records.STROKE * plain_records.path(turns)
-        time, start = 0.02 * np.arange(voltage.size), stage.turned(0.0, rising=False)
+        time, start = 0.02 * np.arange(voltage.size), turned(stage, 0.0, rising=False)
         y = stage.simulate(voltage, time=time, state=start, extrapolate=True).displacement
         y = y + np.random.default_rng(seed).normal(0, 2e-9, y.size)
         return dehyst.Record(time[-samples:], voltage[-samples:], y[-samples:])
@@ -150,7 +151,7 @@ def test_parts_behind_the_elements_stay_as_they_are(old):
     made = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
     degrees = np.full(len(made), 30.0)
     measured = stage.simulate(
-        made.voltage, time=made.time, temperature=degrees, state=stage.turned(0.0, rising=False)
+        made.voltage, time=made.time, temperature=degrees, state=turned(stage, 0.0, rising=False)
     ).displacement
     record = dehyst.Record(made.time, made.voltage, measured, "warm", others={"temperature_C": degrees})
     found = dehyst.update(model, record)

@@ -16,6 +16,7 @@ from command_line import DEHYST
 from workbench_client import done, entry, held, served, until, upload, workers
 
 from dehyst import Actuator, read
+from dehyst.model import voltages_of
 from dehyst.records import read_table
 
 CORNERS = [[0.0, 2.0], [0.5, 9.0], [1.0, 3.0]]
@@ -76,7 +77,7 @@ def test_a_model_has_a_verdict_and_a_range(visited):
     assert (model["status"], model["verdict"]["readiness"]) == ("ready", "READY")
     assert model["verdict"]["largest_percent"] < 1
     actuator = Actuator.load(folder / model["file"])
-    assert model["range_v"] == list(actuator.voltage_range)
+    assert model["range_v"] == list(voltages_of(actuator))
     assert model["range_um"] == [1e6 * end for end in actuator.reach]
 
 

@@ -17,7 +17,7 @@ from dehyst.control import Compensator, Feedback, PathPlan, Repetition, StageCom
 from dehyst.control.stage_compensator import axes_of
 from dehyst.instruments import AbstractRig
 from dehyst.instruments.waves import StepFunction
-from dehyst.model import Actuator, Stage
+from dehyst.model import Actuator, Stage, stroke_of
 from dehyst.records import beyond_noise, largest
 from dehyst.waveforms import Excitation
 
@@ -63,7 +63,7 @@ class FollowedPath:
         self._several = isinstance(self.model, Stage)
         self._actuators = self.model.actuators if isinstance(self.model, Stage) else (self.model,)
         self._axes = self.model.axes if isinstance(self.model, Stage) else ()
-        self._strokes = np.array([one.stroke for one in self._actuators])
+        self._strokes = np.array([*map(stroke_of, self._actuators)])
         self.promises: list[Any] = []
         self.tracked: list[TrackedPath] = []
         self.noise: list[float] = []

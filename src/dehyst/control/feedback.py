@@ -10,6 +10,7 @@ from dehyst._native import CoreError
 from dehyst._validation import number
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
+from dehyst.model import stroke_of
 
 
 class Feedback:
@@ -56,11 +57,10 @@ class Feedback:
             raise ModelError(argument="compensator", got=type(compensator).__name__, need="a Compensator")
         if compensator.period is None:
             raise ModelError("a feedback needs the time between steps", hint="give the period [s]", change=("period",))
-        stroke = compensator.actuator.stroke * compensator._per_metre
+        actuator, preview = compensator.actuator, compensator._previews
+        stroke = stroke_of(actuator) * compensator._per_metre
         self.compensator, self.bound = compensator, sensor_bound(compensator.reach, stroke, bound)
-        self.gain, self.bandwidth = compensator.actuator.margins(
-            compensator.period, margin_db, preview=compensator._previews
-        )
+        self.gain, self.bandwidth = actuator.margins(compensator.period, margin_db, preview=preview)
         self.reset()
 
     def __repr__(self) -> str:

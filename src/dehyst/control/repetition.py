@@ -15,7 +15,7 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
 from dehyst.control.planning.wave_table import Cycle, WaveTable
 from dehyst.control.stage_compensator import StageCompensator, axes_of
-from dehyst.model import State, mechanical_response
+from dehyst.model import State, mechanical_response, stroke_of
 
 # Share of the error that a cycle takes away; at first of harmonics above the tenth, where a resonance may be unknown.
 _GAIN, _FIRST_GAIN, _SAFE = 0.6, 0.05, 10
@@ -102,7 +102,7 @@ class Repetition:
         if len(self.path) < 2 or not (np.abs(self.path) <= FARTHEST).all():
             raise ModelError(argument="path", got=f"{len(self.path)} samples", need="two or more finite numbers")
         self.bound = min(
-            sensor_bound(loop.reach, loop.actuator.stroke * loop._per_metre, bound) for loop in self._loops
+            sensor_bound(loop.reach, stroke_of(loop.actuator) * loop._per_metre, bound) for loop in self._loops
         )
         self.reset()
 

@@ -16,7 +16,7 @@ from dehyst._views.pictures import Plotted
 from dehyst.identification.checks import RemainingError
 from dehyst.identification.expectation import Expectation, Readiness
 from dehyst.identification.results import Check, RecordErrors, Trace
-from dehyst.model import Actuator, Motion, Outcome, parts_of
+from dehyst.model import Actuator, Motion, Outcome, parts_of, stroke_of
 from dehyst.records import Record
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class Fit(Plotted):
         """
         from dehyst.identification.comparison import compare, errors_of, prepare_for
 
-        stroke = self.errors[0].stroke if self.errors else self.actuator.stroke
+        stroke = self.errors[0].stroke if self.errors else stroke_of(self.actuator)
         prepared = prepare_for(self.actuator, record)
         known = self.actuator.identification
         drifts = prepared.can_drift and known is not None and known.drift

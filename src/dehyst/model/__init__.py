@@ -2,18 +2,6 @@
 
 from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import (
-    Range,
-    at_reference,
-    at_rest,
-    creep_times,
-    knots_of,
-    major_loop,
-    needs_time,
-    quasistatic,
-    slow_motion,
-    voltage_error,
-)
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
@@ -45,14 +33,27 @@ from dehyst.model.promise import (
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
 from dehyst.model.states import (
     NEAR,
+    Range,
+    at_reference,
+    at_rest,
     beginning,
+    creep_times,
+    knots_of,
     looped,
+    major_loop,
+    needs_time,
+    quasistatic,
     simulated,
+    slow_motion,
     standing,
     state_after_loops,
     state_at,
     state_within_limits,
+    stroke_of,
     timed,
+    turned,
+    voltage_error,
+    voltages_of,
 )
 from dehyst.model.summary import Slopes, parts_of, step_response
 from dehyst.model.temperatures import (

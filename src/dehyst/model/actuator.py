@@ -17,14 +17,14 @@ from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
 from dehyst._views.pictures import Plotted
-from dehyst.model import checks
+from dehyst.model import states
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import Range
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, feedback_margins
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.entries import JsonFile, Numbers, entry, instance, mapping, text
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
+from dehyst.model.states import Range, turned
 
 # The voltage of a state is a sum: it has an error of at most this part of the spring's range.
 _ROUNDING = 64 * float(np.finfo(np.float64).eps)
@@ -115,10 +115,10 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         """Complete the state; raise `ModelError` if parts do not fit each other."""
         least_slope(self.slip, self.spring)
         if self.state is None:
-            keep(self, state=self.turned(checks.knots_of(self)[1], extrapolate=True))
+            keep(self, state=turned(self, states.knots_of(self)[1]))
         self._start(self.state)
         _ = self._evaluator.core  # refuses what a part alone cannot check
-        checks.demand_recorded(self)
+        states.demand_recorded(self)
 
     def __repr__(self) -> str:
         from dehyst.model.summary import one_line
@@ -149,13 +149,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
         Without limits: the first and the last knot of the spring.
         """
-        return checks.knots_of(self) if self.limits is None else checks.major_loop(self, self.limits)
-
-    @property
-    def stroke(self) -> float:
-        """The full stroke [m]: the range of the widest loop of its records, or of `reach` if it is not known."""
-        tested = None if self.identification is None else self.identification.validity
-        return float(np.ptp(self.reach)) if tested is None else tested.stroke
+        return states.knots_of(self) if self.limits is None else states.major_loop(self, self.limits)
 
     @cached_property
     def _before_creep(self) -> Actuator:
@@ -165,17 +159,9 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         return replace(self, displacement_creep=None, state=replace(self.state, displacement_creep=EMPTY))
 
     @cached_property
-    def voltage_range(self) -> tuple[float, float]:
-        """The limits [V]; without limits, the voltage range of the largest loop within the spring's knots."""
-        if self.limits is not None:
-            return self.limits
-        low, high = (self.turned(y, rising=i > 0, extrapolate=True) for i, y in enumerate(checks.knots_of(self)))
-        return self.voltage(low), self.voltage(high)
-
-    @cached_property
     def _plausible(self) -> Range:
         """Range of displacements [m] over `reach` and the spring's knots; the knots alone if the reach is not known."""
-        knots = Range(*checks.knots_of(self))
+        knots = Range(*states.knots_of(self))
         try:
             low, high = self.reach
         except ModelError:
@@ -184,7 +170,11 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
     @cached_property
     def _voltages(self) -> Range:
-        return Range(*self.voltage_range)
+        """The limits [V]; without limits, the voltage range of the largest loop within the spring's knots."""
+        if self.limits is not None:
+            return Range(*self.limits)
+        low, high = (turned(self, y, rising=i > 0) for i, y in enumerate(states.knots_of(self)))
+        return Range(self.voltage(low), self.voltage(high))
 
     @cached_property
     def _evaluator(self) -> Evaluator:
@@ -222,7 +212,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
             Evaluate on the stack of reversals (default), or clip every element at every sample. The result is the same.
             Graded elements, and simulations with smooth elements, always clip.
         extrapolate : bool, optional
-            Also simulate voltages that lie outside of `voltage_range` by more than its width.
+            Also simulate voltages that lie outside of the limits by more than their width.
 
         Returns
         -------
@@ -291,30 +281,14 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
 
-        With `extrapolate`, any voltage will do. Raise `ModelError` if the voltage lies outside of `voltage_range`
-        (widened to 0 V) by more than its width, unless `extrapolate`.
+        Raise `ModelError` if the voltage, but 0 V, lies outside of the limits by more than their width, unless
+        `extrapolate`.
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
             self._refuse_voltages(v, v)
         y = self._evaluator.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
-
-    def turned(self, displacement: float, *, rising: bool = True, extrapolate: bool = False) -> State:
-        """Return the state after a long motion that ends at `displacement` [m]: every cart has slid (Assumption II).
-
-        Every smooth element has yielded fully. Creep is at rest, as after a slow motion. With `rising` the motion went
-        up, else down. With `extrapolate`, any displacement will do. Raise `ModelError` if the displacement lies more
-        than one stroke outside of `reach` and the knots of the spring, unless `extrapolate`.
-        """
-        y = number(displacement, "displacement")
-        low, high = checks.knots_of(self)
-        if not extrapolate and not low <= y <= high:
-            self._refuse_displacements(np.array([y]))
-        side = 1 if rising else -1
-        smooth = () if self.smooth is None else side * self.smooth.length
-        w = y / checks.at_rest(self)
-        return State(w, w - side * self.slip.breakaway, smooth=smooth)
 
     def voltage(self, state: State | None = None) -> float:
         """Return the voltage [V] that holds the actuator in `state`, by default ``self.state``."""
@@ -377,15 +351,15 @@ class Actuator(Plotted, JsonFile, AbstractModel):
             push = vector(load, "load") / self.load_stiffness
             low, high = float(push.min(initial=0.0)), float(push.max(initial=0.0))
             pushed = Range(displacements.low + low, displacements.high + high)
-        return "" if pushed.far_ends(displacement) is None else checks.displacement_error(ends, displacements)
+        return "" if pushed.far_ends(displacement) is None else states.displacement_error(ends, displacements)
 
     def _refuse_voltages(self, low: float, high: float) -> None:
         if self._voltages.is_far(low, high):
-            raise ModelError(f"{checks.voltage_error((low, high), self._voltages)}; {checks.ANYWAY}")
+            raise ModelError(f"{states.voltage_error((low, high), self._voltages)}; {states.ANYWAY}")
 
     def _refuse_displacements(self, displacement: Array, load: ArrayLike | None = None) -> None:
         if reason := self._implausibility(displacement, load):
-            raise ModelError(f"{reason}; {checks.ANYWAY}")
+            raise ModelError(f"{reason}; {states.ANYWAY}")
 
     def _start(self, state: State | None) -> State:
         return self._evaluator.complete_state(self.state if state is None else state)

@@ -23,6 +23,7 @@ from dehyst._types import Array
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
 from dehyst.model.dynamics import Thermal
+from dehyst.model.states import stroke_of
 from dehyst.model.temperatures import TemperatureCost
 from dehyst.records import Record, rms, turning_points
 from dehyst.waveforms import FASTER, STEEPEST
@@ -455,7 +456,7 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     if found is not None:
         useless = unusable(actuator, found)
         return *([useless] if useless else []), *(one.sentence for one in found.untested)
-    sentence = TemperatureCost(actuator.thermal, None, actuator.stroke, temperature).sentence
+    sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
     return (sentence,) if sentence else ()
 
 

@@ -1,22 +1,181 @@
-"""Initial states of a motion: moved within limits, at a displacement, or before the voltage of a record."""
+"""Ranges and states of an actuator: what is far outside of them, slow motions, and where a motion begins."""
 
 from __future__ import annotations
 
 import inspect
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
-from dehyst.model.actuator import Actuator, evaluator_of
+from dehyst._validation import number
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.checks import creep_times, quasistatic, slow_loops
+from dehyst.records import Record
 
+if TYPE_CHECKING:
+    from dehyst.model.actuator import Actuator
+
+# Largest magnitude over that of the range from which on a displacement is more likely in another unit.
+_UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
+# Voltages that are beyond those of the records by at most this part of their range count as recorded.
+_AS_RECORDED = 0.02
+ANYWAY = "or extrapolate to compute it anyway"
+# Duration of a step in creep's longest time constants: w moves evenly in it and leaves strains of one part in 1e9.
+_REST = 1e9
+# Smooth elements forget their start slowly.
+_VISITS = 60
 _ROUNDING = 1e-12
 # Of the limits' range: a state whose voltage lies outside by less is that of the limit, but for the model's error.
 NEAR = 0.01
+
+
+def demand_recorded(actuator: Actuator) -> None:
+    """Raise `ModelError` if the limits reach farther beyond the voltages of the records than these count as tested."""
+    known = actuator.identification
+    if actuator.limits is None or known is None or known.validity is None:
+        return
+    recorded = Range(*known.validity.limits)
+    margin = _AS_RECORDED * known.validity.span
+    allowed = Range(recorded.low - margin, recorded.high + margin)
+    if allowed.joined(actuator.limits) != allowed:
+        raise ModelError(
+            argument="limits",
+            got=f"{_ends(*actuator.limits)} V",
+            need=f"{_ends(*allowed)} V or less, as the model was identified from {_ends(*recorded)} V",
+            hint="give wider limits where a path is planned, or record these voltages and identify again",
+        )
+
+
+class Range(NamedTuple):
+    """Range of displacements [m] or voltages [V] of a model, the lower end first."""
+
+    low: float
+    high: float
+
+    def joined(self, *others: tuple[float, float]) -> Range:
+        """Return the smallest range that covers this one and the others."""
+        return Range(min([self.low, *(low for low, _ in others)]), max([self.high, *(high for _, high in others)]))
+
+    def is_far(self, low: float, high: float) -> bool:
+        """Return whether one of two numbers lies outside of the range by more than its width."""
+        width = self.high - self.low
+        return low < self.low - width or high > self.high + width
+
+    def far_ends(self, values: Array) -> tuple[float, float] | None:
+        """Return the least and the largest of values (n,) if one lies outside of the range by more than its width."""
+        if not values.size:
+            return None
+        low, high = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
+        return (low, high) if self.is_far(low, high) else None
+
+
+def needs_time(actuator: Actuator) -> bool:
+    """Return whether the answers of an actuator depend on the time of each sample."""
+    return actuator._evaluator.needs_time
+
+
+def creep_times(actuator: Actuator) -> Array:
+    """Return the time constants [s] of creep; empty without creep."""
+    return EMPTY if actuator.displacement_creep is None else actuator.displacement_creep.time_constants
+
+
+def at_rest(actuator: Actuator) -> float:
+    """Return the ratio of the displacement after creep in displacement has come to rest to that without it."""
+    return 1.0 if actuator.displacement_creep is None else actuator.displacement_creep.at_rest
+
+
+def knots_of(actuator: Actuator) -> tuple[float, float]:
+    """Return the displacements [m] at the first and the last knot of the spring, creep at rest."""
+    first, last = actuator.spring.displacement[[0, -1]].tolist()
+    return at_rest(actuator) * first, at_rest(actuator) * last
+
+
+def quasistatic(actuator: Actuator) -> Actuator:
+    """Return an actuator without inertia and amplifier lag, which slow motions do not excite."""
+    return replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=EMPTY))
+
+
+def major_loop(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
+    """Return the displacements [m] of slow loops at both `limits` [V], with creep at rest."""
+    low, high = slow_loops(actuator, limits).displacement[-2:].tolist()
+    return low, high
+
+
+def at_reference(actuator: Actuator, record: Record) -> Record:
+    """Return a `record` of one axis as it would have been at the reference of `thermal`.
+
+    Without that part, or if the record has no temperature, it is returned as it is.
+    """
+    if actuator.thermal is None or record.temperature is None:
+        return record
+    return replace(record, displacement=actuator.thermal.at_reference(record.displacement, record.temperature))
+
+
+def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
+    """Return the motion of slow loops between limits [V] that ends at the second one; creep is at rest at both."""
+    return slow_motion(actuator, np.tile(limits, _VISITS))
+
+
+def slow_motion(actuator: Actuator, voltage: Array, state: State | None = None) -> Motion:
+    """Return the motion through voltages (n,) [V], with creep at rest at each, and without inertia and lag.
+
+    `state`: before the first voltage, without motion; default: the actuator's own.
+    """
+    rest = _REST * float(creep_times(actuator).max(initial=0.0)) or 1.0
+    time = np.arange(voltage.size) * rest
+    return quasistatic(actuator).simulate(voltage, time=time, state=state, extrapolate=True)
+
+
+def displacement_error(got: tuple[float, float], displacements: Range) -> str:
+    """Return the error for displacements [m] far outside of the range of a model."""
+    width = displacements.high - displacements.low
+    ratio = max(map(abs, got)) / max(abs(displacements.low), abs(displacements.high), width)
+    reaches = f"the model reaches {_ends(1e6 * displacements.low, 1e6 * displacements.high, 4)} um"
+    if ratio <= _UNITS[0][0]:
+        return (
+            f"displacement: got {_ends(1e6 * got[0], 1e6 * got[1])} um, {reaches}; both count from the sensor's zero "
+            "in the records that it was identified from"
+        )
+    unit = [name for least, name in _UNITS if ratio > least][-1]
+    return f"displacement: got {_ends(*got)} m, {reaches}; is this in {unit}? Need metres"
+
+
+def voltage_error(got: tuple[float, float], identified: Range) -> str:
+    """Return the error for voltages [V] far outside of the identified range of a model."""
+    return (
+        f"voltage: got {_ends(*got)} V, the model was identified from {_ends(identified.low, identified.high)} V; "
+        "check the unit, and that the model is of this actuator"
+    )
+
+
+def _ends(low: float, high: float, digits: int = 6) -> str:
+    return f"{low:.{digits}g}" if low == high else f"{low:.{digits}g} to {high:.{digits}g}"
+
+
+def stroke_of(actuator: Actuator) -> float:
+    """Return the full stroke [m]: the range of the widest loop of its records, or of `reach` if it is not known."""
+    known = actuator.identification
+    return float(np.ptp(actuator.reach)) if known is None or known.validity is None else known.validity.stroke
+
+
+def voltages_of(actuator: Actuator) -> Range:
+    """Return the limits [V]; without limits, the voltage range of the largest loop within the spring's knots."""
+    return actuator._voltages
+
+
+def turned(actuator: Actuator, displacement: float, *, rising: bool = True) -> State:
+    """Return the state after a long motion that ends at a `displacement` [m]: every cart has slid (Assumption II).
+
+    Every smooth element has yielded fully. Creep is at rest, as after a slow motion. With `rising` the motion went up,
+    else down.
+    """
+    side = 1 if rising else -1
+    smooth = EMPTY if actuator.smooth is None else side * actuator.smooth.length
+    w = number(displacement, "displacement") / at_rest(actuator)
+    return State(w, w - side * actuator.slip.breakaway, smooth=smooth)
 
 
 def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
@@ -24,14 +183,14 @@ def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, f
 
     Raise `ModelError` if it is not a state of this actuator.
     """
-    start = evaluator_of(actuator).complete_state(state)
+    start = actuator._evaluator.complete_state(state)
     held = actuator.voltage(start)
     nearest = min(max(held, limits[0]), limits[1])
     if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
         return start
     slow = quasistatic(actuator)
     reached = slow.simulate([nearest], time=np.zeros(1), state=replace(start, motion=EMPTY), extrapolate=True).state
-    return evaluator_of(actuator).complete_state(reached)
+    return actuator._evaluator.complete_state(reached)
 
 
 def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
@@ -49,7 +208,7 @@ def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> 
     """Return the state after slow major loops between limits [V], at the upper one if `rising`, with creep at rest."""
     reached = slow_loops(actuator, limits if rising else (limits[1], limits[0])).state
     # The state of a slow motion has none of a mass.
-    return evaluator_of(actuator).complete_state(replace(reached, motion=EMPTY))
+    return actuator._evaluator.complete_state(replace(reached, motion=EMPTY))
 
 
 def standing(actuator: Actuator, voltage: float, limits: tuple[float, float]) -> State:
@@ -67,9 +226,9 @@ def state_at(actuator: Actuator, state: State, displacement: float) -> State:
 
     Raise `ModelError` if it is not a state of this actuator.
     """
-    slow, start = quasistatic(actuator), evaluator_of(actuator).complete_state(state)
+    slow, start = quasistatic(actuator), actuator._evaluator.complete_state(state)
     still = replace(start, motion=EMPTY)
-    return evaluator_of(actuator).complete_state(
+    return actuator._evaluator.complete_state(
         slow.compensate([displacement], time=np.zeros(1), state=still, extrapolate=True).state
     )
 
@@ -86,12 +245,14 @@ def beginning(model: AbstractModel, voltage: Array) -> Any:
     A distant start would set a mass swinging. An actuator with creep starts relaxed, as before the records, because its
     later motion depends on the initial strain.
     """
+    from dehyst.model.actuator import Actuator
+
     if not isinstance(model, Actuator) or not voltage.size:
         return None
     if creep_times(model).size:
         return model.relaxed(float(voltage[0]), extrapolate=True)
     low, high = (float(end) for end in model.spring.displacement[[0, -1]])
-    ends = [model.turned(high), model.turned(low, rising=False)]
+    ends = [turned(model, high), turned(model, low, rising=False)]
     return min(ends, key=lambda state: abs(model.voltage(state) - float(voltage[0])))
 
 

@@ -13,9 +13,9 @@ from dehyst._types import Array
 from dehyst._views import html
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
-from dehyst.model.checks import creep_times, quasistatic
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
+from dehyst.model.states import creep_times, quasistatic, turned, voltages_of
 
 # Duration of a step response in longest time constants, and its number of times.
 _DURATION, _TIMES = 3.0, 160
@@ -112,8 +112,8 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     times = creep_times(actuator)
     if not times.size:
         return np.zeros(1), np.zeros(1)
-    low, high = actuator.voltage_range
-    begin = actuator.turned(float(actuator.spring.displacement[0]), rising=False)
+    low, high = voltages_of(actuator)
+    begin = turned(actuator, float(actuator.spring.displacement[0]), rising=False)
     slow = quasistatic(actuator)
     shortest, longest = float(times.min()), float(times.max())
     since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)

@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
 from dehyst.control.planning.homing import present_voltage
 from dehyst.control.planning.path import MOST_ROWS
-from dehyst.model import Actuator, unusable
+from dehyst.model import Actuator, unusable, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limit, Present, Slew, is_stage, limits_of, numbers_of, slews_of
 from dehyst.operations.declaration import Input, Only, Output, Values, beside, operation
@@ -63,7 +63,7 @@ class _AxisRequest:
     @property
     def allowed(self) -> tuple[float, float]:
         """The effective limits [V]."""
-        return self.limits or self.actuator.voltage_range
+        return self.limits or voltages_of(self.actuator)
 
 
 def _is_scan(given: Values) -> bool:
@@ -200,7 +200,7 @@ def _axes_of(
     for actuator, allowed, slew, begin, given in zip(known.actuators, bounds, slews, begins, volts, strict=True):
         # Beside the given voltage of another axis, that of an unknown start is the default.
         assumed = given is not None or (begin is None and present)
-        now = present_voltage(VoltageLimits(*(allowed or actuator.voltage_range)), given) if assumed else None
+        now = present_voltage(VoltageLimits(*(allowed or voltages_of(actuator))), given) if assumed else None
         stands = begin if begin is None or now is None else begin.standing_at(actuator, now)
         axes.append(_AxisRequest(actuator, allowed, PathSlew.chosen(actuator, slew), stands, now))
     remarks += known.prefixed(coverage_remarks(one.actuator, one.limits) for one in axes)

@@ -84,10 +84,10 @@ def is_model(path: Path, *formats: str) -> bool:
 
 def read_model(run: Run, path: Path) -> Actuator:
     """Read a model; warn if its identification was not usable, or did not end."""
-    from dehyst.model import Actuator
+    from dehyst.model import Actuator, voltages_of
 
     actuator = Actuator.load(path)
-    low, high = actuator.voltage_range
+    low, high = voltages_of(actuator)
     start = actuator.voltage(actuator.state)
     if not np.ptp(actuator.reach) > 0 or abs(start - low) > _IMPOSSIBLE * (high - low):
         raise FileFormatError(
@@ -110,8 +110,7 @@ def implausible_delay(actuator: Actuator) -> str:
     lag = actuator.delay + actuator.lag
     if tested is None or lag * tested.speeds[1] <= tested.span:
         return ""
-    low, high = tested.limits
-    return f"its delay, {lag:.4g} s, is longer than its records took from {low:.6g} to {high:.6g} V: correct it"
+    return f"its delay, {lag:.4g} s, is longer than its records took over {tested.span:.6g} V: correct it"
 
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:

@@ -16,7 +16,7 @@ from dehyst.calibration.following import FollowedPath, closed_path
 from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
-from dehyst.model import slew_rate_of_records
+from dehyst.model import slew_rate_of_records, stroke_of, voltages_of
 from dehyst.operations.axes import AxesModel, Limit, Slew, limits_of, slews_of
 from dehyst.operations.declaration import Folder, Input, operation
 from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, write_table
@@ -155,7 +155,7 @@ def _placed(
     wanted = wanted + (known.moved(zeros[None])[0] if zero is not None and zero.name else zeros)
     targets, bounds, remarks = known.targets(wanted).T, [], []
     for part, actuator, target, limit, slew in zip(rig.rigs, known.actuators, targets, allowed, slews, strict=True):
-        low, high = actuator.voltage_range
+        low, high = voltages_of(actuator)
         # Refused in micrometres here; the library's refusal would be in metres.
         reach_remarks(actuator, target, (low, high), zero, warmth)
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
@@ -206,7 +206,7 @@ def _result(known: AxesModel, followed: FollowedPath, records: Sequence[Path], f
 
 def _head(known: AxesModel, followed: FollowedPath) -> str:
     """Return the result in words: errors, noise of the sensor, clamped samples, and a promise that is not kept."""
-    strokes = (actuator.stroke for actuator in known.actuators)
+    strokes = (stroke_of(actuator) for actuator in known.actuators)
     noise = ", ".join(f"{percent(value, stroke):.3f}" for value, stroke in zip(followed.noise, strokes, strict=True))
     head = f"Followed: {followed.best.words} of the stroke; the sensor's noise is {noise} % RMS"
     if followed.clamped:

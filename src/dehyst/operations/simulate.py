@@ -11,6 +11,7 @@ from dehyst._errors import FileFormatError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import PathPlan, outside_identified, plan_voltage
+from dehyst.model import voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.declaration import Input, Output, operation
@@ -59,7 +60,7 @@ def simulate(
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
     warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
     options = {"time": time.get("time_s"), "temperature": warmth}
-    ranges = [one.voltage_range for one in known.actuators]
+    ranges = [voltages_of(one) for one in known.actuators]
     paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), options, start=begins)
     if lag and not any(one.delay for one in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")

@@ -15,7 +15,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart, StartError
 from dehyst.control.planning.start import NAMES
-from dehyst.model import Actuator, State, creep_times, needs_time
+from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
 from dehyst.model.states import state_after_loops
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns
@@ -222,7 +222,7 @@ def file_warnings(
     `state`: at which the actuator stands before the file; None if that is not known.
     """
     warnings = []
-    low, high = actuator.voltage_range
+    low, high = voltages_of(actuator)
     present = min(max(0.0, low), high) if state is None else actuator.voltage(state)
     if abs(first - present) > 0.01 * max(abs(value) for value in (present, low, high)):
         within = "slowly" if slew is None else "within the slew rate"

@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array, Mask
 from dehyst.control import PathPlan
 from dehyst.identification import Fit, Trace
-from dehyst.model import Actuator, creep_times, slow_motion, step_response
+from dehyst.model import Actuator, creep_times, slow_motion, step_response, turned, voltages_of
 from dehyst.records import Record, largest, of_one_axis, white_noise
 from dehyst.report.charts import Axis, Chart, Colour, Series, broken, gaps, stems
 from dehyst.report.html import length_unit, number
@@ -56,10 +56,10 @@ def _with_events(record: Record, x: Array, y: Array) -> list[Series]:
 def actuator_loops(found: Actuator) -> Chart:
     """Return the major loop and inner loops of an actuator, as slow motion draws them."""
     factor, unit = length_unit(float(np.ptp(found.spring.displacement)))
-    low, high = found.voltage_range
+    low, high = voltages_of(found)
     peaks = low + np.array([1.0, 0.8, 0.6, 0.4, 0.2]) * (high - low)
     loops = [np.concatenate([np.linspace(low, peak, 200), np.linspace(peak, low, 200)]) for peak in peaks]
-    rest = found.turned(float(found.spring.displacement[-1]), extrapolate=True)
+    rest = turned(found, float(found.spring.displacement[-1]))
     motion = slow_motion(found, np.concatenate([[high, low], *loops]), rest)
     parts = list(zip(loops, np.split(motion.displacement[2:] * factor, len(loops)), strict=True))
     series = [Series("major loop", *parts[0], "measured", width=1.9)]

@@ -36,6 +36,7 @@ from dehyst.model import (
     matrix_lines,
     promised,
     unusable,
+    voltages_of,
 )
 from dehyst.records import Record, largest
 from dehyst.trust.recheck import ANOTHER, coupling_of
@@ -186,7 +187,7 @@ class Insight(Plotted):
     def record_next(self) -> tuple[str, ...]:
         """Commands that write what to record next; empty if no excitation tests more."""
         if self.promise is None:
-            low, high = self.actuator.voltage_range
+            low, high = voltages_of(self.actuator)
             return (excite_command(high, low),) if self._open() else ()
         return tuple(dict.fromkeys(one.command for one in self.promise.untested if one.command))
 

@@ -36,7 +36,9 @@ from dehyst.model import (
     excite_command,
     major_loop,
     promised,
+    stroke_of,
     untested,
+    voltages_of,
 )
 from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, rms, turning_points
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
@@ -331,18 +333,15 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     with one_thread():
         prepared = prepare_for(actuator, record)
         prepared.span()
-        stroke = actuator.stroke
+        stroke = stroke_of(actuator)
         compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
     slow, cycle = origin.drift and prepared.can_drift, cleaning.cycle_time(prepared.record)
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
     promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
     # As many turns as the excitation for an identification: another record of the kind tells no more.
-    tells = (
-        ""
-        if turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
-        else excite_command(*actuator.voltage_range[::-1], f"--frequency {1 / cycle:.2g} ")
-    )
+    many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
+    tells = "" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.2g} ")
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
     known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
     changes = find_changes(trace, known, _PART * goal / 100 * stroke)
@@ -397,7 +396,7 @@ def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
 
 def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
     """Return the shift [m] to the model's axis for which the voltages need no offset."""
-    (low, high), measured = actuator.voltage_range, record.record.displacement
+    (low, high), measured = voltages_of(actuator), record.record.displacement
     # The middle of the loop first: a sensor may have its zero far away.
     datum = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
     for _ in range(_STEPS):
@@ -418,7 +417,7 @@ def _steadied(trace: Trace) -> tuple[Array, float]:
 
 def _doubt(actuator: Actuator, record: Record) -> float:
     """Return the uncertainty of the offset [m] due to elements that stay strained, and to creep before the record."""
-    slope = float(np.ptp(actuator.voltage_range)) / float(np.ptp(actuator.reach))
+    slope = float(np.ptp(voltages_of(actuator))) / float(np.ptp(actuator.reach))
     standing, slow = 2 * actuator.slip.breakaway > record.stroke, float(np.ptp(record.time)) / 3
     held, crept = float(np.sum(actuator.slip.friction[standing])), actuator.displacement_creep
     before = 0.0 if crept is None else float(np.sum(crept.gains[crept.time_constants > slow]))
@@ -427,7 +426,7 @@ def _doubt(actuator: Actuator, record: Record) -> float:
 
 def _uncovered(actuator: Actuator, record: Record) -> tuple[str, ...]:
     """Return a sentence if the record covers little of the model's voltages."""
-    (low, high), (least, most) = actuator.voltage_range, record.voltage_range
+    (low, high), (least, most) = voltages_of(actuator), record.voltage_range
     covered = max((min(most, high) - max(least, low)) / (high - low), 0.0)
     beyond = (
         f"covers {100 * covered:.0f} % of the model's voltages: what lies beyond was not checked. Record a loop over"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dehyst._errors import ModelError
 from dehyst.control import PossibleStart, model_error, outside_identified
 from dehyst.identification import initial_state, state_after
-from dehyst.model import Actuator
+from dehyst.model import Actuator, stroke_of, voltages_of
 from dehyst.records import Record
 
 # Before the name of a record whose beginning, not whose end, is the start.
@@ -43,10 +43,10 @@ def start_of(
     if reason := actuator._implausibility(record.displacement):
         raise ModelError(f"{record.name}: {reason}")
     state, offset = (initial_state if began else state_after)(actuator, record)
-    low, high = actuator.voltage_range
+    low, high = voltages_of(actuator)
     share = abs(offset) / (high - low)
     remarks = [*outside.warnings]
-    if share * actuator.stroke > model_error(actuator):
+    if share * stroke_of(actuator) > model_error(actuator):
         remarks.append(
             f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {100 * share:.2g} % of the range: "
             "expect displacements to be off the sensor's by as much"

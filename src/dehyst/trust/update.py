@@ -25,7 +25,7 @@ from dehyst.identification import (
     part_of,
     prepare_for,
 )
-from dehyst.model import Actuator, Promise, Range, SmoothSlip, Stage, Validity, by_axis, promised, with_identification
+from dehyst.model import Actuator, Promise, Stage, Validity, by_axis, promised, voltages_of, with_identification
 from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
@@ -337,7 +337,7 @@ class _Refit:
             slip=made.slip,
             spring=made.spring,
             transformer=made.transformer,
-            smooth=None if smooth is None else SmoothSlip(smooth.length, smooth.closing, found.smooth),
+            smooth=None if smooth is None else replace(smooth, stiffness=found.smooth),
         )
 
     def _trace(self, made: Actuator) -> Trace:
@@ -372,13 +372,13 @@ class _Refit:
         if known is None or known.validity is None:
             errors = {"rms": rms_, "largest": largest_, "disagreement": 0.0, "stroke": self.recheck.stroke}
             found = Validity.by_records([(self.record.time, self.record.voltage)], **errors)
-            return replace(found, limits=Range(*found.limits).joined(self.old.voltage_range))
+            return replace(found, limits=voltages_of(self.old).joined(found.limits))
         return known.validity.with_record(self.record, rms=rms_, largest=largest_)
 
     def _missing(self) -> list[str]:
         """Return sentences on what the record could not show."""
         actuator, record, missing = self.old, self.record, list[str]()
-        low, high = actuator.voltage_range
+        low, high = voltages_of(actuator)
         least, most = record.voltage_range
         unseen = [
             f"{a:.4g} to {b:.4g} V"

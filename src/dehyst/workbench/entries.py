@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dehyst.model import slew_rate_of_records
+from dehyst.model import slew_rate_of_records, voltages_of
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.run import Run
 from dehyst.workbench.data import voltage_columns
@@ -135,7 +135,7 @@ class ModelEntry:
         each: list[dict[str, Any]] = [
             {
                 "name": axis,
-                "range_v": list(one.voltage_range),
+                "range_v": list(voltages_of(one)),
                 "range_um": [end * _MICRO for end in one.reach],
                 "slew_v_per_s": slew_rate_of_records(one),
             }

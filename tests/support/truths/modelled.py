@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.model import Actuator, State, needs_time
+from dehyst.model import Actuator, State, needs_time, turned
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
 from dehyst.virtual.plays import PlayActuator
 from truths.bouc_wen import BoucWenActuator
@@ -30,7 +30,7 @@ class ModelledActuator(VirtualActuator):
 
     def __init__(self, actuator: Actuator) -> None:
         self.actuator = actuator
-        end = actuator.voltage(actuator.turned(float(actuator.spring.displacement[-1])))
+        end = actuator.voltage(turned(actuator, float(actuator.spring.displacement[-1])))
         self.highest = float(end if actuator.limits is None else actuator.limits[1])
         if not self.highest > 0:
             raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")

@@ -20,7 +20,7 @@ from dehyst._validation import number
 from dehyst.control.compensator import Compensator, allowed_limits
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.states import keeps_order, middle_of, possible_states, time_dependence
-from dehyst.model import Actuator, State, creep_times, slew_rate_of_records
+from dehyst.model import Actuator, State, creep_times, slew_rate_of_records, stroke_of
 from dehyst.waveforms import Excitation, Leg, Sampling, volts
 
 # Least duration of a leg of a homing [s].
@@ -400,7 +400,7 @@ def played_homing(
         # Without holds, and with the fewest legs as no tolerance asks for more.
         short = found(drive, hold=0.0, tolerance=1.0)
         if short.played.duration < seconds / _LONG:
-            left, least = (100 * each.spread / actuator.stroke for each in (short, homing))
+            left, least = (100 * each.spread / stroke_of(actuator) for each in (short, homing))
             digit = 10.0 ** (math.floor(math.log10(short.played.duration)) - 2)
             enough = digit * math.ceil(short.played.duration / digit)
             offer = f"home within {enough:.3g} s leaves up to {left:.2g} % of the stroke open, this one {least:.2g} %"

@@ -16,7 +16,7 @@ from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.homing import shortest_homing
 from dehyst.control.planning.states import middle_of, possible_states
-from dehyst.model import Actuator, State, knots_of, state_within_limits
+from dehyst.model import Actuator, State, knots_of, state_within_limits, stroke_of, turned, voltages_of
 from dehyst.waveforms import Sampling
 
 StartName = Literal["top", "bottom", "relaxed", "homed"]
@@ -97,7 +97,7 @@ class PossibleStart:
             end = min(max(0.0, low), high)
             return cls(name, (shortest_homing(actuator, present=end, drive=Sampling()).state,))
         rising = name == "top"
-        return cls(name, (actuator.turned(knots_of(actuator)[rising], rising=rising, extrapolate=True),))
+        return cls(name, (turned(actuator, knots_of(actuator)[rising], rising=rising),))
 
     @classmethod
     def unknown(cls, actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None) -> PossibleStart:
@@ -105,7 +105,7 @@ class PossibleStart:
 
         Its states bound all states in which the `actuator` may rest there: two extreme states, or more if states have
         no order. `limits` [V]: range of all earlier voltages, for an actuator that depends on time; default: its
-        `voltage_range`. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
+        limits. Raise `ModelError` if the voltage is not finite, or the limits are no interval.
         """
         return cls("unknown", possible_states(actuator, voltage, limits))
 
@@ -115,12 +115,12 @@ class PossibleStart:
     ) -> PossibleStart:
         """Return the unknown start of an `actuator` that rests near a `displacement` [m].
 
-        `limits` [V]: range of all earlier voltages, by default the actuator's `voltage_range`. Raise `ModelError` if
+        `limits` [V]: range of all earlier voltages, by default the actuator's limits. Raise `ModelError` if
         the displacement is not finite, or the limits are no interval.
         """
         y = number(displacement, "displacement")
         held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
-        low, high = interval(actuator.voltage_range if limits is None else limits)
+        low, high = interval(voltages_of(actuator) if limits is None else limits)
         return cls.unknown(actuator, min(max(held, low), high), (low, high))
 
     @classmethod
@@ -197,7 +197,7 @@ class StartError:
             np.minimum(lowest, y, out=lowest)
             np.maximum(highest, y, out=highest)
         kept = None if time is None else vector(time, "time")[first:]
-        return cls(lowest, highest, actuator.stroke, model_error(actuator), kept)
+        return cls(lowest, highest, stroke_of(actuator), model_error(actuator), kept)
 
     @property
     def difference(self) -> Array:
@@ -255,7 +255,7 @@ class StartError:
 
 def model_error(actuator: Actuator) -> float:
     """Return the largest error [m] of the model on its records without noise; a thousandth of the stroke if unknown."""
-    known, stroke = actuator.identification, actuator.stroke
+    known, stroke = actuator.identification, stroke_of(actuator)
     if known is None or (known.validity is None and known.largest_error is None):
         return _MODEL_ERROR * stroke
     return max(known.largest_error or 0.0 if known.validity is None else known.validity.largest, _LEAST * stroke)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from dehyst._types import Array
 from dehyst._validation import interval, number
-from dehyst.model import Actuator, GradedSlip, State, creep_times, evaluator_of, on_curve, quasistatic
+from dehyst.model import Actuator, GradedSlip, State, creep_times, evaluator_of, on_curve, quasistatic, voltages_of
 from dehyst.waveforms import Sampling
 
 _ROUNDING = 1e-12
@@ -86,7 +86,7 @@ def possible_states(
 
     There are two states, the lower one first, if these provably bound all others. There are more for an actuator with
     smooth elements or a mass that acts on the voltage. `limits` [V]: range of all earlier voltages, widened to include
-    the `voltage` [V], for an actuator that depends on time; default: the actuator's `voltage_range`. `half` [s]:
+    the `voltage` [V], for an actuator that depends on time; default: the actuator's limits. `half` [s]:
     approximate duration of the legs of random histories. Raise `ModelError` if the voltage is not finite, or the limits
     are no interval.
     """
@@ -95,7 +95,7 @@ def possible_states(
     if not time_dependence(actuator):
         ends = ((side, _on_major_loop(actuator, v, side)) for side in (1, -1))
         return tuple(State(y, y - side * rho) for side, y in ends)
-    low, high = actuator.voltage_range if limits is None else interval(limits)
+    low, high = voltages_of(actuator) if limits is None else interval(limits)
     low, high = min(low, v), max(high, v)
     still = quasistatic(actuator)
 
