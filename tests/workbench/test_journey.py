@@ -43,9 +43,9 @@ def visited(tmp_path_factory, loops):
         record = upload(client, loops)
         model = identified(client, [record["id"]], options={"structure": "maxwell_slip", "name": "my stage"})
         base = f"/api/models/{model['id']}"
-        path = done(client, client.post(f"{base}/path", json={"points": CORNERS, "rate": 1000, "limits": [0, 100]}))
+        path = done(client, client.post(f"{base}/follow", json={"points": CORNERS, "rate": 1000, "limits": [0, 100]}))
         scan = {"kind": "triangle", "low": 3, "high": 7, "frequency": 5}
-        done(client, client.post(f"{base}/path", json={"scan": scan, "rate": 1000, "name": "scan"}))
+        done(client, client.post(f"{base}/follow", json={"scan": scan, "rate": 1000, "name": "scan"}))
         exports = {
             kind: done(client, client.post(f"{base}/export", json={"kind": kind, "scan": scan, "rate": 1000}))[0]
             for kind in ("c", "fmu", "wave_table")
@@ -248,4 +248,4 @@ def test_a_request_that_makes_no_sense_is_answered_with_a_sentence(bench, loops)
             assert len(json.loads(answer.text)["error"]) > 10
         both = {"train": [record["id"]], "validate": [record["id"]]}
         assert "to train and to validate" in client.post("/api/models", json=both).json()["error"]
-        assert client.post("/api/models/m99/path", json={"points": CORNERS}).status_code == 400
+        assert client.post("/api/models/m99/follow", json={"points": CORNERS}).status_code == 400

@@ -1,7 +1,6 @@
 """Journeys of a person at the page, in Debian's chromium, against a real server."""
 
 import re
-import time
 
 import numpy as np
 import places
@@ -12,7 +11,6 @@ from workbench_client import held, served
 from workbench_page import CHROMIUM, chromium, visit
 from workbench_tour import PICTURES, played
 
-from dehyst.model import Actuator
 from dehyst.records import read_table, write_record
 from examples import at_night
 
@@ -71,21 +69,6 @@ def colours(canvas):
     )
 
 
-def test_a_new_user_gets_a_voltage_in_under_ten_clicks_and_two_minutes(person, loops):
-    began = time.monotonic()
-    person.drop(loops)
-    person.sees("3.000 in", within="#records")
-    person.identify()
-    person.click("button", "Make a voltage")
-    person.sees("The path can be followed", within="#path")
-    person.write_voltage()
-    name, content = person.download("link", "Download CSV")
-    assert name == "loops.csv"
-    assert content.startswith(b"time_s,")
-    assert person.clicks < 10
-    assert time.monotonic() - began < 120
-
-
 def test_a_dropped_record_is_drawn_and_understood(person, loops):
     content = loops.read_text()
     person.page.evaluate(
@@ -114,17 +97,6 @@ def test_an_identification_shows_its_progress_and_can_be_cancelled(person, bench
         person.click("button", "Cancel", within="#running")
     person.sees("Cancelled", within="#running")
     assert person.page.locator("#model-body").is_hidden()
-
-
-@pytest.mark.nightly
-def test_an_identification_can_be_finished_with_the_best_so_far(person, bench, loops):
-    person.drop(loops)
-    person.sees("3.000 in", within="#records")
-    person.click("button", "Identify a model")
-    person.sees("a first model exists", within="#running")
-    person.click("button", "Finish with the best so far", within="#running")
-    person.sees("is the largest error to expect", within="#model")
-    assert Actuator.load(bench.folder / "models" / "loops.json").identification.largest_error > 0
 
 
 def test_a_drawn_path_is_written_by_the_server(owner, bench_with_model):
@@ -167,17 +139,6 @@ def test_each_scan_can_be_followed_as_it_is_suggested(owner, kind):
     owner.until("(kind) => document.querySelector('#scan-kind').value === kind", kind)
     owner.sees("The path can be followed", within="#plan-words")
     owner.write_voltage()
-
-
-def test_a_path_that_cannot_be_planned_has_no_verdict(owner):
-    owner.step("Path")
-    owner.page.get_by_label("A scan").check()
-    owner.sees("The path can be followed", within="#plan-words")
-    owner.fill(re.compile("^Highest voltage"), "abc", within="#path")
-    owner.sees("has no voltage yet", within="#plan-words")
-    assert "can be followed" not in owner.page.locator("#plan-words").inner_text()
-    owner.fill(re.compile("^Highest voltage"), "100", within="#path")
-    owner.sees("The path can be followed", within="#plan-words")
 
 
 def test_exports_and_the_script_can_be_downloaded(owner):

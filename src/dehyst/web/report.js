@@ -36,7 +36,7 @@ export function reportParts(text) {
   for (const one of element.querySelectorAll("h1, .command")) one.remove();
   for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
   if (charts) drawCharts(element, JSON.parse(charts.textContent));
-  return { element };
+  return element;
 }
 
 const stored = document.getElementById("chart-data");

@@ -181,9 +181,12 @@ class Jobs:
     def start(
         self, kind: str, subject: str, steps: Sequence[Step], done: Done, progress: Progress = lambda _: None
     ) -> str:
-        """Run operations one after another; call `done` with the end of the last one; return the job's key."""
-        self._last += 1
+        """Run operations one after another; call `done` with the end of the last one; return the job's key.
+
+        What an operation refuses is not begun.
+        """
         words = "; ".join(" ".join(step.command) for step in steps)
+        self._last += 1
         entry = JobEntry(f"j{self._last}", kind, subject, words, progress="waiting for its turn")
         self.entries[entry.id] = entry
         task = asyncio.create_task(self._run(entry, steps, done, progress))

@@ -251,13 +251,8 @@ class Workbench:
                 "/api/excitations": self.excite,
                 "/api/records/{key}/read": self.read,
                 "/api/models": self.identify,
-                "/api/models/{key}/end": self.end,
-                "/api/models/{key}/insight": self.insight,
-                "/api/models/{key}/check": self.check,
-                "/api/models/{key}/update": self.update,
-                "/api/models/{key}/path": self.path,
-                "/api/models/{key}/export": self.export,
-                "/api/jobs/{key}/cancel": self.cancel,
+                "/api/{kind:str}/{key}/end": self.end,
+                "/api/models/{key}/{what}": self.work,
             },
             "PUT": {"/api/records": self.upload, "/api/models/{key}/points": self.points},
             "DELETE": {"/api/{kind:str}/{key}": self.delete},
@@ -342,9 +337,18 @@ class Workbench:
         """Start an identification."""
         return {"id": self.session.identify(await body_of(request)).id}
 
+    async def work(self, request: Request) -> Any:
+        """Start a job on a model."""
+        key, what = request.path_params["key"], request.path_params["what"]
+        jobs = {name: getattr(self.session, name) for name in ("insight", "check", "update", "follow", "export")}
+        if what not in jobs:
+            raise HTTPException(404)
+        return {"job": jobs[what](key, await body_of(request))}
+
     async def end(self, request: Request) -> Any:
-        """End an identification."""
-        self.session.end(request.path_params["key"])
+        """End an identification, or a job."""
+        kind, key = request.path_params["kind"], request.path_params["key"]
+        (self.session.end if kind == "models" else self.session.cancel)(key)
 
     async def wasm(self, request: Request) -> Any:
         """Return a model as WebAssembly, for one period between samples."""
@@ -371,22 +375,6 @@ class Workbench:
         axis = _axis(request, entry.axes)
         return await self._columns(lambda file: voltage_columns(file, axis), entry.file)
 
-    async def insight(self, request: Request) -> Any:
-        """Start an assessment."""
-        return {"job": self.session.insight(request.path_params["key"])}
-
-    async def check(self, request: Request) -> Any:
-        """Start a check of a model by a record."""
-        return {"job": self.session.check(request.path_params["key"], await body_of(request))}
-
-    async def update(self, request: Request) -> Any:
-        """Start an update of a model from a record."""
-        return {"job": self.session.update(request.path_params["key"], await body_of(request))}
-
-    async def path(self, request: Request) -> Any:
-        """Start the computation of a voltage."""
-        return {"job": self.session.follow(request.path_params["key"], await body_of(request))}
-
     async def points(self, request: Request) -> Any:
         """Return the points of a path in a file."""
         entry = self.session.model(request.path_params["key"], ready=True)
@@ -395,16 +383,6 @@ class Workbench:
             file = Path(place) / f"path{suffix}"
             file.write_bytes(await text_of(request))
             return {"points": await asyncio.to_thread(path_points, file, self.session.folder.path / entry.file)}
-
-    async def export(self, request: Request) -> Any:
-        """Start an export."""
-        body = await body_of(request)
-        kind = str(body.pop("kind", ""))
-        return {"job": self.session.export(request.path_params["key"], kind, body)}
-
-    async def cancel(self, request: Request) -> Any:
-        """End a job."""
-        self.session.cancel(request.path_params["key"])
 
     async def delete(self, request: Request) -> Any:
         """Remove an entry from the list."""

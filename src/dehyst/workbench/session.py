@@ -117,8 +117,6 @@ class WorkbenchSession:
         given = {"kind": "recommended", "volts": [high], "base": low, "present": min(max(0.0, low), high)}
         options = {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
         step = Step("excite", {**given, "limits": [low, high], **options, "output": file})
-        # Refused before it is begun.
-        step.command  # noqa: B018
         entry = ExcitationEntry(self._id("e"), Path(file).stem, file)
 
         def done(finished: Finished) -> None:
@@ -198,9 +196,6 @@ class WorkbenchSession:
         held_out = {"validate": [one.file for one in validate]} if validate else {}
         read = train[0].reading
         step = Step("identify", {"records": [one.file for one in train], **outputs, **given, **held_out, **read})
-        # Refused before it is listed.
-        step.command  # noqa: B018
-        self.models[entry.id] = entry
         began = time.monotonic()
 
         def progress(words: str) -> None:
@@ -215,6 +210,7 @@ class WorkbenchSession:
             entry.fill(finished)
 
         self.jobs.start("identify", entry.id, [step], done, progress)
+        self.models[entry.id] = entry
         return entry
 
     def end(self, key: str) -> None:
@@ -227,7 +223,7 @@ class WorkbenchSession:
         entry.early, entry.progress = True, "completing the best model so far"
         self.touch()
 
-    def insight(self, key: str) -> str:
+    def insight(self, key: str, _: Mapping[str, Any]) -> str:
         """Assess a model on its training records; return the job."""
         entry = self.model(key, ready=True)
         known = [self.records[one] for one in entry.train if one in self.records]
@@ -320,9 +316,9 @@ class WorkbenchSession:
 
         return self.jobs.start("compensate", entry.id, steps, done)
 
-    def export(self, key: str, kind: str, request: Mapping[str, Any]) -> str:
-        """Export a model as `kind`: c, fmu, wasm or wave_table; return the job."""
-        model = self.model(key, ready=True)
+    def export(self, key: str, request: Mapping[str, Any]) -> str:
+        """Export a model as a `kind`: c, fmu, wasm or wave_table; return the job."""
+        model, kind = self.model(key, ready=True), str(request.get("kind", ""))
         name = Path(model.file).stem
         if kind == "wave_table":
             table = self.folder.new(places.EXPORTS, f"{name}-cycle", ".csv")
@@ -378,11 +374,7 @@ class WorkbenchSession:
             given["limits"] = [limits]
         if (slew := request.get("slew")) is not None:
             given["slew_rate"] = [slew]
-        steps = [*before, Step("compensate", given)]
-        for step in steps:
-            # Refused before it is begun.
-            step.command  # noqa: B018
-        return steps
+        return [*before, Step("compensate", given)]
 
     def _usable(self, keys: object) -> list[RecordEntry]:
         """Return records that are ready; raises SessionError if one is not."""

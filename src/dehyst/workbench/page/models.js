@@ -50,7 +50,7 @@ function body(model) {
     assessment(model),
     h("h2", "The identification"),
     problem(model.report),
-    h("div#model-report", mounted(model.report)?.element),
+    h("div#model-report", mounted(model.report)),
   ];
 }
 

@@ -272,7 +272,7 @@ export const lastPlan = () => view.took;
 
 // An error of the request is one of the button.
 const write = async () =>
-  server.workOn(chosenModel().id, "path", currentRequest(), "The voltage is being computed.");
+  server.workOn(chosenModel().id, "follow", currentRequest(), "The voltage is being computed.");
 
 // The voltages that were written, with their downloads, and the jobs that write one.
 function voltages(state) {

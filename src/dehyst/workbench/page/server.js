@@ -20,10 +20,10 @@ export const excite = (body) => post("/api/excitations", body);
 // With { columns }, the values of its { form }, or { verified }.
 export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
-// "end" of its identification, or a job on it, which is announced: "insight", "check", "update", "path", "export".
+// "end" of its identification, or a job on it, which is announced: "insight", "check", "update", "follow", "export".
 export const workOn = (id, what, body, words = "") =>
   post(`/api/models/${id}/${what}`, body).then(() => announce(words));
-export const cancelJob = (id) => post(`/api/jobs/${id}/cancel`);
+export const cancelJob = (id) => post(`/api/jobs/${id}/end`);
 
 export const wasmAddress = (model, period) => `/api/models/${model.id}/wasm?period=${period}`;
 export const fileAddress = (path) => `/files/${path.split("/").map(encodeURIComponent).join("/")}`;

@@ -11,7 +11,7 @@ export function assessment({ id, insight }) {
   const jobs = openJobs("insight", id);
   const assess = () => workOn(id, "insight", {}, "The assessment has begun.");
   if (insight) {
-    return [problem(insight.report), h("h2", "What the records leave open"), h("div#insight", mounted(insight.report)?.element)];
+    return [problem(insight.report), h("h2", "What the records leave open"), h("div#insight", mounted(insight.report))];
   }
   return card("What do the records leave open?", { id: "assess", key: "assess" },
     h("p",

@@ -64,20 +64,16 @@ export function modelChoice() {
   return h("p.row.model-row", h("span", "Model "), select);
 }
 
-// The parts of a report that is a file of the folder.
+// The sections of a report that is a file of the folder, as soon as they are there; an error is shown in the place that
+// is called like the file.
 const reports = new Map();
-export const reportOf = (path) =>
-  server.remembered(reports, path, async () => reportParts(await server.textOfFile(path)));
-
-// The same as soon as they are there; an error is shown in the place that is called like the file.
-const parts = new Map();
 export function mounted(path) {
-  if (!parts.has(path)) {
-    parts.set(path, null);
-    const arrived = (report) => parts.set(path, report) && redraw();
-    reportOf(path).then(arrived, (error) => server.complain(path, error.message));
+  if (!reports.has(path)) {
+    reports.set(path, null);
+    const arrived = (text) => reports.set(path, reportParts(text)) && redraw();
+    server.textOfFile(path).then(arrived).catch((error) => server.complain(path, error.message));
   }
-  return parts.get(path);
+  return reports.get(path);
 }
 
 export const fileLink = (path, text, attributes = {}) =>
