@@ -139,11 +139,9 @@ def test_the_table_of_a_fit(fit):
     np.testing.assert_allclose(errors.rms_nm, [error.rms * 1e9 for error in fit.errors])
 
 
-def test_a_name_that_is_nearly_right_is_suggested(record, fit):
+def test_a_name_that_is_nearly_right_is_suggested(fit):
     with pytest.raises(dehyst.ModelError, match="you mean 'residuals'"):
         fit.plot("residual")
-    with pytest.raises(dehyst.IdentifyError, match="you mean 'ascending'"):
-        dehyst.paper.identify_antisymmetric(record, branch="ascendin")
     with pytest.raises(AttributeError) as caught:
         _ = dehyst.identfy
     assert (caught.value.name, caught.value.obj) == ("identfy", dehyst)

@@ -1,20 +1,18 @@
-"""The paper's methods: break points of loops, its linear program, Remark 2's closed form."""
+"""The paper's methods: break points of loops, and its linear program."""
 
-from itertools import combinations, pairwise, product
+from itertools import combinations, pairwise
 
 import numpy as np
 import plain_records
 import pytest
 
-from dehyst import Actuator, IdentifyError, MaxwellSlip, Record, Spring
+from dehyst import Actuator, IdentifyError, Record, Spring
 from dehyst.identification.comparison import compare, errors_of
 from dehyst.identification.preparation import prepare
-from dehyst.paper.methods import _rows, identify, identify_antisymmetric, initial_displacements, loops_of
+from dehyst.paper.methods import _rows, identify, loops_of
 
 N = 10
 PLANT = plain_records.plant(N, seed=1)
-AFFINE = plain_records.plant(N, seed=2, curved=0.0)
-BRANCHES = ("descending", "ascending")
 
 
 def sampled(turns, per_segment=4):
@@ -131,54 +129,6 @@ def test_reading_between_samples_costs_less_and_less_with_more_of_them():
     assert errors[2] < 0.5 * errors[1]
 
 
-@pytest.mark.parametrize("branch", BRANCHES)
-@pytest.mark.parametrize("per_segment", [2, 7])
-def test_the_closed_form_is_exact_for_an_affine_spring(branch, per_segment):
-    record = plain_records.record(AFFINE, sampled(plain_records.MAJOR * 2, per_segment))
-    fit = identify_antisymmetric(record, elements=N, branch=branch)
-    assert fit.outcome == "IDENTIFIED"
-    assert fit.error < 1e-9 * plain_records.VOLTS
-    assert plain_records.stiffness_error(fit.actuator, AFFINE) < 1e-9
-    assert fit.actuator.slip.stiffness[-1] == 0
-    np.testing.assert_allclose(fit.actuator.spring.slopes, AFFINE.spring.slopes[0], rtol=1e-9)
-    np.testing.assert_allclose(fit.actuator.spring(AFFINE.spring.displacement), AFFINE.spring.voltage, atol=1e-8)
-    assert missed(fit.actuator, record).largest_percent < 1e-7
-
-
-def test_the_last_stiffness_is_one_with_the_spring_in_the_closed_form():
-    kappa = AFFINE.slip.stiffness.copy()
-    kappa[-1] = 3e6
-    stiffer = Actuator(MaxwellSlip(AFFINE.slip.breakaway, kappa), AFFINE.spring)
-    record = plain_records.record(stiffer, sampled(plain_records.MAJOR * 2))
-    found = identify_antisymmetric(record, elements=N).actuator
-    assert found.slip.stiffness[-1] == 0
-    np.testing.assert_allclose(found.slip.stiffness[:-1], kappa[:-1], rtol=1e-9)
-    assert found.spring.slopes[0] == pytest.approx(AFFINE.spring.slopes[0] + 3e6, rel=1e-9)
-    np.testing.assert_allclose(break_voltages(found), break_voltages(stiffer), atol=1e-8)
-
-
-@pytest.mark.parametrize("branch", BRANCHES)
-def test_second_differences_of_break_voltages_give_remark_2(branch):
-    points = dict(zip(BRANCHES, break_voltages(PLANT), strict=True))[branch]
-    record = plain_records.record(PLANT, sampled(plain_records.MAJOR))
-    found = identify_antisymmetric(record, elements=N, branch=branch).actuator
-    sign = 1 if branch == "descending" else -1
-    expected = [
-        sign * (points[i - 1] + points[i + 1] - 2 * points[i]) / (plain_records.STROKE / N) for i in range(1, N)
-    ]
-    np.testing.assert_allclose(found.slip.stiffness[:-1], np.maximum(expected, 0), atol=1e-3)
-
-
-def test_negative_second_differences_are_clipped():
-    falling, _ = break_voltages(plain_records.plant(N, curved=0.6))
-    negative = 1 + np.flatnonzero(falling[:-2] + falling[2:] - 2 * falling[1:-1] < 0)
-    record = plain_records.record(plain_records.plant(N, curved=0.6), sampled(plain_records.MAJOR))
-    fit = identify_antisymmetric(record, elements=N)
-    assert negative.size
-    assert fit.outcome == "STIFFNESS_CLIPPED"
-    np.testing.assert_array_equal(fit.actuator.slip.stiffness[negative - 1], 0)
-
-
 def falling_spring():
     """A record that only a spring that falls in its middle could have made: stops by hand, no package code."""
     y = sampled(plain_records.THREE_LOOPS, 8)
@@ -209,9 +159,8 @@ def test_a_spring_that_rises_everywhere_has_nothing_imposed():
 
 def test_without_a_closed_loop_there_are_no_break_points():
     spiral = plain_records.loops(PLANT, (1, 0, 0.9, 0.05, 0.8, 0.15, 0.65, 0.2, 0.55))
-    for method in (identify, identify_antisymmetric):
-        with pytest.raises(IdentifyError, match="no closed loop"):
-            method(spiral)
+    with pytest.raises(IdentifyError, match="no closed loop"):
+        identify(spiral)
 
 
 def test_noisy_branches_are_averaged_over_cycles():
@@ -222,11 +171,3 @@ def test_noisy_branches_are_averaged_over_cycles():
     inner = slice(1, -1)
     assert np.abs(one.descending[inner, 1] - other.descending[inner, 1]).max() < 0.06
     assert np.abs(one.ascending[inner, 1] - other.ascending[inner, 1]).max() < 0.06
-
-
-def test_initial_displacements_are_those_of_the_corners_of_the_polytope():
-    actuator = plain_records.plant(6)
-    rho, kappa = actuator.slip.breakaway, actuator.slip.stiffness
-    held = [float(kappa @ (rho * signs)) for signs in product((-1.0, 1.0), repeat=6)]
-    places = [actuator.relaxed(-volts, extrapolate=True).deformation for volts in held]
-    assert initial_displacements(actuator) == pytest.approx((min(places), max(places)), rel=1e-12)

@@ -48,7 +48,7 @@ FACES = {
             write_comparison write_insight write_record_page write_report
         """,
         "paper": """
-            Paper PaperFit identify identify_antisymmetric initial_displacements
+            Paper PaperFit identify
         """,
         "testing": """
             FakeInstrument RigCandidate RigContract

@@ -1,6 +1,6 @@
 """What the paper defines: its identification, and its experiment on a virtual actuator."""
 
-from dehyst.paper.methods import PaperFit, identify, identify_antisymmetric, initial_displacements
+from dehyst.paper.methods import PaperFit, identify
 from dehyst.paper.run import Paper
 
-__all__ = ["Paper", "PaperFit", "identify", "identify_antisymmetric", "initial_displacements"]
+__all__ = ["Paper", "PaperFit", "identify"]

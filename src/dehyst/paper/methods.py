@@ -1,4 +1,4 @@
-"""The paper's identification: break points of averaged loops, a linear program (Sec. 4.1), and Remark 2's closed form.
+"""The paper's identification: break points of averaged loops, and a linear program (Sec. 4.1).
 
 Of the displacements y and voltages v of break points, with kappa_i = k_i / (T c), rho_i = c r_i and c = keq / km:
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,9 +20,12 @@ from dehyst import _validation
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.model import Actuator, MaxwellSlip, Spring, parts_in_segments
-from dehyst.paper.branches import Branch, families, voltage_at
-from dehyst.records import Record
+from dehyst.records import Record, reversals
 
+# Displacements (n,) [m] and voltages (n,) [V] of one branch, in the order of motion.
+_Branch: TypeAlias = "tuple[Array, Array]"
+# Turning points closer to each other than this part of the stroke are the same.
+_SAME = 0.02
 # Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself.
 _RISES = 1e-3
 
@@ -48,13 +51,13 @@ class BreakPointLoop:
 
 @dataclass(frozen=True, eq=False)
 class PaperFit:
-    """The result of one of the paper's methods.
+    """The result of the paper's method.
 
     Attributes
     ----------
     actuator : Actuator
     outcome : str
-        "IDENTIFIED", "UNDETERMINED" by a single loop, "ASSUMPTION_I_IMPOSED", or "STIFFNESS_CLIPPED" at 0.
+        "IDENTIFIED", "UNDETERMINED" by a single loop, or "ASSUMPTION_I_IMPOSED".
     loops : tuple of BreakPointLoop
         The widest first.
     error : float
@@ -73,26 +76,63 @@ def loops_of(records: Record | Sequence[Record], elements: int) -> tuple[BreakPo
     Raise `IdentifyError` if no record holds a closed loop.
     """
     given = [records] if isinstance(records, Record) else records
-    groups = [family for record in given for family in families(record)]
-    if not groups:
+    closed = [loop for record in given for loop in _closed(record)]
+    if not closed:
         raise IdentifyError(
             "no closed loop found: the voltage must go up, down and up again between the same two turning points",
             hint="record two cycles, or use dehyst.identify",
         )
-    step = max(family.range for family in groups) / _validation.count(elements, "elements", least=2)
+    step = max(top - bottom for bottom, top, *_ in closed) / _validation.count(elements, "elements", least=2)
     loops = [
-        BreakPointLoop(
-            family.bottom,
-            family.top,
-            _break_points(family.descending, family.top, family.bottom, step),
-            _break_points(family.ascending, family.bottom, family.top, step),
-        )
-        for family in groups
+        BreakPointLoop(bottom, top, _break_points(down, top, bottom, step), _break_points(up, bottom, top, step))
+        for bottom, top, down, up in closed
     ]
     return tuple(sorted(loops, key=lambda loop: -loop.range))
 
 
-def _break_points(branches: list[Branch], start: float, end: float, step: float) -> Array:
+def _closed(record: Record) -> list[tuple[float, float, list[_Branch], list[_Branch]]]:
+    """Return mean turning points [m], descending and ascending branches of each closed loop of a record.
+
+    A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
+    breakaway elongation.
+    """
+    turns = [0, *reversals(record).tolist(), len(record) - 1]
+    y, v = record.displacement, record.voltage
+    same = _SAME * record.stroke
+    # Turning points of the first branch of each group; descending and ascending branches.
+    groups: list[tuple[float, float, list[_Branch], list[_Branch]]] = []
+    for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
+        if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
+            continue
+        low, high = sorted((float(y[start]), float(y[end])))
+        group = next((one for one in groups if abs(one[0] - low) < same and abs(one[1] - high) < same), None)
+        if group is None:
+            group = low, high, [], []
+            groups.append(group)
+        group[3 if y[end] > y[start] else 2].append((y[start : end + 1], v[start : end + 1]))
+    found = []
+    for _, _, down, up in groups:
+        if down and up:
+            bottoms = [y[-1] for y, _ in down] + [y[0] for y, _ in up]
+            tops = [y[0] for y, _ in down] + [y[-1] for y, _ in up]
+            found.append((float(np.mean(bottoms)), float(np.mean(tops)), down, up))
+    return found
+
+
+def _voltage_at(branch: _Branch, places: Array) -> Array:
+    """Interpolate the voltage [V] of one branch at displacements `places` (m,) [m], shape (m,).
+
+    Noise moves the displacement of a branch back and forth; the mean of both its envelopes is used. Beyond the
+    branch's ends the voltage is constant.
+    """
+    y, v = branch if branch[0][-1] > branch[0][0] else (branch[0][::-1], branch[1][::-1])
+    upper, lower = np.maximum.accumulate(y), np.minimum.accumulate(y[::-1])[::-1]
+    monotone = 0.5 * (upper + lower)
+    keep = np.append(True, np.diff(monotone) > 0)
+    return np.asarray(np.interp(places, monotone[keep], v[keep]))
+
+
+def _break_points(branches: list[_Branch], start: float, end: float, step: float) -> Array:
     """Return mean voltages after motions of 0, step, 2 step, ... and at the end."""
     count = int(np.floor(abs(end - start) / step * (1 + 1e-9)))
     moved = np.minimum(np.arange(count + 1) * step, abs(end - start))
@@ -100,7 +140,7 @@ def _break_points(branches: list[Branch], start: float, end: float, step: float)
         moved = np.append(moved, abs(end - start))
     places = start + np.sign(end - start) * moved
     places[-1] = end
-    return np.column_stack([places, np.mean([voltage_at(branch, places) for branch in branches], axis=0)])
+    return np.column_stack([places, np.mean([_voltage_at(branch, places) for branch in branches], axis=0)])
 
 
 def identify(records: Record | Sequence[Record], *, elements: int = 10, slope_floor: float = 0.2) -> PaperFit:
@@ -190,54 +230,3 @@ def _rows(loops: Sequence[BreakPointLoop], rho: Array, knots: Array) -> tuple[Ar
             rows.append(np.hstack([elongation, parts_in_segments(knots, y), constants]))
             target.append(v)
     return np.vstack(rows), np.concatenate(target)
-
-
-def identify_antisymmetric(
-    records: Record | Sequence[Record],
-    *,
-    elements: int = 10,
-    branch: Literal["descending", "ascending"] = "descending",
-) -> PaperFit:
-    """Identify by Remark 2: k_i from second differences of the break voltages of one branch, without g.
-
-    k_N acts as part of the spring and is set to zero; so are negative stiffnesses.
-
-    Parameters
-    ----------
-    records : Record or sequence of Record
-        Their widest loop is used.
-    elements : int, optional
-        N.
-    branch : {"descending", "ascending"}, optional
-
-    Raises
-    ------
-    IdentifyError
-        If there is no closed loop.
-    """
-    _validation.choice(branch, "branch", ("descending", "ascending"))
-    loops = loops_of(records, elements)
-    points, sign = getattr(loops[0], branch), 1.0 if branch == "descending" else -1.0
-    v, step = points[: elements + 1, 1], loops[0].range / elements
-    kappa = np.append(sign * (v[:-2] + v[2:] - 2 * v[1:-1]) / step, 0.0)
-    outcome = "STIFFNESS_CLIPPED" if kappa.min() < 0 else "IDENTIFIED"
-    kappa, rho = np.maximum(kappa, 0.0), _grid(loops[0], elements)
-    # Eq. 4, or its mirror image where the ascending branch starts.
-    slope = abs(v[-1] - v[-2]) / step
-    ends = v[0] - sign * np.array([0.0, slope * loops[0].range]) - sign * float(kappa @ rho)
-    order = slice(None, None, -1) if branch == "descending" else slice(None)
-    spring = Spring(points[[0, -1], 0][order], ends[order])
-    rows, target = _rows(loops[:1], rho, spring.displacement)
-    error = float(np.abs(rows @ np.concatenate([kappa, [slope, spring.voltage[0]]]) - target).sum())
-    return PaperFit(_actuator(loops[0], rho, kappa, spring), outcome, loops, error)
-
-
-def initial_displacements(actuator: Actuator) -> tuple[float, float]:
-    """Return the least and the largest displacement [m] in which an actuator can rest at 0 V (A.1).
-
-    ``sum_i kappa_i s_i + eta(y) = 0`` with all elongations within their breakaway ones is a polytope; at its ends every
-    element holds its breakaway force.
-    """
-    held = float(actuator.slip.stiffness @ actuator.slip.breakaway)
-    low, high = (actuator.relaxed(volts, extrapolate=True).deformation for volts in (-held, held))
-    return low, high
