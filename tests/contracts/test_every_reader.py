@@ -20,11 +20,9 @@ NAMES = [
     "tabs.tsv",
     "comma.txt",
     "spaces.dat",
-    "one.lvm",
     "packed.mat",
     "grouped.h5",
     "packed.hdf5",
-    "plain.parquet",
     "named.npy",
     "plain.npz",
     "plain.xlsx",
@@ -53,7 +51,6 @@ def path(request, tmp_path):
 
 
 def test_every_suffix_has_a_file_here():
-    # LabVIEW's other suffix.
     assert {Path(name).suffix for name in NAMES} == set(LOADERS) - {".asc"}
 
 

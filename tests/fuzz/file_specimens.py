@@ -10,8 +10,6 @@ import h5py
 import nptdms
 import numpy as np
 import openpyxl
-import pyarrow as pa
-import pyarrow.parquet as pq
 import scipy.io
 
 N = 240
@@ -27,14 +25,6 @@ def _table(delimiter: str = ",", number: str = "%.9g", head: str = "", names: tu
     return f"{head}{delimiter.join(names or COLUMNS)}\n{body}\n"
 
 
-def _grouped(delimiter: str = ";", quote: str = "") -> str:
-    """The table in nanometres with decimal commas and points that group digits."""
-    rows = np.column_stack([T, V, Y * 1e9])
-    german = str.maketrans(",.", ".,")
-    lines = [delimiter.join(f"{quote}{cell:,.4f}{quote}".translate(german) for cell in row) for row in rows]
-    return "\n".join([delimiter.join(("time_s", "voltage_V", "displacement_nm")), *lines, ""])
-
-
 def _texts() -> dict[str, bytes]:
     brackets = ("Time [ms]", "Drive (V)", "Position [µm]")
     quoted = _table().replace("time_s,voltage_V", '"time_s","voltage_V"')
@@ -47,9 +37,7 @@ def _texts() -> dict[str, bytes]:
         "latin.csv": _table(names=brackets).encode("latin-1"),
         "tabs.tsv": _table("\t").encode("utf-8-sig"),
         "comma.txt": _table(";").replace(".", ",").encode(),
-        "groups.csv": _grouped().encode(),
-        "utf16.txt": _grouped("\t").encode("utf-16"),
-        "quotes.csv": _grouped(",", '"').encode(),
+        "utf16.txt": _table("\t").encode("utf-16"),
         **_instruments(),
         "spaces.dat": _table(" ", "%.6e").replace("\n", "\r\n").encode(),
     }
@@ -59,32 +47,15 @@ def _instruments() -> dict[str, bytes]:
     """Text of instruments, cut to the size of the other specimens."""
     rows = _table().split("\n", 1)[1]
     gcs = "# SEPARATOR = 44\n# DIM = 3\n# SAMPLE_TIME = 0.001\n# NAME0 = clock\n# NAME1 = voltage_V\n# NAME2 = y_um\n"
-    lvm = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n\nY_Unit_Label\tVolts\tMicrometers\nX0\t0\t0\n"
     clock = "".join(
         f"2024-05-01T12:00:00.{k:03d},{row.split(',', 1)[1]}\n" for k, row in enumerate(rows.split("\n")[:-1])
     )
     return {
         "recorder.dat": f"{gcs}# END_HEADER\n{rows}".encode(),
-        "one.lvm": f"{lvm}***End_of_Header***\nX_Value\tVoltage\tPosition\tComment\n".encode()
-        + rows.replace(",", "\t").encode(),
-        "multi.lvm": _multi(rows).encode(),
-        "index.csv": b"XInc,0.001\nIndex,Drive (V),Pos (um)\n"
-        + "".join(f"{k},{row.split(',', 1)[1]}\n" for k, row in enumerate(rows.split("\n")[:-1])).encode(),
         "scope.csv": f"Model,X\nInterval,0.001\n\nTime,Drive,Position\n(s),(V),(um)\n{rows}".encode(),
         "rigol.csv": b"X,Drive,Pos,Start,Increment,\nSequence,V,um,0,1e-3\n" + rows.replace("\n", ",,\n").encode(),
         "clock.csv": f"timestamp,voltage_V,displacement_um\n{clock}".encode(),
     }
-
-
-def _multi(rows: str) -> str:
-    """A LabVIEW file with a column of times and a start for each channel."""
-    head = "LabVIEW Measurement\nSeparator\tTab\nX_Columns\tMulti\n***End_of_Header***\n\n"
-    head += f"Samples\t{N}\t\t{N}\nDate\t2024/05/01\t\t2024/05/01\nTime\t12:00:00\t\t12:00:00\n"
-    head += "Y_Unit_Label\tVolts\t\tMicrometers\nX0\t0\t\t0\nDelta_X\t0.001\t\t0.001\n***End_of_Header***\n"
-    cells = (row.split(",") for row in rows.split("\n")[:-1])
-    return (
-        head + "X_Value\tVoltage\tX_Value\tPosition\tComment\n" + "".join(f"{t}\t{v}\t{t}\t{y}\n" for t, v, y in cells)
-    )
 
 
 def _hdf5(path: Path) -> None:
@@ -115,14 +86,6 @@ def _mat(path: Path) -> None:
 
 
 def _others(path: Path) -> None:
-    table = pa.table({**COLUMNS, "note": ["x"] * N, "count": pa.array(range(N), pa.int32())})
-    pq.write_table(table, path / "plain.parquet")
-    pq.write_table(table, path / "packed.parquet", compression="gzip", use_dictionary=False, data_page_version="2.0")
-    pq.write_table(table, path / "rows.parquet", compression="none", row_group_size=60)
-    days = np.datetime64("2024-05-01", "ns") + np.round(T * 1e9).astype("timedelta64[ns]")
-    pq.write_table(
-        pa.table({"voltage_V": V, "displacement_um": Y * 1e6, "__index_level_0__": days}), path / "days.parquet"
-    )
     np.savez(path / "plain.npz", **COLUMNS, note=np.array("x"), image=np.eye(3))
     np.savez(path / "rows.npz", np.array([*COLUMNS.values()]))
     np.save(path / "rows.npy", np.array([*COLUMNS.values()]).T)
@@ -150,7 +113,7 @@ def specimens(folder: Path) -> dict[str, bytes]:
     """Name -> content; written into a folder first, as programs do."""
     for name, content in _texts().items():
         (folder / name).write_bytes(content)
-    # By a child: threads that pyarrow starts would not be there in workers forked later.
+    # By a child: threads that libraries start would not be there in workers forked later.
     child = os.fork()
     if not child:
         _hdf5(folder)

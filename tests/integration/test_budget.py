@@ -24,7 +24,7 @@ ROOMS = {
     "model": 3642,
     "operations": 4029,
     "paper": 1075,
-    "records": 5239,
+    "records": 4880,
     "report": 1496,
     "testing": 492,
     "trust": 2340,

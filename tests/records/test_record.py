@@ -261,26 +261,6 @@ def test_unusable_records_are_refused_for_their_fault(word):
             make().check_usable()
 
 
-@pytest.mark.parametrize(("bounds", "more"), [((-1, 80), 1), ((20, 101), 1), ((-1, 101), 0)], ids=str)
-def test_a_cut_voltage_is_remarked_on(bounds, more):
-    record = lagging()
-    y = record.displacement + 2e-9 * np.random.default_rng(4).normal(size=len(record))
-    cut = Record(record.time, np.clip(record.voltage, *bounds), y)
-    cut.check_usable()
-    assert len(cut.problems()) - len(with_displacement(record, y).problems()) == more
-
-
-@pytest.mark.parametrize("creeps", [0.0, 0.2])
-def test_a_displacement_that_creeps_in_holds_shows_no_cut_voltage(creeps):
-    time = 0.05 * np.arange(2400)
-    voltage = np.interp(time % 60, [0, 10, 30, 40, 60], [0, 100, 100, 0, 0])
-    late = np.zeros(time.size)
-    for i in range(1, time.size):
-        late[i] = late[i - 1] + 0.05 / 4 * (voltage[i] - late[i - 1])
-    y = 1e-7 * (voltage + creeps * late) + 2e-9 * np.random.default_rng(4).normal(size=time.size)
-    assert [sentence for sentence in Record(time, voltage, y).problems() if "hysteresis" not in sentence] == []
-
-
 def test_holds_steps_and_dead_zones_are_not_clipping():
     record = lagging()
     stairs = np.repeat(np.concatenate([np.arange(0, 11), np.arange(9, -1, -1)]), 50) * 10.0

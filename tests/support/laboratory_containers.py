@@ -5,17 +5,13 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import h5py
-import laboratory_files as plain
 import nptdms
 import numpy as np
 import openpyxl
-import pyarrow as pa
-import pyarrow.parquet as pq
 import scipy.io
 from laboratory_files import UM, N, T, V, Y, rows
 
@@ -23,24 +19,6 @@ Writer = Callable[[Path], None]
 # A small actuator, whose stroke in nm is that of a large one in um.
 NM = UM * 25
 SECONDS = "time_s,voltage_V,displacement_um"
-
-
-def lvm(*changes: tuple[str, str], keep: float = 1.0, multi: np.ndarray | None = None) -> Writer:
-    """A LabVIEW file without a column of times, or with one for each channel, and with some texts replaced."""
-
-    def write(path: Path) -> None:
-        plain.labview(path, x_column=False)
-        head, names, body = path.read_text().partition("X_Value\tVoltage\tPosition\tComment\n")
-        if multi is not None:
-            head = head.replace("X_Columns\tNo", "X_Columns\tMulti")
-            names, body = "X_Value\tVoltage\tX_Value\tPosition\tComment\n", rows(T, V, multi, UM, sign="\t")
-        for old, new in changes:
-            assert old in head
-            head = head.replace(old, new)
-        lines = body.splitlines(keepends=True)
-        path.write_text(head + names + "".join(lines[: round(keep * len(lines))]))
-
-    return write
 
 
 def xlsx(dimension: str, *first: list[object]) -> Writer:
@@ -89,17 +67,6 @@ def hdf5(groups: dict[str, str], **datasets: tuple[np.ndarray, str]) -> Writer:
     return write
 
 
-def parquet(gap: float, **more: np.ndarray) -> Writer:
-    """What pandas writes for a DataFrame with a DatetimeIndex without a name; with a gap after half of it [s]."""
-
-    def write(path: Path) -> None:
-        time = T + gap * (T[N // 2] <= T)
-        stamps = np.datetime64(datetime(2024, 5, 1), "ns") + np.round(time * 1e9).astype("timedelta64[ns]")
-        pq.write_table(pa.table({"voltage_V": V, "displacement_um": UM, **more, "__index_level_0__": stamps}), path)
-
-    return write
-
-
 def tdms(*offsets: float) -> Writer:
     def write(path: Path) -> None:
         units: list[dict[str, Any]] = [{"unit_string": "Volts"}, {"unit_string": "Meters"}]
@@ -115,25 +82,15 @@ def tdms(*offsets: float) -> Writer:
 
 INDEX = np.arange(float(N))
 OLD_RUN = [SECONDS.split(","), *np.c_[T, V, UM][: N // 2].tolist()]
-STEPS = ("Delta_X\t0.002\t0.002", "X0\t0.0E+0\t0.0E+0", "Time\t12:00:00.1\t12:00:00.1")
 DATA = {"clock__time": (T * 1e3, ""), "drive__voltage": (V, "V"), "sensor__position": (UM, "um")}
 
 # What each file must not be taken for; with the options that a user knows.
 TRAPS: dict[str, tuple[Writer, str]] = {
-    "starts.lvm": (lvm((STEPS[1], "X0\t0\t5")), ""),
-    "steps.lvm": (lvm((STEPS[0], "Delta_X\t0.002\t0.004")), ""),
-    "multi.lvm": (lvm(multi=2 * T + 1), ""),
-    "short.lvm": (lvm(keep=0.475), ""),
-    "times.lvm": (lvm((STEPS[2], "Time\t12:00:00.1\t12:00:00.6")), ""),
     "rows.xlsx": (xlsx("A1:C1100"), ""),
     "cell.xlsx": (xlsx("A1:C1", *OLD_RUN), ""),
-    "scope.csv": (text("Type,raw\nPoints,1200\nXInc,0.002\n\nIndex,Drive (V),Pos (um)", INDEX, V, UM), ""),
-    "rate.csv": (text("Sampling Rate: 500 Hz\nSample,Drive (V),Pos (um)", INDEX, V, UM), ""),
-    "two.csv": (text("XInc,0.002,s\nXInc,0.004,s\nIndex,Drive (V),Pos (um)", INDEX, V, UM), ""),
     "index.csv": (text("Index,Drive (V),Pos (um)", INDEX, V, UM), ""),
     "group.h5": (hdf5({"x": "nm"}, time=(T, "s"), voltage=(V, "V"), x__position=(NM, "")), ""),
     "clock.h5": (hdf5({"clock": "ms"}, **DATA), ""),
-    "gap.parquet": (parquet(0.7), "rate=500"),
     "late.tdms": (tdms(0.0, 0.1), ""),
     "order.npy": (lambda path: np.save(path, np.array([T, UM, V])), ""),
     "regler.csv": (text("Zeit [ms];Ausgang Regler [mV];Weg [um]", T * 1e3, V * 66.7, UM, sign=";"), ""),
@@ -143,20 +100,11 @@ TRAPS: dict[str, tuple[Writer, str]] = {
 }
 # The same kinds of files, which state all that is needed.
 TWINS: dict[str, tuple[Writer, str]] = {
-    "starts.lvm": (lvm((STEPS[1], "X0\t5.0E-1\t0.5")), ""),
-    "steps.lvm": (lvm((STEPS[0], "Delta_X\t2.000000E-3\t0.002")), ""),
-    "multi.lvm": (lvm(multi=T), ""),
-    "short.lvm": (lvm(("Samples\t1200\t1200", "Samples\t600\t600")), ""),
-    "times.lvm": (lvm((STEPS[2], "Time\t12:00:00.1\t12:00:00.100001")), ""),
     "rows.xlsx": (xlsx("A1:C1201"), ""),
     "cell.xlsx": (xlsx("", ["Stage 7, 1 May"]), ""),
-    "scope.csv": (text(f"Type,raw\nPoints,1200\nXInc,0.002,s\n\n{SECONDS}", T, V, UM), ""),
-    "rate.csv": (text("Sampling Rate: 500 Hz\ntime_ms,voltage_V,displacement_um", T * 1e3, V, UM), ""),
-    "two.csv": (text("XInc,0.002,s\nXIncrement = 2 ms\nIndex,drive_V,y_um", INDEX, V, UM), ""),
     "index.csv": (text(f"Index,{SECONDS}", INDEX, T, V, UM), ""),
     "group.h5": (hdf5({"x": "um"}, time=(T, "s"), voltage=(V, "V"), x__position=(Y * 1e9, "nm")), ""),
     "clock.h5": (hdf5({"run": "V"}, run__time_ms=(T * 1e3, ""), run__voltage=(V, ""), run__y_um=(UM, "")), ""),
-    "gap.parquet": (parquet(0.0, time_s=T), ""),
     "late.tdms": (tdms(0.5, 0.5), ""),
     "order.npy": (lambda path: np.save(path, np.rec.fromarrays([T, V, UM], names=SECONDS)), ""),
     "regler.csv": (

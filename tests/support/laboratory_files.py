@@ -92,23 +92,6 @@ def gcs(path: Path) -> None:
     path.write_text("\n".join([*lines, "# END_HEADER", rows(UM, V, sign=" ", number="%.6f")]))
 
 
-def labview(path: Path, x_column: bool = True) -> None:
-    head = (
-        "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\nDecimal_Separator\t.\n"
-        f"Multi_Headings\tNo\nX_Columns\t{'One' if x_column else 'No'}\nTime_Pref\tRelative\nOperator\tx\n"
-        "Date\t2024/05/01\nTime\t12:00:00.1234\n***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t1200\t1200\t\n"
-        "Date\t2024/05/01\t2024/05/01\t\nTime\t12:00:00.1\t12:00:00.1\t\nY_Unit_Label\tVolts\tMicrometers\t\n"
-        "X_Dimension\tTime\tTime\t\nX0\t0.0E+0\t0.0E+0\t\nDelta_X\t0.002\t0.002\t\n***End_of_Header***\t\t\t\n"
-        "X_Value\tVoltage\tPosition\tComment\n"
-    )
-    body = (
-        rows(T, V, UM, sign="\t").split("\n")
-        if x_column
-        else [f"\t{row}" for row in rows(V, UM, sign="\t").split("\n")]
-    )
-    path.write_text(head + "\n".join(line for line in body if line.strip()).replace("\n", "\tstart\n", 1) + "\n")
-
-
 def semicolons(path: Path) -> None:
     path.write_bytes(("Zeit [s];Spannung [V];Weg [µm]\r\n" + german(rows(T, V, UM, sign=";"))).encode("cp1252"))
 
@@ -190,12 +173,10 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
         "join=F0001CH2.CSV, voltage=*100, displacement=*10 um/V",
     ),
     "keysight.csv": (keysight, "voltage=*100, displacement=*10 um/V"),
-    "rigol.csv": (rigol, "voltage=*100, displacement=*10 um/V"),
+    "rigol.csv": (rigol, "voltage=*100, displacement=*10 um/V, rate=500"),
     "pico.csv": (picoscope, "voltage=*100, displacement=*10 um/V"),
     "lecroy.csv": (lecroy, ""),
     "recorder.dat": (gcs, ""),
-    "one.lvm": (labview, ""),
-    "none.lvm": (lambda path: labview(path, x_column=False), ""),
     "zeit.csv": (semicolons, ""),
     "messung.csv": (german_words, ""),
     "bare.csv": (headerless, ""),

@@ -124,29 +124,13 @@ TRAPS: dict[str, Trap] = {
         table(";", "time_s,voltage_mV,displacement_um", SECONDS, grouped(MV + 1e3), MICROMETRES),
         table(";", HEAD, comma(T, 3), comma(V, 4), comma(UM, 3)),
     ),
-    "thousands in a part of the values": Trap(
-        table("\t", TIMES_NM, SECONDS, VOLTS, grouped(NM)),
-        table("\t", HEAD, point(T, 3), point(V, 3), point(UM, 3)),
-    ),
     "points for thousands beside decimal commas": Trap(
         table(";", TIMES_NM, comma(T, 3), comma(V, 4), german(NM)),
         table(";", TIMES_NM, comma(T, 3), comma(V, 4), point(NM, 0)),
     ),
-    "commas before three digits, nothing else": Trap(
-        table("\t", MILLI, point(1e3 * T, 0), grouped(MV + 1e3), grouped(NM + 1e3)),
-        table("\t", "time_ms,voltage_mV,displacement_pm", point(1e3 * T, 0), grouped(MV), grouped(PM)),
-    ),
-    "points before three digits, nothing else": Trap(
-        table(";", MILLI, point(1e3 * T, 0), german(MV + 1e3), german(NM + 1e3)),
-        table(";", TIMES_NM, SECONDS, VOLTS, grouped(NM, 1)),
-    ),
-    "thousands in quotes": Trap(
-        table(",", TIMES_NM, SECONDS, VOLTS, quoted(grouped(NM))),
-        table(",", HEAD, *(quoted(comma(values, 3)) for values in (T, V, UM))),
-    ),
     "thousands as text in a workbook": Trap(
         sheet([TIMES_NM.split(","), *zip(T.tolist(), V.tolist(), grouped(NM + 1e4), strict=True)]),
-        sheet([HEAD.split(","), *zip(T.tolist(), V.tolist(), comma(UM, 4), strict=True)]),
+        sheet([HEAD.split(","), *np.c_[T, V, UM].tolist()]),
         suffix=".xlsx",
     ),
     "two decimal signs": Trap(
@@ -237,18 +221,14 @@ TRAPS: dict[str, Trap] = {
     ),
     "days and months": Trap(
         table(",", HEAD, stamps(T, "2026-03-04T23:59:59", DAY_FIRST), VOLTS, MICROMETRES),
-        table(",", HEAD, stamps(T, "2026-03-12T23:59:59", DAY_FIRST), VOLTS, MICROMETRES),
+        table(",", HEAD, stamps(T, "2026-03-12T12:00:00", DAY_FIRST), VOLTS, MICROMETRES),
     ),
     "an hour of summer time": Trap(
         table(",", HEAD, SUMMER, VOLTS, MICROMETRES),
         table(",", HEAD, [f"{text}+0{1 + (k >= 600)}:00" for k, text in enumerate(SUMMER)], VOLTS, MICROMETRES),
     ),
-    "thousands in UTF-16": Trap(
-        table("\t", TIMES_NM, SECONDS, VOLTS, grouped(NM), encoding="utf-16"),
-        table("\t", HEAD, comma(T, 3), comma(V, 4), comma(UM, 4), encoding="utf-16"),
-    ),
     "UTF-16 without its mark, cut off": Trap(
         table("\t", HEAD, SECONDS, VOLTS, MICROMETRES, cut=3, encoding="utf-16-le"),
-        table("\t", HEAD, SECONDS, VOLTS, MICROMETRES, encoding="utf-16-le"),
+        table("\t", HEAD, SECONDS, VOLTS, MICROMETRES, encoding="utf-16"),
     ),
 }

@@ -345,7 +345,7 @@ def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path
             assert "displacement_um" in sample.inner_text()
             assert sample.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
         said = page.inner_text("#drop")
-        assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5", "Parquet"))
+        assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5"))
         page.click("#example")
         ready = page.locator("#record-list .card.ready")
         sync_api.expect(ready).to_have_count(1, timeout=LONGEST)

@@ -24,10 +24,12 @@ from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.signals import largest
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
-_ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju"), "; save it as CSV or .xlsx")
+_ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju", ".parquet"), "; save it as CSV or .xlsx") | {
+    ".lvm": "; save it as TDMS, or as a table with one header line"
+}
 _MEASURED = ("voltage", "displacement")
 # Kinds of files whose numbers are text.
-_WITH_SIGNS = (*TEXT, ".lvm", ".asc", ".xlsx")
+_WITH_SIGNS = (*TEXT, ".asc", ".xlsx")
 # Rows that are written at once.
 _BLOCK = 1 << 14
 
@@ -41,7 +43,7 @@ def read(path: PathLike, columns: Columns | str | None = None, *, name: str | No
     Parameters
     ----------
     path : path
-        .csv .tsv .txt .dat .asc .lvm .xlsx .mat .h5 .hdf5 .parquet .tdms .npz or .npy. A named pipe is read once;
+        .csv .tsv .txt .dat .asc .xlsx .mat .h5 .hdf5 .tdms .npz or .npy. A named pipe is read once;
         without a suffix it holds text.
     columns : Columns or str, optional
         Columns, units, scales, and how the file is read, as "time=Time:ms, voltage=Ch1*100, displacement=Sensor:um";
@@ -66,62 +68,63 @@ def read(path: PathLike, columns: Columns | str | None = None, *, name: str | No
 def record_of(table: Table, columns: Columns, name: str) -> Record:
     """Return the record in a table, see `read` and `table_of`; of several axes if `columns` names some."""
     axes = columns.of_axes() if columns.axes else {"": columns}
-    parts: dict[str, dict[str, Selected]] = {}
-    for axis, own in axes.items():
-        try:
-            parts[axis] = chosen(table, own, ("time", *_MEASURED))
-        except ColumnsError as error:
-            if not axis:
-                raise
-            # A proposal for one voltage and one displacement does not help here.
-            hint = f'the file holds {listed(table.names)}. Give the axis as "{axis}=VOLTAGE:DISPLACEMENT"'
-            raise FileFormatError(f"axis {axis}: {error.problems[0]}", hint=hint, change=("columns",)) from error
-    voltages, displacements = ([part[quantity].values for part in parts.values()] for quantity in _MEASURED)
+    parts = {axis: _selected(table, own, axis) for axis, own in axes.items()}
     first = next(iter(parts.values()))
-    time = first["time"].values
+    time, y, scale = first["time"].values, first["displacement"], first["displacement"].entry.scale
     if columns.temperature is not None:
         table = _with_temperature(table, columns.temperature)
-    used = [one.column for part in parts.values() for one in part.values()]
-    others, remarks = further_channels(table, used, len(time))
     used_as = {
-        quantity if quantity == "time" or not axis else f"{quantity} of {axis}": one
+        f"{quantity} of {axis}" if axis and quantity != "time" else quantity: one
         for axis, part in parts.items()
         for quantity, one in part.items()
     }
+    others, remarks = further_channels(table, [one.column for one in used_as.values()], len(time))
+    channels = tuple(channel for channel, _ in others)
     guesses = {quantity: one.guess for quantity, one in used_as.items()}
     guesses |= {channel.name: column.guessed for channel, column in others}
     scales = {quantity: one.entry.scale.words for quantity, one in used_as.items() if one.entry.scale is not None}
-    source = f"{table.source}{''.join(f', {quantity} {scale}' for quantity, scale in scales.items())}"
-    found = {quantity: first[quantity].column.name for quantity in ("time", *_MEASURED)}
+    found = {quantity: one.column.name for quantity, one in first.items()}
     found |= {channel.name: column.name for channel, column in others}
     if columns.rate is not None:
         found["time"] = f"index / {columns.rate:.9g} Hz"
-    origin = {"axes": [f"{axis}={text}" for axis, text in columns.axes.items()]} if columns.axes else {"columns": found}
-    added = {
-        "scales": scales,
-        "guesses": {quantity: guess for quantity, guess in guesses.items() if guess},
-        "remarks": [*table.remarks, *remarks],
+    meta = {
+        "source": f"{table.source}{''.join(f', {quantity} {words}' for quantity, words in scales.items())}",
+        "sha256": table.sha256,
+        **({"axes": [f"{axis}={text}" for axis, text in columns.axes.items()]} if columns.axes else {"columns": found}),
+        **({"scales": scales} if scales else {}),
+        **({"guesses": known} if (known := {key: guess for key, guess in guesses.items() if guess}) else {}),
+        **({"remarks": sentences} if (sentences := [*table.remarks, *remarks]) else {}),
     }
-    meta = {"source": source, "sha256": table.sha256, **origin, **{key: value for key, value in added.items() if value}}
-    channels = tuple(channel for channel, _ in others)
     hold: Any = columns.hold or ("sample" if first["voltage"].column.timing == "sample" else "line")
-    y, scale = first["displacement"], first["displacement"].entry.scale
-    if columns.axes and any((one := part["displacement"].entry.scale) and one.kind for part in parts.values()):
-        need = "one voltage and one displacement; read each axis by itself"
-        raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
+    if columns.axes:
+        if any(one.entry.scale is not None and one.entry.scale.kind for one in used_as.values()):
+            need = "one voltage and one displacement; read each axis by itself"
+            raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
+        # Each axis is checked by itself.
+        records = [
+            Record(time, *(part[q].values for q in _MEASURED), f"{name} ({axis})") for axis, part in parts.items()
+        ]
+        voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
+        return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)
+    voltage = first["voltage"].values
     if scale is not None and scale.kind:
-        unit = y.entry.unit or y.column.parts[1]
-        record = record_of_periodic(
-            time, voltages[0], displacements[0], scale.period, kind=scale.kind, name=name, unit=unit or "a.u."
-        )
+        unit = y.entry.unit or y.column.parts[1] or "a.u."
+        record = record_of_periodic(time, voltage, y.values, scale.period, kind=scale.kind, name=name, unit=unit)
         return replace(record, meta=meta, others=(*channels, *record.others), hold=hold)
-    if not columns.axes:
-        measured = ~np.isnan(displacements[0]) if y.column.timing == "events" else None
-        return Record(time, voltages[0], displacements[0], name, meta, others=channels, hold=hold, measured=measured)
-    # Each axis is checked by itself.
-    records = [Record(time, v, y, f"{name} ({axis})") for axis, v, y in zip(axes, voltages, displacements, strict=True)]
-    voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
-    return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)
+    measured = ~np.isnan(y.values) if y.column.timing == "events" else None
+    return Record(time, voltage, y.values, name, meta, others=channels, hold=hold, measured=measured)
+
+
+def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
+    """Return the columns of an axis, which is empty if there is only one."""
+    try:
+        return chosen(table, columns, ("time", *_MEASURED))
+    except ColumnsError as error:
+        if not axis:
+            raise
+        # A proposal for one voltage and one displacement does not help here.
+        hint = f'the file holds {listed(table.names)}. Give the axis as "{axis}=VOLTAGE:DISPLACEMENT"'
+        raise FileFormatError(f"axis {axis}: {error.problems[0]}", hint=hint, change=("columns",)) from error
 
 
 def _with_temperature(table: Table, wanted: str) -> Table:

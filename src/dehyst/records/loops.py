@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations, pairwise
+from itertools import pairwise
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +23,8 @@ _POINTS, _EQUAL = 32, 0.02
 _AREA, _DEVIATIONS = 0.005, 5.0
 # A jump between sorted branches: part of the range, usual steps, and share of the other steps that go the other way.
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
-# Branches are alike if they differ by this part of what others do; most that are compared.
-_ALIKE, _BRANCHES = 0.4, 40
+# Branches are alike if they differ by this part of what others do.
+_ALIKE = 0.4
 # Most samples of a shift; least gain by it, as a part; least fall of the gain beyond it, over its rise.
 _LATE, _GAINED, _SHARP = 64, 5e-4, 0.7
 # Strokes [m] below any sensor's resolution, the size of an atomic nucleus.
@@ -74,15 +74,13 @@ def leading(record: Record, cycles: list[Span]) -> str:
     leads = sense(v, y, cycles) < 0
     if (words := _sorted_branches(v, y, record.noise, leads=leads)) is not None or not leads:
         return words or ""
-    words = "the displacement leads the voltage in the loops"
-    swapped = "the columns look swapped; check which column is which"
-    reverse = "the rows look reversed in time; turn them round, such as record.displacement[::-1]"
     early = early_turns(record)
     if early and sense(v[early:], y[:-early]) >= 0:
         return _shift(record, early)
-    if past := _past(v, y, record.noise):
-        return f"{words}: {swapped if past > 0 else reverse}"
-    return f"{words}: either {swapped}; or {reverse}. The loops do not tell which"
+    return (
+        "the displacement leads the voltage in the loops: either the columns look swapped, check which is which; or "
+        "the rows look reversed in time, turn them round, such as record.displacement[::-1]"
+    )
 
 
 def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | None:
@@ -140,31 +138,6 @@ def _shift(record: Record, early: int) -> str:
         f"({counted(early, 'sample')}): clocks or columns are shifted, or the voltage is measured late; shift the "
         "displacement back by that time"
     )
-
-
-def _past(v: Array, y: Array, noise: float) -> int:
-    """Return 1 if branches that begin alike are alike, as hysteresis has them; -1 if those that end alike are; else 0.
-
-    A branch from the voltage's extreme does not depend on the past. In reversed time such a branch ends there.
-    """
-    after, before = _unlike(v, y), _unlike(v[::-1], y[::-1])
-    if min(after, before) < 0 or max(after, before) < 2 * noise + 2 * _GAINED * float(np.ptp(y)):
-        return 0
-    return int(after < _ALIKE * before) - int(before < _ALIKE * after)
-
-
-def _unlike(v: Array, y: Array) -> float:
-    """Return by how much branches differ that begin at one extreme of the voltage, but end elsewhere; -1 for none."""
-    turns = turns_of(v)[:_BRANCHES]
-    near, found = _EQUAL * float(np.ptp(v)), [-1.0]
-    for (a, b), (c, d) in combinations(pairwise(turns.tolist()), 2):
-        outer = min(v[a] - v[turns].min(), v[turns].max() - v[a]) < near
-        if outer and abs(v[a] - v[c]) < near and abs(v[b] - v[d]) > 5 * near:
-            grid = np.linspace(v[a], v[b] if abs(v[b] - v[a]) < abs(v[d] - v[a]) else v[d], _POINTS)
-            orders = [first + np.argsort(v[first : last + 1]) for first, last in ((a, b), (c, d))]
-            curves = [np.interp(grid, v[order], y[order]) for order in orders]
-            found.append(float(np.std(curves[0] - curves[0][0] - curves[1] + curves[1][0])))
-    return float(np.median(found[1:] or found))
 
 
 def butterfly(voltage: Array, displacement: Array) -> tuple[float, float, float] | None:
@@ -251,7 +224,8 @@ def fringes(record: Record) -> str:
         return ""
     return (
         f"the displacement rises and falls about {many:.0f} times in a stroke of the voltage, as the fringes of an "
-        "interferometer do, the lines of a grating, or a vibration; count fringes or lines first"
+        "interferometer do, the lines of a grating, or a vibration; count fringes or lines, with "
+        "displacement=NAME*fringe PERIOD nm or *grating PERIOD um"
     )
 
 

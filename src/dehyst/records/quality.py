@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, cleaned
-from dehyst.records.formats.columns import GAIN, HIGHEST_VOLTAGE, STROKES, shortened
+from dehyst.records.formats.columns import HIGHEST_VOLTAGE, STROKES
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
@@ -25,17 +25,10 @@ _SHORTEST_STROKE, _LONGEST_STROKE = 1e-9, 0.1
 _LEAST_VOLTAGE = 0.01
 # Fewest events from which a loop is identified.
 _LEAST_EVENTS = 60
-# Share of the time step up to which the rounding of large times is not reported, and rounding [s] that no clock has.
-_ROUNDED, _ROUNDING = 0.02, 1e-9
-# A voltage rests for so many samples at least. What the displacement moves back meanwhile, after it went on: least part
-# of the stroke, and of the way on, which hysteresis makes the longer one.
-_RESTS, _COMES_BACK, _BACK = 5, 0.02, 0.25
 # Fewer samples show no spike; least samples of a sweep.
 _FEWEST, _SWEEP = 20, 3
-# A time starts again within this part of its way so far; largest part of a step by which even times vary.
-_AGAIN, _VARIES = 0.1, 0.5
-# Share of equal times below which only single ones repeat.
-_SINGLE = 0.02
+# A time starts again within this part of its way so far.
+_AGAIN = 0.1
 # Most rows that are named.
 _NAMED = 5
 
@@ -59,78 +52,45 @@ def fault_of(values: Array, column: str, unit: str) -> str:
     )
 
 
-def _rounding(time: Array) -> float:
-    """Return the rounding of the largest of these times [s]."""
-    return float(np.spacing(max(-time.min(), time.max())))
-
-
 def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     """Return an error with cause and remedy if times (n,) [s] are not each above the one before; or empty.
 
-    `voltage` and `displacement` (n,) tell reversed rows from a wrong sign, and rows that are written twice.
+    `voltage` and `displacement` (n,) tell reversed rows from a wrong sign.
     """
     steps = np.diff(time)
     bad = np.flatnonzero(steps < SHORTEST)
     if not bad.size:
         return ""
-    # The first of several axes.
-    voltage, displacement = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
-    i, begins = int(bad[0]), np.flatnonzero(steps < 0.0) + 1
-    words = f"time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s"
-    words = f"{words}, and the time does not rise in {counted(bad.size, 'place')}"
-    if begins.size == 0 and (steps.min() > 0.0 or not steps.any()):
-        unresolved = f"steps of {steps.min():.3g} s, need {SHORTEST:g} s, which a clock resolves; check the time's unit"
-        return unresolved if steps.any() else f"the time stands still at {time[0]:.9g} s; give a sample rate"
-    if begins.size and bad.size == steps.size:
-        return _falling(time, voltage, displacement)
-    if not begins.size and not steps[bad].any():
-        twice = all(np.array_equal(values[bad], values[bad + 1]) for values in (voltage, displacement))
-        return f"{words}: {_equal(time, twice=twice)}"
-    sizes, ordered = np.diff([0, *begins.tolist(), time.size]), np.diff(np.sort(time))
+    if not steps.any():
+        return f"the time stands still at {time[0]:.9g} s; give a sample rate, rate=HZ"
+    rate = 1 / max(abs(float(np.polyfit(np.arange(time.size), time, 1)[0])), SHORTEST)
+    if (steps < 0.0).all():
+        # The first of several axes.
+        way = loops.sense(*(values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement)))
+        sign = f"the time has the wrong sign: give rate={rate:.6g} in its place if the samples are even"
+        turn = "the rows are in reverse order: turn them round, such as array[::-1]"
+        told = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
+        return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {told}"
+    begins = np.flatnonzero(steps < 0.0) + 1
     again = np.abs(time[begins] - time[0]) <= _AGAIN * (time[begins - 1] - time[0])
-    if begins.size and sizes.min() >= _SWEEP and again.all():
+    if begins.size and np.diff([0, *begins.tolist(), time.size]).min() >= _SWEEP and again.all():
         rows = ", ".join(map(str, begins[:_NAMED])) + ", ..." * (begins.size > _NAMED)
         return (
             f"the time starts again in row{'s' * (begins.size > 1)} {rows} of {time.size}, counted from 0: "
             f"{begins.size + 1} sweeps; read each as a record of its own, and give all of them to identify"
         )
-    advice = "correct these times, or give the sample rate in their place, rate="
-    advice += f"{1 / float(np.median(steps[steps > 0])):.6g} if the samples are even"
-    if np.ptp(ordered) < _VARIES * np.median(ordered):
-        advice = "sorted by time the rows are even, so they are out of order; sort them"
-    return f"{words}; {advice}"
-
-
-def _falling(time: Array, voltage: Array, displacement: Array) -> str:
-    """Return the error for a time that never rises."""
-    way = loops.sense(voltage, displacement)
-    sign = f"the time has the wrong sign: {_rate(time)}, or multiply it by -1"
-    turn = "the rows are in reverse order: turn them round, such as array[::-1]"
-    told = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
-    return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {told}"
-
-
-def _equal(time: Array, *, twice: bool) -> str:
-    """Return why some times equal the one before; `twice`: whether their rows do."""
-    steps = np.diff(np.unique(time))
-    if (lost := _rounding(time)) > _ROUNDING:
-        return (
-            f"times as large as these have a resolution of {lost:.2g} s only: count them from the record's first "
-            f"sample before they are saved, or {_rate(time)}"
-        )
-    if twice and np.ptp(steps) < _VARIES * np.median(steps):
-        return "rows that are written twice; leave out one of each two"
-    # Times of a coarse timer repeat all over the record.
-    if time.size - 1 - steps.size < _SINGLE * time.size:
-        return f"single times that repeat; correct them, or {_rate(time)}"
-    return f"times in steps of {steps.min():.3g} s, coarser than the samples; {_rate(time, float(steps.min()))}"
-
-
-def _rate(time: Array, step: float = 0.0) -> str:
-    """Return the sample rate that evenly sampled times (n,), rounded to a `step` [s], have, as advice."""
-    rate = 1 / abs(float(np.polyfit(np.arange(time.size), time, 1)[0]))
-    digits = int(np.clip(np.log10(float(np.ptp(time)) / step), 3, 6)) if step else 6
-    return f"give the sample rate in place of the time, rate={rate:.{digits}g} if the samples are even"
+    i = int(bad[0])
+    words = f"time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s"
+    words = f"{words}, and the time does not rise in {counted(bad.size, 'place')}"
+    if begins.size:
+        rate = 1 / float(np.median(steps[steps > 0]))
+        return f"{words}; correct these times, or give the sample rate in their place, rate={rate:.6g} if it is even"
+    digit = float(np.diff(np.unique(time)).min())
+    digits = int(np.clip(np.log10(float(np.ptp(time)) / digit), 3, 6))
+    return (
+        f"{words}: times in steps of {digit:.3g} s, coarser than the samples, or rows that are written twice; give the "
+        f"sample rate in their place, rate={rate:.{digits}g} if it is even"
+    )
 
 
 def other_unit(record: Record) -> str:
@@ -160,7 +120,6 @@ def problems(record: Record) -> tuple[str, ...]:
         *_of_times(record),
         *_of_samples(clean.record),
         *(sentence[0].upper() + sentence[1:] for sentence in clean.sentences),
-        *_cut_voltage(clean.record),
         *loops.remarks(clean.record),
         *_of_units(clean.record),
         *(map(str, remarks) if isinstance(remarks, list | tuple) else ()),
@@ -172,11 +131,6 @@ def _of_times(record: Record) -> Iterator[str]:
     if missing := gaps(record.time):
         i, length = missing[0]
         yield f"{counted(len(missing), 'gap')} in time, the first of {length:.4g} s after sample {i}."
-    if (lost := _rounding(record.time)) > _ROUNDED * usual:
-        yield (
-            f"Times this large have a resolution of {lost:.2g} s only, {100 * lost / usual:.2g} % of the time step; "
-            "count them from the record's first sample before they are saved."
-        )
     jitter = float(np.std(steps[steps <= 1.5 * usual])) / usual
     if jitter > 0.01:
         yield f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %."
@@ -205,30 +159,6 @@ def _of_samples(record: Record) -> Iterator[str]:
             yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
 
 
-def _at_extremes(values: Array) -> Iterator[tuple[float, str, int, int]]:
-    """Yield sign and name of an extreme, and start and stop of each run of samples there."""
-    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
-        up = sign * values
-        yield from ((sign, side, a, b) for a, b in runs(up >= up.max() - 1e-12 * float(np.ptp(up))))
-
-
-def _cut_voltage(record: Record) -> Iterator[str]:
-    """Yield that the voltage rests at its extreme while the displacement goes on and comes back.
-
-    In a hold the displacement creeps on and does not turn. A mass may make it turn: this is no reason to refuse.
-    """
-    least = max(_COMES_BACK * record.stroke, noise_span(record.displacement))
-    for sign, side, a, b in _at_extremes(record.voltage):
-        y = sign * record.displacement[a:b]
-        if _RESTS <= b - a < len(record) and y.max() - y[-1] > max(least, _BACK * float(y.max() - y[0])):
-            yield (
-                f"The voltage looks cut off at its {side}, {record.voltage[a]:.6g} V, over samples {a} to {b - 1}: the "
-                "displacement goes on and comes back there. Record the voltage that the actuator gets, or a range that "
-                "the monitor shows whole."
-            )
-            return
-
-
 def _of_units(record: Record) -> Iterator[str]:
     highest = max(map(abs, record.voltage_range))
     if not STROKES[0] <= record.stroke <= STROKES[1]:
@@ -238,13 +168,6 @@ def _of_units(record: Record) -> Iterator[str]:
     temperatures = [one.column for one in record.others if one.role == "temperature"]
     if len(temperatures) > 1:
         yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
-    columns = record.meta.get("columns")
-    monitor = str(columns.get("voltage", "")) if isinstance(columns, dict) else ""
-    if "monitor" in monitor.lower() and not record.meta.get("scales", {}).get("voltage"):
-        yield (
-            f"The voltage is column '{shortened(monitor)}': if that is a monitor, which divides the voltage of the "
-            f"actuator, give its gain for {GAIN} in voltage=NAME*{GAIN}."
-        )
 
 
 def reasons_against(record: Record) -> Iterator[str]:
@@ -314,12 +237,14 @@ def _reasons(record: Record) -> Iterator[str]:
 def _clipped(record: Record, least: int) -> Iterator[str]:
     """Yield that the sensor stays at its extreme while the voltage goes on in that direction."""
     needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * float(np.ptp(record.voltage))
-    for sign, side, a, b in _at_extremes(record.displacement):
-        v = sign * record.voltage[a:b]
-        # A dead zone after a reversal is flat too, but there the voltage only goes back.
-        if b - a >= least and v.max() - v[0] > needed:
-            yield (
-                f"the sensor is clipped, or the amplifier: the displacement sits at its {side} "
-                f"{record.displacement[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; lower the "
-                "voltage range or shift the sensor's range"
-            )
+    for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
+        up = sign * record.displacement
+        for a, b in runs(up >= up.max() - 1e-12 * float(np.ptp(up))):
+            v = sign * record.voltage[a:b]
+            # A dead zone after a reversal is flat too, but there the voltage only goes back.
+            if b - a >= least and v.max() - v[0] > needed:
+                yield (
+                    f"the sensor is clipped, or the amplifier: the displacement sits at its {side} "
+                    f"{record.displacement[a]:.6g} m over samples {a} to {b - 1} while the voltage still moves; lower "
+                    "the voltage range or shift the sensor's range"
+                )

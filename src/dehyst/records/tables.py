@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._text import counted
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._units import FACTORS, in_si, quantity_of
 from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.columns import (
     GAIN,
     GUESS,
-    PERIOD,
     QUANTITIES,
     Column,
     is_small,
@@ -26,16 +25,9 @@ from dehyst.records.formats.columns import (
     plausible_unit,
     shortened,
 )
-from dehyst.records.signals import turning_points
 
-_BRANCHES = (
-    "all its columns only rise: if they hold the rising and the falling branch side by side, write the falling one "
-    "below the rising one in reverse order, and give rate=HZ"
-)
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
-# Turns of a periodic signal for each turn of the voltage, and the least part of the range that is a turn.
-_OFTEN, _SWING = 4, 0.3
 # Columns of a file that are compared with one another.
 _MOST = 12
 
@@ -73,8 +65,6 @@ def notes_on(proposal: str) -> list[str]:
     """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
-        PERIOD: f"The signal rises and falls many times while the voltage rises: replace {PERIOD} by its period, half "
-        "a wavelength for an interferometer (fringe), the pitch of a grating (grating).",
         GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
         "the sensor; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
@@ -292,42 +282,32 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
             problems.append(error)
     if not problems:
         return found
-    proposal = proposed(table, columns, problems, {quantity: one.column for quantity, one in found.items()})
+    proposal = _proposed(table, columns, problems, [one.column for one in found.values()])
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
     # A quantity that no column of this file seems to be may be in a second file.
     lacking = {one.quantity for one in problems if not one.column and f"{one.quantity}=" not in proposal} - {"time"}
-    if not proposal and _side_by_side(table):
-        hint = _BRANCHES
-    elif lacking and not any(column.unnamed for column in table.columns):
+    if lacking and not any(column.unnamed for column in table.columns):
         hint = f"{hint.removesuffix('.')}. If it is in a second file, join that one."
     raise ColumnsError(f"{table.source}: {faults}{f'; {hint}' if hint else ''}", proposal, problems)
 
 
-def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], known: Mapping[str, Column]) -> str:
+def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], known: Sequence[Column]) -> str:
     """Return the text of columns that may be right in the place of those with problems; empty if there are none.
 
     `known`: the columns of other quantities. What does not follow from a name or a unit is marked as a guess.
     """
     named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
-    used = {id(column) for column in (*known.values(), *named.values())}
-    free = [column for column in table.columns if id(column) not in used and not column.fault]
     wanted = [error.quantity for error in problems if error.quantity not in named]
-    size = next((column.data.size for column in (*known.values(), *named.values())), 0)
-    assigned = named | _assigned(free, wanted, size)
+    assigned = named | _assigned(table, wanted, [*known, *named.values()])
     entries = {}
-    repeats = _repeats({**known, **assigned})
-    for quantity in (error.quantity for error in problems):
-        if quantity not in assigned:
-            continue
+    for quantity in (error.quantity for error in problems if error.quantity in assigned):
         given = Entry.of(getattr(columns, quantity) or "")
         if "*" in given.name:
             # The factor that was given is not understood.
             return ""
-        if quantity == "displacement" and repeats and given.scale is None:
-            entries[quantity] = f"{table.label(assigned[quantity])}{GUESS}*fringe {PERIOD} nm"
-        elif text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
+        if text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
             entries[quantity] = text
     # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")
@@ -337,62 +317,23 @@ def proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], kn
     return text_of(columns.entries() | entries) if complete and entries else ""
 
 
-def _side_by_side(table: Table) -> bool:
-    """Return whether all columns only rise, as those of two branches do that are written side by side."""
-    columns = [column.data for column in table.columns if not column.fault]
-    rise = [one.size > 2 and bool(np.all(one[1:] >= one[:-1])) and one[-1] > one[0] for one in columns]
-    return len(rise) > 2 and all(rise)
+def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> dict[str, Column]:
+    """Return the most likely column of each wanted quantity, of one length.
 
-
-def _repeats(assigned: Mapping[str, Column]) -> bool:
-    """Return whether the column of a displacement rises and falls many times in each branch of the voltage's."""
-    if not {"voltage", "displacement"} <= assigned.keys():
-        return False
-    turns = [
-        turning_points(values, _SWING * float(np.ptp(values))).size if np.isfinite(values).all() else 0
-        for values in (assigned[quantity].data for quantity in ("voltage", "displacement"))
-    ]
-    return turns[1] > _OFTEN * max(turns[0], 1)
-
-
-def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, guessed: bool) -> str:
-    """Return the entry that selects a column for a quantity, with a given scale; empty where no unit is plausible."""
-    stated, name, known = column.parts[1], table.label(column), QUANTITIES[quantity]
-    guess, unit = GUESS if guessed else "", stated
-    if column.contradiction or (quantity == "time" and quantity_of(stated) not in ("", "time")):
-        return ""
-    if not stated and column.is_channel and quantity != "time":
-        # A channel of an oscilloscope holds volts: the guess of any other unit would be wrong.
-        name, unit, guess = f"{name}:V", "V", GUESS
-    elif not stated and scale is None:
-        unit = plausible_unit(quantity, column.data)
-        name, guess = f"{name}:{unit}", GUESS
-        if not unit:
-            return ""
-    if scale is not None:
-        return "" if scale.fault(quantity, unit) else f"{name}{guess}*{scale}"
-    if unit not in FACTORS[quantity]:
-        return "" if quantity == "time" else f"{name}{guess}*{GAIN} {known.units[0]}/{unit}"
-    plug = quantity == "voltage" and (guessed or column.is_plug) and is_small(column.data * FACTORS["voltage"][unit])
-    return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
-
-
-def _assigned(free: Sequence[Column], wanted: Sequence[str], size: int) -> dict[str, Column]:
-    """Return the most likely column for each quantity, of one length (`size`, if it is known).
-
-    The first that rises is a time, unless it counts or has another unit, and no other quantity rises always.
+    One that rises may be a time, unless it counts or has another unit, and no other quantity rises always.
     """
-    rising = [c for c in free if c.data.size > 1 and np.all(c.data[1:] > c.data[:-1])]
+    free = [c for c in table.columns if c not in used and not c.fault and np.isfinite(c.data).any()]
+    sizes = Counter(column.data.size for column in used or free)
+    free = [column for column in free if column.data.size == max(sizes, key=lambda size: sizes[size])][:_MOST]
+    rising = [column for column in free if column.data.size > 1 and np.all(column.data[1:] > column.data[:-1])]
     clocks = [c for c in rising if not c.is_counter and c.parts[1] in ("", *FACTORS["time"])]
-    others = [quantity for quantity in ("voltage", "displacement") if quantity in wanted]
-    rest = [c for c in free if all(c is not one for one in rising)][:_MOST]
-    ways = [dict(zip(others, way, strict=True)) for way in permutations(rest, len(others))]
-    alike = [way for way in ways if len({c.data.size for c in way.values()} | ({size} if size else set())) <= 1]
-    best = min(alike, key=lambda way: sum(_unlikeliness(c, q) for q, c in way.items()), default={})
-    length = next((c.data.size for c in best.values()), size)
-    clocks = [c for c in clocks if not length or c.data.size == length]
-    clock = min(clocks, key=lambda c: _unlikeliness(c, "time"), default=None) if "time" in wanted else None
-    return best | ({} if clock is None else {"time": clock})
+    ways = [(quantity, c) for quantity in wanted for c in (clocks if quantity == "time" else free)]
+    ways = [(quantity, c) for quantity, c in ways if quantity == "time" or c not in rising]
+    found: dict[str, Column] = {}
+    for quantity, column in sorted(ways, key=lambda way: _unlikeliness(way[1], way[0])):
+        if quantity not in found and column not in found.values():
+            found[quantity] = column
+    return found if {*wanted} - {"time"} <= found.keys() else {}
 
 
 def _unlikeliness(column: Column, quantity: str) -> int:
@@ -407,6 +348,27 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     return (
         (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity}) + target
     )
+
+
+def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, guessed: bool) -> str:
+    """Return the entry that selects a column for a quantity, with a given scale; empty where no unit is plausible."""
+    unit, name, known = column.parts[1], table.label(column), QUANTITIES[quantity]
+    guess, factor = GUESS if guessed else "", f"*{scale}" if scale is not None else ""
+    if column.contradiction or (quantity == "time" and quantity_of(unit) not in ("", "time")):
+        return ""
+    if not unit and (scale is None or column.is_channel):
+        # A channel of an oscilloscope holds volts: the guess of any other unit would be wrong.
+        channel = column.is_channel and quantity != "time"
+        unit = "V" if channel else plausible_unit(quantity, column.data)
+        name, guess = f"{name}:{unit}", GUESS
+        if not unit:
+            return ""
+    if scale is not None:
+        return "" if scale.fault(quantity, unit) else f"{name}{guess}{factor}"
+    if unit not in FACTORS[quantity]:
+        return "" if quantity == "time" else f"{name}{guess}*{GAIN} {known.units[0]}/{unit}"
+    plug = quantity == "voltage" and (guessed or column.is_plug) and is_small(column.data * FACTORS["voltage"][unit])
+    return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
 
 
 # Part of a sample by which the times of two files may differ and are still the same; a step above this multiple of the
@@ -437,12 +399,10 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     not overlap, or only one of the files has timestamps.
     """
     first, second = (_timed(one, columns) for one in (table, other))
-    stem = other.source.rsplit(".", 1)[0]
+    stem = f"{other.source.rsplit('.', 1)[0]}/"
     # Where both files have a time, that of the first is kept.
     second_time = second.column if first is not None and second is not None else None
-    added = [
-        replace(c, name=f"{stem}/{c.name}", group=f"{stem}/{c.group}") for c in other.columns if c is not second_time
-    ]
+    added = tuple(replace(c, name=stem + c.name, group=stem + c.group) for c in other.columns if c is not second_time)
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
     if first is None or second is None or _alike(first.seconds, second.seconds):
@@ -460,20 +420,17 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         if not np.all(np.diff(one.seconds) > 0):
             need = f"one that rises; give rate={RATE} in its place, with this file as the first one"
             raise FileFormatError(argument="join", got=f"a time of {one.table.source} that falls", need=need)
-    kept, moved = first, second
-    own = table.fitting("displacement", columns.displacement)
-    if not own and replace(other, columns=tuple(added)).fitting("displacement", columns.displacement):
-        kept, moved = second, first
+    second_kept = not table.fitting("displacement", columns.displacement) and bool(
+        replace(other, columns=added).fitting("displacement", columns.displacement)
+    )
+    kept, moved = (second, first) if second_kept else (first, second)
     inside, remarks = _common(kept, moved)
-    places = kept.seconds[inside]
-    aligned = [
-        replace(column, data=places / FACTORS["time"][first.unit])
-        if column is first.column and moved is first
-        else _aligned(column, timed.seconds, inside if timed is kept else places)
-        for timed, own_columns in ((first, table.columns), (second, added))
-        for column in own_columns
-    ]
-    return replace(table, columns=tuple(aligned), remarks=(*table.remarks, *remarks))
+    # The time of the first file, on the samples that are kept.
+    time = replace(first.column, data=kept.seconds[inside] / FACTORS["time"][first.unit])
+    kept_columns, moved_columns = (added, table.columns) if second_kept else (table.columns, added)
+    aligned = [_aligned(c, kept.seconds, inside) for c in kept_columns if c is not first.column]
+    aligned += [_aligned(c, moved.seconds, kept.seconds[inside]) for c in moved_columns if c is not first.column]
+    return replace(table, columns=(time, *aligned), remarks=(*table.remarks, *remarks))
 
 
 def _timed(table: Table, columns: Columns) -> _Timed | None:
@@ -505,31 +462,28 @@ def _alike(first: Array, second: Array) -> bool:
     return first.size == second.size and bool(np.all(np.abs(first - second) <= _SAME * step))
 
 
-def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
+def _common(kept: _Timed, moved: _Timed) -> tuple[Mask, list[str]]:
     """Return which samples of a file lie within the times of the other, and remarks on the other's."""
     times, others = kept.seconds, moved.seconds
     inside = (times >= others[0]) & (times <= others[-1])
     if np.count_nonzero(inside) < 2:
-        raise FileFormatError(
-            f"join: {kept.table.source} lasts from {times[0]:.6g} to {times[-1]:.6g} s and {moved.table.source} from "
-            f"{others[0]:.6g} to {others[-1]:.6g} s, need times in common; correct one of them, or give a rate for the "
-            "first",
-        )
-    places, remarks = times[inside], []
-    near = others[(others >= places[0]) & (others <= places[-1])]
+        got = f"times in {kept.table.source} and {moved.table.source} that do not overlap"
+        need = "times in common, or rate=HZ for the first"
+        raise FileFormatError(argument="join", got=got, need=need)
+    near = np.count_nonzero((others >= times[inside][0]) & (others <= times[inside][-1]))
     steps = np.diff(others)
     gaps = np.flatnonzero(steps > _GAP * np.median(steps))
-    gaps = gaps[(others[gaps + 1] > places[0]) & (others[gaps] < places[-1])]
-    if gaps.size or places.size > _FEW * max(near.size, 1):
-        apart = f", and {counted(gaps.size, 'gap')} of up to {steps[gaps].max():.4g} s" if gaps.size else ""
-        remarks.append(
-            f"{moved.table.source} has {counted(near.size, 'sample')} for {places.size} of {kept.table.source}{apart}: "
-            "its columns are straight lines between them; record both equally fast."
-        )
-    return inside, remarks
+    gaps = gaps[(others[gaps + 1] > times[inside][0]) & (others[gaps] < times[inside][-1])]
+    if not gaps.size and np.count_nonzero(inside) <= _FEW * max(near, 1):
+        return inside, []
+    apart = f", and {counted(gaps.size, 'gap')} of up to {steps[gaps].max():.4g} s" if gaps.size else ""
+    return inside, [
+        f"{moved.table.source} has {counted(near, 'sample')} for {np.count_nonzero(inside)} of {kept.table.source}"
+        f"{apart}: its columns are straight lines between them; record both equally fast."
+    ]
 
 
-def _aligned(column: Column, times: Array, places: Array) -> Column:
+def _aligned(column: Column, times: Array, places: Array | Mask) -> Column:
     """Return a column of a file at places: which of its samples, or the times [s] of others.
 
     One that has not a number for each of the file's `times` has a fault.

@@ -13,8 +13,6 @@ import h5py
 import laboratory_files
 import nptdms
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
@@ -152,7 +150,6 @@ READ = {
         {**ATTRIBUTES, "displacement.add_offset": -0.5},
     ),
     "linked.h5": linked,
-    "a.parquet": lambda path: pq.write_table(pa.table({**NAMED, "note": ["x"] * N}), path),
     "a.tdms": tdms((NAMED, None)),
     "wave.tdms": tdms((dict([*NAMED.items()][1:]), None), **WAVE),
     "on.tdms": tdms(*halves(0, 0.30002), **PIECES),
@@ -278,30 +275,10 @@ def test_units(tmp_path):
     assert read_table(tmp_path / "a.tdms").column("displacement") == pytest.approx(Y * 1e-3)
 
 
-def test_dates_and_durations_of_parquet_are_seconds(tmp_path):
-    ticks = np.array([5, 7, 10], "int64") + 1_700_000_000_000_000_001
-    columns = {
-        "stamp": pa.array(ticks, pa.timestamp("ns", "UTC")),
-        "lasting": pa.array([1, None, 4], pa.duration("ms")),
-        "gone": pa.array([None, 2_000, 3_000], pa.timestamp("ms")),
-        "count": pa.array([1, None, 3], pa.int16()),
-    }
-    pq.write_table(pa.table(columns), tmp_path / "a.parquet", row_group_size=2)
-    found = {column.name: column for column in read_table(tmp_path / "a.parquet").columns}
-    assert {name: column.unit for name, column in found.items()} == {
-        **dict.fromkeys(columns, "s"),
-        "count": "",
-    }
-    assert found["stamp"].data == pytest.approx([0, 2e-9, 5e-9], rel=1e-12)
-    np.testing.assert_allclose(found["lasting"].data, [1e-3, np.nan, 4e-3])
-    np.testing.assert_allclose(found["gone"].data, [np.nan, 0, 1])
-    np.testing.assert_allclose(found["count"].data, [1, np.nan, 3])
-
-
 # Libraries
 
 
-LIBRARIES = {"a.h5": "h5py", "new.mat": "h5py", "a.mat": "scipy.io", "a.parquet": "pyarrow.parquet", "a.tdms": "nptdms"}
+LIBRARIES = {"a.h5": "h5py", "new.mat": "h5py", "a.mat": "scipy.io", "a.tdms": "nptdms"}
 
 
 @pytest.mark.parametrize(("name", "module"), LIBRARIES.items())
@@ -379,10 +356,6 @@ def mat_bomb(order):
     return write
 
 
-def parquet_bomb(path):
-    pq.write_table(pa.table({"time_s": pa.array(np.zeros(70_000_000, "i1"))}), path, row_group_size=70_000_000)
-
-
 @pytest.mark.parametrize(
     ("name", "write"),
     {
@@ -396,7 +369,6 @@ def parquet_bomb(path):
         "dimensions.mat": mat_dimensions,
         "little.mat": mat_bomb("little"),
         "big.mat": mat_bomb("big"),
-        "rows.parquet": parquet_bomb,
         "lines.csv": lambda path: path.write_bytes(b"t" + b",x" * 9_000 + b"\n" * 10_000),
     }.items(),
 )

@@ -1,4 +1,4 @@
-"""Columns of binary files: NumPy, MATLAB, HDF5, Parquet and TDMS; what record files of dehyst state about theirs.
+"""Columns of binary files: NumPy, MATLAB, HDF5 and TDMS; what record files of dehyst state about theirs.
 
 A library reads each of them. Sizes that a file declares are checked here before its samples are read.
 """
@@ -21,8 +21,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._io import demand_version
-from dehyst._types import Array
-from dehyst._units import COUNTS, quantity_of, symbol_of
+from dehyst._units import quantity_of, symbol_of
 from dehyst.records.formats.columns import Column, listed, shortened
 from dehyst.records.formats.file_content import Allowance
 
@@ -212,38 +211,36 @@ def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
 
 def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
     """Return what a dataset declares."""
-    shape, dtype, matlab = item.shape, item.dtype, _attribute(item, "MATLAB_class")
+    shape, matlab = item.shape, _attribute(item, "MATLAB_class")
     fault = _ELSEWHERE if item.is_virtual or item.external else _CELL if matlab == [b"cell"] else ""
     fault = _OBJECT if "MATLAB_object_decode" in item.attrs else fault
     # MATLAB writes text and the shape of an empty array as numbers; netCDF writes a dimension without coordinates as
     # zeros.
     if matlab == [b"char"] or "MATLAB_empty" in item.attrs or "not a netCDF variable" in str(_attribute(item, "NAME")):
         shape = ()
-    read = partial(_unpacked, item, name, allowance)
     # The unit of the group, unless the dataset has one, or the name of another quantity.
     unit, group = _unit(item), _unit(item.parent)
     column = Column(name.rsplit("/", 1)[-1], np.empty(0), unit)
     if group and not symbol_of(column.parts[1]) and (not column.quantities or quantity_of(group) in column.quantities):
         unit = group
-    return _Declared(name, shape, dtype, read, unit, fault, bool(fault))
+    return _Declared(name, shape, item.dtype, partial(_unpacked, item, name, allowance), unit, fault, bool(fault))
 
 
 def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
-    """Read a dataset after a check of its chunk size; unpack numbers as netCDF packs them, fill values become NaN."""
+    """Read a dataset after a check of its chunk size, which is in memory as a whole.
+
+    Numbers are unpacked as netCDF packs them; fill values become NaN.
+    """
     if dataset.chunks:
-        # A whole chunk is in memory, packed and unpacked, however few of its samples exist.
         allowance.check(_product(dataset.chunks) * dataset.dtype.itemsize, f"a chunk of dataset '{shortened(name)}'")
     values = np.asarray(dataset[()])
-    stated = {
-        key: [number for number in _attribute(dataset, key) if isinstance(number, int | float) and np.isfinite(number)]
-        for key in ("_FillValue", "missing_value", "scale_factor", "add_offset")
-    }
-    if values.dtype.kind not in "fiu" or not any(stated.values()):
+    keys = "scale_factor", "add_offset", "_FillValue", "missing_value"
+    scale, offset, *fills = ([x for x in _attribute(dataset, key) if isinstance(x, int | float)][:1] for key in keys)
+    if values.dtype.kind not in "fiu" or not any((scale, offset, *fills)):
         return values
     with np.errstate(all="ignore"):
-        fills = np.array(stated["_FillValue"] + stated["missing_value"]).astype(values.dtype)
-        numbers = np.where(np.isin(values, fills), np.nan, values.astype(np.float64))
-        return numbers * (*stated["scale_factor"], 1.0)[0] + (*stated["add_offset"], 0.0)[0]
+        missing = np.isin(values, np.array([x for one in fills for x in one]).astype(values.dtype))
+        return np.where(missing, np.nan, values * (*scale, 1.0)[0] + (*offset, 0.0)[0])
 
 
 def _attribute(item: Any, name: str) -> list[Any]:
@@ -325,44 +322,6 @@ def _refuse_inflated(data: bytes, order: str, allowance: Allowance) -> None:
         place += length
 
 
-def read_parquet(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read columns of numbers, dates and durations of a Parquet file; an index of dates without a name is the time."""
-    import pyarrow.parquet
-    from pyarrow import types
-
-    readable = (types.is_integer, types.is_floating, types.is_timestamp, types.is_duration)
-    file = pyarrow.parquet.ParquetFile(io.BytesIO(data), pre_buffer=False)
-    wanted = [field.name for field in file.schema_arrow if any(holds(field.type) for holds in readable)]
-    for name in wanted:
-        allowance.take(file.metadata.num_rows, f"column '{shortened(name)}'")
-    table = file.read(columns=wanted, use_threads=False)
-    columns = []
-    for name, values in zip(table.column_names, table.columns, strict=True):
-        unit = "s" if hasattr(values.type, "unit") else ""
-        index = bool(unit) and name.startswith("__index_level_")
-        columns += [replace(c, foreign=index) for c in _vector("time" if index else name, _arrow_numbers(values), unit)]
-    return columns
-
-
-def _arrow_numbers(values: Any) -> Array:
-    """Return the numbers of an Arrow column, NaN for missing ones; dates and durations in seconds.
-
-    By DLPack, because Arrow's other ways to NumPy import pandas, which takes longer than reading.
-    """
-    import pyarrow
-    import pyarrow.compute
-
-    nan = pyarrow.Array.from_buffers(pyarrow.float64(), 1, [None, pyarrow.py_buffer(np.array([np.nan]))])[0]
-    resolution, dates = getattr(values.type, "unit", ""), pyarrow.types.is_timestamp(values.type)
-    values = values.cast("int64") if resolution else values
-    if dates and len(known := values.drop_null()):
-        # Dates count from the first of them. Whole numbers are subtracted before they become doubles, which resolve
-        # nanoseconds since 1970 to 0.2 us only.
-        values = pyarrow.compute.subtract(values, known[0])
-    doubles = pyarrow.compute.fill_null(values.cast("float64", safe=False), nan).combine_chunks()
-    return np.array(np.from_dlpack(doubles)) / (COUNTS["s"][resolution] if resolution else 1)
-
-
 # The start of a waveform, and the part by which the clocks of a computer and of a converter differ.
 _START, _SAME_CLOCK = "wf_start_time", 1e-4
 # What states the start of a waveform in a TDMS file: type and value.
@@ -391,13 +350,12 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     runs = {(len(one), *(one.properties.get(key, empty) for key, empty in keys.items())) for one in waves.values()}
     if len(runs) > 1 and all(step > 0 for _, step, _, _ in runs):
         raise apart(waves, f"number of samples, {', '.join(keys)}")
-    if len(runs) == 1:
-        ((count, step, start, _),) = runs
-        if step > 0:
-            allowance.take(count, "the time of its waveforms")
-            guess = _guess_of_segments(data, waves, step)
-            with np.errstate(all="ignore"):
-                columns.append(Column("time", start + np.arange(float(count)) * step, "s", guessed=guess))
+    count, step, start, _ = next(iter(runs)) if len(runs) == 1 else (0, 0.0, 0.0, "")
+    if step > 0:
+        allowance.take(count, "the time of its waveforms")
+        guess = _guess_of_segments(data, waves, step)
+        with np.errstate(all="ignore"):
+            columns.append(Column("time", start + np.arange(float(count)) * step, "s", guessed=guess))
     return columns
 
 

@@ -1,7 +1,6 @@
 """The readable formats, the reading of a file within a bound of its size, and tables that are read as plain text.
 
-These are GCS arrays of PI, LabVIEW measurements (.lvm) and Excel sheets (.xlsx). Their lines keep their numbers, so
-that messages name the right ones.
+These are GCS arrays of PI and Excel sheets (.xlsx). Their lines keep their numbers, which messages name.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import replace
 from itertools import zip_longest
-from math import inf, isfinite, nan
+from math import inf, nan
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -22,8 +21,8 @@ import numpy as np
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
 from dehyst.records.formats import containers
 from dehyst.records.formats.columns import TEXT, Column, shortened
-from dehyst.records.formats.containers import apart
 from dehyst.records.formats.file_content import Allowance, Content
+from dehyst.records.formats.table_layout import is_number, number_in
 from dehyst.records.formats.text_table import read_text
 
 GCS_END = "# END_HEADER"
@@ -41,87 +40,18 @@ def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
 def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
     """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units."""
     above, rows = _END.split(data, maxsplit=1)
-    lines = _decoded(above).split("\n")
+    lines = above.decode("latin-1").split("\n")
     header = dict(gcs_entries(lines))
-    separator, step = GCS_SEPARATORS.get(header.get("SEPARATOR", "")), _number(header.get("SAMPLE_TIME", ""))
+    separator, stated = GCS_SEPARATORS.get(header.get("SEPARATOR", "")), header.get("SAMPLE_TIME", "")
     width = len(rows.partition(b"\n")[0].decode("latin-1").split(separator))
     names = (header.get(f"NAME{k}", f"column {k + 1}").replace('"', "") for k in range(width))
     head = (separator or " ").join(f'"{name}"' for name in names)
     columns = read_text(b"\n" * (len(lines) - 1) + head.encode() + b"\n" + rows, allowance)
-    samples = len(columns[0].data)
+    samples, step = len(columns[0].data), number_in(stated) if is_number(stated) else nan
     if not 0 < step < inf:
         return columns
     allowance.take(samples, "the time of its samples")
     return [Column("time", np.arange(float(samples)) * step, "s"), *columns]
-
-
-_LABVIEW_END = b"***End_of_Header***"
-# What a header states of the clocks of its channels, and the part of a sample by which these may differ.
-_CLOCKS, _SAME = ("X0", "Delta_X", "Date", "Time"), 0.01
-
-
-def read_labview(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read the segment of a LabVIEW measurement file: its channels with their units, and their time.
-
-    Raise `FileFormatError` for a header without its end, more than one segment, a column of times for each channel,
-    channels with clocks of their own, or fewer samples than the header states.
-    """
-    parts = data.replace(b"\r\n", b"\n").split(_LABVIEW_END)
-    if len(parts) != 3:
-        count = max(len(parts) - 2, 0)
-        raise FileFormatError(f"got {count} segments of a LabVIEW measurement, need 1; save each in a file of its own")
-    sign = b"," if re.search(rb"\nSeparator[\t,]Comma", parts[0]) else b"\t"
-    lines = (_decoded(line).split(sign.decode()) for line in b"".join(parts[:2]).split(b"\n"))
-    header = {key.strip(): [cell.strip() for cell in cells if cell.strip()] for key, *cells in lines}
-    rows = [row.split(sign) for row in parts[2].split(b"\n")[1:]]
-    names = [_decoded(name).strip() for name in parts[2].partition(b"\n")[2].partition(b"\n")[0].split(sign)]
-    # A remark on the sample follows its channels; without a column of times, its place is empty.
-    end = names.index("Comment") if "Comment" in names else len(names)
-    begin = int(header.get("X_Columns", [])[:1] == ["No"])
-    table = b"\n".join(sign.join(row[begin:end]) for row in rows)
-    decimal = next((mark for mark in header.get("Decimal_Separator", []) if mark in (".", ",")), None)
-    columns = read_text(b"\n" * b"".join(parts[:2]).count(b"\n") + b"\n" + table, allowance, decimal)
-    channels = [column for column in columns if column.name != "X_Value"]
-    clocks = [column for column in columns if column.name == "X_Value"]
-    stated = {key: [_number(cell) for cell in header.get(key, [])[-len(channels) :]] for key in ("Samples", *_CLOCKS)}
-    count, most = max((column.data.size for column in channels), default=0), max(stated["Samples"], default=0.0)
-    if count < most:
-        raise FileFormatError(
-            f"its header states {most:.0f} samples, it holds {count}: the file is cut short. Take a complete copy, or "
-            "correct Samples in its header to read what is there"
-        )
-    start, step = (next(iter(stated[key]), nan) for key in ("X0", "Delta_X"))
-    allowed = {"X0": _SAME * step, "Delta_X": _SAME * step / max(most, 1.0), "Time": _SAME * step}
-    differing = [key for key in _CLOCKS if len({*header.get(key, [])[-len(channels) :]}) > 1]
-    differing = [key for key in differing if not np.ptp(stated[key]) <= allowed.get(key, 0.0)]
-    differing += ["X_Value"] * any(not np.array_equal(clock.data, clocks[0].data) for clock in clocks)
-    if differing:
-        raise apart((column.name for column in channels), ", ".join(differing))
-    units = [*header.get("Y_Unit_Label", []), *[""] * len(channels)]
-    channels = [replace(column, unit=unit) for column, unit in zip(channels, units, strict=False)]
-    if not clocks and isfinite(start + step):
-        clocks = [Column("time", start + step * np.arange(float(count)))]
-    unit = "s" if header.get("X_Dimension", ["Time"])[:1] == ["Time"] else ""
-    return [*(replace(clock, name="time", unit=unit) for clock in clocks[:1]), *channels]
-
-
-def _decoded(text: bytes) -> str:
-    """Return text in UTF-8, or in Latin-1, as instruments write it."""
-    try:
-        return text.decode()
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
-
-
-def _number(cell: str) -> float:
-    """Return a number with a decimal point or comma, or the seconds of a time as 12:00:00.5; NaN for other text."""
-    seconds = 0.0
-    try:
-        for part in cell.replace(",", ".").split(":"):
-            seconds = 60 * seconds + float(part)
-    except ValueError:
-        return float("nan")
-    return seconds
 
 
 # The least memory of a cell while it is read [bytes], and the cells that an empty row counts for.
@@ -181,7 +111,8 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     head = stream.read(_HEAD)
     stream.seek(0)
     if head.lstrip(b"\xef\xbb\xbf").startswith(b"LabVIEW Measurement"):
-        return read_labview(stream.read(), allowance)
+        # Its channels may have starts, steps and clocks of their own.
+        raise FileFormatError("LabVIEW's measurement files are not read; save it as TDMS, or below one line of names")
     if _END.search(head):
         return read_gcs(stream.read(), allowance)
     # Each line of a record of dehyst ends: one that does not was cut off while it was written.
@@ -192,12 +123,11 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 
 # The function of the bytes of a file, of the stream of a text, and the allowance that returns its columns, by suffix.
 LOADERS: dict[str, Loader] = {
-    **dict.fromkeys((*TEXT, ".lvm", ".asc"), _read_text),
+    **dict.fromkeys((*TEXT, ".asc"), _read_text),
     ".xlsx": read_xlsx,
     ".mat": containers.read_mat,
     ".h5": containers.read_hdf5,
     ".hdf5": containers.read_hdf5,
-    ".parquet": containers.read_parquet,
     ".tdms": containers.read_tdms,
     ".npy": containers.read_npy,
     ".npz": containers.read_npz,

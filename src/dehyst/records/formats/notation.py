@@ -61,10 +61,9 @@ def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]
     Between commas, a cell with a comma is in quotes.
     """
     quoted = sign == delimiter
-    begin, end = (
-        (r"(?<![^ \t\n])", r"(?![^ \t\n])") if delimiter is None else (f"(?:^|{delimiter})", f"(?={delimiter}|$)")
-    )
-    quote = ' *" *' if quoted else ' *"? *'
+    # No two repeated blanks may follow one another: a search through many would take their number squared.
+    quote = ' *" *' if quoted else ' *(?:" *)?' if delimiter else '"?'
+    begin, end = (f"(?:^|{delimiter})", f"(?={delimiter}|$)") if delimiter else (r"(?<![^ \t\n])", r"(?![^ \t\n])")
     number = rf"[-+]?(?:\d+\{sign}\d*|\{sign}\d+)(?:[eE][-+]?\d+)?"
     pattern = re.compile(f"(?m){begin}{quote}({number}){quote}{end}")
     first = ""

@@ -1,18 +1,15 @@
-"""Where the table of a text file begins, its separator, and the names, the units and the time step above it."""
+"""Where the table of a text file begins, its separator, and the names and the units above it."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from dehyst._errors import FileFormatError
-from dehyst._units import FACTORS, symbol_of
-from dehyst.records.formats.columns import Column, shortened
+from dehyst._units import symbol_of
+from dehyst.records.formats.columns import shortened
 from dehyst.records.formats.notation import is_moment
 
 # Lines that are looked at: an oscilloscope writes some 30 lines above its table.
@@ -23,7 +20,7 @@ _FEW = 4
 _MARKS = ("#", "%")
 # What instruments write in the row of units for a column of counts.
 _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
-# Names above the time of the first sample and the step, in the row of units.
+# Names above the time of the first sample and the step, in the row of units of Rigol's oscilloscopes.
 _CLOCK = ("start", "increment")
 # The blanks before a unit in brackets.
 _UNIT_BEHIND = re.compile(r"(?<!\s)\s+(?=[\[(])")
@@ -37,8 +34,8 @@ class Layout(NamedTuple):
     """The place of a table in a text file.
 
     `first`: number of lines before its first row. `delimiter`: separator of its cells, None for blanks. `names`,
-    `units`: of its columns; no names if the file has none. `row`: its first row. `above`: the lines above it, of which
-    `header` has the names, and the units below them.
+    `units`: of its columns; no names if the file has none. `row`: its first row. `header`: the lines with the names and
+    the units.
     """
 
     first: int
@@ -46,7 +43,6 @@ class Layout(NamedTuple):
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     row: str = ""
-    above: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
 
     @property
@@ -138,7 +134,7 @@ def layout_of(block: str, decimal: str | None = None) -> Layout:
     if not any(shape.names(line.cells) for line in named):
         before = [line for line in comments if line.number < lines[place].number]
         named = [_commented(line, delimiter, shape.width) for line in before] or named
-    heading = _beside(lines) or next(filter(None, (_heading(named[:i], shape) for i in range(len(named), 0, -1))), None)
+    heading = next(filter(None, (_heading(named[:i], shape) for i in range(len(named), 0, -1))), None)
     if heading is None:
         return _without_names(lines, place, delimiter, shape)
     over = [line for line in lines[begin:place] if line.number < heading.end and line.text not in heading.texts]
@@ -147,9 +143,9 @@ def layout_of(block: str, decimal: str | None = None) -> Layout:
     rest = [line.number for line in lines if line.number >= heading.end]
     # A row that looks like a comment: #N/A,1,2.
     rest += [c.number for c in comments if c.number >= heading.end and not is_comment(c.cells, shape.width, delimiter)]
-    first, written = min(rest), block.split("\n")
-    above = (*written[:first], *heading.clock)
-    return Layout(first, delimiter, heading.names, heading.units, written[first].strip(), above, heading.texts)
+    first = min(rest)
+    row = block.split("\n")[first].strip()
+    return Layout(first, delimiter, heading.names, heading.units, row, heading.texts)
 
 
 def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape: _Shape) -> Layout:
@@ -237,21 +233,18 @@ def _are_names(row: list[str]) -> bool:
 
 
 class _Heading(NamedTuple):
-    """Names and units of columns, the number of lines up to their end, their texts, and the time that they state."""
+    """Names and units of columns, the number of lines up to their end, and their texts."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     end: int
     texts: tuple[str, ...] = ()
-    clock: tuple[str, ...] = ()
 
 
 def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
     """Return names and units from the last one or two of these lines; None if they are no names."""
     before, last, end = lines[-2].cells if len(lines) > 1 else [], lines[-1].cells, lines[-1].number + 1
-    stated = {name.lower(): cell for name, cell in zip(before, last, strict=False) if is_number(cell)}
-    clock = tuple(f"x{name}\t{stated[name]}\ts" for name in _CLOCK if name in stated)
-    if clock:
+    if any(name.lower() in _CLOCK and is_number(cell) for name, cell in zip(before, last, strict=False)):
         before, last = ["" if name.lower() in _CLOCK else name for name in before], last[: shape.width]
     names, units = shape.names(before, words=False), [*last, *[""] * (shape.width - len(last))]
     numeric = [units[k] for k in shape.numeric]
@@ -263,90 +256,6 @@ def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
     )
     if are_units and names and all(names[k] for k in shape.numeric):
         stated_units = tuple(cell.strip("[]() ") for cell in units[: shape.width])
-        return _Heading(names, stated_units, end, tuple(line.text for line in lines[-2:]), clock)
+        return _Heading(names, stated_units, end, tuple(line.text for line in lines[-2:]))
     names = shape.names(last)
     return _Heading(names, (), end, (lines[-1].text,)) if names else None
-
-
-def _beside(lines: list[_Line]) -> _Heading | None:
-    """Return names and units if the header stands beside the rows: three cells of it, then time and value.
-
-    Oscilloscopes of Tektronix's older series write one channel to a file in this way.
-    """
-    width = len(lines[0].cells)
-    if lines[0].cells[0].lower() != "record length" or width < 5:
-        return None
-    header = {line.cells[0].lower(): line.cells[1] for line in lines if len(line.cells) == width}
-    rest = ("",) * (width - 5)
-    units = "", "", "", header.get("horizontal units", ""), header.get("vertical units", ""), *rest
-    return _Heading(("", "", "", "TIME", header.get("source") or "CH", *rest), units, lines[0].number)
-
-
-# Letters of the words for the time from one sample to the next, for samples a second, and for the first sample's time.
-_WORDS = {
-    "step": "xinc xincr xincrement sampleinterval samplinginterval sampleperiod timestep deltat dt horizontalinterval "
-    "abtastintervall abtastzeit",
-    "rate": "samplerate samplingrate samplefrequency samplingfrequency abtastrate abtastfrequenz sampling",
-    "start": "xorg xorigin xzero xstart starttime horizontaloffset",
-}
-_KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
-_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
-# Key, unit in brackets, number, and unit of a line.
-_STATED = re.compile(
-    r"[#%;\s\"]*([A-Za-z][A-Za-z _]*)(?:[\[(]([^\[\]()]*)[\])])?[\s\":=;,]+"
-    r"([-+]?[.,]?\d(?:[\d.,]*\d)?(?:[eE][-+]?\d+)?)[\s\";,]*([^\W\d]+(?:/[^\W\d]+)?)?(?![^\s\";,]).*"
-)
-# The longest line that is looked at, and the relative difference of steps that state the same.
-_LONGEST_LINE, _SAME = 400, 1e-6
-
-
-def with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> list[Column]:
-    """Return columns with the time that the `lines` above a table state, in the place of one that counts samples.
-
-    Nothing changes if they state no step with its unit, or if a column has a time with its unit. If steps contradict
-    one another, or a number can be read in two ways, the time has a fault. `decimal`: the decimal sign of the table.
-    """
-    if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
-        return columns
-    place = next((k for k, column in enumerate(columns) if _counts(column)), None)
-    named = place is None and any("time" in column.quantities for column in columns)
-    stated = [
-        _stated(match, decimal) for line in lines if len(line) <= _LONGEST_LINE and (match := _STATED.fullmatch(line))
-    ]
-    steps = [value for kind, value, _ in stated if kind == "step"]
-    if named or not steps:
-        return columns
-    rest = [column for k, column in enumerate(columns) if k != place]
-    if not max(steps) - min(steps) <= _SAME * max(steps):
-        words = ", ".join(text for kind, _, text in stated if kind == "step")
-        fault = f"the header states the time step by {words}, which is not one number; correct it, or give rate=HZ"
-        return [Column("time", np.empty(0), "s", fault), *rest]
-    start = next((value for kind, value, _ in stated if kind == "start"), 0.0)
-    counts = np.arange(float(columns[0].data.size)) if place is None else columns[place].data
-    with np.errstate(all="ignore"):
-        return [Column("time", start + steps[0] * counts, "s"), *rest]
-
-
-def _counts(column: Column) -> bool:
-    """Return whether a column counts samples: whole numbers that rise by one, or by more where samples are left out."""
-    steps = np.diff(column.data)
-    if not steps.size or column.data[0] % 1 or np.any(steps % 1) or steps.min() != 1:
-        return False
-    return bool(steps.max() == 1) or not (column.quantities or symbol_of(column.parts[1]))
-
-
-def _stated(match: re.Match[str], decimal: str) -> tuple[str, float, str]:
-    """Return what a line as "XInc, 0.01, s", "# Sample interval [ms] = 2" or "dt 0,01 s" states: "step" or "start".
-
-    The value [s] is NaN if the number can be read in two ways. An empty kind is nothing that is known.
-    """
-    key, unit = re.sub(r"[^a-z]", "", match[1].lower()), match[4] or match[2] or ""
-    kind, hertz, seconds = _KINDS.get(key, ""), _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
-    try:
-        value = number_in(match[3], decimal) if not {*match[3]} & {",", "."} - {decimal} else np.nan
-    except ValueError:
-        value = np.nan
-    known = value > 0 or kind == "start" or np.isnan(value)
-    if kind == "rate" and hertz and known:
-        return "step", 1 / (hertz * value), f"'{key}' of '{match[3]}'"
-    return kind if seconds and kind != "rate" and known else "", seconds * value, f"'{key}' of '{match[3]}'"

@@ -16,7 +16,7 @@ from dehyst._units import symbol_of
 from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.notation import Moment, clock_of, decimal_sign, is_moment, moment
-from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in, with_clock
+from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in
 
 # Longest line [characters] and most columns of a measurement.
 _LONGEST_LINE, WIDEST = 1_000_000, 10_000
@@ -89,10 +89,8 @@ def _read(text: _Text, allowance: Allowance, decimal: str | None) -> list[Column
     layout = layout_of(next((block for _, block in text.blocks()), ""), decimal)
     table = _Table(text, layout, decimal)
     columns = table.columns(allowance)
-    if layout.names:
-        # Separators without a name: an empty column, or what stands beside the table.
-        columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
-    return with_clock(columns, layout.above, table.decimal)
+    # Separators without a name: an empty column, or what stands beside the table.
+    return [column for column in columns if column.name or np.isfinite(column.data).any()]
 
 
 class _Table:
@@ -101,7 +99,7 @@ class _Table:
     `lines`: their number, or more. `decimal`: the decimal sign. `count`: rows so far. `faults`, `clocks`: why a column
     cannot be read, and the timestamps of one that has them. `ends`: the first and the last row as they are written.
     `hole`, `blank`: line of the first empty row, and whether there was a blank line, since the last row. `headers`:
-    lines of repeated headers. `breaks`: line and sample of rows behind blank lines.
+    lines of repeated headers.
     """
 
     def __init__(self, text: _Text, layout: Layout, decimal: str | None) -> None:
@@ -125,7 +123,6 @@ class _Table:
         self.clocks: dict[int, list[Moment]] = {}
         self.ends: list[str] = []
         self.headers: list[int] = []
-        self.breaks: list[tuple[int, int]] = []
 
     def blocks(self) -> Iterator[tuple[int, str]]:
         """Yield blocks of the rows, see `_Text.blocks`."""
@@ -148,9 +145,13 @@ class _Table:
         columns.flags.writeable = False
         first, last = (cells_of(line, self.delimiter) for line in self.ends)
         ends = list(zip(first, last, strict=False))
-        found = [self._column(place, columns[place, : self.count], ends[place]) for place in range(self.width)]
-        self._refuse_several(found)
-        return found
+        if self.headers:
+            lines = ", ".join(map(str, [self.layout.first + 1, *self.headers][:_LISTED]))
+            raise FileFormatError(
+                f"{len(self.headers) + 1} tables, which begin at the lines {lines}: these are several records",
+                hint="save each in a file of its own, and give all of them as records of one actuator",
+            )
+        return [self._column(place, columns[place, : self.count], ends[place]) for place in range(self.width)]
 
     def _at_once(self, block: str, lines: list[str]) -> Array | None:
         """Read a block of which all lines are rows of numbers; return none for others."""
@@ -222,8 +223,6 @@ class _Table:
                     f"line {number} has {len(cells)} cells where the header has {width}: "
                     f"'{(delimiter or ' ').join(cells)[:60]}'; correct it"
                 )
-            if self.blank and count:
-                self.breaks.append((number, count))
             self.blank, count = False, count + 1
             yield number, cells
 
@@ -241,19 +240,3 @@ class _Table:
         data = np.empty(0) if fault else data
         unnamed = "" if self.layout.names else self.layout.unnamed
         return Column(self.names[place], data, unit, fault, unnamed=unnamed, ends=ends, began=began)
-
-    def _refuse_several(self, columns: list[Column]) -> None:
-        """Raise FileFormatError if the header is repeated, or if a time starts again behind each blank line."""
-        starts, samples = self.headers, [sample for _, sample in self.breaks]
-        if not starts and samples and np.diff([0, *samples, self.count]).min() > 1:
-            # A time rises between them, and none rises on and on.
-            data = [column.data for column in columns if not column.fault]
-            falls = [np.flatnonzero(~(np.diff(values) > 0)) + 1 for values in data]
-            if all(map(np.size, falls)) and any(np.array_equal(places, samples) for places in falls):
-                starts = [line for line, _ in self.breaks]
-        if starts:
-            lines = ", ".join(map(str, [self.layout.first + 1, *starts][:_LISTED]))
-            raise FileFormatError(
-                f"{len(starts) + 1} tables, which begin at the lines {lines}: these are several records",
-                hint="save each in a file of its own, and give all of them as records of one actuator",
-            )
