@@ -178,9 +178,9 @@ def test_points_stay_in_their_order(run):
         assert.deepEqual(moved(points, 1, [5, 7], 0.01)[1], [1.99, 7]);
         assert.deepEqual(moved(points, 0, [5, 7], 0.01)[0], [0, 7]);
         assert.deepEqual(moved(points, 2, [9, 7], 0.01)[2], [9, 7]);
-        assert.deepEqual(inserted(points, [1.5, 4], 0.01), { points: [[0, 1], [1, 2], [1.5, 4], [2, 3]], index: 2 });
-        assert.equal(inserted(points, [1.001, 4], 0.01).index, -1);
-        assert.equal(inserted(points, [-1, 4], 0.01).index, -1);
+        assert.deepEqual(inserted(points, [1.5, 4], 0.01), [[0, 1], [1, 2], [1.5, 4], [2, 3]]);
+        assert.equal(inserted(points, [1.001, 4], 0.01), points);
+        assert.equal(inserted(points, [-1, 4], 0.01), points);
         assert.deepEqual(removed(points, 1), [[0, 1], [2, 3]]);
         assert.equal(removed(points, 0), points);
         const two = [[0, 1], [1, 2]];

@@ -32,11 +32,10 @@ export function moved(points, index, [time, displacement], gap) {
   return points.map((one, k) => (k === index ? [at, displacement] : one));
 }
 
-// Points with one more, and its place among them; no change if it lies closer than `gap` seconds to another.
+// Points with one more; no change if it lies closer than `gap` seconds to another.
 export function inserted(points, [time, displacement], gap) {
-  if (points.some((one) => Math.abs(one[0] - time) < gap) || time < points[0][0]) return { points, index: -1 };
-  const index = points.filter((one) => one[0] < time).length;
-  return { points: [...points.slice(0, index), [time, displacement], ...points.slice(index)], index };
+  if (points.some((one) => Math.abs(one[0] - time) < gap) || time < points[0][0]) return points;
+  return [...points, [time, displacement]].sort((one, other) => one[0] - other[0]);
 }
 
 // Points without one; two stay at least, and the first does not go.

@@ -2,7 +2,7 @@
 import { h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { extent, length, percent, range, short, whole } from "./numbers.js";
-import { HANDLE_KEYS, PointHandles } from "./point_handles.js";
+import { HANDLE_HELP, PointHandles } from "./point_handles.js";
 
 const NM = 1e3; // nanometres of a micrometre
 const FEW_LINES = 4; // that are shown together
@@ -15,7 +15,7 @@ export class PathFigures {
   constructor(edited) {
     this.views = [["line", "One line"], ["all", "All"]];
     const { views } = this;
-    this.path = new Figure({ title: "Displacement", keys: HANDLE_KEYS, views, choose: () => this.draw(this.last) });
+    this.path = new Figure({ title: "Displacement", keys: HANDLE_HELP, views, choose: () => this.draw(this.last) });
     this.error = new Figure({ title: "Error", help: false });
     this.voltage = new Figure({ title: "Voltage", help: false });
     this.handles = new PointHandles(this.path.chart, edited);

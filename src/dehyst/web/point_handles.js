@@ -1,12 +1,10 @@
-// The points of a path as handles on a chart: elements of the page, so that pointer, keyboard and screen reader reach
-// them. A double click on the chart adds one.
+// The points of a path as handles on a chart, for the pointer: a double click on the chart adds one, on a point removes
+// it. The keyboard has the text of the points beside the chart.
 import { fill, h } from "./dom.js";
-import { extent, short } from "./numbers.js";
+import { extent } from "./numbers.js";
 import { inserted, moved, removed } from "./path.js";
 
-export const HANDLE_KEYS =
-  "Points: drag, or Tab to one and use the arrow keys (with Shift ten times as far), Page up and down, Home and End, " +
-  "Insert and Delete. A double click adds one.";
+export const HANDLE_HELP = "Points: drag one; a double click adds one, or removes the one under the pointer.";
 const BEYOND = 0.1; // how far a point may lie outside the reach, of the reach
 const NEAREST = 0.002; // between the times of two points, of the duration
 
@@ -15,7 +13,7 @@ export class PointHandles {
   constructor(chart, changed) {
     Object.assign(this, { chart, changed, points: [] });
     this.layer = document.createElement("div");
-    this.layer.className = "handles";
+    this.layer.setAttribute("aria-hidden", "true");
     chart.holder.append(this.layer);
     chart.drawn = () => this.place();
     chart.double = (event) => this.points.length > 0 && this.insert(this.under(event));
@@ -24,7 +22,7 @@ export class PointHandles {
   // Show points of a path that goes from `low` to `high` at most; none of a path that is not drawn by hand.
   set(points, [low, high]) {
     const beyond = BEYOND * (high - low);
-    Object.assign(this, { points, reach: [low, high], ends: [low - beyond, high + beyond] });
+    Object.assign(this, { points, ends: [low - beyond, high + beyond] });
     this.place();
   }
 
@@ -34,30 +32,22 @@ export class PointHandles {
     return { x, y: this.points.length > 0 ? extent([this.ends], 0.02) : undefined };
   }
 
-  get duration() {
-    return this.points.at(-1)[0] - this.points[0][0];
+  get gap() {
+    return NEAREST * (this.points.at(-1)[0] - this.points[0][0]);
   }
 
   place() {
-    const { chart, points, ends } = this;
+    const { chart, points } = this;
     if (!chart.area) return;
     const { left, top, width, height } = chart.area;
     const outside = (x, y) => x < left - 1 || x > left + width + 1 || y < top - 1 || y > top + height + 1;
     const handle = ([t, y], k) => {
       const [px, py] = [chart.px(t), chart.py(y)];
       return h("div.point", {
-        role: "slider",
-        tabindex: "0",
         hidden: outside(px, py),
         style: `left:${px}px;top:${py}px`,
-        "aria-orientation": "vertical",
-        "aria-label": `Point ${k + 1} of ${points.length}`,
-        "aria-valuemin": ends[0].toFixed(3),
-        "aria-valuemax": ends[1].toFixed(3),
-        "aria-valuenow": y.toFixed(3),
-        "aria-valuetext": `${short(y, 5)} \u00b5m at ${short(t, 5)} s`,
         onpointerdown: (event) => this.grab(event, k),
-        onkeydown: (event) => this.key(event, k),
+        ondblclick: () => this.use(removed(this.points, k)),
       });
     };
     fill(this.layer, points.map(handle));
@@ -72,7 +62,6 @@ export class PointHandles {
     if (event.button !== 0) return;
     const handle = event.currentTarget;
     event.preventDefault();
-    handle.focus({ preventScroll: true });
     handle.setPointerCapture(event.pointerId);
     this.held = true;
     handle.onpointermove = (to) => this.move(k, this.under(to));
@@ -85,47 +74,17 @@ export class PointHandles {
 
   move(k, [t, y]) {
     const within = Math.min(Math.max(y, this.ends[0]), this.ends[1]);
-    this.use(moved(this.points, k, [t, within], NEAREST * this.duration));
+    this.use(moved(this.points, k, [t, within], this.gap));
   }
 
   insert(point) {
-    const { points, index } = inserted(this.points, point, NEAREST * this.duration);
-    if (index >= 0) this.use(points, index);
+    this.use(inserted(this.points, point, this.gap));
     return true;
   }
 
-  remove(k) {
-    const points = removed(this.points, k);
-    if (points !== this.points) this.use(points, Math.min(k, points.length - 1));
-  }
-
-  use(points, focus) {
+  use(points) {
     this.points = points;
     this.changed(points);
     this.place();
-    if (focus !== undefined) this.layer.childNodes[focus].focus({ preventScroll: true });
-  }
-
-  key(event, k) {
-    const [t, y] = this.points[k];
-    const far = event.shiftKey ? 0.1 : 0.01;
-    const [rise, wait] = [far * (this.reach[1] - this.reach[0]), far * this.duration];
-    const next = this.points[k + 1] ?? this.points[k - 1];
-    const to = {
-      ArrowUp: [t, y + rise],
-      ArrowDown: [t, y - rise],
-      ArrowLeft: [t - wait, y],
-      ArrowRight: [t + wait, y],
-      PageUp: [t, y + 10 * rise],
-      PageDown: [t, y - 10 * rise],
-      Home: [t, this.reach[0]],
-      End: [t, this.reach[1]],
-    }[event.key];
-    const [inserts, removes] = [["Insert", "+"], ["Delete", "-"]].map((keys) => keys.includes(event.key));
-    if (!(to || inserts || removes) || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    if (to) this.move(k, to);
-    else if (removes) this.remove(k);
-    else this.insert([(t + next[0]) / 2, (y + next[1]) / 2]);
   }
 }
