@@ -1,6 +1,5 @@
 """The PI rig on a fake controller in this process, odd ones too."""
 
-import math
 import re
 import time
 import warnings
@@ -10,8 +9,6 @@ import pytest
 from fake_gcs import IDENTITY, WAVES, FakeController
 from faulty_link import PipeLink, QuickRig
 
-from dehyst import ClampWarning
-from dehyst._errors import RecordError
 from dehyst.instruments import DeviceError, LinkError, RigError
 from dehyst.instruments.pi import PiRig
 from dehyst.records.quality import SHORTEST
@@ -31,27 +28,6 @@ def test_it_says_what_it_is():
     rig = quick(FakeController(), limits=(-5.0, 500.0), slew_rate=2000.0)
     assert rig.name == f"{IDENTITY} at pipe:1"
     assert (rig.limits.low, rig.limits.high, rig.slew_rate, rig.axis, rig.longest) == (-5.0, 120.0, 2000.0, "1", 4096)
-
-
-def test_nothing_is_put_out_by_connecting_reading_and_closing():
-    controller = FakeController()
-    with quick(controller) as rig:
-        reading = rig.read()
-    assert reading.voltage == 0.0
-    assert not [line for line in controller.lines if line.startswith(("SVA", "WGO", "MOV", "SVO "))]
-
-
-def test_a_voltage_is_ramped_and_read_back():
-    controller = FakeController()
-    rig = quick(controller, slew_rate=1000.0)
-    assert rig.set_voltage(55.5) == 55.5
-    assert rig.read().voltage == 55.5
-    assert controller.bench.axis.log.largest_step <= 10.0 + 1e-6
-    with pytest.warns(ClampWarning):
-        assert rig.set_voltage(1e9) == 120.0
-    for bad in (math.nan, math.inf):
-        with pytest.raises(RecordError, match="nothing"):
-            rig.set_voltage(bad)
 
 
 def test_a_record_is_what_the_bench_did():

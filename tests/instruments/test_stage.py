@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from emulated_stage import HIGHEST, LIMITS, rig_of, served, virtual_stage
 from fake_rig import FakeRig
-from hand_clock import ramps_by
 
 from dehyst import ClampWarning, Record
 from dehyst._errors import ModelError, RecordError
@@ -48,14 +47,6 @@ def test_it_says_what_it_is():
         assert [one.safe for one in rig.rigs] == [0.0, 10.0, 0.0]
         assert rig.longest == 65536 // 2
         assert "axis 1: 0 to 90 V, 700 V/s; axis 2: 10 to 120 V" in repr(rig)
-
-
-def test_nothing_is_put_out_by_connecting_reading_and_closing():
-    with served() as (server, bench):
-        with rig_of(server) as rig:
-            readings = [one.read() for one in rig.rigs]
-        assert [reading.voltage for reading in readings] == [0.0] * 3
-        assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
 
 
 def test_a_record_is_what_the_stage_does_with_the_voltages():
@@ -108,6 +99,8 @@ def test_what_one_axis_may_not_have_is_refused_before_anything_is_sent(change, w
 def test_after_an_error_in_listening_all_axes_are_brought_back(kind):
     def listen(samples):
         if samples.voltage[:, 0].max() > 40:
+            if kind is KeyboardInterrupt:
+                os.kill(os.getpid(), signal.SIGINT)
             raise kind("enough")
 
     with served(speed=5.0) as (server, bench), rig_of(server) as rig:
@@ -116,17 +109,6 @@ def test_after_an_error_in_listening_all_axes_are_brought_back(kind):
         assert voltages(bench) == [0.0] * 3
         assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
         assert not bench.playing
-
-
-def test_ctrl_c_brings_all_axes_back():
-    def listen(samples):
-        if samples.voltage[:, 0].max() > 40:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    with served(speed=5.0) as (server, bench), rig_of(server) as rig:
-        with pytest.raises(KeyboardInterrupt):
-            rig.play(ex(waves()), listen)
-        assert voltages(bench) == [0.0] * 3
 
 
 @pytest.mark.parametrize(
@@ -168,7 +150,7 @@ def test_a_link_that_stays_lost_is_reported(fault):
 def test_retreat_ramps_all_axes_at_once(monkeypatch):
     waits = []
     monkeypatch.setattr(AbstractRig, "_wait", lambda self, seconds: waits.append(seconds))
-    ramps_by(monkeypatch, lambda: sum(waits))
+    monkeypatch.setattr(AbstractRig, "_now", lambda self: sum(waits))
     with served(speed=1.0) as (server, bench), rig_of(server) as rig:
         for one in rig.rigs:
             one.set_voltage(50.0)
@@ -264,11 +246,6 @@ def test_samples_of_one_axis_that_differ_from_what_was_sent_are_refused():
     with pytest.raises(DeviceError, match="output is 20 V away"):
         rig.play(ex(np.linspace(0, 50, 101)[:, None] * [1, 0.5, 0.2], 1000.0))
     assert [one.instrument.voltage for one in rig.rigs] == [0.0] * 3
-
-
-def test_two_axes_of_one_name_are_refused():
-    with pytest.raises(RigError, match="axes a, a, need"):
-        _FakeStage([_Broken("a"), _Broken("a")])
 
 
 class TestAddresses:

@@ -12,12 +12,13 @@ class FakeRig(AbstractRig):
 
     def __init__(self, device=(-20.0, 100.0), *, device_slew=None, gain=1e-7, **options):
         self.instrument = FakeInstrument(device, gain)
-        self.done = []
+        # The device's clock is ahead of the host's by this time [s].
+        self.done, self.ahead = [], 0.0
         super().__init__("fake", VoltageLimits(*device, device_slew), **options)
 
     def _read(self):
         v = self.instrument.voltage
-        return Reading(self.instrument.now, v, float(self.instrument.displacement(np.array(v))))
+        return Reading(self.instrument.now + self.ahead, v, float(self.instrument.displacement(np.array(v))))
 
     def _put(self, voltage):
         self.done.append("put")
@@ -33,7 +34,7 @@ class FakeRig(AbstractRig):
                     self.instrument.put(v)
                 time = self.instrument.now + (1 + np.arange(lot.size)) / rate
                 self.instrument.now = float(time[-1])
-                yield Samples(time, lot.copy(), self.instrument.displacement(lot))
+                yield Samples(time + self.ahead, lot.copy(), self.instrument.displacement(lot))
             self.instrument.playing = False
         finally:
             self.done.append("wave ended")
@@ -44,6 +45,9 @@ class FakeRig(AbstractRig):
 
     def _close(self):
         self.done.append("close")
+
+    def _now(self):
+        return self.instrument.now
 
     def _wait(self, seconds):
         self.instrument.wait(seconds)

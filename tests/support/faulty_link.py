@@ -1,10 +1,7 @@
-"""Something between a client and a controller that meddles with replies: a pipe in one process, and a TCP proxy."""
+"""A pipe between a client and a controller in one process that meddles with replies."""
 
 import random
-import socket
-import threading
 import time
-from contextlib import suppress
 
 from fake_gcs import text_of
 
@@ -135,56 +132,8 @@ class QuickRig(PiRig):
         self._controller = link.controller
         super().__init__(link, **options)
 
+    def _now(self):
+        return self._controller.clock.now
+
     def _wait(self, seconds):
         self._controller.clock.now += seconds
-
-
-class Proxy:
-    """A TCP proxy to a port on this machine; what the server says goes through `meddle`."""
-
-    def __init__(self, port, meddle):
-        self._target, self.meddle = port, meddle
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port = self._server.getsockname()[1]
-        self._threads = [threading.Thread(target=self._serve, daemon=True)]
-        self._threads[0].start()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        with suppress(OSError):
-            self._server.shutdown(socket.SHUT_RDWR)
-        self._server.close()
-
-    def _serve(self):
-        while True:
-            try:
-                near, _ = self._server.accept()
-            except OSError:
-                return
-            with suppress(OSError):
-                far = socket.create_connection(("127.0.0.1", self._target), 5)
-                for link in (near, far):
-                    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                ended = threading.Event()
-                for source, sink, change in ((near, far, None), (far, near, self.meddle)):
-                    threading.Thread(target=_carry, args=(source, sink, change, ended), daemon=True).start()
-                # One client at a time, as the controller has it.
-                ended.wait(30)
-                for link in (near, far):
-                    link.close()
-                time.sleep(0.005)
-
-
-def _carry(source, sink, change, ended):
-    with suppress(OSError):
-        while not ended.is_set() and (data := source.recv(1 << 16)):
-            passed = data if change is None else change(data)
-            if passed is None:
-                break
-            sink.sendall(passed)
-    ended.set()
-    for link in (source, sink):
-        with suppress(OSError):
-            link.shutdown(socket.SHUT_RDWR)

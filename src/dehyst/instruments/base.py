@@ -108,7 +108,6 @@ class AbstractRig(ABC):
             self._output = Output(self)
         self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
         self._seen: tuple[float, float] | None = None  # the device's time, and the host's when it was seen
-        self._waited = 0.0  # seconds that were waited for since then, also by a clock of a virtual device
         self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -284,17 +283,17 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         try:
-            return self._retreat(anywhere=False)
+            return self._retreat(anywhere=False, patient=True)
         except Exception as error:
             error.add_note(self._note(error, error))
             raise
 
-    def _retreat(self, *, anywhere: bool) -> Any:
-        """Retreat; `anywhere`: the device may have stopped its wave by itself."""
+    def _retreat(self, *, anywhere: bool, patient: bool = False) -> Any:
+        """Retreat; `anywhere`: the device may have stopped by itself; `patient`: the readback may come late."""
         errors: list[Exception] = []
         ramps = []
         with shielded(defer=True):
-            begin = time.monotonic()
+            begin = self.rigs[0]._now()
             for one in self.rigs:
                 try:
                     try:
@@ -312,7 +311,7 @@ class AbstractRig(ABC):
                     what = f"{one.name}: _halt of the rig raised {type(error).__name__}: {error}; check its code"
                     errors.append(DeviceError(f"{what}; the voltage was ramped there, but a wave may go on"))
                     errors[-1].__cause__ = error
-                ramps.append(one._output.retreat(one.safe, begin, anywhere=anywhere))
+                ramps.append(one._output.retreat(one.safe, begin, anywhere=anywhere, patient=patient))
             self._ramp(ramps, errors, retreating=True)
         return np.array([one.safe for one in self._parts]) if self._parts else self.safe
 
@@ -360,6 +359,10 @@ class AbstractRig(ABC):
     def _close(self) -> None:
         """Close the link; the voltage stays where it is."""
 
+    def _now(self) -> float:
+        """Return the time [s] by which this computer waits; a virtual device may have its own."""
+        return time.monotonic()
+
     def _wait(self, seconds: float) -> None:
         """Wait."""
         time.sleep(seconds)
@@ -392,7 +395,6 @@ class AbstractRig(ABC):
             going = list(waits)
             if going:
                 waited = max(waits.values())
-                self._waited += waited
                 try:
                     with driver_errors(self.name, "_wait"):
                         self.rigs[0]._wait(waited)
@@ -406,11 +408,11 @@ class AbstractRig(ABC):
 
     def _watch_clock(self, now: float, played: float = 0.0) -> None:
         """Raise `DeviceError` if the device's time is farther ahead than what has passed, and was `played` [s]."""
-        host, waited, seen = time.monotonic(), self._waited, self._seen
-        self._seen, self._waited = (now, host), 0.0
+        host, seen = self.rigs[0]._now(), self._seen
+        self._seen = (now, host)
         if seen is None:
             return
-        passed, most = now - seen[0], played + waited + _FAST * (host - seen[1]) + _JUMP
+        passed, most = now - seen[0], played + _FAST * (host - seen[1]) + _JUMP
         if passed > most:
             raise DeviceError(
                 f"{self.name}: its clock went on by {passed:.6g} s, need {most:.3g} s at most; did it jump? Check the "
@@ -476,7 +478,7 @@ class AbstractRig(ABC):
 
 
 # Methods that a driver writes or may replace; those of the base class alone; and special ones that no driver may have.
-_DRIVERS = ("nearest_rate", "_read", "_read_voltage", "_put", "_wave", "_halt", "_close", "_wait")
+_DRIVERS = ("nearest_rate", "_read", "_read_voltage", "_put", "_wave", "_halt", "_close", "_now", "_wait")
 _OWN = tuple(
     name
     for name, value in vars(AbstractRig).items()

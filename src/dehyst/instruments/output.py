@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING, Self, TypeAlias
@@ -88,18 +87,18 @@ class Output:
 
     def plays(self, voltage: Array, rate: float, speed: float = 1.0) -> None:
         """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]; `speed`: seconds of the device in one."""
-        self._sent, self._pace, self._began = voltage, speed * rate, time.monotonic()
+        self._sent, self._pace, self._began = voltage, speed * rate, self._rig._now()
         self._arrived.clear()
         self._unconfirmed = None
 
     def observe(self, count: int) -> None:
         """Take note that the sample of a number `count` came now."""
-        self._arrived.append((time.monotonic(), count))
+        self._arrived.append((self._rig._now(), count))
 
     @property
     def likely(self) -> float:
         """The likeliest voltage [V] now; NaN if nothing was sent."""
-        return math.nan if self._sent is None else self.stopped(time.monotonic(), anywhere=True)[0]
+        return math.nan if self._sent is None else self.stopped(self._rig._now(), anywhere=True)[0]
 
     @property
     def words(self) -> str:
@@ -122,7 +121,7 @@ class Output:
         """
         if self._sent is None:
             raise ValueError("nothing was sent")
-        likely, first, latest = self._rows(begin, time.monotonic(), anywhere=anywhere)
+        likely, first, latest = self._rows(begin, self._rig._now(), anywhere=anywhere)
         rows = [min(max(int(row), 0), self._sent.size - 1) for row in (likely, first, latest)]
         possible = self._sent[rows[1] : rows[2] + 1]
         return float(self._sent[rows[0]]), float(possible.min()), float(possible.max())
@@ -154,24 +153,25 @@ class Output:
         yield from self._steps(present, end, always=False)
         yield from self._confirmed(end, end, end, _SETTLING)
 
-    def retreat(self, end: float, begin: float, *, anywhere: bool) -> Generator[float, float, None]:
+    def retreat(self, end: float, begin: float, *, anywhere: bool, patient: bool) -> Generator[float, float, None]:
         """Ramp to `end` [V] whatever is read, and send it in any case; `begin`, `anywhere`: as of `stopped`.
 
+        `patient`: whether there is time for a readback that comes late, as after no error.
         Raise `ReadbackError` at the end if a reading before or after it contradicts what was sent.
         """
-        contradiction, asked = None, time.monotonic()
+        contradiction, asked = None, self._rig._now()
         if self._sent is None:
             present = self._standing()
         else:
             present, low, high = self.stopped(begin, anywhere=anywhere)
             try:
-                read = yield from self._confirmed(present, low, high, _HASTY)
+                read = yield from self._confirmed(present, low, high, _SETTLING if patient else _HASTY)
                 present = min(max(read, low), high) if low < high else present
             except ReadbackError as error:
                 contradiction = error
             except RigError:
                 pass
-        yield from self._steps(present, end, always=True, answer=time.monotonic() - asked)
+        yield from self._steps(present, end, always=True, answer=self._rig._now() - asked)
         self.unread = False
         try:
             yield from self._confirmed(end, end, end, _SETTLING)
@@ -192,14 +192,14 @@ class Output:
         limits, slew = self._rig.limits, self._rig.slew_rate
         speed = min(slew, (limits.high - limits.low) / _GENTLE)
         gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
-        sending, again, unread = time.monotonic(), _AGAIN if always else 0, False
+        sending, again, unread = self._rig._now(), _AGAIN if always else 0, False
         while present != end or always:
             # Before the first step too: a wave may have been stopped just now. It is so long that the slew rate allows
             # what the ramp's speed does, or there are few waits.
             enough = answer * speed / (slew - speed) if slew > speed else math.inf
             waited = yield max(TICK, min(seconds / _FEWEST, seconds * answer / _ANSWERS, enough))
-            passed = max(waited, time.monotonic() - sending)
-            voltage, sending = limits.towards(gentle.towards(end, present, passed), present, waited), time.monotonic()
+            passed = max(waited, self._rig._now() - sending)
+            voltage, sending = limits.towards(gentle.towards(end, present, passed), present, waited), self._rig._now()
             try:
                 with driver_errors(self._rig.name, "_put"):
                     self._rig._put(limits.nearest(voltage))
@@ -218,7 +218,7 @@ class Output:
                     continue
             present, always = voltage, False
             self.puts(present)
-            answer = time.monotonic() - sending
+            answer = self._rig._now() - sending
 
     def _took(self, voltage: float, present: float) -> bool | None:
         """Return whether the output is read nearer to a `voltage` [V] than to the `present` one; None if unreadable."""
@@ -245,12 +245,12 @@ class Output:
 
         Raise `ReadbackError`, which says what was `sent`, if it does not come there in `most` readings.
         """
-        begin, read = time.monotonic(), math.nan
+        begin, read = self._rig._now(), math.nan
         for count in range(most):
             read = self._rig._voltage_read()
             if low - self._tolerance <= read <= high + self._tolerance:
                 return read
-            if count + 1 >= _HASTY and time.monotonic() - begin > _PATIENT:
+            if count + 1 >= _HASTY and self._rig._now() - begin > _PATIENT:
                 break
             yield TICK
         raise ReadbackError(self._rig.name, sent, read)

@@ -80,5 +80,8 @@ class SimulatedRig(AbstractRig):
     def _close(self) -> None:
         pass
 
+    def _now(self) -> float:
+        return self._time
+
     def _wait(self, seconds: float) -> None:
         self._time += seconds

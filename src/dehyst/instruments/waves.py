@@ -295,7 +295,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
     `AbstractRig.play`; it replaces the voltages after the first.
     """
     rig._host_paced = True
-    period, readings, yielded, read = 1 / rate, [], time.monotonic(), None
+    period, readings, yielded, read = 1 / rate, [], rig._now(), None
     for k in range(len(voltage)):
         if step is not None:
             voltage[k] = rig.limits.towards(step(read), float(voltage[max(k - 1, 0)]), period)
@@ -304,14 +304,14 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         # From here a retreat begins if the reading fails: samples come later than voltages.
         rig._output.puts(v)
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
-        sent = time.monotonic()
+        sent = rig._now()
         readings.append(rig._read())
         read = readings[-1][2]
-        now = time.monotonic()
+        now = rig._now()
         if now - yielded >= _BATCH_SECONDS:
             yield Samples(*np.array(readings, dtype=np.float64).T)
             readings, yielded = [], now
-        rig._wait(max(0.0, sent + period - time.monotonic()))
+        rig._wait(max(0.0, sent + period - rig._now()))
     if readings:
         yield Samples(*np.array(readings, dtype=np.float64).T)
 
