@@ -31,7 +31,7 @@ def test_addresses_go_to_their_rigs(monkeypatch):
         open_rig(address, limits=(0.0, 5.0))
     assert seen == [
         (("XF:11{Ax:1}#2",), limits),
-        (("LAB",), limits),
+        (("LAB:",), limits),
         (("lab-7.local", 50000), {"axis": None, **limits}),
         (("::1", 7), {"axis": ["Z"], **limits}),
         (("10.0.0.3", 50001), {"axis": None, **limits}),

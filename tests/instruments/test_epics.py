@@ -123,11 +123,9 @@ def test_an_ioc_without_waves_is_told_and_used(ioc):
 
 def test_a_laboratorys_own_names(ioc):
     names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None).without_waves()
-    front, _, rest = ioc.prefix.partition("H")
-    names = replace(
-        names, joint="H", voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION"
-    )
-    with EpicsRig.connect(front, names=names) as rig:
+    front, _, rest = ioc.prefix.partition(":")
+    names = replace(names, voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION")
+    with EpicsRig.connect(f"{front}:", names=names) as rig:
         # From the limits of the voltage's record.
         assert (rig.limits.low, rig.limits.high) == (0.0, 200.0)
         rig.set_voltage(7.0)

@@ -13,7 +13,7 @@ import time
 
 import places
 
-PREFIX = "BENCH"
+PREFIX = "BENCH:"
 _PROGRAM = """
 import json, sys, threading, time, types
 sys.path.insert(0, sys.argv[3])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle, islice
 from typing import Any, NamedTuple
@@ -243,13 +243,15 @@ class TrackedPath:
     @property
     def largest_percent(self) -> Any:
         """Largest error [% of the stroke]; for several axes a tuple with one for each."""
-        found = tuple(percent(largest(one.error), one.stroke) for one in self.each)
-        return found if self.axes else found[0]
+        return self._percent(largest)
 
     @property
     def rms_percent(self) -> Any:
         """RMS error [% of the stroke]; for several axes a tuple with one for each."""
-        found = tuple(percent(rms(one.error), one.stroke) for one in self.each)
+        return self._percent(rms)
+
+    def _percent(self, measure: Callable[[Array], float]) -> Any:
+        found = tuple(percent(measure(one.error), one.stroke) for one in self.each)
         return found if self.axes else found[0]
 
     @property

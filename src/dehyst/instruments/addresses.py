@@ -101,8 +101,7 @@ def _epics(prefix: str, options: _Options) -> AbstractRig:
 
     if not prefix:
         raise RigError("epics://: need the prefix of the process variables, as in epics://LAB:PIEZO")
-    # `connect` adds the colon between prefix and name.
-    return EpicsRig.connect(prefix.removesuffix(":"), **options)
+    return EpicsRig.connect(prefix, **options)
 
 
 def _sim(name: str, options: _Options) -> AbstractRig:

@@ -74,11 +74,7 @@ class ChannelAccess:
 
     def connected(self, *names: str) -> bool:
         """Return whether these variables, which were used before, are connected now."""
-
-        async def unconnected() -> set[str]:
-            return self._unconnected()
-
-        return _run(unconnected()).isdisjoint(self.prefix + name for name in names)
+        return _run(self._unconnected()).isdisjoint(self.prefix + name for name in names)
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
@@ -157,7 +153,7 @@ class ChannelAccess:
             for pv, answer in zip(pvs, answers, strict=True):
                 if answer.ok:
                     continue
-                if pv in self._unconnected():
+                if pv in await self._unconnected():
                     raise LinkError(f"{pv}: not connected for {self.timeout:g} s; {HINT}")
                 if answer.errorcode == _TIMED_OUT:
                     raise LinkError(
@@ -168,7 +164,7 @@ class ChannelAccess:
 
         return _run(answered())
 
-    def _unconnected(self) -> set[str]:
+    async def _unconnected(self) -> set[str]:
         """Return all variables of this process that are not connected; on the loop's thread."""
         return {channel.name for channel in self._ca.get_channel_infos() if not channel.connected}
 
@@ -200,12 +196,11 @@ class PvNames:
     record_time: str | None = "REC:TIME"
     record_voltage: str | None = "REC:VOLTAGE"
     record_position: str | None = "REC:POSITION"
-    joint: str = ":"
 
     @property
     def all(self) -> dict[str, str]:
         """Names of the process variables by purpose, without those that are None."""
-        names = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "joint"}
+        names = {field.name: getattr(self, field.name) for field in fields(self)}
         return {what: name for what, name in names.items() if name is not None}
 
     @property
@@ -238,7 +233,6 @@ class EpicsRig(AbstractRig):
         self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
     ) -> None:
         self._link, self._names, self._pvs = link, names, names.waves
-        prefix = link.prefix.removesuffix(names.joint)
         identity = "" if names.identity is None else link.text(names.identity).strip()
         # A record without a unit is in um, as those of the emulator.
         self._metres = link.metres(names.position) or 1e-6
@@ -250,7 +244,7 @@ class EpicsRig(AbstractRig):
         self._last, self._began = 0.0, time.monotonic()
         # The variable of the last command.
         self._commanded = names.voltage
-        name = f"epics://{prefix}" + (f" ({identity})" if identity else "")
+        name = f"epics://{link.prefix.removesuffix(':')}" + (f" ({identity})" if identity else "")
         super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate, longest=longest)
         self._clear_error()
 
@@ -272,7 +266,7 @@ class EpicsRig(AbstractRig):
         Parameters
         ----------
         prefix : str
-            Of all `names`, without the colon.
+            Of all `names`; a colon is added to one that ends in a letter or digit.
         limits : (float, float), optional
             Voltages that the user allows [V]. Limits of the device come from their own variables, or from the limits of
             the voltage's record.
@@ -281,7 +275,7 @@ class EpicsRig(AbstractRig):
         timeout : float, optional
             Seconds that one exchange may take.
         """
-        link = ChannelAccess(prefix + names.joint, timeout)
+        link = ChannelAccess(f"{prefix}:" if prefix[-1:].isalnum() else prefix, timeout)
         names = _available(link, names)
         return cls(link, names, limits=limits, slew_rate=slew_rate)
 
