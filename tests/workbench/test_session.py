@@ -96,7 +96,12 @@ class Stage:
                 worker.answer = lambda _, answer=answer: answer
             worker.free.set()
             await asyncio.sleep(0.001)
-        await self.session.jobs.settled()
+        await self.settled()
+
+    async def settled(self):
+        """Wait until no job runs."""
+        while tasks := tuple(self.session.jobs._tasks):
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def record(self, name="loops.csv"):
         entry = self.session.add_record(f"uploads/{name}", name)
@@ -234,7 +239,7 @@ async def test_the_first_end_asks_for_the_best_so_far_the_second_stops(stage):
     stage.session.end(entry.id)
     assert (worker.signals, entry.status, entry.early) == (["finish"], "identifying", True)
     stage.session.end(entry.id)
-    await stage.session.jobs.settled()
+    await stage.settled()
     assert (worker.signals, entry.status) == (["finish", "stop"], "cancelled")
     with pytest.raises(SessionError, match="identified"):
         stage.session.end(entry.id)
@@ -250,7 +255,7 @@ async def test_two_jobs_run_at_a_time_in_kept_workers_and_a_waiting_one_can_be_c
     stage.session.cancel(jobs[2].id)
     for worker in stage.workers:
         worker.free.set()
-    await stage.session.jobs.settled()
+    await stage.settled()
     assert [job.status for job in jobs] == ["done", "done", "cancelled"]
     assert [one.status for one in stage.session.records.values()] == ["ready", "ready", "refused"]
     assert len(stage.session.state()["log"]) == len(stage.workers) == 2
@@ -335,7 +340,7 @@ async def test_deleting_an_entry_ends_what_is_made_for_it(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     await asyncio.sleep(0.01)
     stage.session.delete(entry.id)
-    await stage.session.jobs.settled()
+    await stage.settled()
     assert stage.workers[-1].signals == ["stop"]
     assert stage.session.state()["records"] == []
     with pytest.raises(SessionError, match="there is none"):

@@ -216,11 +216,6 @@ class Jobs:
                 self._busy[key].stop()
             self._changed()
 
-    async def settled(self) -> None:
-        """Wait until no job runs."""
-        while self._tasks:
-            await asyncio.gather(*tuple(self._tasks), return_exceptions=True)
-
     async def close(self) -> None:
         """End all jobs and workers."""
         for task in tuple(self._tasks):

@@ -18,6 +18,8 @@ _SIGNS = {".": "point", ",": "comma"}
 _GUESS = "?"
 # After a column or a unit, in a text of columns.
 _GUESSES = re.compile(r'\?(?=\s*(?:[*:,"]|$))')
+# Stands for a number in a suggested scale.
+_GAIN = "GAIN"
 # A person's decimal comma; another comma would begin the next column.
 _COMMA = re.compile(r"(?<=\d),(?=\d)")
 
@@ -35,7 +37,9 @@ def form_of(record: RecordEntry) -> dict[str, Any]:
     pairs = {"time": str(times[0])} if times else {}
     for k, (voltage, displacement) in enumerate(found, 1):
         pairs |= {f"voltage_{k}": str(voltage), f"displacement_{k}": str(displacement)}
-    marked, help_ = [_field(name) for name in suggested], "Try the marked options." if record.hint else ""
+    marked = [*map(_field, suggested), *(name for name in PLAIN if _GAIN in values[name])]
+    gain = f": {_GAIN} stands for a number" * any(_GAIN in values[name] for name in PLAIN)
+    help_ = f"Check the marked fields{gain}." if record.hint else ""
     if many:
         values |= {"axes": str(len(found)), **pairs}
         marked, help_ = ["axes", *pairs], _COUPLED.format(len(found))
