@@ -1,6 +1,5 @@
 """From a record to a voltage and an export, by requests as the page sends them; and the script does the same again."""
 
-import json
 import os
 import shutil
 import signal
@@ -187,23 +186,6 @@ def test_a_folder_with_other_files_is_refused(tmp_path):
     assert "files (thesis.tex)" in ended.stderr
 
 
-def test_a_file_without_units_is_refused_with_options_that_read_it(bench, tmp_path):
-    rows = "".join(f"{k / 100},{k % 50},{(k % 50) / 10}\n" for k in range(400))
-    (tmp_path / "scope.csv").write_text("zeit/s,monitor,weg\n" + rows)
-    with bench.client() as client:
-        record = upload(client, tmp_path / "scope.csv")
-        assert record["status"] == "refused"
-        assert record["error"]
-        hint = record["hint"]
-        assert hint
-        answer = client.post(
-            f"/api/records/{record['id']}/read", json={"columns": "time=1:s, voltage=2:V, displacement=3:um"}
-        )
-        assert answer.status_code == 200, answer.text
-        state = until(client, lambda state: entry(state, "records", record["id"])["status"] != "reading")
-        assert entry(state, "records", record["id"])["status"] == "ready"
-
-
 @pytest.mark.nightly
 def test_an_identification_can_be_finished_early_or_stopped(bench, loops):
     with bench.client() as client:
@@ -236,16 +218,3 @@ def test_a_workbench_that_ends_leaves_no_command_behind(tmp_path, loops):
         while workers(folder) and time.monotonic() < deadline:
             time.sleep(0.1)
         assert workers(folder) == []
-
-
-@pytest.mark.nightly
-def test_a_request_that_makes_no_sense_is_answered_with_a_sentence(bench, loops):
-    with bench.client() as client:
-        record = upload(client, loops)
-        for body in ({}, {"train": []}, {"train": ["r99"]}, {"train": [record["id"]], "options": {"shell": "rm"}}):
-            answer = client.post("/api/models", json=body)
-            assert answer.status_code == 400
-            assert len(json.loads(answer.text)["error"]) > 10
-        both = {"train": [record["id"]], "validate": [record["id"]]}
-        assert "to train and to validate" in client.post("/api/models", json=both).json()["error"]
-        assert client.post("/api/models/m99/follow", json={"points": CORNERS}).status_code == 400

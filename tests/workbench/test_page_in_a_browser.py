@@ -1,6 +1,5 @@
 """The page in a real browser: few clicks from a record to a voltage, keys, errors, and accessibility."""
 
-import json
 import shutil
 import time
 from itertools import pairwise
@@ -261,60 +260,9 @@ def test_axe_finds_nothing(journey, scheme):
         assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in found] == [], step
 
 
-@pytest.fixture
-def staged(start, workbench, journey):
-    """A page on which the server's state is changed before it arrives: `page`, and a way to send another change."""
-    page, sockets, last = start(storage_state=journey[0].context.storage_state()), [], []
-
-    def news(route):
-        server = route.connect_to_server()
-        sockets.append(route)
-
-        def passed_on(message):
-            last[:] = [message]
-            route.send(json.dumps(changed(message)))
-
-        server.on_message(passed_on)
-
-    def changed(message):
-        news = json.loads(message)
-        change(news)
-        return news
-
-    def send(another):
-        nonlocal change
-        change = another
-        if sockets:
-            sockets[-1].send(json.dumps(changed(last[0])))
-
-    def change(state):
-        pass
-
-    page.route_web_socket("**/api/events", news)
-    return page, send
-
-
-def test_leaving_asks_while_a_job_runs(staged, workbench):
-    page, send = staged
-    asked = []
-    page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
-    page.goto(workbench.base)
-    # A browser asks only on behalf of a page that was used.
-    page.click("#step-export")
-    page.reload()
-    assert asked == []
-    running = {"id": "j1", "kind": "identify", "subject": "m9", "status": "running", "words": "", "progress": ""}
-    send(lambda state: state.update(jobs=[running]))
-    page.click("#step-export")
-    page.wait_for_timeout(100)
-    page.reload()
-    assert asked == ["beforeunload"]
-
-
-def test_a_phone_has_room_for_all_steps(staged, workbench):
-    page, _ = staged
+def test_a_phone_has_room_for_all_steps(journey):
+    page = journey[0]
     page.set_viewport_size({"width": 400, "height": 900})
-    page.goto(workbench.base)
     for step in STEPS:
         page.click(f"#step-{step}")
         sync_api.expect(page.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
@@ -325,6 +273,7 @@ def test_a_phone_has_room_for_all_steps(staged, workbench):
     page.click("#step-records")
     sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
     sync_api.expect(page.locator("#identify")).to_be_visible()
+    page.set_viewport_size({"width": 1400, "height": 900})
 
 
 def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path):

@@ -295,7 +295,12 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
     ):
         with pytest.raises(DehystError):
             stage.session.follow(entry.id, request)
-    for options in ({"structure": "--force"}, {"goal": "1"}, {"output": "x"}, {"norm": 3}):
+    for train in ([], ["r99"], "r1"):
+        with pytest.raises(SessionError):
+            stage.session.identify({"train": train})
+    with pytest.raises(SessionError, match="to train and to validate"):
+        stage.session.identify({"train": entry.train, "validate": entry.train})
+    for options in ({"structure": "--force"}, {"goal": "1"}, {"output": "x"}, {"shell": "rm"}):
         with pytest.raises(DehystError):
             stage.session.identify({"train": entry.train, "options": options})
     record = stage.session.add_record("uploads/b.csv", "b.csv")

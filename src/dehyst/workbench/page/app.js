@@ -1,4 +1,4 @@
-// Start of the page: its steps, files that are dropped anywhere, and what happens when it is left.
+// Start of the page: its steps, and files that are dropped anywhere.
 import { byId } from "./dom.js";
 import { exportView } from "./exports.js";
 import { modelView } from "./models.js";
@@ -22,7 +22,4 @@ window.addEventListener("drop", (event) => {
   if (holdsFiles(event)) sendAll(event.dataTransfer.files);
 });
 
-window.addEventListener("beforeunload", (event) => {
-  if (session.state.jobs.some((one) => one.status === "running")) event.preventDefault();
-});
 connect();
