@@ -200,7 +200,7 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Actuator(SLIP, SPRING, State(0, [0])), "got 1 carts, this actuator has 2 elements"),
+        (lambda: Actuator(SLIP, SPRING, State(0, [0])), "state carts: got 1 numbers, need 2"),
         (lambda: Actuator(SLIP, SPRING, limits=(5, 5)), "two finite voltages, the lower one first"),
         (lambda: Actuator(SLIP, SPRING, limits=("a", "b")), "limits"),
         (lambda: Actuator(SLIP, SPRING, limits=(1,)), "limits"),
@@ -208,7 +208,7 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
         (lambda: turned(ACTUATOR, "far"), "displacement"),
         (lambda: ACTUATOR.relaxed("off"), "voltage"),
         (lambda: turned(ACTUATOR, np.nan), "displacement: got nan, need a finite number"),
-        (lambda: ACTUATOR.simulate([0], state=State(0, [5e-6, 0])), "cart 0 is"),
+        (lambda: ACTUATOR.simulate([0], state=State(0, [5e-6, 0])), "state carts: got number 0"),
     ],
 )
 def test_impossible_numbers_are_refused(make, message):

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._io import VERSION
 from dehyst._native import EMPTY
-from dehyst._types import Array
 from dehyst._validation import demand_result, interval, keep, number, spanned, vector
 from dehyst._views.pictures import Plotted
 from dehyst.model import states
@@ -227,7 +226,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         """
         (v, low, high), start = spanned(voltage, "voltage"), self._start(state)
         if not extrapolate:
-            self._refuse_voltages(low, high)
+            self._refuse_voltages((low, high))
         y, reached = self._evaluator.simulate(v, PathData(time, load, temperature=temperature), start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
 
@@ -272,8 +271,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
             the state does not fit this actuator, or a voltage is too large to be computed.
         """
         (y, low, high), start = spanned(displacement, "displacement"), self._start(state)
-        if not extrapolate and self._plausible.is_far(low, high):
-            self._refuse_displacements(y, load)
+        if not extrapolate and (reason := self._implausibility((low, high), load)):
+            raise ModelError(f"{reason}; {states.ANYWAY}")
         path = PathData(time, load, velocity, acceleration, temperature)
         v, reached = self._evaluator.compensate(y, path, start, stack)
         return Motion(voltage=v, displacement=y, state=reached)
@@ -286,7 +285,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
-            self._refuse_voltages(v, v)
+            self._refuse_voltages(v)
         y = self._evaluator.core.spring_inverse(v if self.transformer is None else float(self.transformer(v)))
         return State(y, np.full(len(self.slip), y))
 
@@ -331,14 +330,13 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         ModelError
             If the period or the margin is not positive.
         """
-        if number(period, "period") <= 0:
-            raise ModelError(argument="period", got=period, need="a positive number of seconds")
-        if not 0 < number(margin_db, "margin_db") <= 120:
-            raise ModelError(argument="margin_db", got=margin_db, need="above 0 and at most 120 dB", hint="try 6")
-        factor = 10 ** (margin_db / 20)
-        return feedback_margins(self.dynamics, period, factor, preview=preview)
+        seconds = Numbers(positive=True)(period, "period")
+        margin = Numbers(positive=True, most=120.0, hint="try 6")(margin_db, "margin_db")
+        return feedback_margins(self.dynamics, seconds, 10 ** (margin / 20), preview=preview)
 
-    def _implausibility(self, displacement: Array, load: ArrayLike | None = None, *others: tuple[float, float]) -> str:
+    def _implausibility(
+        self, displacement: ArrayLike, load: ArrayLike | None = None, *others: tuple[float, float]
+    ) -> str:
         """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.
 
         A sample is implausible if it lies outside of all plausible ones and `others` by more than their width.
@@ -353,13 +351,9 @@ class Actuator(Plotted, JsonFile, AbstractModel):
             pushed = Range(displacements.low + low, displacements.high + high)
         return "" if pushed.far_ends(displacement) is None else states.displacement_error(ends, displacements)
 
-    def _refuse_voltages(self, low: float, high: float) -> None:
-        if self._voltages.is_far(low, high):
-            raise ModelError(f"{states.voltage_error((low, high), self._voltages)}; {states.ANYWAY}")
-
-    def _refuse_displacements(self, displacement: Array, load: ArrayLike | None = None) -> None:
-        if reason := self._implausibility(displacement, load):
-            raise ModelError(f"{reason}; {states.ANYWAY}")
+    def _refuse_voltages(self, voltage: ArrayLike) -> None:
+        if ends := self._voltages.far_ends(voltage):
+            raise ModelError(f"{states.voltage_error(ends, self._voltages)}; {states.ANYWAY}")
 
     def _start(self, state: State | None) -> State:
         return self._evaluator.complete_state(self.state if state is None else state)

@@ -102,8 +102,11 @@ class Numbers:
             )
 
 
-def instance(*kinds: type, optional: bool = False) -> Reader:
-    """Return a reader of an object of one of the `kinds`, or of the JSON values of one with the same keys."""
+def instance(*kinds: type, optional: bool = False, need: str = "") -> Reader:
+    """Return a reader of an object of one of the `kinds`, or of the JSON values of one with the same keys.
+
+    `optional`: None is allowed. `need`: the kinds in words, by default their names.
+    """
 
     def read(value: Any, where: str) -> Any:
         if isinstance(value, kinds) or (value is None and optional):
@@ -111,10 +114,15 @@ def instance(*kinds: type, optional: bool = False) -> Reader:
         own = [kind for kind in kinds if issubclass(kind, Entries) and isinstance(value, Mapping)]
         if own:
             return next((kind for kind in own if set(kind._keys()) == set(value)), own[0]).from_dict(value)
-        needed = " or ".join(kind.__name__ for kind in kinds)
-        raise ModelError(argument=where, got=type(value).__name__, need=f"a {needed}")
+        needed = need or f"a {' or '.join(kind.__name__ for kind in kinds)}"
+        raise ModelError(argument=where, got=f"{type(value).__name__} {value!r:.40}", need=needed)
 
     return read
+
+
+text = instance(str, need="text")
+flag = instance(bool, need="true or false")
+mapping = instance(Mapping, need="an object with keys")
 
 
 class Entries:
@@ -220,32 +228,11 @@ class JsonFile(Entries):
             raise ModelError(f"{path}: {error}") from error
 
 
-def text(value: object, where: str) -> str:
-    """Return a text; raise `ModelError` for anything else."""
-    if not isinstance(value, str):
-        raise ModelError(argument=where, got=repr(value), need="text")
-    return value
-
-
 def texts(value: object, where: str) -> tuple[str, ...]:
     """Return texts as a tuple; raise `ModelError` for anything else."""
     if not isinstance(value, list | tuple):
         raise ModelError(argument=where, got=repr(value), need="a list of text")
     return tuple(text(one, where) for one in value)
-
-
-def flag(value: object, where: str) -> bool:
-    """Return true or false; raise `ModelError` for anything else."""
-    if not isinstance(value, bool):
-        raise ModelError(argument=where, got=repr(value), need="true or false")
-    return value
-
-
-def mapping(value: object, where: str) -> Mapping[str, Any]:
-    """Return a mapping; raise `ModelError` for anything else."""
-    if not isinstance(value, Mapping):
-        raise ModelError(argument=where, got=type(value).__name__, need="an object with keys")
-    return value
 
 
 def demand_format(data: Mapping[str, Any], name: str) -> None:

@@ -18,7 +18,7 @@ from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, l
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.temperatures import demand_thermal
 
-# Relative rounding error of a slope that is the difference of two.
+# Relative rounding error of a slope that is the difference of two, and of the numbers of a state.
 _ROUNDING = 1e-9
 # Coefficients of one run of steps of an actuator that does not depend on time.
 _NO_COEFFICIENTS = (np.empty((1, 0)),) * 3
@@ -164,10 +164,9 @@ class Evaluator:
 
     def displacement(self, state: State, *, of_mass: bool = True) -> float:
         """Return the displacement [m] of the actuator in a complete state, without a load."""
-        m, part = (
-            float(state.motion[0]) if of_mass and state.motion.size else state.deformation,
-            self.displacement_creep,
-        )
+        m, part = state.deformation, self.displacement_creep
+        if of_mass and state.motion.size:
+            m = float(state.motion[0])
         if part is None:
             return m
         y = part.at_rest * m
@@ -197,43 +196,23 @@ class Evaluator:
         Raise `ModelError` if the state does not fit the parts.
         """
         if not isinstance(start, State):
-            raise ModelError(f"state: got {type(start).__name__}, need a State, such as the state of a Motion")
-        if start.carts.size != len(self.slip):
-            raise ModelError(f"state: got {start.carts.size} carts, this actuator has {len(self.slip)} elements")
-        rho, length = self.slip.breakaway, EMPTY if self.smooth is None else self.smooth.length
-        moving = 0 if self.dynamics is None else 2
-        w, carts, motion, smooth = start.deformation, start.carts, start.motion, start.smooth
-        if motion.size > moving:
-            raise ModelError("state: got a motion, this actuator has no dynamics")
-        if smooth.size not in (0, length.size):
-            raise ModelError(
-                f"state: got {smooth.size} smooth elongations, this actuator has {length.size} smooth elements"
-            )
-        behind, crept = len(self.displacement_creep or ()), start.displacement_creep
-        if crept.size not in (0, behind):
-            raise ModelError(f"state: got {crept.size} creep strains, this actuator has {behind} creep branches")
-        crept = np.zeros(behind) if crept.size < behind else crept
-        motion = np.array([w, 0.0]) if motion.size < moving else motion
-        smooth = np.zeros(length.size) if smooth.size < length.size else smooth
-        excess = np.abs(smooth) - length
-        if np.any(excess > 0):
-            worst = int(np.argmax(excess / length))
-            if excess[worst] > 1e-9 * length[worst]:
-                raise ModelError(
-                    f"state: smooth element {worst} is elongated by {smooth[worst]:.3g} m, its length is "
-                    f"{length[worst]:.3g} m"
-                )
-            smooth = np.clip(smooth, -length, length)
-        excess = np.abs(w - carts) - rho
-        if np.any(excess > 0):
-            worst = int(np.argmax(excess))
-            if excess[worst] > 1e-9 * (rho[worst] + abs(w)):
-                raise ModelError(
-                    f"state: cart {worst} is {excess[worst]:.3g} m farther from the displacement than its breakaway "
-                    f"elongation {rho[worst]:.3g} m"
-                )
-            carts = np.clip(carts, w - rho, w + rho)
-        return State._unchecked(w, carts, motion, smooth, crept)
+            need = "a State, such as the state of a Motion"
+            raise ModelError(argument="state", got=type(start).__name__, need=need)
+        rho, length, w = self.slip.breakaway, EMPTY if self.smooth is None else self.smooth.length, start.deformation
+        rest = {
+            "motion": np.array([w, 0.0]) if self.dynamics is not None else EMPTY,
+            "smooth": np.zeros(length.size),
+            "displacement_creep": np.zeros(len(self.displacement_creep or ())),
+        }
+        sizes = {"carts": rho.size, **{name: values.size for name, values in rest.items()}}
+        given = {name: getattr(start, name) for name in sizes}
+        for name, size in sizes.items():
+            if given[name].size != size and (given[name].size or name not in rest):
+                need = f"{size} for the parts of this actuator"
+                raise ModelError(argument=f"state {name}", got=f"{given[name].size} numbers", need=need)
+        carts = _within(given["carts"], w, rho, rho + abs(w), "carts")
+        motion, smooth, crept = (given[name] if given[name].size else values for name, values in rest.items())
+        return State._unchecked(w, carts, motion, _within(smooth, 0.0, length, length, "smooth"), crept)
 
     def clock(
         self, time: ArrayLike | None, samples: int, remedy: str = "give the time [s] of each sample"
@@ -338,6 +317,21 @@ class Evaluator:
                 )
             columns.append(found)
         return columns[0], columns[1]
+
+
+def _within(values: Array, centre: float, most: Array, size: Array, what: str) -> Array:
+    """Return values of a state at most `most` away from a centre, without what rounding, a part of `size`, adds.
+
+    Raise `ModelError` if one lies farther away.
+    """
+    excess = np.abs(values - centre) - most
+    if not np.any(excess > 0):
+        return values
+    if np.any(excess > _ROUNDING * size):
+        worst = int(np.argmax(excess))
+        got = f"number {worst} {most[worst] + excess[worst]:.3g} m away from {centre:.3g} m"
+        raise ModelError(argument=f"state {what}", got=got, need=f"{most[worst]:.3g} m or less for its element")
+    return np.clip(values, centre - most, centre + most)
 
 
 def _seconds(path: PathData) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import EMPTY
@@ -59,17 +60,12 @@ class Range(NamedTuple):
         """Return the smallest range that covers this one and the others."""
         return Range(min([self.low, *(low for low, _ in others)]), max([self.high, *(high for _, high in others)]))
 
-    def is_far(self, low: float, high: float) -> bool:
-        """Return whether one of two numbers lies outside of the range by more than its width."""
-        width = self.high - self.low
-        return low < self.low - width or high > self.high + width
-
-    def far_ends(self, values: Array) -> tuple[float, float] | None:
+    def far_ends(self, values: ArrayLike) -> tuple[float, float] | None:
         """Return the least and the largest of values (n,) if one lies outside of the range by more than its width."""
-        if not values.size:
+        if not np.size(values):
             return None
-        low, high = float(np.minimum.reduce(values)), float(np.maximum.reduce(values))
-        return (low, high) if self.is_far(low, high) else None
+        low, high, width = float(np.min(values)), float(np.max(values)), self.high - self.low
+        return (low, high) if low < self.low - width or high > self.high + width else None
 
 
 def needs_time(actuator: Actuator) -> bool:
