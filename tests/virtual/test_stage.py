@@ -1,4 +1,4 @@
-"""A virtual stage and its bench: coupling by a matrix and with hysteresis, waves of all axes from one instant."""
+"""A virtual stage and its bench: coupling by a matrix, waves of all axes from one instant."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from truths import PreisachActuator
 from dehyst import ModelError
 from dehyst.instruments import DeviceError
 from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
-from dehyst.virtual.stage import spread_coupling
 
 COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
 PERIOD = 5e-5
@@ -45,30 +44,11 @@ def test_a_voltage_goes_on_from_the_last_one():
     np.testing.assert_array_equal(twice.play(v, measured=False)[:150], parts[:150])
 
 
-def test_hysteretic_coupling_is_no_matrix():
-    v = waves()
-    v[:, 1] = 0
-    matrix, bent = (
-        VirtualStage(pair(), COUPLING, hysteretic=table).play(v, measured=False)
-        for table in (np.zeros((2, 2)), [[0, 0], [0.05, 0]])
-    )
-    np.testing.assert_array_equal(matrix[:, 0], bent[:, 0])
-
-    def left(y):
-        """What no number times the first axis explains of the second."""
-        columns = np.column_stack([y[:, 0], np.ones(len(y))])
-        return np.abs(y[:, 1] - columns @ np.linalg.lstsq(columns, y[:, 1], rcond=None)[0]).max()
-
-    assert left(matrix) < 1e-15
-    assert left(bent) > 1e-8
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"coupling": np.eye(3)}, "coupling: got 3 x 3 numbers for 2 axes"),
         ({"coupling": 2 * np.eye(2)}, "need 1 for each axis"),
-        ({"coupling": np.eye(2), "hysteretic": np.eye(3)}, "hysteretic: got 3 x 3"),
     ],
 )
 def test_what_does_not_fit_is_refused(change, words):
@@ -79,14 +59,6 @@ def test_what_does_not_fit_is_refused(change, words):
 def test_a_voltage_of_other_axes_is_refused():
     with pytest.raises(ModelError, match="got 3 columns, need 2"):
         VirtualStage(pair(), COUPLING).play(np.zeros((5, 3)))
-
-
-def test_spread_coupling_has_no_two_entries_alike():
-    table = spread_coupling(3, 0.04)
-    off = np.abs(table[~np.eye(3, dtype=bool)])
-    assert not np.diag(table).any()
-    assert len(set(off)) == 6
-    assert 0.02 <= off.min() <= off.max() <= 0.04
 
 
 def test_equal_stages_have_equal_serial_numbers():

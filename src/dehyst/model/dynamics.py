@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._native import StepCoefficients, output_creep, steps, strains
 from dehyst._types import Array
 from dehyst._units import COLDEST, HOTTEST
-from dehyst._validation import demand_result, number, untimely, vector
+from dehyst._validation import demand_result, untimely, vector
 from dehyst.model.elements import Spring
 from dehyst.model.entries import Entries, Numbers, entry
 
@@ -143,14 +143,12 @@ class Thermal(Entries):
         Raise `ModelError` if there is another number of temperatures, or a gain is not positive.
         """
         each = np.ndim(temperature) > 0
-        given = vector(temperature, "temperature") if each else np.array([number(temperature, "temperature")])
+        degrees = Numbers(int(each), least=COLDEST, most=HOTTEST, hint="give it in degC")
+        given = np.atleast_1d(degrees(temperature, "temperature"))
         if each and given.size != samples:
             raise ModelError(
                 argument="temperature", got=f"{given.size} values for {samples} samples", need="one, or one a sample"
             )
-        if np.any((given < COLDEST) | (given > HOTTEST)):
-            worst = float(given[int(np.argmax(np.abs(given)))])
-            raise ModelError(argument="temperature", got=f"{worst:g}", need=f"{COLDEST:g} to {HOTTEST:g} degC")
         kelvins = given - self.reference
         gain = 1 + self.gain * kelvins
         if np.any(gain <= 0):

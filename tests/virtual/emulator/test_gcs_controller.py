@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from emulated_stage import spread_coupling
 from emulator import Controller
 from emulator.gcs_controller import COMMANDS
 from hand_clock import Hand
@@ -9,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
-from dehyst.virtual.stage import spread_coupling
 from examples import examples
 
 
