@@ -22,14 +22,14 @@ def folder(tmp_path_factory):
 
 def test_a_table_the_figures_and_a_page(folder):
     chosen = [word for name in ("dehyst", "Two Branches", "linear ratio") for word in ("--only", name)]
-    outputs = ["--verbose", "-o", "all.json", "--report", "page.html"]
-    status, out, err = run("compare", "tops.csv", "--validate", "three.csv", *chosen, *outputs, cwd=folder)
+    words = ["compare", "tops.csv", "--validate", "three.csv", *chosen]
+    status, out, err = run(*words, "--verbose", "--report", "page.html", cwd=folder)
     assert status == 0
     # A slow machine shows progress.
     assert all(line.startswith(("dehyst: fitting ", "dehyst: simulating ")) for line in err.splitlines())
     for name in ("dehyst", "two branches", "linear ratio"):
         assert re.search(rf"^{name} +(\d+\.\d+ +){{6}}\d+\.\d+$", out, re.M), out
-    found = json.loads((folder / "all.json").read_text())
+    found = json.loads(run(*words, "--json", cwd=folder)[1])
     assert [one["model"] for one in found["models"]] == ["dehyst", "two branches", "linear ratio"]
     assert (found["training"], found["validation"], found["held_out_by_itself"]) == (["tops"], ["three"], False)
     assert out.splitlines()[0] == found["best"]["sentence"]

@@ -9,7 +9,7 @@ import click
 import places
 import pytest
 from click.shell_completion import BashComplete
-from command_line import commands, run, run_as_process
+from command_line import run, run_as_process
 
 from dehyst.cli import main
 from dehyst.operations.registry import ENTRIES
@@ -31,7 +31,6 @@ def test_help_has_every_command_once_under_a_heading_on_one_screen():
 @pytest.mark.parametrize(
     ("words", "has", "lacks"),
     [
-        (["excite"], "--frequency", "--steps"),
         (["excite", "staircase"], "--steps", "--model"),
         (["excite", "homing"], "--model", "--steps"),
         (["scan", "triangle"], "--frequency", "--lines"),
@@ -55,21 +54,12 @@ def test_the_order_of_help_is_that_of_the_journey():
     assert names.index("excite") < names.index("identify") < names.index("compensate") < names.index("export")
 
 
-def test_options_are_few():
-    """What is rare is in a file of options."""
-    counts = {name: sum(isinstance(one, click.Option) for one in command.params) for name, command in commands()}
-    assert counts["identify"] <= 15 and counts["compensate"] <= 14
-    assert counts["follow"] <= 14
-    # Of the other commands.
-    assert sum(counts.values()) - counts["follow"] <= 172
-
-
 @pytest.mark.parametrize(
     ("arguments", "suggestion"),
     [
         (["identfy", "loops.csv"], "identify"),
         (["simulation"], "simulate"),
-        (["identify", "--optins", "3", "loops.csv"], "--options"),
+        (["identify", "--outptu", "3", "loops.csv"], "--output"),
         (["identify", "--reports", "r.html", "loops.csv"], "--report"),
     ],
 )

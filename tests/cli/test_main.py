@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from command_line import WRITTEN, rare, refused, result, run
+from command_line import WRITTEN, refused, result, run
 from virtual_loops import record_loops
 
 import dehyst
@@ -78,7 +78,7 @@ def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
     [
         (["identify", "absent.csv"], "absent.csv"),
         (["identify", "loops.csv", "--columns", "voltage=drive_V"], "drive_V"),
-        (["identify", "loops.csv", *rare(delay=1e9)], "delay in --options: "),
+        (["identify", "loops.csv", "--delay", "1e9"], "--delay: "),
         (["identify", "loops.csv", "-o", "loops.csv"], "is also an input of this command"),
         (["identify", "loops.csv", "-o", "no/such/model.json"], "does not exist; create it first"),
         (["simulate", "loops.csv", "loops.csv", "-o", "x.csv"], "loops.csv"),
@@ -99,7 +99,7 @@ def test_a_model_that_misses_its_records_ends_with_status_1(folder):
     # A loop whose lag grows along the record: no rate-independent model follows it.
     displacement = 1e-7 * (50 - 50 * np.cos(2 * np.pi * t / 4 - 0.2 - 0.05 * t))
     write_record(folder / "odd.csv", dehyst.Record(t, voltage, displacement))
-    status, found = result("identify", "odd.csv", *PLAIN, *rare(drift=False, delay=0), cwd=folder)
+    status, found = result("identify", "odd.csv", *PLAIN, "--no-drift", "--delay", "0", cwd=folder)
     assert (status, found["good"], found["verdict"]["readiness"]) == (1, False, "NOT_USABLE")
 
 
@@ -161,8 +161,8 @@ def test_homing_of_a_model_is_certified(folder):
     status, out, _ = run("excite", "homing", "--model", "model.json", "-o", "home.csv", cwd=folder)
     assert status == 0
     assert "certified" in out
-    assert refused("excite", "homing", "-o", "home2.csv", cwd=folder)["argument"] == "volts"
-    assert refused("excite", "homing", "9", "--model", "model.json", "-o", "h.csv", cwd=folder)["argument"] == "homing"
+    assert refused("excite", "homing", "-o", "home2.csv", cwd=folder)["argument"] == "highest"
+    assert refused("excite", "homing", "9", "--model", "model.json", "-o", "h.csv", cwd=folder)["argument"] == "highest"
 
 
 @pytest.mark.parametrize(

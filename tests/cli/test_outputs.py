@@ -2,19 +2,17 @@
 
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from command_line import run
+from command_line import commands, run, sample_words
 
 from dehyst import Actuator, FileFormatError, MaxwellSlip, Spring
 from dehyst._io import demand_own_folder, format_of
 from dehyst.cli import main
 from dehyst.operations import demo
-from dehyst.operations.declaration import Role
-from dehyst.operations.registry import ENTRIES, find
+from dehyst.operations.command import Role
 from dehyst.records import read_table, write_columns
 
 
@@ -28,45 +26,28 @@ def test_a_table_may_go_to_a_device_of_any_name(tmp_path):
 
 
 def writing():
-    """Every operation with each of its parameters that names a file or a folder to write."""
-    for name in ENTRIES:
-        operation = find(name)
-        for one in operation.parameters:
-            if one.kind.role not in (None, Role.INPUT):
-                yield pytest.param(operation, one.name, id=f"{name}-{one.name}")
+    """Every command with each of its parameters that names a file or a folder to write."""
+    for name, command in commands():
+        for each in command.params:
+            if getattr(each.type, "role", Role.INPUT) is not Role.INPUT:
+                yield pytest.param(name, command, each, id=f"{name}-{each.name}")
 
 
-def call(operation, name, target):
-    """Return the words of a command that would write to the target if what it reads were there."""
-    values = {name: Path(target)}
-    for one in operation.parameters:
-        if one.required and one.name != name:
-            texts = {Path: f"absent-{one.name}", float: "1", str: "sim://"}
-            made = one.kind.parse(one.kind.choices[0] if one.kind.choices else texts[one.kind.type])
-            values[one.name] = (made,) if one.kind.several else made
-    if operation.name == "excite":
-        values["volts"] = (10.0,)
-    if operation.name == "scan":
-        values |= {"low": 1.0, "high": 2.0, "frequency": 1.0}
-    if operation.name == "compensate" and name == "table":
-        values["trajectory"] = Path("scan.csv")
-    return operation.command(values)[1:]
-
-
-@pytest.mark.parametrize(("operation", "name"), list(writing()))
-def test_no_command_replaces_a_file_or_writes_into_a_folder_of_others(folder, monkeypatch, operation, name):
+@pytest.mark.parametrize(("name", "command", "output"), list(writing()))
+def test_no_command_replaces_a_file_or_writes_into_a_folder_of_others(folder, monkeypatch, name, command, output):
     monkeypatch.chdir(folder)
     assert run("scan", "triangle", "--low", 1, "--high", 2, "--frequency", 1, "-o", "scan.csv")[0] == 0
-    role, target = operation.parameter(name).kind.role, folder / "precious.parquet"
-    if role is Role.OUTPUT or operation.name in ("fleet", "check"):
+    role, target = output.type.role, folder / "precious.parquet"
+    if role is Role.OUTPUT or name in ("fleet", "check"):
         target.write_text("mine")
     else:
         target.mkdir()
         (target / "report.html").write_text("mine")
-    words = call(operation, name, "precious.parquet")
-    there = {"absent-model": "model.json"} | ({"absent-records": "voltage.csv"} if operation.name == "fleet" else {})
-    arguments = [there.get(word, word) for word in words]
-    done = CliRunner().invoke(main, arguments)
+    there = {"absent-model": "model.json", "absent-directory": "precious.parquet"}
+    there |= {"absent-records": "voltage.csv"} if name == "fleet" else {}
+    there |= {"absent-trajectory": "scan.csv"} if output.name == "table" else {}
+    words = sample_words(command, output, "precious.parquet")
+    done = CliRunner().invoke(main, [*name.split(), *(there.get(word, word) for word in words)])
     assert done.exit_code == 2, done.output
     assert "precious.parquet" in done.stderr
     assert role is not Role.OUTPUT or "--force" in done.stderr

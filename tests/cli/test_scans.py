@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
-from command_line import WRITTEN, rare, refused, result, run
+from command_line import WRITTEN, refused, result, run
 
 from dehyst import Actuator, DisplacementCreep
 from dehyst._io import SCAN
@@ -50,7 +50,7 @@ def test_a_scan_is_followed(folder):
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folder, model):
-    given = ("--home", "--present", 20, "--table", "table.csv", *rare(cycles=60), "-o", "o.csv")
+    given = ("--home", "--present", 20, "--table", "table.csv", "--cycles", "60", "-o", "o.csv")
     status, told = result("compensate", model, "scan.csv", *given, cwd=folder)
     assert status == 0 and told["clamped"] == 0 and told["frequency_Hz"] == pytest.approx(10)
     table = rows(folder / "table.csv")
@@ -75,7 +75,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
         assert run("compensate", "model.json", "raster.csv", *axis, *TOP, "-o", "r.csv", cwd=folder)[0] == 0
         y = rows(folder / "r.csv")[1]
         assert (y.min(), y.max()) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
-    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, *rare(edge=0.02))
+    steps = ("steps", "--levels", "2,6,10", "--dwell", 0.01, "--edge", "0.02")
     assert run("scan", *steps, "-o", "steps.csv", cwd=folder)[0] == 0
     assert run("compensate", "model.json", "steps.csv", *TOP, "-o", "s.csv", cwd=folder)[0] == 0
     # A scan is replaced by another one.
@@ -113,7 +113,7 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
     ("arguments", "argument"),
     [
         (("path.csv", "--table", "t.csv"), "table"),
-        (("path.csv", *rare(cycles=2)), "cycles"),
+        (("path.csv", "--cycles", "2"), "cycles"),
         (("scan.csv", "--columns", "time=t"), "columns"),
         (("scan.csv", "--table", "t.csv", "--present", 900, *TOP), "present"),
         (("path.csv", "--present", 900, "--no-home"), "present"),
@@ -126,8 +126,8 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
         (("scan.csv", "--columns", "displacement=y_um"), "displacement"),
         (("scan.csv", "--limits", 5, 2), "limits"),
         (("scan.csv", "--slew-rate", -2), "slew_rate"),
-        (("scan.csv", "--table", "t.csv", *rare(cycles=-1)), "cycles"),
-        (("scan.csv", "--table", "t.csv", *rare(start_up=-1)), "start_up"),
+        (("scan.csv", "--table", "t.csv", "--cycles", "-1"), "cycles"),
+        (("scan.csv", "--table", "t.csv", "--start-up", "-1"), "start_up"),
         (("scan.csv", "--table", "t.csv", "--home", "--present", 900), "present"),
     ],
 )
@@ -146,10 +146,10 @@ def test_wrong_options_of_compensate_are_named(folder, arguments, argument):
         ((*TRIANGLE, "--acceleration", 1000), "acceleration"),
         (("triangle", "--low", 12, "--high", 2, "--frequency", 10), "low, high"),
         (("triangle", "--low", 2, "--high", 12e6, "--frequency", 10), "high"),
-        (("steps", "--levels", "2,2", "--dwell", 0.1, *rare(edge=1)), "levels"),
-        (("steps", "--levels", "2", "--dwell", 0.1, *rare(edge=1)), "levels"),
+        (("steps", "--levels", "2,2", "--dwell", 0.1, "--edge", "1"), "levels"),
+        (("steps", "--levels", "2", "--dwell", 0.1, "--edge", "1"), "levels"),
         (("steps", "--levels", "2,6", "--dwell", 0.1), "edge"),
-        (("steps", "--levels", "2,6", "--dwell", 0.1, *rare(edge=1e-3), "--acceleration", 10), "edge"),
+        (("steps", "--levels", "2,6", "--dwell", 0.1, "--edge", "1e-3", "--acceleration", 10), "edge"),
         ((*TRIANGLE, "--sample-rate", 20), "sample_rate"),
         ((*TRIANGLE, "--sample-rate", 1e8), "scan"),
         (("raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000), "scan"),
@@ -164,7 +164,11 @@ def test_wrong_options_of_scan_are_named(tmp_path, arguments, argument):
 
 @pytest.mark.parametrize(
     ("arguments", "argument"),
-    [(rare(start_up=10_000_000), "start_up"), (rare(cycles=100_000_000), "cycles"), (rare(cycles=12_500), "output")],
+    [
+        (("--start-up", "10_000_000"), "start_up"),
+        (("--cycles", "100_000_000"), "cycles"),
+        (("--cycles", "12_500"), "output"),
+    ],
 )
 def test_files_that_no_one_can_use_are_not_written(folder, arguments, argument):
     given = ("scan.csv", "--table", "no-table.csv", *arguments, "-o", "no.csv")
@@ -174,7 +178,7 @@ def test_files_that_no_one_can_use_are_not_written(folder, arguments, argument):
 
 def test_what_is_not_settled_ends_with_status_1(folder):
     given = ("scan.csv", "--table", "t.csv", "--start", "relaxed")
-    status, told = result("compensate", "slow.json", *given, *rare(start_up=1), "-o", "o.csv", cwd=folder)
+    status, told = result("compensate", "slow.json", *given, "--start-up", "1", "-o", "o.csv", cwd=folder)
     assert (status, told["settled"], told["clamped"]) == (1, False, 0)
     assert sum("NOT SETTLED" in one for one in told["warnings"]) == 1
     assert not any("cycles=" in one for one in told["warnings"])

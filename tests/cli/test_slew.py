@@ -7,6 +7,7 @@ import numpy as np
 import plain_records
 import pytest
 from command_line import result, run
+from virtual_loops import record_loops
 
 import dehyst
 from dehyst.model import Identification, Stage, slew_rate_of_records, turned, with_identification
@@ -196,3 +197,32 @@ def test_an_excitation_states_the_speed_that_it_needs(tmp_path, limit):
     assert made["slew_rate_V_per_s"] == pytest.approx(np.abs(np.diff(voltage) / np.diff(time)).max(), rel=1e-3)
     assert made["slew_rate_V_per_s"] < (50.1 if limit else 800)
     assert len(made["warnings"]) == bool(limit)
+
+
+KEPT = "voltage=Monitor:V*15, displacement=Sensor:um"
+
+
+def test_later_commands_read_and_move_as_the_model_keeps_it(tmp_path):
+    record = record_loops()[0]
+    columns = {"time_s": record.time, "Monitor": record.voltage / 15, "Sensor": 1e6 * record.displacement}
+    write_columns(tmp_path / "own.csv", columns)
+    write_record(tmp_path / "usual.csv", record)
+    words = ("--structure", "maxwell_slip", "--columns", KEPT, "-o", "model.json")
+    assert run("identify", "own.csv", *words, "--slew-rate", 30, cwd=tmp_path)[0] == 0
+    given = [run("check", "model.json", name, cwd=tmp_path) for name in ("own.csv", "usual.csv")]
+    assert given[0][1].replace(" own:", " usual:") == given[1][1]
+    assert [KEPT in err for _, _, err in given] == [True, False]
+    time = np.arange(400) * 0.01
+    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": 8 - 3 * np.cos(5 * time)})
+    for more, expected in (
+        ((), (30, "model")),
+        (("--slew-rate", 40), (40, "option")),
+        (("--slew-rate", "none"), (None, "none")),
+    ):
+        found = result("compensate", "model.json", "path.csv", "-o", "v.csv", *more, cwd=tmp_path)[1]
+        assert (found["slew_V_per_s"], found["slew_from"]) == expected
+        made = result("export", "model.json", "firmware", "--period", 1e-3, *more, "--force", cwd=tmp_path)[1]
+        assert (made["slew_V_per_s"], made["slew_from"]) == expected
+    assert "which the model keeps" in run("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=tmp_path)[1]
+    wrong = run("identify", "own.csv", *words, "--slew-rate", 0, cwd=tmp_path)
+    assert wrong[0] == 2 and "--slew-rate: got 0.0" in wrong[2]

@@ -27,8 +27,8 @@ def run(*words, status=0):
 
 
 def result_of(output):
-    """Return JSON values that warnings come before."""
-    return json.loads(output[output.index("{") :])
+    """Return JSON values among warnings."""
+    return json.JSONDecoder().raw_decode(output[output.index("{") :])[0]
 
 
 def write(path, record):

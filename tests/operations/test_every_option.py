@@ -1,81 +1,14 @@
 """Every option reaches the function of its command, which uses it; keys of --columns and options of a path show."""
 
-import ast
-import inspect
-import textwrap
 from dataclasses import replace
 
 import numpy as np
 import plain_records
 import pytest
-from click.testing import CliRunner
 from command_line import run
 
-from dehyst.cli.command import OperationCommand
 from dehyst.operations.files import RECORD
-from dehyst.operations.registry import ENTRIES, find
-from dehyst.operations.run import Result
 from dehyst.records import write_columns
-
-# A text of each type that has texts of its own.
-TEXTS = {
-    "Columns": "time=2",
-    "Limit": "x=0 50",
-    "Numbers": "1,2",
-    "Present": "20",
-    "Slew": "x=70",
-    "Start": "bottom",
-    "Zero": "bottom",
-}
-
-
-def another(one):
-    """Return a value of a parameter that is not its default, as JSON."""
-    kind = one.kind
-    if kind.type is bool:
-        return not one.default
-    if kind.choices:
-        value = next(choice for choice in reversed(kind.choices) if choice != one.default)
-    elif kind.type in (int, float):
-        value = next(number for number in (7, 8) if number != one.default)
-        value = [value, value + 1] if kind.count > 1 else value
-    else:
-        value = TEXTS.get(kind.type.__name__, f"{one.name}.x")
-    return [value] if kind.several else value
-
-
-@pytest.mark.parametrize("command", ENTRIES)
-def test_each_option_reaches_the_function(command, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    given = []
-
-    def function(_, **values):
-        given.append(values)
-        return Result({})
-
-    declared = find(command)
-    free = tuple(replace(one, conditions=()) for one in declared.parameters)
-    caught = replace(declared, function=function, parameters=free)
-    needed = {one.name: another(one) for one in free if one.required}
-    for one in free:
-        values = caught.of_json({**needed, one.name: another(one)})
-        words = caught.command(values)[1 + len(command.split()) :]
-        done = CliRunner().invoke(OperationCommand(caught), words)
-        assert done.exit_code == 0, (words, done.output)
-        assert given.pop() == values
-        assert values[one.name] != one.default
-
-
-@pytest.mark.parametrize("command", ENTRIES)
-def test_the_function_of_a_command_uses_each_parameter(command):
-    declared = find(command)
-    (function,) = ast.parse(textwrap.dedent(inspect.getsource(declared.function))).body
-    names = [node for part in function.body for node in ast.walk(part) if isinstance(node, ast.Name)]
-    used = {node.id for node in names if isinstance(node.ctx, ast.Load)}
-    own = {one.arg for one in (*function.args.args, *function.args.kwonlyargs)}
-    rest = function.args.kwarg.arg if function.args.kwarg else None
-    unused = [one.name for one in declared.parameters if (one.name if one.name in own else rest) not in used]
-    assert unused == []
 
 
 @pytest.fixture(scope="module")

@@ -14,14 +14,11 @@ from dehyst.cli import main
 
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 TIMEOUT = 600
+# Texts of parameters by their type.
+TEXTS = {"columns": "time=2", "numbers": "1,2", "start": "bottom", "zero": "bottom", "text": "70"}
 OUTPUTS = {"-o", "--output", "--report", "--table", "--traces"}
 # Commands write twelve significant digits: a number moves by this part of itself at most.
 WRITTEN = 5e-12
-
-
-def rare(**values):
-    """Words that give options of `--options`."""
-    return "--options", json.dumps(values)
 
 
 def run(*arguments, cwd=None, keep=False):
@@ -47,6 +44,31 @@ def commands(group=main, path=()):
             yield from commands(command, (*path, name))
         else:
             yield " ".join((*path, name)), command
+
+
+def sample_words(command, option=None, text=None):
+    """Words of a command: arguments and options that it needs, and an `option` with a value that is not its default."""
+    words = []
+    for each in command.params:
+        if each is option or each.required or isinstance(each, click.Argument):
+            texts = sample_texts(each) if text is None or each is not option else [text]
+            words += texts if isinstance(each, click.Argument) else [_flag(each), *texts]
+    return words
+
+
+def _flag(option):
+    return option.secondary_opts[0] if option.default is True else option.opts[-1]
+
+
+def sample_texts(parameter):
+    """Texts of a value of a parameter."""
+    if getattr(parameter, "is_flag", False):
+        return []
+    if isinstance(parameter.type, click.Choice):
+        return [parameter.type.choices[-1]]
+    if isinstance(parameter.type, click.Path):
+        return [f"absent-{parameter.name}"]
+    return [TEXTS.get(parameter.type.name, "7")] * parameter.nargs if parameter.nargs > 0 else ["7"]
 
 
 def _text(argument):

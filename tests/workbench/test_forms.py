@@ -3,6 +3,7 @@
 import pytest
 
 from dehyst import Actuator, MaxwellSlip, Spring, Stage
+from dehyst.operations.command import NUMBER
 from dehyst.operations.registry import find
 from dehyst.waveforms.scans import SCANS
 from dehyst.workbench.data import RequestError, path_points
@@ -14,16 +15,17 @@ ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), lim
 
 
 def test_forms_offer_what_the_operations_declare():
+    known = {parameter.name: parameter for parameter in find("identify").params}
     for name, field in FORMS["identify"].items():
-        parameter = find("identify").parameter(name)
+        parameter = known.get(name)
         if parameter is None:
             assert name == "name"
         elif "choices" in field:
             offered = {value for value, _ in field["choices"]}
-            assert offered <= {*parameter.kind.choices}
+            assert offered <= {*parameter.type.choices}
             assert field["value"] == parameter.default
         else:
-            assert parameter.kind.type in (int, float)
+            assert parameter.type is NUMBER
 
 
 def test_a_scan_has_a_field_for_each_of_its_options():

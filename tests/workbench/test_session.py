@@ -300,7 +300,7 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
             stage.session.identify({"train": train})
     with pytest.raises(SessionError, match="to train and to validate"):
         stage.session.identify({"train": entry.train, "validate": entry.train})
-    for options in ({"structure": "--force"}, {"goal": "1"}, {"output": "x"}, {"shell": "rm"}):
+    for options in ({"structure": "--force"}, {"goal": "1; rm"}, {"output": "x"}, {"shell": "rm"}):
         with pytest.raises(DehystError):
             stage.session.identify({"train": entry.train, "options": options})
     record = stage.session.add_record("uploads/b.csv", "b.csv")

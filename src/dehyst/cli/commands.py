@@ -13,6 +13,7 @@ import click
 
 from dehyst._version import __version__
 from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, guarded_streams
+from dehyst.operations.command import argument_of
 from dehyst.operations.registry import JOURNEY, find
 
 # Commands of this room, beside the operations: where they are, under which heading, and in a few words.
@@ -41,10 +42,9 @@ class Commands(click.Group):
         """Return a command, which is loaded now; None if there is none."""
         if cmd_name not in self.list_commands(ctx):
             return None
-        from dehyst.cli.command import OperationCommand
-
         own = _OWN.get(cmd_name)
-        return OperationCommand(import_module(own[0]).workbench if own else find(cmd_name))
+        found: click.Command = import_module(own[0]).workbench if own else find(cmd_name)
+        return found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings, each with a few words."""
@@ -76,13 +76,16 @@ class Commands(click.Group):
                 for line in shown.getvalue().removesuffix("\n").split("\n"):
                     echo(line, err=True)
                 if "--json" in words:
-                    echo_json({"error": {"kind": type(error).__name__, "message": error.format_message()}})
+                    argument = argument_of(error) if isinstance(error, click.UsageError) else ""
+                    fields = {"kind": type(error).__name__, "message": error.format_message(), "argument": argument}
+                    echo_json({"error": fields})
                 sys.exit(error.exit_code)
             except click.Abort:
                 sys.exit(INTERRUPTED)
 
 
 @click.group(
+    "dehyst",
     cls=Commands,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -91,6 +94,14 @@ class Commands(click.Group):
 @click.pass_context
 def main(context: click.Context) -> None:
     """Take the hysteresis out of piezoelectric actuators. First: dehyst demo, or dehyst workbench."""
+    context.obj = _run
     if context.invoked_subcommand is None:
         for line in context.get_help().split("\n"):
             echo(line)
+
+
+def _run(context: click.Context) -> None:
+    """Run a command, with what that needs, which `--help` does not load."""
+    from dehyst.cli.command import run_command
+
+    run_command(context)

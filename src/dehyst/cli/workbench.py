@@ -10,35 +10,25 @@ import webbrowser
 from contextlib import suppress
 from pathlib import Path
 
-from dehyst.operations.declaration import operation
+import click
+
+from dehyst.operations.command import command, number, option
 from dehyst.operations.run import Result, Run
 from dehyst.workbench import serve
 from dehyst.workbench.serving import Door
 
 
-@operation(returns=False)
-def workbench(
-    run: Run,
-    folder: Path = Path("dehyst-workbench"),
-    *,
-    port: int | None = None,
-    browser: bool = True,
-    max_size: float = 500.0,
-) -> Result:
+@command("workbench", returns=False)
+@click.argument("folder", type=click.Path(path_type=Path), default="dehyst-workbench")
+@option("--port", type=int, help="0: any that is free; default: 8754, or any.")
+@option("--browser/--no-browser", default=True, help="Open the page.")
+@number("--max-size", default=500.0, help="Largest file to receive [MB].")
+def workbench(run: Run, folder: Path, port: int | None, browser: bool, max_size: float) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
     Everything is kept in FOLDER, with a script of the commands that would do the same. The page is served to this
     machine only; a printed link lets one browser in, once, within a minute; in a terminal, Enter prints another.
     Ctrl-C ends it.
-
-    Parameters
-    ----------
-    port
-        0: any that is free; default: 8754, or any.
-    browser
-        Open the page.
-    max_size
-        Largest file to receive [MB].
     """
 
     def opened(door: Door) -> None:

@@ -43,10 +43,9 @@ class Numbers:
     """Reader of a number, a vector or a table: what each of its numbers must be.
 
     `dimensions`: 0, 1 or 2. `positive`: above 0. `least`, `most`: smallest and largest number. `rising`: each is larger
-    than the one before. `divides`: results are divided by those that are not 0, or by
-    the steps of rising ones. `largest`: magnitude
-    that can be computed with. `plausible`: largest magnitude in a file, far beyond those of any piezo actuator.
-    `optional`: None is allowed.
+    than the one before. `divides`: results are divided by those that are not 0, or by the steps of rising ones.
+    `largest`: magnitude that can be computed with. `plausible`: largest magnitude in a file, far beyond those of any
+    piezo actuator. `optional`: None is allowed.
     """
 
     dimensions: int = 0

@@ -34,15 +34,14 @@ class Outcome(Enum):
         return self not in (Outcome.INACCURATE, Outcome.VALIDATION_MISSED)
 
 
-_SIZE = Numbers(least=0.0)
+_SIZE, _RATE = Numbers(least=0.0), Numbers(positive=True, plausible=1e11, optional=True)
 
 
 def _outcome(value: object, where: str) -> Outcome | None:
     if value is None or isinstance(value, Outcome):
         return value
     if not isinstance(value, str) or value not in Outcome.__members__:
-        need = f"one of {', '.join(Outcome.__members__)}, or null"
-        raise ModelError(argument=where, got=repr(value), need=need)
+        raise ModelError(argument=where, got=repr(value), need=f"one of {', '.join(Outcome.__members__)}, or null")
     return Outcome[value]
 
 
@@ -52,9 +51,7 @@ def _validity(value: object, where: str) -> Validity | None:
 
 @dataclass(frozen=True)
 class Identification(Entries):
-    """How an actuator was identified, and its errors then; later judgements of the model depend on it.
-
-    A number that is not known is None.
+    """How an actuator was identified, and its errors then, None if not known; later judgements depend on it.
 
     Attributes
     ----------
@@ -80,6 +77,8 @@ class Identification(Entries):
         Largest abs(dv/dt) [V/s] of the records, with a margin of 5 %.
     validity : Validity or None
         What the records tested; it determines the promised error of a path.
+    allowed_slew_rate, columns : float or None, str
+        Largest slew rate [V/s] of paths, and columns of the records as text of `Columns`: defaults of commands.
 
     Raises
     ------
@@ -97,8 +96,10 @@ class Identification(Entries):
     provisional: bool = entry("provisional", flag, False)
     largest_error: float | None = entry("largest_error_m", replace(_SIZE, optional=True), None)
     goal: float | None = entry("goal_percent", replace(_SIZE, optional=True), None)
-    slew_rate: float | None = entry("slew_rate_V_per_s", Numbers(positive=True, plausible=1e11, optional=True), None)
+    slew_rate: float | None = entry("slew_rate_V_per_s", _RATE, None)
     validity: Validity | None = entry("validity", _validity, None)
+    allowed_slew_rate: float | None = entry("allowed_slew_rate_V_per_s", _RATE, None)
+    columns: str = entry("columns", text, "")
 
 
 def with_identification(actuator: Actuator, **entries: Any) -> Actuator:

@@ -413,7 +413,7 @@ def promise(
     # Any path like the records is as fast as their fastest part, where they may be missed by more.
     largest = max(largest, validity.largest) if voltage is None else largest
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
-    half = each[np.clip(np.searchsorted(at[:, 0], np.arange(v.size), side="right") - 1, 0, each.size - 1)]
+    half = np.repeat(each, np.diff([0, *at[1:, 0], v.size]))
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
     # Half of a range bounds the standard deviation in it.
     added = {

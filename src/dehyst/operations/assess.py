@@ -1,26 +1,41 @@
-"""`insight` and `check`: how far to trust a model, what to record next, and whether the model is still true."""
+"""`insight`, `check` and `update`: how far to trust a model, what to record next, and whether it is still true."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
+
+import click
 
 from dehyst._errors import ModelError
 from dehyst.control import PathPlan, plan_path
 from dehyst.model import needs_time
-from dehyst.operations.axes import AxesModel, Slew, is_stage
+from dehyst.operations.axes import AxesModel, AxisText, is_stage
 from dehyst.operations.check_log import append_checks, read_log
-from dehyst.operations.declaration import Continued, Input, Only, Output, Values, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns, clock_of
-from dehyst.operations.paths import PathSlew, Zero, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.command import (
+    CONTINUED,
+    INPUT,
+    NUMBER,
+    Only,
+    Parsed,
+    Values,
+    command,
+    number,
+    option,
+    output,
+    page,
+)
+from dehyst.operations.files import RECORD, Columns, clock_of, columns_option
+from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import Start, starts_of
-from dehyst.records import read, read_table
+from dehyst.records import read_table
 from dehyst.report import write_insight
-from dehyst.trust import Insight, Recheck, StageInsight
+from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
+from dehyst.trust import update as update_one
 
 
 def _single(given: Values) -> bool:
@@ -31,41 +46,61 @@ _of_one = Only(_single, "with a model of several axes")
 _of_path = Only(lambda given: _single(given) and "trajectory" in given, "without --trajectory, on a model of one axis")
 
 
-@operation(insight_one, details=True)
+@command("insight", details=True)
+@click.argument("model", type=INPUT)
+@click.argument("records", type=INPUT, nargs=-1, required=True)
+@option(
+    "--trajectory",
+    type=INPUT,
+    only=_of_one,
+    help="Show the promise of this path, as compensate plans it: a file with a displacement.",
+)
+@option(
+    "--zero",
+    type=Parsed(Zero),
+    only=_of_path,
+    help="Displacement from which the trajectory is counted, as in compensate; default: the sensor's zero.",
+)
+@option(
+    "--start",
+    type=Parsed(Start),
+    only=_of_path,
+    help="State before the trajectory, as in compensate; default: unknown.",
+)
+@option(
+    "--limits",
+    type=(NUMBER, NUMBER),
+    metavar="LOW HIGH",
+    help="Voltages allowed [V]; default: those of the model.",
+)
+@option(
+    "--slew-rate",
+    type=AxisText("V/S|none", none=True),
+    only=_of_path,
+    help="Largest slew rate of the trajectory [V/s], as in compensate.",
+)
+@page()
+@columns_option
 def insight(
     run: Run,
-    model: Input,
-    records: tuple[Input, ...],
-    *,
-    trajectory: Annotated[Input | None, _of_one] = None,
-    zero: Annotated[Zero | None, _of_path] = None,
-    start: Annotated[Start | None, _of_path] = None,
-    limits: tuple[float, float] | None = None,
-    slew_rate: Annotated[Slew | None, _of_path] = None,
-    report: Output | None = None,
-    columns: Columns = AS_FOUND,
+    model: Path,
+    records: tuple[Path, ...],
+    trajectory: Path | None,
+    zero: Zero | None,
+    start: Start | None,
+    limits: tuple[float, float] | None,
+    slew_rate: str | None,
+    report: Path | None,
+    columns: Columns,
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
     The status is 1 if there is a warning.
-
-    Parameters
-    ----------
-    trajectory
-        Show the promise of this path, as compensate plans it: a file with a displacement.
-    zero
-        Displacement from which the trajectory is counted, as in compensate; default: the sensor's zero.
-    start
-        State before the trajectory, as in compensate; default: unknown.
-    slew_rate
-        Largest slew rate of the trajectory [V/s], as in compensate.
-    report
-        Write a self-contained HTML page here.
     """
     known = AxesModel.read(run, model)
     keys = RECORD if trajectory is None else (*RECORD, "wanted", "temperature")
     known.demand(columns, keys, "on records")
-    training = [read(path, known.of_records(columns)) for path in records]
+    training = [known.record(run, path, columns) for path in records]
     asked: dict[str, Any] = {"limits": limits, "progress": run.progress}
     if known.stage is not None:
         whole = insight_one(known.stage, training, **asked)
@@ -94,7 +129,7 @@ def _planned(
     trajectory: Path,
     columns: Columns,
     limits: tuple[float, float] | None,
-    slew_rate: Slew | None,
+    slew_rate: str | None,
     zero: Zero | None,
     start: Start | None,
 ) -> PathPlan:
@@ -115,35 +150,32 @@ def _planned(
     rows = path[:, None]
     for remark in [*remarks, *reach_remarks(actuator, known.targets(rows).T[0], limits, zero, warmth)]:
         run.note(remark)
-    options, slew = {"time": time, "temperature": warmth}, PathSlew.chosen(actuator, slew_rate).bound
-    return known.planned(plan_path, rows, [limits], [slew], options, start=begins)[0]
+    (slew,) = known.slews([] if slew_rate is None else [slew_rate])
+    return known.planned(plan_path, rows, [limits], [slew.bound], time=time, temperature=warmth, start=begins)[0]
 
 
-@operation(check_one)
-def check(
-    run: Run,
-    model: Input,
-    record: Input,
-    *,
-    goal: float | None = None,
-    log: Continued | None = None,
-    columns: Columns = AS_FOUND,
-) -> Result:
+@command("check")
+@click.argument("model", type=INPUT)
+@click.argument("record", type=INPUT)
+@number(
+    "--goal",
+    help="Largest error [% of the stroke] with which the model is still true; default: the model's, or 1.",
+)
+@option(
+    "--log",
+    type=CONTINUED,
+    help="Append the check to this table (CSV), one row an axis; a new one, or any with --force, begins with a header.",
+)
+@columns_option
+def check(run: Run, model: Path, record: Path, goal: float | None, log: Path | None, columns: Columns) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.
 
     The status is 0 if the model is still true, 1 if not.
-
-    Parameters
-    ----------
-    goal
-        Largest error [% of the stroke] with which the model is still true; default: the model's, or 1.
-    log
-        Append the check to this table (CSV), one row an axis; a new one, or any with --force, begins with a header.
     """
     before = None if log is None else read_log(log, again=run.force)
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on a record")
-    measured = read(record, known.of_records(columns))
+    measured = known.record(run, record, columns)
     if known.stage is None:
         found = [check_one(known.actuators[0], measured, goal=goal)]
         coupling, good = None, found[0].good
@@ -182,3 +214,43 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
     if recheck.remarks:
         yield ""
         yield from (f"  - {remark}" for remark in recheck.remarks)
+
+
+@command("update")
+@click.argument("model", type=INPUT)
+@click.argument("record", type=INPUT)
+@output("Write the new model here (JSON).")
+@number("--goal", help="Largest error allowed [% of the stroke]; default: the model's, or 1.")
+@columns_option
+def update(run: Run, model: Path, record: Path, output: Path, goal: float | None, columns: Columns) -> Result:
+    """Update a MODEL from a new RECORD of its actuator, even of a single loop, and report what has changed.
+
+    If no updated model predicts the record better, the output is the old model; a record on which it does not keep its
+    promise widens it. A record that clearly belongs to another actuator is refused. The coupling of several axes is
+    checked, not changed. The status is 0 if the error on held-out parts and the promise are within the goal, else 1.
+    """
+    known = AxesModel.read(run, model)
+    known.demand(columns, RECORD, "on a record")
+    measured = known.record(run, record, columns)
+    coupling: tuple[str, ...] = ()
+    if known.stage is None:
+        found = update_one(known.actuators[0], measured, goal=goal)
+        found.actuator.save(output)
+        fields, updates, good = found.as_dict(), [found], found.good
+    else:
+        stage = update_one(known.stage, measured, goal=goal)
+        stage.stage.save(output)
+        fields, updates, good = stage.as_dict(), [*stage.updates], stage.good
+        coupling = stage.coupling_changes
+    lines = known.prefixed(_update_lines(one) for one in updates)
+    lines += files(Model=output)
+    return Result({**fields, "output": str(output)}, lines, warnings=coupling, good=good)
+
+
+def _update_lines(update: Update) -> Iterator[str]:
+    """Yield the result, the promise, and the changes."""
+    yield update.sentence
+    if update.promise is not None:
+        yield from update.promise.lines
+    yield from update.sentences()
+    yield from (f"  - {remark}" for remark in update.recheck.remarks)

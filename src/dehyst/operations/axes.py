@@ -2,118 +2,125 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, NamedTuple
 
+import click
 import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
 from dehyst._units import quantity_of
 from dehyst.control import Compensator, PathPlan, StageCompensator
-from dehyst.model import Actuator, Stage
+from dehyst.model import Actuator, Stage, slew_rate_of_records
 from dehyst.model.stage import apply
-from dehyst.operations.files import MIDDLE, Columns, implausible_delay, is_model, read_model, values_of
+from dehyst.operations.command import NUMBER, option
+from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, implausible_delay, is_model, read_model, values_of
 from dehyst.operations.run import Run
-from dehyst.records import Table
+from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import Entry, columns_of_axis
+from dehyst.records.files import record_of
 from dehyst.records.formats.columns import GUESS, QUANTITIES, listed, plausible_unit
 from dehyst.records.tables import ColumnError
 
 
-@dataclass(frozen=True)
-class Limit:
-    """Allowed voltages [V] of the named axis, or without a name of all axes."""
+class AxisText(click.ParamType):  # type: ignore[type-arg]
+    """A text [AXIS=]NUMBER, of one axis or of all; with `none` also [AXIS=]none."""
 
-    axis: str
-    low: float
-    high: float
+    def __init__(self, name: str, *, none: bool = False) -> None:
+        self.name, self.none = name, none
 
-    metavar: ClassVar[str] = "[AXIS=]LOW HIGH"
-    word_count: ClassVar[int] = 2
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        """Return the form of the text."""
+        return self.name
 
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the limits in a text; raise ValueError that says what is needed."""
-        axis, _, numbers = text.rpartition("=")
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the text, if its number can be read."""
+        number = value.rpartition("=")[2]
         try:
-            low, high = map(float, numbers.split())
-        except ValueError as error:
-            raise ValueError(f"got {text!r}, need two voltages") from error
-        return cls(axis, low, high)
-
-    def __str__(self) -> str:
-        """Return the text."""
-        return f"{self.axis and f'{self.axis}='}{self.low:.12g} {self.high:.12g}"
+            _ = (self.none and number == "none") or float(number)
+        except ValueError:
+            self.fail(f"got {value!r}, need a number{' or none' if self.none else ''}", param, ctx)
+        return value
 
 
-@dataclass(frozen=True)
-class AxisNumber:
-    """A number for the named axis, or without a name for all axes."""
-
-    axis: str
-    number: float | None
-
-    metavar: ClassVar[str]
-    needed: ClassVar[str]
-    none: ClassVar[bool] = False
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the number in a text; raise ValueError that says what is needed."""
-        axis, _, number = text.rpartition("=")
-        try:
-            return cls(axis, None if cls.none and number == "none" else float(number))
-        except ValueError as error:
-            raise ValueError(f"got {text!r}, need {cls.needed}") from error
-
-    def __str__(self) -> str:
-        """Return the text."""
-        return f"{self.axis and f'{self.axis}='}{'none' if self.number is None else f'{self.number:.12g}'}"
+def limits_option(text: str, **settings: Any) -> Any:
+    """Return the option for the limits of all axes or of one."""
+    pair = AxisText("[AXIS=]LOW"), NUMBER
+    return option("--limits", type=pair, multiple=True, metavar="[AXIS=]LOW HIGH", help=text, **settings)
 
 
-class Slew(AxisNumber):
-    """The largest slew rate [V/s]; None: not limited."""
-
-    metavar = "[AXIS=]V/S|none"
-    needed = "a number of V/s, or none"
-    none = True
+def slew_option(text: str, **settings: Any) -> Any:
+    """Return the option for the slew rates of all axes or of one."""
+    rate = AxisText("[AXIS=]V/S|none", none=True)
+    return option("--slew-rate", type=rate, multiple=True, help=text, **settings)
 
 
-class Present(AxisNumber):
-    """The present voltage [V]."""
+class PathSlew(NamedTuple):
+    """The largest slew rate [V/s] of a path (None: its own speed), its origin, and that of the model's records.
 
-    metavar = "[AXIS=]V"
-    needed = "a number of V"
+    `origin`: "default", or "option", "none" for the option --slew-rate none, or "model" for that which the model keeps.
+    """
+
+    bound: float | None
+    origin: str
+    recorded: float | None = None
+
+    @property
+    def asked(self) -> float | None:
+        """The slew rate that is asked for: infinite for none, None by default."""
+        return None if self.origin == "default" else math.inf if self.bound is None else self.bound
+
+    @property
+    def times(self) -> float:
+        """The slew rate in multiples of that of the model's records; 0 if one of them is not known."""
+        return (self.bound or 0.0) / (self.recorded or math.inf)
+
+    @property
+    def words(self) -> str:
+        """The slew rate and its origin as text."""
+        if self.bound is not None:
+            kept = ", which the model keeps; --slew-rate takes another" if self.origin == "model" else ""
+            more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
+            return f"slew rate: at most {self.bound:.4g} V/s{kept}{more}"
+        jumps = "" if self.recorded is None else f"; jumps and homings take at most {self.recorded:.4g} V/s"
+        return f"slew rate: not limited{jumps}{' (--slew-rate V/S limits it)' if self.origin == 'default' else ''}"
+
+    def fields(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {"slew_V_per_s": self.bound, "slew_from": self.origin}
 
 
-def limits_of(axes: Sequence[str], given: Iterable[Limit]) -> list[tuple[float, float] | None]:
-    """Return the limits [V] of each axis: its own, the common ones, or None."""
-    return [None if one is None else (one.low, one.high) for one in _by_axis(axes, given, "limits")]
+def of_axes(axes: Sequence[str], given: Iterable[tuple[str, Any]], name: str) -> list[Any]:
+    """Return the value of each axis: its own, the common one, or None.
 
-
-def slews_of(axes: Sequence[str], given: Iterable[Slew]) -> list[Slew | None]:
-    """Return the slew rate of each axis: its own, the common one, or None if none was given."""
-    return _by_axis(axes, given, "slew_rate")
-
-
-def numbers_of(axes: Sequence[str], given: Iterable[AxisNumber], name: str) -> list[float | None]:
-    """Return the number of each axis: its own, the common one, or None. `name`: the parameter, for errors."""
-    return [None if one is None else one.number for one in _by_axis(axes, given, name)]
-
-
-def _by_axis(axes: Sequence[str], given: Iterable[Any], name: str) -> list[Any]:
+    `given`: pairs of an axis, or "" for all, and its value. `name`: the parameter, for errors. Raise `ModelError` for
+    an axis that is unknown or given twice.
+    """
     found: dict[str, Any] = {}
-    for one in given:
-        if one.axis in found:
-            raise ModelError(argument=name, got=f"{one.axis or 'one for all axes'} twice", need="one")
-        if one.axis and one.axis not in axes:
+    for axis, value in given:
+        if axis in found:
+            raise ModelError(argument=name, got=f"{axis or 'one for all axes'} twice", need="one")
+        if axis and axis not in axes:
             known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
-            raise ModelError(argument=name, got=f"the axis {one.axis}", need=known)
-        found[one.axis] = one
+            raise ModelError(argument=name, got=f"the axis {axis}", need=known)
+        found[axis] = value
     return [found.get(axis, found.get("")) for axis in axes]
+
+
+def limits_of(axes: Sequence[str], given: Iterable[tuple[str, float]]) -> list[tuple[float, float] | None]:
+    """Return the limits [V] of each axis from texts [AXIS=]LOW and numbers HIGH."""
+    parts = ((low.rpartition("="), high) for low, high in given)
+    return of_axes(axes, ((axis, (float(low), high)) for (axis, _, low), high in parts), "limits")
+
+
+def numbers_of(axes: Sequence[str], given: Iterable[str], name: str) -> list[float | None]:
+    """Return the number of each axis from texts [AXIS=]NUMBER; infinite for none."""
+    parts = (text.rpartition("=") for text in given)
+    return of_axes(axes, ((axis, math.inf if text == "none" else float(text)) for axis, _, text in parts), name)
 
 
 def is_stage(path: Path) -> bool:
@@ -149,24 +156,33 @@ class AxesModel:
                 run.note(f"{path}: {axis}: {sentence}")
         return cls(stage, stage.actuators, stage.axes)
 
+    def slews(self, given: Iterable[str]) -> list[PathSlew]:
+        """Return the slew rate of each axis: the given one, the one that its model keeps, or none."""
+        found = []
+        for actuator, rate in zip(self.actuators, numbers_of(self.axes, given, "slew_rate"), strict=True):
+            recorded, known = slew_rate_of_records(actuator), actuator.identification
+            kept = None if known is None else known.allowed_slew_rate
+            if rate is not None:
+                limited = rate != math.inf
+                found.append(PathSlew(rate if limited else None, "option" if limited else "none", recorded))
+            else:
+                found.append(PathSlew(kept, "default" if kept is None else "model", recorded))
+        return found
+
     def planned(
         self,
-        plan: Callable[..., Any],
+        plan: Callable[..., PathPlan],
         rows: Array,
         limits: Sequence[tuple[float, float] | None],
         slew_rates: Sequence[float | None],
-        options: Mapping[str, Any],
-        **by_axis: Sequence[Any],
+        **options: Any,
     ) -> list[PathPlan]:
-        """Return the planned path of each axis for displacements or voltages `rows` (n, axes).
-
-        `plan`: `plan_path` or `plan_voltage`. `by_axis`: options with one entry for each axis.
-        """
+        """Return the plan of each axis, by `plan_path` or `plan_voltage`, for `rows` (n, axes) [m] or [V]."""
         if self.stage is None:
-            own = {name: values[0] for name, values in by_axis.items()}
-            return [plan(Compensator(self.actuators[0], limits[0], slew_rates[0]), rows[:, 0], **options, **own)]
-        several = StageCompensator(self.stage, limits=limits, slew_rate=slew_rates)
-        return [*plan(several, rows, **options, **by_axis).each]
+            planned = plan(Compensator(self.actuators[0], limits[0], slew_rates[0]), rows[:, 0], **options)
+        else:
+            planned = plan(StageCompensator(self.stage, limits=limits, slew_rate=slew_rates), rows, **options)
+        return [*(planned.each or (planned,))]
 
     def by_axis(self, values: Iterable[Any]) -> Any:
         """Return the value of a single axis, or the values of several axes by name, for JSON."""
@@ -211,7 +227,24 @@ class AxesModel:
         """Raise an error for keys of columns that have no effect, see `Columns.demand`."""
         columns.demand(keys, words, axes=self.stage is not None)
 
-    def of_records(self, columns: Columns) -> Columns:
+    def record(self, run: Run, path: Path, columns: Columns) -> Record:
+        """Read a record: by the given columns, else by those of the model's own records, else by the usual names."""
+        if self.stage is not None:
+            return read(path, self._of_records(columns))
+        known = self.actuators[0].identification
+        if columns != AS_FOUND or known is None or not known.columns:
+            return read(path, columns)
+        kept = Columns.parse(known.columns)
+        table = table_of(path, kept)
+        names = ((quantity, getattr(kept, quantity)) for quantity in ("time", "voltage", "displacement"))
+        if any(name is not None and table.fitting(quantity, name) != 1 for quantity, name in names):
+            return read(path, columns)
+        run.note(
+            f"{path.name}: read by the columns of the model's own records, {known.columns}; --columns takes others"
+        )
+        return record_of(table, kept, path.stem)
+
+    def _of_records(self, columns: Columns) -> Columns:
         """Return the columns of records: with those of each axis that were given, or else of the model's records."""
         if self.stage is None or columns.axes:
             return columns

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
+
+import click
 
 from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_own_folder
@@ -14,8 +17,8 @@ from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.plan import entries, read_voltage
 from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, open_rig
-from dehyst.operations.axes import Limit, Slew, limits_of, slews_of
-from dehyst.operations.declaration import Continued, Input, Only, Values, operation
+from dehyst.operations.axes import limits_of, limits_option, numbers_of, slew_option
+from dehyst.operations.command import CONTINUED, INPUT, Only, Values, command, number, option, output
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_report
@@ -34,19 +37,54 @@ def _names(given: Values) -> list[str] | None:
 _single = Only(lambda given: _names(given) is None, "with several axes")
 
 
-@operation(Plan)
+@command("calibrate")
+@click.argument("rig")
+@output(
+    "Folder for records, model and report: new, empty, or an earlier calibration's, whose whole records are not "
+    "played again.",
+    CONTINUED,
+    default="dehyst-calibration",
+)
+@option(
+    "--axes",
+    help="Calibrate these axes of one body together, as 1,2,3: coupling, model and path of all axes; default: one "
+    "axis.",
+)
+@limits_option(
+    "Range of the voltage [V]; default: the device's.",
+)
+@slew_option(
+    "Largest slew rate [V/s]; default: the whole range in 0.1 s.",
+)
+@number(
+    "--frequency",
+    help="Cycles per second [Hz] of the slowest loops, default 0.1, and 1 for several axes; the path is five times as "
+    "fast as one actuator's loops.",
+)
+@option(
+    "--protocol",
+    type=INPUT,
+    multiple=True,
+    only=_single,
+    help="Record these voltages (from dehyst excite) instead of suggested ones.",
+)
+@number(
+    "--goal",
+    default=1.0,
+    help="Largest error along the path [% of the stroke] of a good calibration, on every axis.",
+)
+@option("--dry-run", is_flag=True, help="Print what would be sent, and send nothing.")
 def calibrate(
     run: Run,
     rig: str,
-    *,
-    output: Continued = Path("dehyst-calibration"),
-    axes: str | None = None,
-    limits: tuple[Limit, ...] = (),
-    slew_rate: tuple[Slew, ...] = (),
-    frequency: float | None = None,
-    protocol: Annotated[tuple[Input, ...], _single] = (),
-    goal: float = 1.0,
-    dry_run: bool = False,
+    output: Path,
+    axes: str | None,
+    limits: Sequence[tuple[str, float]],
+    slew_rate: Sequence[str],
+    frequency: float | None,
+    protocol: tuple[Path, ...],
+    goal: float,
+    dry_run: bool,
 ) -> Result:
     """Home, excite, record, identify, compensate and measure the actuator on RIG.
 
@@ -54,27 +92,11 @@ def calibrate(
     of one rig: pi://HOST:PORT/1,2,3, or --axes 1,2,3.
 
     Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk.
-
-    Parameters
-    ----------
-    output
-        Folder for records, model and report: new, empty, or an earlier calibration's, whose whole records are not
-        played again.
-    axes
-        Calibrate these axes of one body together, as 1,2,3: coupling, model and path of all axes; default: one axis.
-    limits
-        Range of the voltage [V]; default: the device's.
-    slew_rate
-        Largest slew rate [V/s]; default: the whole range in 0.1 s.
-    protocol
-        Record these voltages (from dehyst excite) instead of suggested ones.
-    dry_run
-        Print what would be sent, and send nothing.
     """
     names = _names({"rig": rig, "axes": axes})
     every = names or [""]
-    allowed, rates = limits_of(every, limits), slews_of(every, slew_rate)
-    steepest = [None if one is None else one.number for one in rates]
+    allowed, rates = limits_of(every, limits), numbers_of(every, slew_rate, "slew_rate")
+    steepest = [None if rate is None or rate == math.inf else rate for rate in rates]
     played = tuple(map(read_voltage, protocol))
     plan = Plan(protocol=played, frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():

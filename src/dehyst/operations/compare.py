@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import click
+
 from dehyst._errors import IdentifyError
-from dehyst._io import finite, write_json
-from dehyst.operations.declaration import Input, Output, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns
+from dehyst.operations.command import INPUT, command, option, page
+from dehyst.operations.files import RECORD, Columns, columns_option
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import read
 from dehyst.report import write_comparison
@@ -17,41 +19,38 @@ from dehyst.trust import compare as run_comparison
 from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
 
 
-@operation(run_comparison, details=True)
+@command("compare", details=True)
+@click.argument("records", type=INPUT, nargs=-1, required=True)
+@option(
+    "--validate",
+    type=INPUT,
+    multiple=True,
+    help="Held-out records. By default, the last quarter of each record is held out whose first three quarters can be "
+    "fitted, and the models are fitted to the rest.",
+)
+@option("--only", multiple=True, help="Compare only this model; may be repeated; default: all.")
+@page()
+@columns_option
 def compare(
     run: Run,
-    records: tuple[Input, ...],
-    *,
-    validate: tuple[Input, ...] = (),
-    only: tuple[str, ...] = (),
-    output: Output | None = None,
-    report: Output | None = None,
-    columns: Columns = AS_FOUND,
+    records: tuple[Path, ...],
+    validate: tuple[Path, ...],
+    only: tuple[str, ...],
+    report: Path | None,
+    columns: Columns,
 ) -> Result:
     """Compare dehyst's model with a table of two branches, a straight line and models of plug-ins, fitted to RECORDS.
 
     Without --validate, the last quarter of each record is held out. The status is 1 if dehyst's own model fails.
-
-    Parameters
-    ----------
-    only
-        Compare only this model; may be repeated; default: all.
-    output
-        Write every figure here (JSON).
-    report
-        Write a self-contained HTML page here.
     """
     columns.demand(RECORD, "here")
     run.progress("reading")
     training, held_out = ([read(path, columns) for path in paths] for paths in (records, validate))
     found = run_comparison(training, validate=held_out, models=_chosen(only), progress=run.progress)
-    if output is not None:
-        write_json(output, {"format": "dehyst-comparison", "version": 1, **finite(found.as_dict())})
     if report is not None:
         write_comparison(report, found, command=run.command)
     good = not any(row.failure for row in found.rows if row.name == OURS)
-    written = files(Figures=output, Report=report)
-    lines, more = ([*_lines(found, full=full), *written] for full in (False, True))
+    lines, more = ([*_lines(found, full=full), *files(Report=report)] for full in (False, True))
     return Result(found.as_dict(), lines, more, good=good)
 
 

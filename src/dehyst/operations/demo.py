@@ -12,7 +12,7 @@ from dehyst._io import PathLike, demand_own_folder, made_folder, write_json
 from dehyst._types import Array, Progress
 from dehyst.control import plan_path
 from dehyst.identification import Fit, identify
-from dehyst.operations.declaration import Continued, operation
+from dehyst.operations.command import CONTINUED, command, option, output
 from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
@@ -115,17 +115,13 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     return [target / name for name in names]
 
 
-@operation()
-def demo(run: Run, *, output: Continued = Path("dehyst-demo"), report: bool = True) -> Result:
-    """Record, identify, compensate and verify on an embedded virtual actuator.
-
-    Parameters
-    ----------
-    output
-        Folder for the files: new, empty, or an earlier demo's; any other with --force.
-    report
-        Draw the report.
-    """
+@command("demo")
+@output(
+    "Folder for the files: new, empty, or an earlier demo's; any other with --force.", CONTINUED, default="dehyst-demo"
+)
+@option("--report/--no-report", default=True, help="Draw the report.")
+def demo(run: Run, output: Path, report: bool) -> Result:
+    """Record, identify, compensate and verify on an embedded virtual actuator."""
     demand_own_folder(output, *OWN, force=run.force)
     result = journey(run.progress)
     run.progress("writing")

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from pathlib import Path
+from typing import Any
+
+import click
 
 from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
@@ -13,16 +17,15 @@ from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import TARGETS, target_of
 from dehyst.exports.targets import export as write
 from dehyst.model import Actuator
-from dehyst.operations.axes import AxesModel, Limit, Slew, is_stage, limits_of, slews_of
-from dehyst.operations.declaration import Folder, Input, Only, Values, operation
+from dehyst.operations.axes import AxesModel, is_stage, limits_of, limits_option, slew_option
+from dehyst.operations.command import FOLDER, INPUT, Only, Parsed, Values, command, number, option
 from dehyst.operations.files import AS_FOUND
-from dehyst.operations.paths import PathSlew, coverage_remarks
+from dehyst.operations.paths import coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.operations.start import Start, start_words, starts_of
 
 # Share of the limits' range by which a start may lie outside without a warning.
 _NEAR = 0.01
-_TOP = Start("top")
 
 
 def _of(option: str) -> Only:
@@ -40,20 +43,51 @@ _of_loop = Only(lambda given: given.get("kind") != "actuator", "on an FMU of the
 _of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
 
 
-@operation(Compensator)
+@command("export")
+@click.argument("model", type=INPUT)
+@click.argument("directory", type=FOLDER)
+@option(
+    "--number",
+    type=click.Choice(["double", "float"]),
+    default="double",
+    only=(_of_one, _of("number")),
+    help="double: the same bits as Python. float: for a processor without doubles.",
+)
+@limits_option("Voltages allowed [V], of all axes or of one; default: the voltages of the records.", only=_of_loop)
+@slew_option("Largest slew rate [V/s], with --period; default: what the model keeps, or not limited.", only=_of_loop)
+@number("--period", help="Time between steps [s]; a model that depends on time needs it.")
+@option(
+    "--preview",
+    is_flag=True,
+    only=(_of_one, _of("preview"), _of_loop),
+    help="Compensate delay and inertia too; displacements must then be given in advance.",
+)
+@option(
+    "--name",
+    only=_of("name"),
+    help="Prefix of files, type and functions, so that several models fit into one firmware; default: piezo, or stage "
+    "for several axes.",
+)
+@option(
+    "--kind",
+    type=click.Choice(["compensator", "actuator"]),
+    default="compensator",
+    only=_of("kind"),
+    help="Kind of FMU: compensator (displacement to voltage), or virtual actuator.",
+)
+@option("--start", type=Parsed(Start), default="top", help="Initial state of the memory, as in compensate.")
 def export(
     run: Run,
-    model: Input,
-    directory: Folder,
-    *,
-    number: Annotated[Literal["double", "float"], _of_one, _of("number")] = "double",
-    limits: Annotated[tuple[Limit, ...], _of_loop] = (),
-    slew_rate: Annotated[tuple[Slew, ...], _of_loop] = (),
-    period: float | None = None,
-    preview: Annotated[bool, _of_one, _of("preview"), _of_loop] = False,
-    name: Annotated[str | None, _of("name")] = None,
-    kind: Annotated[Literal["compensator", "actuator"], _of("kind")] = "compensator",
-    start: Start = _TOP,
+    model: Path,
+    directory: Path,
+    number: str,
+    limits: Sequence[tuple[str, float]],
+    slew_rate: Sequence[str],
+    period: float | None,
+    preview: bool,
+    name: str | None,
+    kind: str,
+    start: Start,
 ) -> Result:
     """Write the compensator of a MODEL as C into a DIRECTORY: sources, numbers, a README, and a trace for `make check`.
 
@@ -61,26 +95,6 @@ def export(
 
     If the name ends in .fmu, write the compensator or its actuator as an FMU for co-simulation (FMI 2.0). If the name
     ends in .wasm, write the compensator as WebAssembly, with the JavaScript module that calls it.
-
-    Parameters
-    ----------
-    number
-        double: the same bits as Python. float: for a processor without doubles.
-    limits
-        Voltages allowed [V], of all axes or of one; default: the voltages of the records.
-    slew_rate
-        Largest slew rate [V/s], with --period; default: not limited.
-    period
-        Time between steps [s]; a model that depends on time needs it.
-    preview
-        Compensate delay and inertia too; displacements must then be given in advance.
-    name
-        Prefix of files, type and functions, so that several models fit into one firmware; default: piezo,
-        or stage for several axes.
-    kind
-        Kind of FMU: compensator (displacement to voltage), or virtual actuator.
-    start
-        Initial state of the memory, as in compensate.
     """
     target = target_of(directory, coupled=is_stage(model))
     if target.files is not None:
@@ -92,10 +106,8 @@ def export(
     remarks += known.prefixed(map(_open_start, known.actuators, states))
     if kind == "actuator":
         bounds = [ANY_VOLTAGE]
-    slews = [
-        PathSlew.chosen(one, given) if given else PathSlew(None, "default")
-        for one, given in zip(known.actuators, slews_of(known.axes, slew_rate), strict=True)
-    ]
+    # A loop does not jump or home.
+    slews = [slew._replace(recorded=None) if slew.bound is None else slew for slew in known.slews(slew_rate)]
     rates = [slew.bound for slew in slews]
     options: dict[str, Any] = {"period": period}
     compensator: Compensator | StageCompensator

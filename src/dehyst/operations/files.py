@@ -14,6 +14,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import SCAN, demand_version, format_of
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst.operations.command import Parsed, option
 from dehyst.operations.run import MODELS, Run
 from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, TEXT_KEYS, VOLTAGE
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from dehyst.model import Actuator
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "TEXT_KEYS", "VOLTAGE", "Columns"]
+columns_option = option("--columns", type=Parsed(Columns), default=AS_FOUND, help=Columns.about)
 # Of an axis that stays in the middle of its range.
 MIDDLE = "middle"
 

@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
+
+import click
 
 from dehyst.fleet import identify_fleet
-from dehyst.operations.declaration import Continued, Input, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns
+from dehyst.operations.command import CONTINUED, INPUT, command, option, output
+from dehyst.operations.files import RECORD, Columns, columns_option
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.records import read
 
 
-@operation(identify_fleet, name="fleet")
-def fleet(
-    run: Run,
-    records: tuple[Input, ...],
-    *,
-    output: Continued,
-    scheduler: str | None = None,
-    columns: Columns = AS_FOUND,
-) -> Result:
+@command("fleet")
+@click.argument("records", type=INPUT, nargs=-1, required=True)
+@output("Write the table here (.parquet), or continue it; with --force all rows are computed again.", CONTINUED)
+@option("--scheduler", help="Address of a Dask scheduler, as tcp://host:8786; default: a process for each processor.")
+@columns_option
+def fleet(run: Run, records: tuple[Path, ...], output: Path, scheduler: str | None, columns: Columns) -> Result:
     """Identify each of RECORDS, a folder or files, and write one table with one row a record.
 
     A file from which no model is identified is a row too, with the reason. The same command continues a run that was
     stopped: records whose names are in the table keep their rows.
-
-    Parameters
-    ----------
-    output
-        Write the table here (.parquet), or continue it; with --force all rows are computed again.
-    scheduler
-        Address of a Dask scheduler, as tcp://host:8786; default: a process for each processor.
     """
     columns.demand(RECORD, "on a fleet")
     demand_outputs(records, [output], force=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 
 from dehyst._errors import ModelError, RecordError, RigError
@@ -16,11 +17,11 @@ from dehyst.calibration.following import FollowedPath, closed_path
 from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
-from dehyst.model import slew_rate_of_records, stroke_of, voltages_of
-from dehyst.operations.axes import AxesModel, Limit, Slew, limits_of, slews_of
-from dehyst.operations.declaration import Folder, Input, operation
-from dehyst.operations.files import AS_FOUND, PATH, Columns, clock_of, write_table
-from dehyst.operations.paths import PathSlew, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
+from dehyst.model import stroke_of, voltages_of
+from dehyst.operations.axes import AxesModel, PathSlew, limits_of, limits_option, slew_option
+from dehyst.operations.command import FOLDER, INPUT, Parsed, command, integer, option, output
+from dehyst.operations.files import PATH, Columns, clock_of, columns_option, write_table
+from dehyst.operations.paths import Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import demand_disk_space, percent, table_of
 from dehyst.report.html import document, words
@@ -32,52 +33,63 @@ _RATES = 0.01
 _MOST = 20
 
 
-@operation()
+@command("follow")
+@click.argument("rig")
+@option("--model", type=INPUT, required=True, help="The model (JSON) of one axis or several.")
+@option(
+    "--path",
+    type=INPUT,
+    required=True,
+    help="A file with times and a displacement, or the path of dehyst scan. A column temperature_C counts if the model "
+    "depends on temperature.",
+)
+@output(
+    "Folder for the record (record.csv with the wanted displacement; a file an axis of several), its picture "
+    "(report.html), and what was learnt (voltages.csv, one cycle to play again and again).",
+    FOLDER,
+    default="dehyst-follow",
+)
+@integer(
+    "--repeat",
+    help="How often the path is followed, with a way back if it is not closed; default: once, with --learn until the "
+    "error no longer falls.",
+)
+@option(
+    "--learn",
+    is_flag=True,
+    help="Correct each repetition by the error of the one before. It is measured in the second of two cycles.",
+)
+@option(
+    "--feedback",
+    is_flag=True,
+    help="Correct each sample by the reading before, of one axis, at 200 Hz at most: this computer sends each voltage.",
+)
+@limits_option(
+    "Range of the voltage [V]; default: that of the model and the device.",
+)
+@slew_option(
+    "Largest slew rate [V/s]; default: what the model keeps, else the device's, or the whole range in 0.1 s.",
+)
+@option("--zero", type=Parsed(Zero), help="Zero of the path, as of dehyst compensate.")
+@columns_option
 def follow(
     run: Run,
     rig: str,
-    *,
-    model: Input,
-    path: Input,
-    output: Folder = Path("dehyst-follow"),
-    repeat: int | None = None,
-    learn: bool = False,
-    feedback: bool = False,
-    limits: tuple[Limit, ...] = (),
-    slew_rate: tuple[Slew, ...] = (),
-    zero: Zero | None = None,
-    columns: Columns = AS_FOUND,
+    model: Path,
+    path: Path,
+    output: Path,
+    repeat: int | None,
+    learn: bool,
+    feedback: bool,
+    limits: Sequence[tuple[str, float]],
+    slew_rate: Sequence[str],
+    zero: Zero | None,
+    columns: Columns,
 ) -> Result:
     """Follow a path on RIG after a homing, measure the error, and compare it with the promise.
 
     RIG: as of dehyst calibrate. The voltage ends at the safe one; Ctrl-C brings it there too. The status is 1 if a
     voltage of the path was clamped, or the error exceeds the promise.
-
-    Parameters
-    ----------
-    model
-        The model (JSON) of one axis or several.
-    path
-        A file with times and a displacement, or the path of dehyst scan. A column temperature_C counts if the model
-        depends on temperature.
-    output
-        Folder for the record (record.csv with the wanted displacement; a file an axis of several), its picture
-        (report.html), and what was learnt (voltages.csv, one cycle to play again and again).
-    repeat
-        How often the path is followed, with a way back if it is not closed; default: once, with --learn until
-        the error no longer falls.
-    learn
-        Correct each repetition by the error of the one before. It is measured in the second of two cycles.
-    feedback
-        Correct each sample by the reading before, of one axis, at 200 Hz at most: this computer sends each voltage.
-    limits
-        Range of the voltage [V]; default: that of the model and the device.
-    slew_rate
-        Largest slew rate [V/s]; default: the device's, or the whole range in 0.1 s.
-    zero
-        Zero of the path, as of dehyst compensate.
-    columns
-        Columns of the path.
     """
     if learn and feedback:
         raise ModelError(argument="learn", got="it with feedback", need="one of them")
@@ -91,8 +103,8 @@ def follow(
     if feedback and rate > HIGHEST_RATE * (1 + _RATES):
         hint = "give a slower path, or --learn"
         raise RecordError(argument="path", got=f"{rate:.6g} Hz", need="200 Hz at most with feedback", hint=hint)
-    allowed, slews = limits_of(known.axes, limits), slews_of(known.axes, slew_rate)
-    asked: tuple[Any, Any] = allowed, [None if one is None else one.number for one in slews]
+    allowed, slews = limits_of(known.axes, limits), known.slews(slew_rate)
+    asked: tuple[Any, Any] = allowed, [slew.bound for slew in slews]
     axes = None if known.stage is None else known.axes
     bound, steepest = asked if axes else (asked[0][0], asked[1][0])
     with open_rig(rig, axes, limits=bound, slew_rate=steepest) as instrument:
@@ -138,7 +150,7 @@ def _placed(
     rig: AbstractRig,
     wanted: Array,
     allowed: Sequence[tuple[float, float] | None],
-    slews: Sequence[Slew | None],
+    slews: Sequence[PathSlew],
     zero: Zero | None,
     warmth: float | Array | None,
 ) -> tuple[Array, list[VoltageLimits]]:
@@ -160,9 +172,9 @@ def _placed(
         reach_remarks(actuator, target, (low, high), zero, warmth)
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
         bounds.append(used)
-        remarks.append(bounds_remarks(limit, slew, used, "device and model allow no more"))
-        speed = PathSlew(used.slew_rate, "option", slew_rate_of_records(actuator))
-        remarks[-1] += [speed.words] if slew is not None or speed.times > 1 else []
+        remarks.append(bounds_remarks(limit, slew.asked, used, "device and model allow no more"))
+        speed = slew._replace(bound=used.slew_rate, origin="option")
+        remarks[-1] += [speed.words] if slew.origin != "default" or speed.times > 1 else []
         remarks[-1] += reach_remarks(actuator, target, (used.low, used.high), zero, warmth)
     for sentence in known.prefixed(remarks):
         run.note(sentence)

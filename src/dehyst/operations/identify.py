@@ -6,18 +6,20 @@ import os
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
+import click
 import numpy as np
 
+import dehyst._validation as check
 from dehyst._errors import DehystError
 from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
 from dehyst.identification.results import write_traces
-from dehyst.model import Actuator
-from dehyst.operations.declaration import Input, Only, Output, Values, operation
-from dehyst.operations.files import AS_FOUND, RECORD, Columns
+from dehyst.model import Actuator, Stage, with_identification
+from dehyst.operations.command import INPUT, OUTPUT, Only, Parsed, Values, beside, command, number, option, output
+from dehyst.operations.files import AS_FOUND, RECORD, Columns, columns_option
 from dehyst.operations.paths import Zero
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, read
@@ -32,25 +34,67 @@ def _several(given: Values) -> bool:
     return len(given.get("records", ())) + len(given.get("validate", ())) > 1
 
 
-@operation(
-    identify_one,
-    take=("goal", "sensor_lag", "lag_of", "delay", "drift"),
-    rare=("delay", "drift", "shared_datum"),
-    details=True,
+@command("identify", details=True)
+@click.argument("records", type=INPUT, nargs=-1, required=True)
+@output("Write the model here (JSON).", required=False)
+@option("--validate", type=INPUT, multiple=True, help="Held-out records, which are only simulated.")
+@option("--report", type=OUTPUT, help="Write a self-contained HTML report here.")
+@option("--traces", type=OUTPUT, help="Write measured and simulated displacement of all records here (.npz).")
+@option(
+    "--structure",
+    type=click.Choice(["auto", "maxwell_slip"]),
+    default="auto",
+    help="auto: a dictionary of graded and smooth elements, and what moves in time, chosen by held-out time. "
+    "maxwell_slip: slip elements and a spring, as in Yeh's paper.",
 )
+@number("--goal", default=1.0, help="Largest error [% of the stroke] with which the model is ready for use.")
+@number(
+    "--sensor-lag",
+    help="Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown. "
+    "Any other lag is then the actuator's.",
+)
+@option(
+    "--lag-of",
+    type=click.Choice(["actuator", "sensor"]),
+    help="Whose the lag is that the records show, which they do not tell; default: not known, and the promise has two "
+    "numbers. A path that an actuator delays is planned earlier; a path that only a sensor sees late is not.",
+)
+@option(
+    "--zero",
+    type=Parsed(Zero),
+    help="Zero of the displacement: bottom, first sample or mean of the first record; default: the sensor's zero.",
+)
+@number("--time-limit", help="End the search for a structure after this time [s], and complete the best model so far.")
+@number(
+    "--slew-rate",
+    only=beside("output"),
+    help="Largest slew rate [V/s] of later paths; the model keeps it, as it keeps the columns.",
+)
+@number("--delay", help="Time [s] by which the displacement lags the voltage; default: estimated from the records.")
+@option(
+    "--drift/--no-drift",
+    default=True,
+    help="Whether a record may have a drift that is logarithmic in the time since its start, which is then removed.",
+)
+@option(
+    "--shared-zero",
+    "shared_datum",
+    is_flag=True,
+    only=Only(_several, "on one record"),
+    help="State that the sensor kept its zero in all records; default: the zero of each record is searched for.",
+)
+@columns_option
 def identify(
     run: Run,
-    records: tuple[Input, ...],
-    *,
-    output: Output | None = None,
-    validate: tuple[Input, ...] = (),
-    report: Output | None = None,
-    traces: Output | None = None,
-    structure: Literal["auto", "maxwell_slip"] = "auto",
-    zero: Zero | None = None,
-    time_limit: float | None = None,
-    shared_datum: Annotated[bool, Only(_several, "on one record")] = False,
-    columns: Columns = AS_FOUND,
+    records: tuple[Path, ...],
+    output: Path | None,
+    validate: tuple[Path, ...],
+    report: Path | None,
+    traces: Path | None,
+    zero: Zero | None,
+    time_limit: float | None,
+    slew_rate: float | None,
+    columns: Columns,
     **settings: Any,
 ) -> Result:
     """Identify an actuator from RECORDS of voltage and displacement; with axes in --columns, several coupled actuators.
@@ -58,36 +102,15 @@ def identify(
     Within about a second the output holds a first, provisional model. From then on Ctrl-C ends the search: the best
     model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. With several axes
     there is no model before all are identified: Ctrl-C writes nothing.
-
-    Parameters
-    ----------
-    output
-        Write the model here (JSON).
-    validate
-        Held-out records, which are only simulated.
-    report
-        Write a self-contained HTML report here.
-    traces
-        Write measured and simulated displacement of all records here (.npz).
-    structure
-        auto: a dictionary of graded and smooth elements, and what moves in time, chosen by held-out time. maxwell_slip:
-        slip elements and a spring, as in Yeh's paper.
-    zero
-        Zero of the displacement: bottom, first sample or mean of the first record; default: the sensor's zero.
-    time_limit
-        End the search for a structure after this time [s], and complete the best model so far.
     """
     columns.demand(RECORD, "on records", axes=bool(columns.axes))
+    if slew_rate is not None:
+        check.demand(0 < slew_rate < np.inf, "slew_rate", slew_rate, "a positive number of V/s")
     deadline = Deadline(time_limit)
     best = _BestSoFar(output)
     run.progress("reading")
     training, held_out = _zeroed(*([read(path, columns) for path in paths] for paths in (records, validate)), zero=zero)
-    settings |= {
-        "structure": structure,
-        "shared_datum": shared_datum,
-        "validate": held_out,
-        "progress": run.progress,
-    }
+    settings |= {"validate": held_out, "progress": run.progress}
     with run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True), lambda: best.usable):
         try:
             first = None if columns.axes else best.keep
@@ -100,7 +123,7 @@ def identify(
             best.remove()
             raise
     if output is not None:
-        fit.model.save(output)
+        _with_defaults(fit.model, columns, slew_rate).save(output)
     if traces is not None:
         write_traces(traces, fit.traces)
     if report is not None:
@@ -115,6 +138,14 @@ def identify(
     written = files(Model=output, Report=report)
     lines, more = [*_answer(fit), *written], [*fit.summary(full=True).split("\n"), *written]
     return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
+
+
+def _with_defaults(model: Actuator | Stage, columns: Columns, slew_rate: float | None) -> Actuator | Stage:
+    """Return a model that keeps the columns of its records, unless they are in several files, and a slew rate."""
+    if isinstance(model, Stage):
+        return replace(model, actuators=tuple(_with_defaults(one, AS_FOUND, slew_rate) for one in model.actuators))
+    text = "" if columns.join is not None or columns == AS_FOUND else str(columns)
+    return with_identification(model, columns=text, allowed_slew_rate=slew_rate)
 
 
 def _answer(fit: Fit | StageFit) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from dehyst._io import demand_own_folder
-from dehyst.operations.declaration import Continued, operation
+from dehyst.operations.command import CONTINUED, command, output
 from dehyst.operations.run import Result, Run
 from dehyst.paper import Paper
 from dehyst.paper import run as experiment
@@ -20,15 +20,14 @@ _WIDTHS = (9, 12, 13, 12)
 _HEADS = (("paper", "ours, by", "ours, whole", "with more"), ("", "its method", "record", "loops"))
 
 
-@operation()
-def paper(run: Run, *, output: Continued = Path("dehyst-paper")) -> Result:
-    """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results.
-
-    Parameters
-    ----------
-    output
-        Folder for the files: new, empty, or one of an earlier run; any other with --force.
-    """
+@command("paper")
+@output(
+    "Folder for the files: new, empty, or one of an earlier run; any other with --force.",
+    CONTINUED,
+    default="dehyst-paper",
+)
+def paper(run: Run, output: Path) -> Result:
+    """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
     demand_own_folder(output, *experiment.OWN, force=run.force)
     result = experiment.run(run.progress)
     written = experiment.write(result, output, run.progress)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -13,13 +13,14 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import Actuator, demand_thermal, evaluator_of, slew_rate_of_records, tested_temperatures
-from dehyst.operations.axes import AxesModel, Slew
+from dehyst.model import Actuator, demand_thermal, evaluator_of, tested_temperatures
+from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns, warmth_of
 from dehyst.operations.start import Limits
 from dehyst.records import Table
 from dehyst.records.formats.columns import listed
 
+TEMPERATURE = "Temperature [degC], for a model that depends on it; default: a column temperature_C, or the reference."
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
 
@@ -46,60 +47,15 @@ class Zero:
             raise ValueError(f"got {text!r}, need bottom, first, mean, or a displacement in um")
         return cls("", number)
 
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.name or f"{self.um:.12g}"
 
-
-class PathSlew(NamedTuple):
-    """The largest slew rate [V/s] of a path (None: its own speed), its origin, and that of the model's records."""
-
-    bound: float | None
-    origin: str
-    recorded: float | None = None
-
-    @classmethod
-    def chosen(cls, actuator: Actuator, given: Slew | None) -> PathSlew:
-        """Return the given slew rate of a path; by default it is not limited."""
-        origin = "default" if given is None else "none" if given.number is None else "option"
-        return cls(None if given is None else given.number, origin, slew_rate_of_records(actuator))
-
-    @property
-    def times(self) -> float:
-        """The slew rate in multiples of that of the model's records; 0 if one of them is not known."""
-        return (self.bound or 0.0) / (self.recorded or np.inf)
-
-    @property
-    def words(self) -> str:
-        """The slew rate and its origin as text."""
-        if self.bound is not None:
-            more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
-            return f"slew rate: at most {self.bound:.4g} V/s{more}"
-        jumps = "" if self.recorded is None else f"; jumps and homings take at most {self.recorded:.4g} V/s"
-        return f"slew rate: not limited{jumps}{' (--slew-rate V/S limits it)' if self.origin == 'default' else ''}"
-
-    def missed_words(self, limits: tuple[float, float], voltage: Array, missed: float) -> str:
-        """Return as text why, and by how much [m], a path is missed with its clamped voltages (n,) [V]."""
-        at_limit = voltage.min() <= limits[0] or voltage.max() >= limits[1]
-        reasons = (at_limit and "cut at the limits", self.bound is not None and "slewed")
-        return f", {' or '.join(one for one in reasons if one)}: missed by up to {missed * 1e6:.4g} um"
-
-    def fields(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {"slew_V_per_s": self.bound, "slew_from": self.origin}
-
-
-def bounds_remarks(limits: Limits, slew_rate: Slew | None, used: VoltageLimits, who: str) -> list[str]:
-    """Return remarks if narrower limits [V] or a lower slew rate than given are used, because of `who`."""
+def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits, who: str) -> list[str]:
+    """Return remarks if narrower limits [V] or a lower slew rate [V/s] than given are used, because of `who`."""
     remarks = []
     if limits is not None and limits != (used.low, used.high):
         remarks.append(f"limits: {limits[0]:.6g} to {limits[1]:.6g} V was given, {used.words} is used, as {who}")
-    if slew_rate is None or used.slew_rate is None:
-        return remarks
-    if slew_rate.number is None or used.slew_rate < slew_rate.number:
-        given, why = (
-            ("none", "a rig has one always") if slew_rate.number is None else (f"{slew_rate.number:.6g} V/s", who)
-        )
+    if slew_rate is not None and used.slew_rate is not None and used.slew_rate < slew_rate:
+        none = slew_rate == np.inf
+        given, why = ("none", "a rig has one always") if none else (f"{slew_rate:.6g} V/s", who)
         remarks.append(f"slew rate: {given} was given, {used.slew_rate:.6g} V/s is used, as {why}")
     return remarks
 

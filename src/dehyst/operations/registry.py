@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from dehyst.operations.declaration import Operation
+    import click
 
 
 class Entry(NamedTuple):
@@ -37,7 +37,7 @@ JOURNEY: dict[str, dict[str, Entry]] = {
         "compensate": Entry("compensate:compensate", "The voltage that follows a path"),
         "simulate": Entry("simulate:simulate", "The displacement that a voltage causes"),
         "check": Entry("assess:check", "Whether a model is still true, by a new record"),
-        "update": Entry("update:update", "Update a model from one new record"),
+        "update": Entry("assess:update", "Update a model from one new record"),
         "follow": Entry("follow:follow", "Follow a path on an instrument, measure the error, learn"),
     },
     "Deploy": {
@@ -47,12 +47,12 @@ JOURNEY: dict[str, dict[str, Entry]] = {
 ENTRIES = {name: entry for entries in JOURNEY.values() for name, entry in entries.items()}
 
 
-def find(name: str) -> Operation:
-    """Return an operation; raise OperationError if there is no such operation."""
+def find(name: str) -> click.Command:
+    """Return the command of an operation; raise OperationError if there is no such operation."""
     if name not in ENTRIES:
-        from dehyst.operations.declaration import OperationError
+        from dehyst.operations.command import OperationError
 
         raise OperationError(argument="operation", got=repr(name), need=f"one of {', '.join(ENTRIES)}")
     module, _, function = ENTRIES[name].place.partition(":")
-    found: Operation = getattr(import_module(f"dehyst.operations.{module}"), function)
+    found: click.Command = getattr(import_module(f"dehyst.operations.{module}"), function)
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import click
+
 from dehyst._errors import FileFormatError, Terminated
 from dehyst._io import is_draft
-from dehyst.operations.declaration import Operation, OperationError, Role
+from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, paths_in
 
 # Formats of models, of one axis and several.
 MODELS = ("dehyst-actuator", "dehyst-stage")
@@ -117,6 +118,8 @@ class Result:
         The lines with all details; by default `lines`.
     warnings : sequence of str
         Warnings about the result.
+    remarks : sequence of str
+        Further ones, shown with all details.
     good : bool
         False: done, but not good enough, for a reason in `lines`.
     """
@@ -125,6 +128,7 @@ class Result:
     lines: Sequence[str] = ()
     more: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    remarks: Sequence[str] = ()
     good: bool = True
 
     def as_dict(self) -> dict[str, Any]:
@@ -132,24 +136,29 @@ class Result:
         return dict(self.fields)
 
 
-def perform(operation: Operation, values: Mapping[str, Any], run: Run, *, force: bool = False) -> Result:
-    """Run an operation with the given values; with `force` it may replace files.
+def perform(ctx: click.Context, run: Run) -> Result:
+    """Run the operation of a command with the values in its context.
 
     Raises
     ------
     DehystError
         A parameter has no effect, an output is an input or exists, or the operation's own error.
     """
-    operation.check(values)
-    run.command, run.force = shlex.join(operation.command(values)), force
-    outputs = list(operation.paths(values, Role.OUTPUT))
-    others = operation.paths({**operation.defaults, **values}, Role.FOLDER, Role.CONTINUED)
-    if force and not outputs and not any(others):
+    given, values = given_in(ctx), {name: value for name, value in ctx.params.items() if name not in HOUSE}
+    run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))
+    for one in ctx.command.params:
+        broken = [each for each in getattr(one, "conditions", ()) if one.name in given and not each.holds(given)]
+        if broken:
+            raise OperationError(f"has no effect {broken[0].words}", argument=one.name, hint="leave it out")
+    outputs = list(paths_in(ctx, Role.OUTPUT))
+    folders = list(paths_in(ctx, Role.FOLDER))
+    if run.force and not outputs and not folders and not any(paths_in(ctx, Role.CONTINUED)):
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
-    demand_outputs(operation.paths(values, Role.INPUT), outputs, force=force)
-    for folder in operation.paths({**operation.defaults, **values}, Role.FOLDER):
-        _demand_empty(folder, force)
-    result: Result = operation.function(run, **values)
+    demand_outputs(paths_in(ctx, Role.INPUT), outputs, force=run.force)
+    for folder in folders:
+        _demand_empty(folder, run.force)
+    assert ctx.command.callback is not None
+    result: Result = ctx.command.callback(run, **values)
     return result
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._io import format_of
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.operations.declaration import Input, Only, Output, operation
+from dehyst.operations.command import INPUT, OUTPUT, Only, Parsed, command, option, output, page
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
@@ -26,28 +28,16 @@ _MOST, _WIDTH, _HEIGHT = 40, 60, 16
 _of_record = Only(lambda given: not is_model(given["file"]), "with a model")
 
 
-@operation()
-def show(
-    run: Run,
-    file: Input,
-    *,
-    output: Annotated[Output | None, _of_record] = None,
-    report: Annotated[Output | None, _of_record] = None,
-    columns: Annotated[Columns, _of_record] = AS_FOUND,
-    save: Annotated[Output | None, _of_record] = None,
-) -> Result:
+@command("show")
+@click.argument("file", type=INPUT)
+@output("Write the record here, in s, V and um (.csv) or m (.npz).", only=_of_record)
+@page(only=_of_record)
+@option("--columns", type=Parsed(Columns), default=AS_FOUND, only=_of_record, help=Columns.about)
+@option("--save", type=OUTPUT, only=_of_record, help="Write the columns here as text, for --columns @FILE.")
+def show(run: Run, file: Path, output: Path | None, report: Path | None, columns: Columns, save: Path | None) -> Result:
     """Print how a FILE is understood: columns, units, sample rate, cycles and problems; and draw its loop.
 
     The status is 2 if the file is not a record; the message then suggests columns. For a model, its parts are printed.
-
-    Parameters
-    ----------
-    output
-        Write the record here, in s, V and um (.csv) or m (.npz).
-    report
-        Write a self-contained HTML page here.
-    save
-        Write the columns here as text, for --columns @FILE.
     """
     if is_model(file):
         from dehyst.model import Actuator, Stage

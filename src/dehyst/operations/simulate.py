@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 
 from dehyst._errors import FileFormatError
@@ -14,43 +16,37 @@ from dehyst.control import PathPlan, outside_identified, plan_voltage
 from dehyst.model import voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.declaration import Input, Output, operation
-from dehyst.operations.files import AS_FOUND, VOLTAGE, Columns, clock_of, write_table
-from dehyst.operations.paths import temperature_column, temperature_of
+from dehyst.operations.command import INPUT, Parsed, command, number, option, output
+from dehyst.operations.files import VOLTAGE, Columns, clock_of, columns_option, write_table
+from dehyst.operations.paths import TEMPERATURE, temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import Start
 from dehyst.records import table_of
 
 
-@operation(plan_voltage)
+@command("simulate")
+@click.argument("model", type=INPUT)
+@click.argument("voltage", type=INPUT)
+@output("Write time, voltage and displacement here (CSV).")
+@option("--lag", is_flag=True, help="Delay the displacement by the delay found at identification.")
+@option("--start", type=Parsed(Start), help="State before the first sample, as in compensate; default: unknown.")
+@number("--temperature", help=TEMPERATURE)
+@columns_option
 def simulate(
     run: Run,
-    model: Input,
-    voltage: Input,
-    *,
-    output: Output,
-    lag: bool = False,
-    start: Start | None = None,
-    temperature: float | None = None,
-    columns: Columns = AS_FOUND,
+    model: Path,
+    voltage: Path,
+    output: Path,
+    lag: bool,
+    start: Start | None,
+    temperature: float | None,
+    columns: Columns,
 ) -> Result:
     """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.
 
     Without --start the state before the first sample is unknown: the displacement starts from the middle of the
     possible states, and lowest_um and highest_um bound it. The status is 1 if a voltage lies outside the model's limits
     by more than a tenth of their range.
-
-    Parameters
-    ----------
-    output
-        Write time, voltage and displacement here (CSV).
-    lag
-        Delay the displacement by the delay found at identification.
-    start
-        State before the first sample, as in compensate; default: unknown.
-    temperature
-        Temperature [degC], for a model that depends on it; default: a column temperature_C, or else the
-        model's reference.
     """
     known = AxesModel.read(run, model)
     known.demand(columns, VOLTAGE, "on a voltage")
@@ -59,9 +55,9 @@ def simulate(
     time = clock_of(table, columns)
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
     warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
-    options = {"time": time.get("time_s"), "temperature": warmth}
     ranges = [voltages_of(one) for one in known.actuators]
-    paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), options, start=begins)
+    known_path = {"time": time.get("time_s"), "temperature": warmth, "start": begins}
+    paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **known_path)
     if lag and not any(one.delay for one in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")
     clock = starts.clock_columns(paths[0], time)
@@ -90,10 +86,9 @@ def simulate(
         starts.start_words(one, path.start, path.start.state) for path, one in zip(paths, known.actuators, strict=True)
     )
     words = ", ".join(known.prefixed([one] for one in begin_words))
-    errors = (starts.error_lines(path.start.name, path.left_open, homed=False) for path in paths)
     lines = [
         f"{counted(len(volts), 'sample')} {words}: {output}",
-        *known.prefixed(errors),
+        *known.prefixed(map(starts.open_start, paths)),
     ]
     return Result(fields, lines, warnings=warnings, good=not far)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._io import COMPUTED
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.control import PathPlan, PossibleStart, StartError
+from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
 from dehyst.model.states import state_after_loops
@@ -22,8 +22,6 @@ from dehyst.operations.files import Columns
 from dehyst.records import Record, Table, read_table
 from dehyst.trust import start_of
 
-# Least share of the stroke that is printed as a number [%].
-_SMALL = 1e-3
 _COMPUTED = (
     "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
     "give a record for more"
@@ -61,10 +59,6 @@ class Start:
             raise ValueError(f"got {text!r}, {needed}")
         return cls("", path, began)
 
-    def __str__(self) -> str:
-        """Return the text."""
-        return self.name or f"{_AS if self.began else ''}{self.path}"
-
     @property
     def files(self) -> tuple[Path, ...]:
         """The files that are read."""
@@ -96,7 +90,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
     if start.began and not measured:
         raise ModelError(
             argument="start",
-            got=f"{start}, without a measured displacement",
+            got=f"{_AS}{name}, without a measured displacement",
             need="a record with one: it determines the state in which the record began",
         )
     remarks = (f"{name}: {_COMPUTED}",) if own else ()
@@ -172,35 +166,27 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
     return f"({words.get(start.name, f'{other}, at ')}{volts:.4g} V)"
 
 
-def homed_words(homed: PathPlan) -> str:
-    """Describe the homing before a path and the voltage at which it begins, in brackets."""
-    begin = "" if homed.homing is None else f" from {homed.homing.turns[0]:.6g} V"
-    seconds = "" if homed.seconds is None else f", {homed.seconds:.4g} s"
-    return f"(homed first{begin}, {counted(homed.first, 'sample')}{seconds})"
+def begin_words(actuator: Actuator, path: PathPlan, limits: Limits) -> str:
+    """Describe what comes before a path, or the state before its first sample, in brackets."""
+    if path.homing is None:
+        return start_words(actuator, path.start, path.start.within(actuator, limits))
+    seconds = "" if path.seconds is None else f", {path.seconds:.4g} s"
+    return f"(homed first from {path.homing.turns[0]:.6g} V, {counted(path.first, 'sample')}{seconds})"
 
 
-def error_lines(name: str, error: StartError | None, *, homed: bool) -> list[str]:
-    """Return a line on the error due to a start with this name; no line if the start is known."""
+def open_start(path: PathPlan) -> list[str]:
+    """Return a line on what a start that is not known leaves open along a path; no line if it is known."""
+    error = path.left_open
     if error is None:
         return []
-
-    def percent(length: float) -> str:
-        share = error.percent(length)
-        return f"{share:.2g} %" if share >= _SMALL else f"less than {_SMALL} %"
-
-    largest, first, least = map(percent, (error.largest, error.first, error.model_error))
-    if homed:
+    largest, first = (f"{error.percent(length):.2g} %" for length in (error.largest, error.first))
+    if path.homing is not None:
         return [f"unknown start: after the homing it leaves {largest} of the stroke open"]
-    words = "unknown start: it leaves" if name == "unknown" else f"start after {name}: these voltages leave"
-    line = f"{words} {largest} of the stroke open"
-    if not error.matters:
-        return [line]
-    remedy = "give --start or --home" if name == "unknown" else "give --home instead of --start"
-    line += f", {first} at the first sample"
-    if error.settled is None:
-        return [f"{line}, and more than {least} to the end: {remedy}"]
-    after = f"sample {error.settled}" if error.settled_seconds is None else f"{error.settled_seconds:.4g} s"
-    return [f"{line}, and less than {least} after {after}: {remedy}"]
+    unknown = path.start.name == "unknown"
+    words = "unknown start: it leaves" if unknown else f"start after {path.start.name}: these voltages leave"
+    remedy = "give --start or --home" if unknown else "give --home instead of --start"
+    more = f", {first} at the first sample: {remedy}" if error.matters else ""
+    return [f"{words} {largest} of the stroke open{more}"]
 
 
 def path_start_fields(path: PathPlan) -> dict[str, Any]:
@@ -214,52 +200,38 @@ def path_start_fields(path: PathPlan) -> dict[str, Any]:
     }
 
 
-def file_warnings(
-    actuator: Actuator, first: float, start: PossibleStart, state: State | None, slew: float | None
-) -> list[str]:
-    """Warn that the file does not contain the ramp to its first voltage, and earlier creep.
+def before_path(
+    actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, *, stands: bool
+) -> Iterator[str]:
+    """Yield what to do before a path without a homing: the way to its first voltage, and a rest where it creeps.
 
-    `state`: at which the actuator stands before the file; None if that is not known.
+    `stands`: whether it is known where the actuator stands.
     """
-    warnings = []
-    low, high = voltages_of(actuator)
-    present = min(max(0.0, low), high) if state is None else actuator.voltage(state)
-    if abs(first - present) > 0.01 * max(abs(value) for value in (present, low, high)):
-        within = "slowly" if slew is None else "within the slew rate"
-        origin = "that of the start, " if state is not None else ""
-        hint = "" if state is not None else "; --present V, the voltage now, puts the way into it"
-        warnings.append(
-            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
-            f"ramp there {within} before you play the file{hint}"
-        )
-    if creep_times(actuator).size and start.name in ("top", "bottom", "relaxed"):
-        longest = float(creep_times(actuator).max())
-        warnings.append(
-            f"this model creeps, and --start {start.name} assumes that the actuator has rested there for much longer "
-            f"than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
-            "(dehyst excite homing --model) and use --start homed"
-        )
-    return warnings
-
-
-def path_warnings(actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, *, stands: bool) -> list[str]:
-    """Return warnings about the part of a file before its path: the homing, the way, or their absence.
-
-    `stands`: whether it is known where the actuator stands before it.
-    """
-    first = float(path.voltage[0])
-    if path.homing is None:
-        begin = path.start.within(actuator, limits)
-        lead = (
+    if path.homing is not None:
+        return
+    first, (low, high) = float(path.voltage[0]), voltages_of(actuator)
+    if path.first:
+        yield (
             f"the first {counted(path.first, 'sample')} lead from {first:.6g} V to the first one of the path within "
             "the slew rate: play the whole file"
         )
-        return [
-            *([lead] if path.first else []),
-            *path.warnings,
-            *file_warnings(actuator, first, path.start, begin if stands else None, slew),
-        ]
-    return [*path.warnings]
+    present = actuator.voltage(path.start.within(actuator, limits)) if stands else min(max(0.0, low), high)
+    if abs(first - present) > 0.01 * max(abs(value) for value in (present, low, high)):
+        within = "slowly" if slew is None else "within the slew rate"
+        origin, hint = (
+            ("that of the start, ", "") if stands else ("", "; --present V, the voltage now, puts the way into it")
+        )
+        yield (
+            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
+            f"ramp there {within} before you play the file{hint}"
+        )
+    if creep_times(actuator).size and path.start.name in ("top", "bottom", "relaxed"):
+        longest = float(creep_times(actuator).max())
+        yield (
+            f"this model creeps, and --start {path.start.name} assumes that the actuator has rested there for much "
+            f"longer than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
+            "(dehyst excite homing --model) and use --start homed"
+        )
 
 
 def clock_columns(path: PathPlan, time: Mapping[str, Array]) -> dict[str, Any]:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Self
 
+import click
 import numpy as np
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
 from dehyst.model import temperatures_to_record, words_of
-from dehyst.operations.declaration import Input, Kind, Only, Output, Parameter, merged, one_of, operation
+from dehyst.operations.command import INPUT, NUMBER, OUTPUT, Kinds, Parsed, beside, integer, number, option, output
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
 from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 
-EXCITATIONS: dict[str, Callable[..., Excitation]] = {
-    "recommended": standard.recommended,
-    "raised-cosine": standard.raised_cosine,
-    "descending-tops": standard.descending_tops,
-    "staircase": standard.staircase,
-    "stage": stage_excitation,
-    "homing": standard.homing,
-}
 # Cycles a second [Hz] that are tried, the longest time [s] that a recording may take, and the pace of a model's homing.
 _FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _LONGEST, _RECOMMENDED, _HARDLY = 120.0, 240.0, 1.25
@@ -34,91 +27,172 @@ _WHY = (
     "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
     "the loops; best is the rate at which the actuator will be used."
 )
-_of_homing = Only(lambda given: given["kind"] == "homing", "on another kind than homing")
-_not_homing = Only(lambda given: given["kind"] != "homing", "on a homing")
-_holds = Only(lambda given: given["kind"] == "staircase" or "model" in given, "without a staircase or a --model")
-
-
-@operation(
-    Sampling,
-    more=merged(EXCITATIONS, leave=("drive", "turns", "hold", "axes")),
-    rare=("seed", "temperatures"),
+_FREQUENCY = (
+    "Cycles per second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes, four if the "
+    "excitation is the recommended one."
 )
-def excite(
-    run: Run,
-    kind: Literal["recommended", "raised-cosine", "descending-tops", "staircase", "stage", "homing"],
-    volts: tuple[float, ...] = (),
-    *,
-    output: Output,
-    frequency: float | None = None,
-    sample_rate: float | None = None,
-    base: float = 0.0,
-    present: float | None = None,
-    limits: tuple[float, float] | None = None,
-    slew_rate: float | None = None,
-    hold: Annotated[float | None, _holds] = None,
-    model: Annotated[Input | None, _of_homing] = None,
-    axes: Annotated[str | None, Only(lambda given: given["kind"] == "stage", "without a stage")] = None,
-    temperatures: Annotated[tuple[float, float] | None, _not_homing] = None,
+# Options of every excitation, the last one first.
+_DRIVEN = (
+    number("--slew-rate", help="Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning."),
+    option(
+        "--limits",
+        type=(NUMBER, NUMBER),
+        metavar="LOW HIGH",
+        help="Lowest and highest voltage [V] allowed. A voltage outside is an error, because clipped tops would be "
+        "another protocol.",
+    ),
+    number(
+        "--present",
+        help="Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads to the "
+        "base.",
+    ),
+    number("--base", default=0.0, help="Voltage [V] at which a protocol starts and ends."),
+    number("--sample-rate", help="Samples per second [Hz]; default: 400 samples a cycle."),
+    number("--frequency", help=_FREQUENCY),
+    output("Write time and voltage here (CSV)."),
+)
+_temperatures = option(
+    "--temperatures",
+    type=(NUMBER, NUMBER),
+    metavar="LOW HIGH",
+    help="Lowest and highest temperature in use [degC]; the answer says at which temperatures to record.",
+)
+_majors = integer("--majors", default=2, help="Number of cycles up to the highest voltage before the tops.")
+
+
+def _driven(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of every excitation."""
+    for each in _DRIVEN:
+        function = each(function)
+    return function
+
+
+@click.group("excite", cls=Kinds)
+def excite() -> None:
+    """Write the voltage of an excitation, to play and record; each KIND has a help of its own."""
+
+
+@excite.command("recommended")
+@click.argument("highest", type=NUMBER)
+@_driven
+@_temperatures
+def recommended(run: Run, highest: float, **options: Any) -> Result:
+    """Write all that identification needs, in one run of three minutes.
+
+    Major loops up to HIGHEST [V], falling tops, random turns at three speeds, and two holds.
+    """
+    return _excited(standard.recommended, [highest], longest=_RECOMMENDED, **options)
+
+
+@excite.command("raised-cosine")
+@click.argument("peaks", type=NUMBER, nargs=-1, required=True)
+@_driven
+@integer("--cycles", default=1, help="Number of cycles to each of the peaks.")
+@_temperatures
+def raised_cosine(run: Run, peaks: tuple[float, ...], cycles: int, **options: Any) -> Result:
+    """Write cycles from the base to each of the PEAKS [V] and back."""
+    return _excited(standard.raised_cosine, peaks, peaks, cycles=cycles, **options)
+
+
+@excite.command("descending-tops")
+@click.argument("highest", type=NUMBER)
+@_driven
+@integer("--steps", default=10, help="Number of tops; the first top is highest.")
+@_majors
+@_temperatures
+def descending_tops(run: Run, highest: float, **options: Any) -> Result:
+    """Write cycles to tops that fall from HIGHEST [V] in equal steps; they determine all stiffnesses that loops can."""
+    return _excited(standard.descending_tops, [highest], **options)
+
+
+@excite.command("staircase")
+@click.argument("highest", type=NUMBER)
+@_driven
+@number("--hold", default=60.0, help="Time at each voltage [s].")
+@integer("--steps", default=5, help="Number of steps up, and down.")
+@option(
+    "--back",
+    is_flag=True,
+    help="Let one step back follow each two steps; these inner loops at all levels determine stiffnesses that tops "
+    "with returns to the base leave open.",
+)
+@_temperatures
+def staircase(run: Run, highest: float, **options: Any) -> Result:
+    """Write a staircase up to HIGHEST [V] and down again, whose holds show creep."""
+    return _excited(standard.staircase, [highest], **options)
+
+
+@excite.command("stage")
+@click.argument("highest", type=NUMBER, nargs=-1, required=True)
+@_driven
+@option("--axes", help="Names of the axes, as x,y.")
+@integer("--steps", default=10, help="Number of falling tops of each axis alone.")
+@_majors
+@integer(
+    "--cycles",
+    default=12,
+    help="Cycles of the first axis when all move together; 0: only one axis after the other.",
+)
+@_temperatures
+def stage(run: Run, highest: tuple[float, ...], axes: str | None, **options: Any) -> Result:
+    """Move several axes to their HIGHEST [V]: one axis after the other, then all together."""
+    if len(highest) < 2:
+        raise RecordError(argument="highest", got=f"{len(highest)} for a stage", need="one for each of several axes")
+    names, longest = None if axes is None else axes.split(","), _LONGEST * (len(highest) + 1)
+    return _excited(stage_excitation, highest, highest, longest=longest, advice=(), axes=names, **options)
+
+
+@excite.command("homing")
+@click.argument("highest", type=NUMBER, required=False)
+@_driven
+@option(
+    "--model",
+    type=INPUT,
+    help="Model to home by the shortest waveform that is certified to end in a known state, instead of HIGHEST.",
+)
+@number(
+    "--hold",
+    only=beside("model"),
+    help="Time at either limit [s], of a model that creeps; default: as long as needed.",
+)
+def homing(
+    run: Run, highest: float | None, model: Path | None, hold: float | None, output: Path, **options: Any
+) -> Result:
+    """Home by a way up to HIGHEST [V] and back, or with --model the shortest way to a known state."""
+    if (highest is None) == (model is None):
+        raise ModelError(argument="highest", need="either a highest voltage or --model")
+    if model is None:
+        return _excited(standard.homing, [highest], output=output, **options)
+    return _home(run, model, output, hold, **options)
+
+
+def _excited(
+    protocol: Callable[..., Excitation],
+    volts: Sequence[Any],
+    *given: Any,
+    output: Path,
+    frequency: float | None,
+    slew_rate: float | None,
+    base: float,
+    present: float | None,
+    limits: tuple[float, float] | None,
+    sample_rate: float | None,
+    temperatures: tuple[float, float] | None = None,
+    longest: float = _LONGEST,
+    advice: tuple[str, ...] = (_WHY,),
     **options: Any,
 ) -> Result:
-    """Write the voltage of an excitation, to play and record.
+    """Write an excitation to voltages; `given`: arguments of its protocol if they are not the only voltage.
 
-    KIND, with its VOLTS:
-
-    recommended HIGHEST: all that identification needs, in one run of three minutes: major loops, falling tops, random
-    turns at three speeds, two holds.
-    raised-cosine PEAKS: cycles from the base to each of the peaks and back.
-    descending-tops HIGHEST: cycles to tops that fall in equal steps; they determine all stiffnesses that loops can.
-    staircase HIGHEST: steps up and down again with holds, which show creep.
-    stage HIGHEST of each axis: one axis after the other, then all together.
-    homing HIGHEST: up and back; with --model the shortest certified way to a known state.
-
-    Parameters
-    ----------
-    output
-        Write time and voltage here (CSV).
-    frequency
-        Cycles per second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes, or four
-        if it is the recommended one.
-    hold
-        Staircase: time at each voltage [s]; default 60. Homing of a model that creeps: time at either limit; default:
-        as long as needed.
-    model
-        Model to home by the shortest waveform that is certified to end in a known state.
-    axes
-        Names of the axes of a stage, as x,y.
-    temperatures
-        Lowest and highest temperature in use [degC]; the answer says at which temperatures to record.
+    Without a `frequency`, it takes at most the `longest` time [s], if it can, and the advice is given.
     """
-    sampled: dict[str, Any] = {
-        "sample_rate": sample_rate,
-        "base": base,
-        "present": present,
-        "limits": limits,
-        "slew_rate": slew_rate,
-    }
-    if hold is not None:
-        options["hold"] = hold
-    if model is not None:
-        if volts:
-            raise ModelError(argument="homing", need="either a highest voltage or --model, not both")
-        return _home(run, model, output, hold, _HOMING if frequency is None else frequency, sampled)
-    several = kind in ("raised-cosine", "stage")
-    if len(volts) < (2 if kind == "stage" else 1) or not (several or len(volts) == 1):
-        words = {"stage": "one for each of several axes", "raised-cosine": "one for each peak"}.get(kind, "one voltage")
-        raise RecordError(argument="volts", got=f"{len(volts)} for {kind}", need=words)
     if limits is None and (highest := max(volts)) > 0:
-        sampled["limits"] = (-highest, highest)
-    if kind == "stage":
-        options["axes"] = None if axes is None else axes.split(",")
-    given = [volts] if several else volts
-
-    longest = _RECOMMENDED if kind == "recommended" else _LONGEST * (len(volts) + 1 if kind == "stage" else 1)
+        limits = -highest, highest
+    sampled = {"sample_rate": sample_rate, "base": base, "present": present, "limits": limits}
 
     def made(slew_rate: float | None) -> tuple[Excitation, float]:
         def make(hertz: float) -> Excitation:
-            return EXCITATIONS[kind](*given, drive=Sampling(hertz, **sampled | {"slew_rate": slew_rate}), **options)
+            return protocol(*(given or volts), drive=Sampling(hertz, slew_rate=slew_rate, **sampled), **options)
 
         return _slow_enough(make, longest) if frequency is None else (make(frequency), frequency)
 
@@ -130,8 +204,7 @@ def excite(
     warmth = temperatures_to_record(None, temperatures)
     if frequency is not None:
         return _written(found, output, warnings=remarks, temperatures=warmth)
-    why = () if kind == "stage" else (_WHY,)
-    return _written(found, output, f"{hertz:g} Hz by default", why, remarks, temperatures=warmth)
+    return _written(found, output, f"{hertz:g} Hz by default", advice, remarks, temperatures=warmth)
 
 
 def _fastest(excitation: Excitation) -> float:
@@ -148,14 +221,14 @@ def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[E
     return next(one for one in possible if one[0].duration <= most)
 
 
-def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float, sampled: dict[str, Any]) -> Result:
+def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float | None, **sampled: Any) -> Result:
     """Write the shortest homing of a model."""
     actuator = read_model(run, model)
     sampled["limits"] = sampled["limits"] or actuator.limits
     if sampled["limits"] is not None and not sampled["base"]:
         low, high = sampled["limits"]
         sampled["base"] = min(max(0.0, low), high)
-    drive = Sampling(frequency, **sampled)
+    drive = Sampling(_HOMING if frequency is None else frequency, **sampled)
     ends = {"present": drive.start, "end": drive.base}
     way = shortest_homing(actuator, limits=drive.limits, **ends, drive=drive, hold=hold)
     remarks = way.remarks
@@ -216,24 +289,13 @@ def _written(
 
 def refuse_cycles(made: Scan, cycles: int) -> None:
     """Raise an error for a number of cycles that is too large for a file."""
-    if cycles < 0:
-        raise RecordError(argument="cycles", got=cycles, need="a whole number, 0 or more")
-    if made.samples > MOST_ROWS:
-        raise RecordError(
-            argument="scan",
-            got=f"{made.samples} rows a period at {made.rate:g} Hz",
-            need=f"at most {MOST_ROWS:g}",
-            hint="try a lower sample rate, or a scan of fewer lines",
-        )
-    if cycles < 1:
-        raise RecordError(argument="cycles", got=cycles, need="1 or more")
-    if cycles * made.samples > MOST_ROWS:
-        raise RecordError(
-            argument="cycles",
-            got=f"{cycles}, {cycles * made.samples:.4g} rows",
-            need=f"at most {MOST_ROWS // made.samples} ({MOST_ROWS:g} rows)",
-            hint="repeat one cycle instead",
-        )
+    most = MOST_ROWS // made.samples
+    if not most:
+        got, hint = f"{made.samples} rows a period at {made.rate:g} Hz", "try a lower sample rate, or fewer lines"
+        raise RecordError(argument="scan", got=got, need=f"at most {MOST_ROWS:g}", hint=hint)
+    if not 1 <= cycles <= most:
+        need = f"1 to {most}, of {made.samples} rows each ({MOST_ROWS:g} rows in all)"
+        raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle instead")
 
 
 class Numbers(tuple[float, ...]):
@@ -246,48 +308,50 @@ class Numbers(tuple[float, ...]):
         """Return the numbers in a text; raise ValueError if there are none."""
         return cls(map(float, text.split(",")))
 
-    def __str__(self) -> str:
-        """Return the text."""
-        return ",".join(f"{one:.12g}" for one in self)
 
+@click.group("scan", cls=Kinds)
+def scan() -> None:
+    """Write the path of a scan: time and displacement of each axis; compensate computes its voltages.
 
-def _scan_options() -> list[Parameter]:
-    """Return the options of all named scans; each option affects only its own scan."""
-    found = []
-    for name, option in OPTIONS.items():
-        takes = [one for one, scan in SCANS.items() if name in scan.takes]
-        condition = one_of("kind", takes)
-        choices = isinstance(option.kind, tuple)
-        default = option.default or (option.kind[0] if isinstance(option.kind, tuple) else "")
-        text = f"{option.help}{f' [{option.unit}]' if option.unit else ''}{default and f'; default: {default}'}."
-        kind = Literal[option.kind] if choices else Numbers if option.kind == "numbers" else option.kind
-        found.append(Parameter(name, Kind.of(kind), None, text, conditions=(condition,)))
-    return found
-
-
-@operation(more=_scan_options(), rare=("rising", "edge"))
-def scan(
-    run: Run,
-    kind: Literal["triangle", "raster", "steps"],
-    *,
-    output: Output,
-    sample_rate: float | None = None,
-    cycles: int = 1,
-    **options: Any,
-) -> Result:
-    """Write the path of a scan: time and displacement of each axis.
-
-    KIND: triangle or steps of one axis; raster of two. compensate computes the voltages for this path.
-
-    Parameters
-    ----------
-    output
-        Write time and displacement here (CSV).
-    sample_rate
-        Samples per second [Hz]; default: from the scan.
-    cycles
-        Cycles of the scan.
+    KIND: triangle or steps of one axis; raster of two. Each has a help of its own.
     """
+
+
+_path_output = output("Write time and displacement here (CSV).")
+
+
+def _add_scan(kind: str, text: str) -> None:
+    """Add the command of a kind of scan, with the options that it takes."""
+
+    def written(run: Run, output: Path, sample_rate: float | None, cycles: int, **options: Any) -> Result:
+        given = {name: value for name, value in options.items() if value is not None}
+        return _scanned(kind, given, output, sample_rate, cycles)
+
+    written.__doc__ = text
+    for name in reversed(SCANS[kind].takes):
+        own = OPTIONS[name]
+        choices = isinstance(own.kind, tuple)
+        default = own.default or (own.kind[0] if isinstance(own.kind, tuple) else "")
+        words = f"{own.help}{f' [{own.unit}]' if own.unit else ''}{default and f'; default: {default}'}."
+        of = click.Choice(own.kind) if choices else {"numbers": Parsed(Numbers), float: NUMBER}.get(own.kind, own.kind)
+        written = option(f"--{name.replace('_', '-')}", type=of, required=name in SCANS[kind].needs, help=words)(
+            written
+        )
+    written = integer("--cycles", default=1, help="Cycles of the scan.")(written)
+    written = number("--sample-rate", help="Samples per second [Hz]; default: from the scan.")(written)
+    written = option("-o", "--output", type=OUTPUT, required=True, help="Write time and displacement here (CSV).")(
+        written
+    )
+    scan.command(kind)(written)
+
+
+_add_scan("triangle", "A path up and down between two displacements.")
+_add_scan("raster", "Lines along x at places along y.")
+_add_scan("steps", "Levels with holds between edges.")
+
+
+def _scanned(kind: str, options: Mapping[str, Any], output: Path, sample_rate: float | None, cycles: int) -> Result:
+    """Write the path of a scan."""
     made = scan_of(kind, options, sample_rate)
     refuse_cycles(made, cycles)
     paths = {axis: made.path(axis).repeated(cycles) for axis in made.axes}

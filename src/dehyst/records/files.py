@@ -218,15 +218,10 @@ def write_columns(
     write_atomically(path, _blocks(path, columns, digits, head))
 
 
-def demand_text(path: PathLike) -> None:
-    """Raise `FileFormatError` if the suffix of an output is not one of text."""
-    if Path(path).suffix.lower() not in TEXT and (Path(path).is_file() or not Path(path).exists()):
-        raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
-
-
 def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None, head: Sequence[str]) -> Iterator[str]:
     """Yield a table as blocks of text, the lines before it and its header first."""
-    demand_text(path)
+    if Path(path).suffix.lower() not in TEXT and (Path(path).is_file() or not Path(path).exists()):
+        raise FileFormatError(f"{path}: dehyst writes text only; try the suffix .csv")
     if any(set(name) & set(',;\t\n"') for name in columns):
         raise FileFormatError(f"{path}: column names {listed(tuple(columns))} hold a separator or a quote; rename them")
     arrays = [np.asarray(values, dtype=np.float64) for values in columns.values()]
@@ -235,10 +230,14 @@ def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None
         raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
     yield "\n".join([*head, delimiter.join(columns), ""])
-    safe = [_safe(array, digits) for array in arrays]
+    line, safe = delimiter.join([f"%.{digits}g"] * len(arrays)) + "\n", [_safe(array, digits) for array in arrays]
     for i in range(0, arrays[0].size, _BLOCK):
-        texts = [_texts(array[i : i + _BLOCK], ends, digits) for array, ends in zip(arrays, safe, strict=True)]
-        yield "".join(f"{delimiter.join(row)}\n" for row in zip(*texts, strict=True))
+        block = [(array[i : i + _BLOCK], *ends) for array, ends in zip(arrays, safe, strict=True)]
+        if digits is None or any(((part < low) | (part > high)).any() for part, low, high in block):
+            texts = (_texts(*each, digits) for each in block)
+            yield "".join(f"{delimiter.join(row)}\n" for row in zip(*texts, strict=True))
+        else:
+            yield line * block[0][0].size % tuple(np.column_stack([part for part, *_ in block]).ravel().tolist())
 
 
 def _safe(values: Array, digits: int | None) -> tuple[float, float]:
@@ -250,10 +249,10 @@ def _safe(values: Array, digits: int | None) -> tuple[float, float]:
     return low + unit * (lowest < low), high - unit * (highest > high)
 
 
-def _texts(values: Array, safe: tuple[float, float], digits: int | None) -> list[str]:
-    """Return the texts of numbers (n,), rounded to `digits` in their `safe` range; without `digits` empty for NaN."""
+def _texts(values: Array, low: float, high: float, digits: int | None) -> list[str]:
+    """Return the texts of numbers (n,), rounded to `digits` from `low` to `high`; without `digits` empty for NaN."""
     found = (("%r " if digits is None else f"%.{digits}g ") * values.size % tuple(values.tolist())).split()
     # A voltage at a limit stays within it.
-    for i in np.flatnonzero(~((safe[0] <= values) & (values <= safe[1]))).tolist():
+    for i in np.flatnonzero(~((low <= values) & (values <= high))).tolist():
         found[i] = "" if digits is None and np.isnan(values[i]) else repr(float(values[i]))
     return found

@@ -16,8 +16,8 @@ from dehyst.control import Compensator
 from dehyst.exports import wasm_module
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel
+from dehyst.operations.command import context_of, given_in, words_of
 from dehyst.operations.files import AS_FOUND, Columns, clock_of
-from dehyst.operations.registry import find
 from dehyst.operations.run import Run
 from dehyst.records import read, read_table, table_of, write_columns
 from dehyst.records.tables import ColumnsError
@@ -131,9 +131,9 @@ def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
     """
     given = {name: value for name, value in scan.items() if value not in (None, "")}
     hertz, axis = number_of(rate, "rate"), str(given.pop("axis", "x"))
-    values = find("scan").of_json({**given, "output": "path.csv"})
-    kind, cycles = values.pop("kind"), values.pop("cycles", 1)
-    values.pop("output")
+    context = context_of(words_of("scan", {**given, "output": "path.csv"}))
+    kind, cycles = str(context.info_name), context.params["cycles"]
+    values = {name: value for name, value in given_in(context).items() if name not in ("output", "cycles")}
     path = scan_of(kind, values, hertz).path(axis)
     if len(path) * cycles > _MOST_DRAWN:
         got = f"{hertz:g} Hz, {len(path) * cycles} samples"

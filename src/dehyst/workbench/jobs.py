@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from dehyst._errors import DehystError
-from dehyst.operations.registry import find
+from dehyst.operations.command import context_of, words_of
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import in_page
 
@@ -38,9 +38,10 @@ class Step(NamedTuple):
 
     @property
     def command(self) -> list[str]:
-        """The words of the equivalent command."""
-        found = find(self.operation)
-        return [*found.command(found.of_json(self.parameters)), *["--force"] * self.force]
+        """The words of the equivalent command; raises OperationError if they cannot be understood."""
+        words = [*words_of(self.operation, {**self.parameters}), *["--force"] * self.force]
+        context_of(words)
+        return ["dehyst", *words]
 
 
 @dataclass
@@ -84,7 +85,7 @@ class Worker:
         """Run an operation to its end; if this task is cancelled, the process is ended too."""
         if self._stopped:
             return Finished(stopped=True)
-        request = {"do": step.operation, "with": dict(step.parameters), "force": step.force}
+        request = {"do": step.command[1:]}
         try:
             self._process = self._process or await self._started()
             stdin, stdout = self._process.stdin, self._process.stdout

@@ -114,7 +114,7 @@ class WorkbenchSession:
         """Write the excitation to play within `limits` [V], with `slew` [V/s] and `frequency` [Hz]; return the job."""
         low, high = limits_of(request.get("limits"))
         file = self.folder.new(places.EXCITATIONS, f"{low:g}-to-{high:g}-V", ".csv")
-        given = {"kind": "recommended", "volts": [high], "base": low, "present": min(max(0.0, low), high)}
+        given = {"kind": "recommended", "highest": high, "base": low, "present": min(max(0.0, low), high)}
         options = {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
         step = Step("excite", {**given, "limits": [low, high], **options, "output": file})
         entry = ExcitationEntry(self._id("e"), Path(file).stem, file)

@@ -1,7 +1,7 @@
 """A process that runs operations for the workbench, one after another: ``python -m dehyst.workbench.worker``.
 
-It reads requests and writes messages, each a line with a JSON object. A request is ``{"do": OPERATION, "with": {...},
-"force": false}``. Messages are ``{"progress": WORDS}`` and, at the end of the operation, ``{"done": {...}}`` with a
+It reads requests and writes messages, each a line with a JSON object. A request is ``{"do": WORDS}``, the words of a
+command. Messages are ``{"progress": WORDS}`` and, at the end of the operation, ``{"done": {...}}`` with a
 "result" and whether it is "good", an "error", or "stopped". SIGINT ends a running operation early, with its best result
 so far. The process ends when its input does, or by SIGTERM.
 """
@@ -20,7 +20,7 @@ from typing import Any
 
 from dehyst._errors import DehystError
 from dehyst._io import finite
-from dehyst.operations.registry import find
+from dehyst.operations.command import context_of
 from dehyst.operations.run import InterruptibleRun, perform, terminable
 
 Message = dict[str, Any]
@@ -87,9 +87,7 @@ def _receive(requests: SimpleQueue[Message]) -> None:
 def _answer(request: Message, run: _WorkerRun) -> Message:
     try:
         with terminable():
-            operation = find(request["do"])
-            values = operation.of_json(request["with"])
-            result = perform(operation, values, run, force=bool(request.get("force")))
+            result = perform(context_of(request["do"]), run)
             return {"result": result.as_dict(), "good": result.good}
     except DehystError as error:
         return {"error": {**run.known, **error.as_dict()}}

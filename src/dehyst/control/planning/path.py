@@ -145,9 +145,10 @@ def plan_path(
     if home:
         return task.result(task.plans(*task.homed(task.unless_known(given, now))))
     unhomed = task.plans(*task.begun(task.begins(given, now, near=all(volts is None for volts in now))))
-    if home is None and not all(given) and any(plan.error.matters for plan in unhomed):
-        return task.result(task.plans(*task.homed(task.begins(given, now))))
-    return task.result(unhomed)
+    if home is not None or all(given) or not any(plan.error.matters for plan in unhomed):
+        return task.result(unhomed)
+    del unhomed
+    return task.result(task.plans(*task.homed(task.begins(given, now))))
 
 
 def plan_voltage(
@@ -648,7 +649,8 @@ class Task:
             return PathPlan.of_axes(self.stage.axes, plans)
         units = self.single.units
         hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
-        return replace(plans[0], warnings=(*plans[0].warnings, *hint)).in_units(units)
+        plan = replace(plans[0], warnings=(*plans[0].warnings, *hint))
+        return plan if units == plan.units else plan.in_units(units)
 
 
 def needed_slew_rate(

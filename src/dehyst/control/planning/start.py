@@ -196,7 +196,7 @@ class StartError:
             y = actuator.simulate(v, time=time, state=state, extrapolate=True).displacement[first:]
             np.minimum(lowest, y, out=lowest)
             np.maximum(highest, y, out=highest)
-        kept = None if time is None else vector(time, "time")[first:]
+        kept = None if time is None else np.asarray(time, dtype=np.float64)[first:]
         return cls(lowest, highest, stroke_of(actuator), model_error(actuator), kept)
 
     @property
@@ -206,8 +206,12 @@ class StartError:
 
     def left_of(self, expected: Array) -> Array:
         """Return the largest distance (n,) from an `expected` displacement (n,), apart from a constant [m]."""
-        ways = np.stack([self.lowest, self.highest]) - expected
-        return np.asarray(np.abs(ways - ways.sum(axis=1, keepdims=True) / max(expected.size, 1)).max(axis=0))
+        found = np.zeros_like(expected)
+        for end in (self.lowest, self.highest):
+            way = end - expected
+            way -= way.sum() / max(expected.size, 1)
+            np.maximum(found, np.abs(way, out=way), out=found)
+        return found
 
     @property
     def first(self) -> float:
@@ -231,25 +235,19 @@ class StartError:
         after = int(above[-1]) + 1 if above.size else 0
         return after if after < self.difference.size or not above.size else None
 
-    @property
-    def settled_seconds(self) -> float | None:
-        """Time [s] from the first sample to `settled`; None if it is None, or without a time."""
-        if self.settled is None or self.time is None or not self.time.size:
-            return None
-        return float(self.time[self.settled] - self.time[0])
-
     def percent(self, length: float) -> float:
         """Return a `length` [m, or `units`] in % of the stroke."""
         return 100 * length / self.stroke
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
+        settled, time = self.settled, self.time
         return {
             "first_difference_percent": self.percent(self.first),
             "largest_difference_percent": self.percent(self.largest),
             "model_error_percent": self.percent(self.model_error),
-            "settled_sample": self.settled,
-            "settled_s": self.settled_seconds,
+            "settled_sample": settled,
+            "settled_s": None if settled is None or time is None else float(time[settled] - time[0]),
         }
 
 

@@ -1,0 +1,142 @@
+"""Commands as click declares them: words and values by name mean the same, and what has no effect is refused."""
+
+import ast
+import inspect
+import json
+import shlex
+import textwrap
+
+import click
+import pytest
+from click.testing import CliRunner
+from command_line import commands, sample_words
+
+from dehyst.cli.command import run_command
+from dehyst.operations import registry
+from dehyst.operations.axes import limits_of, numbers_of
+from dehyst.operations.command import (
+    HOUSE,
+    INPUT,
+    OUTPUT,
+    OperationError,
+    beside,
+    command,
+    context_of,
+    number,
+    option,
+    words_of,
+)
+from dehyst.operations.paths import Zero
+from dehyst.operations.run import Result, Run, perform
+from dehyst.operations.start import Start
+
+
+@command("sample")
+@click.argument("file", type=INPUT)
+@option("-o", "--output", type=OUTPUT)
+@option("--size", type=int, default=2, help="How large.")
+@option("--pair", type=(float, float))
+@option("--names", multiple=True)
+@option("--others", type=INPUT, multiple=True)
+@option("--fast", is_flag=True)
+@option("--home/--no-home", default=None)
+@number("--deep", only=beside("names"))
+def sample(run, **values):
+    """Show what an operation is."""
+    return Result(json.loads(json.dumps(values, default=str)), [run.command], good=values["size"] < 5)
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    find = registry.find
+    monkeypatch.setattr(registry, "find", lambda name: sample if name == "sample" else find(name))
+
+
+VALUES = {
+    "--size 3": {"size": 3},
+    "--pair -1 2.5": {"pair": [-1, 2.5]},
+    "--names x --names 'y z' --deep 2": {"names": ["x", "y z"], "deep": 2},
+    "--others a.csv b.csv --fast": {"others": ["a.csv", "b.csv"], "fast": True},
+    "--fast --no-home": {"fast": True, "home": False},
+    "--home": {"home": True, "fast": None},
+}
+
+
+@pytest.mark.parametrize("words", VALUES)
+def test_words_and_values_by_name_mean_the_same(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(sample, ["in.csv", *shlex.split(words), "--json"], obj=run_command)
+    assert done.exit_code == 0, done.stderr
+    again = perform(context_of(words_of("sample", {"file": "in.csv", **VALUES[words]})), Run())
+    assert json.loads(done.stdout) == again.as_dict()
+
+
+def test_a_run_knows_its_command_and_a_poor_result_has_status_1():
+    done = CliRunner().invoke(sample, ["in.csv", "--size", "9"], obj=run_command)
+    assert (done.exit_code, done.stdout) == (1, "sample in.csv --size 9\n")
+
+
+@pytest.mark.parametrize(
+    ("values", "argument"),
+    [
+        ({}, "file"),
+        ({"file": "a\0b"}, "file"),
+        ({"file": "a", "length": 3}, "length"),
+        ({"file": "a", "size": 3.5}, "size"),
+        ({"file": "a", "size": "--force"}, "size"),
+        ({"file": "a", "pair": [1]}, "pair"),
+        ({"file": "a", "pair": [1, "b"]}, "pair"),
+        ({"file": "a", "deep": "1; rm", "names": "x"}, "deep"),
+    ],
+    ids=str,
+)
+def test_values_of_another_kind_are_refused_by_their_name(values, argument):
+    with pytest.raises(OperationError) as refused:
+        context_of(words_of("sample", values))
+    assert refused.value.argument in (argument, "sample")
+
+
+@pytest.mark.parametrize(("words", "argument"), [(["--deep", "1"], "deep"), (["--force"], "force")])
+def test_an_option_without_effect_is_refused(words, argument):
+    with pytest.raises(OperationError, match="no effect") as refused:
+        perform(context_of(["sample", "a", *words]), Run())
+    assert refused.value.argument == argument
+
+
+@pytest.mark.parametrize(("kind", "wrong"), [(Zero, ["top", "nan", "inf"]), (Start, ["middle", "as:absent.csv"])])
+def test_a_text_that_is_no_value_is_refused_with_what_is_needed(kind, wrong):
+    for text in wrong:
+        with pytest.raises(ValueError, match="need"):
+            kind.parse(text)
+
+
+def test_axes_have_values_of_their_own_and_in_common():
+    assert limits_of("xy", [("0", 100), ("x=-5", 120)]) == [(-5, 120), (0, 100)]
+    assert numbers_of("xy", ["none", "y=5"], "slew_rate") == [float("inf"), 5]
+    for wrong in (["z=1"], ["1", "2"]):
+        with pytest.raises(ValueError, match="need"):
+            numbers_of("xy", wrong, "slew_rate")
+
+
+COMMANDS = dict(commands())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_read_and_reaches_the_function(name):
+    command = COMMANDS[name]
+    signature = inspect.signature(command.callback)
+    for each in command.params:
+        context = click.Context(click.Group("dehyst", context_settings={}), info_name="dehyst")
+        context = command.make_context(name, sample_words(command, each), parent=context)
+        assert context.params[each.name] != each.get_default(context)
+        own = {key: value for key, value in context.params.items() if key not in HOUSE}
+        signature.bind(Run(), **own)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_function_of_a_command_uses_each_parameter(name):
+    (function,) = ast.parse(textwrap.dedent(inspect.getsource(COMMANDS[name].callback))).body
+    names = [node for part in function.body for node in ast.walk(part) if isinstance(node, ast.Name)]
+    used = {node.id for node in names if isinstance(node.ctx, ast.Load)}
+    arguments = [each.arg for each in (*function.args.args, function.args.kwarg) if each is not None]
+    assert [each for each in arguments if each not in used and each != "run"] == []
