@@ -23,7 +23,7 @@ from dehyst.model import Actuator, MaxwellSlip, Spring, parts_in_segments
 from dehyst.records import Record, reversals
 
 # Displacements (n,) [m] and voltages (n,) [V] of one branch, in the order of motion.
-_Branch: TypeAlias = "tuple[Array, Array]"
+Branch: TypeAlias = "tuple[Array, Array]"
 # Turning points closer to each other than this part of the stroke are the same.
 _SAME = 0.02
 # Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself.
@@ -90,7 +90,7 @@ def loops_of(records: Record | Sequence[Record], elements: int) -> tuple[BreakPo
     return tuple(sorted(loops, key=lambda loop: -loop.range))
 
 
-def _closed(record: Record) -> list[tuple[float, float, list[_Branch], list[_Branch]]]:
+def _closed(record: Record) -> list[tuple[float, float, list[Branch], list[Branch]]]:
     """Return mean turning points [m], descending and ascending branches of each closed loop of a record.
 
     A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
@@ -100,7 +100,7 @@ def _closed(record: Record) -> list[tuple[float, float, list[_Branch], list[_Bra
     y, v = record.displacement, record.voltage
     same = _SAME * record.stroke
     # Turning points of the first branch of each group; descending and ascending branches.
-    groups: list[tuple[float, float, list[_Branch], list[_Branch]]] = []
+    groups: list[tuple[float, float, list[Branch], list[Branch]]] = []
     for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):
         if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
             continue
@@ -119,7 +119,7 @@ def _closed(record: Record) -> list[tuple[float, float, list[_Branch], list[_Bra
     return found
 
 
-def _voltage_at(branch: _Branch, places: Array) -> Array:
+def voltage_at(branch: Branch, places: Array) -> Array:
     """Interpolate the voltage [V] of one branch at displacements `places` (m,) [m], shape (m,).
 
     Noise moves the displacement of a branch back and forth; the mean of both its envelopes is used. Beyond the
@@ -132,7 +132,7 @@ def _voltage_at(branch: _Branch, places: Array) -> Array:
     return np.asarray(np.interp(places, monotone[keep], v[keep]))
 
 
-def _break_points(branches: list[_Branch], start: float, end: float, step: float) -> Array:
+def _break_points(branches: list[Branch], start: float, end: float, step: float) -> Array:
     """Return mean voltages after motions of 0, step, 2 step, ... and at the end."""
     count = int(np.floor(abs(end - start) / step * (1 + 1e-9)))
     moved = np.minimum(np.arange(count + 1) * step, abs(end - start))
@@ -140,7 +140,7 @@ def _break_points(branches: list[_Branch], start: float, end: float, step: float
         moved = np.append(moved, abs(end - start))
     places = start + np.sign(end - start) * moved
     places[-1] = end
-    return np.column_stack([places, np.mean([_voltage_at(branch, places) for branch in branches], axis=0)])
+    return np.column_stack([places, np.mean([voltage_at(branch, places) for branch in branches], axis=0)])
 
 
 def identify(records: Record | Sequence[Record], *, elements: int = 10, slope_floor: float = 0.2) -> PaperFit:

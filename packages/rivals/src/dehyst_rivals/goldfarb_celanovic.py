@@ -19,7 +19,7 @@ from dehyst._types import Array
 from dehyst._validation import count, keep, vector
 from dehyst.identification import as_list
 from dehyst.model import Actuator, MaxwellSlip, Spring, State
-from dehyst.paper.branches import Branch, voltage_at
+from dehyst.paper.methods import Branch, voltage_at
 from dehyst.records import Record, cleaned, reversals
 from dehyst.trust import AbstractBaseline
 
