@@ -16,7 +16,7 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1189,
-    "cli": 680,
+    "cli": 542,
     "control": 4259,
     "exports": 1288,
     "fleet": 312,
