@@ -15,7 +15,7 @@ from dehyst.records import write_columns
 def laboratory(tmp_path_factory):
     """A folder with a model, a record with other columns, and a path."""
     folder = tmp_path_factory.mktemp("laboratory")
-    model = replace(plain_records.plant(6), limits=(0.0, 100.0), delay=2e-3)
+    model = replace(plain_records.plant(6), limits=(0.0, 200.0), delay=2e-3)
     time = np.arange(200) / 50
     voltage = 40 + 35 * np.sin(2 * np.pi * time)
     moved = 1e6 * model.simulate(voltage).displacement
