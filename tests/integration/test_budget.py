@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 6139,
     "instruments": 2800,
     "model": 3611,
-    "operations": 4029,
+    "operations": 4025,
     "paper": 1075,
     "records": 4874,
     "report": 1496,
