@@ -266,3 +266,61 @@ def test_overload_readings_are_left_out_before_the_loops_are_judged():
     found = cleaned(overloaded)
     assert found.record.stroke == pytest.approx(np.ptp(Y), rel=0.01)
     assert len(found.sentences) == len(overloaded.problems()) == 1
+
+
+# Butterfly loops
+
+COERCIVE = 60.0
+
+
+def butterfly(low, high, noise=0.0, sign=1):
+    """A ferroelectric whose polarisation P follows the voltage by a play of tanh: strain d P v + Q P^2."""
+    t = np.arange(4001) / 1000
+    v = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(2 * np.pi * t)
+    polarisation, now = np.empty_like(v), -1.0 if low < -COERCIVE else 1.0
+    for i, volts in enumerate(v):
+        now = min(max(now, np.tanh((volts - COERCIVE) / 8)), np.tanh((volts + COERCIVE) / 8))
+        polarisation[i] = now
+    y = 1e-8 * polarisation * v + 5e-7 * polarisation**2
+    return Record(t, v, sign * (y + noise * np.random.default_rng(0).normal(size=y.size)))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-7])
+@pytest.mark.parametrize(("low", "high"), [(-200, 200), (-100, 300), (-140, 260), (-70, 170), (-70, 70), (-200, 120)])
+def test_a_butterfly_is_refused_with_the_voltages_to_record(low, high, noise, sign):
+    record = butterfly(low, high, noise, sign)
+    with pytest.raises(RecordError, match="rising voltage: a butterfly"):
+        record.check_usable()
+    _, _, turn = loops.butterfly(record.voltage, record.displacement)
+    assert -COERCIVE < turn < COERCIVE
+    if sign > 0:
+        # And above it is a loop like any other.
+        butterfly(turn, high, noise or 1e-9).check_usable()
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7])
+def test_loops_within_the_coercive_field_are_none(noise):
+    butterfly(-40, 120, noise).check_usable()
+    # With an inverted sensor; poled the other way and kept there: the whole displacement falls.
+    for falling, words in (
+        (butterfly(-40, 120, noise, -1), "the sensor's sign"),
+        (butterfly(-160, 40, noise), "poled"),
+    ):
+        with pytest.raises(RecordError, match=words):
+            falling.check_usable()
+
+
+@pytest.mark.parametrize("samples", [0, 20, 100, 200])
+def test_a_lag_is_no_butterfly(samples):
+    """A phase lag makes the displacement fall at the beginning of each rise, but rise at the beginning of each fall."""
+    v = 100 - 100 * np.cos(2 * np.pi * np.arange(4001) / 1000)
+    assert loops.butterfly(v[200:], straight(v[200 - samples : v.size - samples])) is None
+
+
+@pytest.mark.parametrize("drift", [-0.5, 0.0, 0.5])
+@pytest.mark.parametrize("mechanism", MECHANISMS)
+@pytest.mark.parametrize("drive", DRIVES)
+def test_loops_with_a_drift_are_no_butterflies(mechanism, drive, drift):
+    y = MECHANISMS[mechanism](DRIVES[drive])
+    assert loops.butterfly(DRIVES[drive], y + drift * np.ptp(y) * np.linspace(0, 1, y.size)) is None

@@ -40,6 +40,8 @@ READ = {
     "marks in a name": ("time_s,drive?_V,a:b*2_um", "voltage=drive?_V, displacement=a:b*2_um", (3, 4)),
     "a rate": ("step,voltage_V,y_um", "rate=2", (3, 4)),
     "a rate in the place of a time": ("time_s,voltage_V,y_um", "rate=2", (3, 4)),
+    "one of several axes": ("time_s,voltage_V,x_um,y_um,z_um", "displacement=y_um", (3, 5)),
+    "an axis beside the displacement": ("time_s,voltage_V,displacement_um,x_um", "", (3, 4)),
     "a set-point beside it": ("time_s,voltage_V,target_um", "displacement=target", (3, 4)),
 }
 
@@ -47,7 +49,10 @@ READ = {
 @pytest.mark.parametrize("case", READ)
 def test_values(case, tmp_path):
     header, text, (volts, micrometres) = READ[case]
-    (tmp_path / "a.csv").write_text(f"{header}\n0,1,2\n0.5,3,4\n")
+    width = header.count(",") + 1 - header.count('"')
+    more = ",".join(map(str, range(5, 2 + max(width, 3))))
+    tail = f",{more}" if width > 3 else ""
+    (tmp_path / "a.csv").write_text(f"{header}\n0,1,2{tail}\n0.5,3,4{tail}\n")
     for columns in (text, Columns.parse(text), str(Columns.parse(text))):
         record = dehyst.read(tmp_path / "a.csv", columns)
         found = np.diff(record.time)[0], record.voltage[1], 1e6 * record.displacement[1]
@@ -57,6 +62,7 @@ def test_values(case, tmp_path):
 REFUSED = {
     "no unit": ("time_s,voltage_V,displacement", ""),
     "two fit": ("time_s,voltage_V,drive_V,y_um", ""),
+    "two axes": ("time_s,voltage_V,x_um,y_um", ""),
     "no such name": ("time_s,voltage_V,y_um", "voltage=absent"),
     "no such number": ("time_s,voltage_V,y_um", "voltage=4"),
     "a known unit against the file": ("time_s,voltage_V,y_um", "displacement=y_um:nm"),

@@ -2,6 +2,7 @@
 
 import html
 import pickle
+import sys
 
 import numpy as np
 import places
@@ -9,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst._errors import RecordError
+from dehyst._errors import MissingExtraError, RecordError
+from dehyst._units import per_metre
 from dehyst.records import Record, reversals
 from dehyst.records.signals import gaps, resolution, turning_points, white_noise
 
@@ -308,3 +310,43 @@ def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():
     other = Record(np.arange(100.0), view, view)
     y[4] = -1
     assert other.voltage[4] == 4
+
+
+# Units and DataFrames
+
+WAVE = np.array([1.0, 2.0, 3.5, 2.5, 1.2])
+
+
+@pytest.mark.parametrize(("units", "factor"), [("m", 1.0), ("mm", 1e3), ("um", 1e6), ("µm", 1e6), ("nm", 1e9)])
+def test_arrays_in_a_unit(units, factor):
+    made = Record.from_arrays(range(5), WAVE, WAVE * 1e-6 * factor, units=units, name="stage")
+    np.testing.assert_allclose(made.displacement, WAVE * 1e-6, rtol=1e-15)
+    assert (made.name, per_metre(units)) == ("stage", factor)
+
+
+@pytest.mark.parametrize(
+    ("units", "displacement", "words"),
+    [
+        ("inch", WAVE, "units: got 'inch'"),
+        ("um", ["a"] * 5, "array of numbers"),
+        ("m", WAVE, 'units "um"'),
+        ("um", WAVE * 1e-6, 'units "m"'),
+    ],
+)
+def test_arrays_in_another_unit_are_refused(units, displacement, words):
+    with pytest.raises(RecordError, match=words):
+        Record.from_arrays(range(5), WAVE, displacement, units=units)
+    with pytest.raises(RecordError, match='units "um"'):
+        changed(displacement=lambda y: 1e6 * y).check_usable()
+
+
+def test_a_dataframe_and_back(monkeypatch):
+    record = lagging()
+    frame = record.to_dataframe()
+    assert frame.attrs == {"name": "made"}
+    again = Record.from_arrays(frame["time_s"], frame["voltage_V"], frame["displacement_um"], units="um")
+    assert np.array_equal(again.voltage, record.voltage)
+    assert again.displacement == pytest.approx(record.displacement, rel=1e-15)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"needs pandas.*pip install 'dehyst\[files\]'"):
+        record.to_dataframe()
