@@ -1,4 +1,4 @@
-"""Records of several axes, from arrays and files."""
+"""Records of several axes: what they are, and what is asked of one axis only."""
 
 from dataclasses import replace
 
@@ -7,29 +7,9 @@ import numpy as np
 import pytest
 
 import dehyst
-from dehyst.records import write_columns
 from dehyst.records.record import columns_of
 
 RECORD, _ = coupled_stage.excited(steps=2, cycles=3)
-
-
-def written(folder):
-    path = folder / "stage.csv"
-    columns = {f"v{a}_V": RECORD.voltage[:, j] for j, a in enumerate("xy")}
-    columns |= {f"{a}_um": RECORD.displacement[:, j] * 1e6 for j, a in enumerate("xy")}
-    write_columns(path, {"time_s": RECORD.time, **columns})
-    return path
-
-
-def test_a_file_is_read_as_its_axes_are(tmp_path):
-    path = written(tmp_path)
-    record = dehyst.read(path, "x=vx_V:x_um, y=vy_V:y_um")
-    assert record.axes == ("x", "y")
-    assert np.allclose(record.displacement, RECORD.displacement, rtol=0, atol=1e-20)
-    for j, axis in enumerate("xy"):
-        single = dehyst.read(path, f"voltage=v{axis}_V, displacement={axis}_um")
-        assert np.array_equal(record.axis(j).voltage, single.voltage)
-        assert np.array_equal(record.axis(j).displacement, single.displacement)
 
 
 @pytest.mark.parametrize(
@@ -47,18 +27,6 @@ def test_arrays_that_make_no_record_are_refused(change):
     arrays = {"time": RECORD.time, "voltage": RECORD.voltage, "displacement": RECORD.displacement}
     with pytest.raises(dehyst.RecordError):
         dehyst.Record(**{**arrays, **change})
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_a_record_of_several_axes_is_written_and_read(tmp_path, suffix):
-    path = tmp_path / f"again{suffix}"
-    guessed = replace(RECORD, meta={"guesses": {"voltage of x": "from the unit V"}})
-    dehyst.write_record(path, guessed)
-    again = dehyst.read(path, "x=vx_V:x_{0}, y=vy_V:y_{0}".format("um" if suffix == ".csv" else "m"))
-    assert again.meta["guesses"] == guessed.meta["guesses"]
-    assert np.array_equal(again.voltage, RECORD.voltage)
-    assert np.allclose(again.displacement, RECORD.displacement, rtol=0, atol=1e-20)
-    assert again.axes == RECORD.axes
 
 
 def test_the_channels_of_a_record_have_names_units_and_roles():

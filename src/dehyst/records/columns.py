@@ -19,7 +19,7 @@ from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import axis_names
 from dehyst.records.formats.columns import GAIN, GUESS, PERIOD, QUANTITIES
-from dehyst.records.formats.file_content import MOST, content_of
+from dehyst.records.formats.file_content import MOST, opened
 
 # What a user replaces by the samples a second.
 RATE = "HZ"
@@ -353,8 +353,8 @@ def columns_of_axis(text: str) -> list[str]:
 
 def _text_in(path: Path) -> str:
     """Return the text of a file that `Columns.save` wrote."""
-    with reading_errors(path, "text"):
-        text = content_of(path, _LONGEST).data.decode("utf-8-sig").strip()
+    with reading_errors(path, "text"), opened(path, _LONGEST) as stream:
+        text = stream.read().decode("utf-8-sig").strip()
     if text.startswith("@"):
         raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")
     return text

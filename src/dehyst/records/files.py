@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.columns import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
-from dehyst.records.formats.file_content import content_of
+from dehyst.records.formats.file_content import Allowance, opened
 from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.signals import largest
@@ -161,12 +162,14 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
                 f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
                 f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
             )
-        content = content_of(path, 1e6 * columns.max_size)
-    with content.stream:
-        if columns.decimal is not None and content.suffix not in _WITH_SIGNS:
-            got = f"'{columns.decimal}' for {content.suffix} files, which hold no text"
+        stream = opened(path, 1e6 * columns.max_size)
+    with stream:
+        if columns.decimal is not None and path.suffix.lower() not in ("", *_WITH_SIGNS):
+            got = f"'{columns.decimal}' for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
-        found, digest = load(content._replace(decimal=columns.decimal)), content.sha256
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        stream.seek(0)
+        found = load(path, stream, Allowance(int(1e6 * columns.max_size), path.stem, columns.decimal))
     if not found:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
     return Table(path.name, digest, tuple(found))

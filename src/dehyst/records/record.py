@@ -295,12 +295,8 @@ class Record(Plotted):
         Raise `RecordError` if the unit is unknown, the arrays do not form a record, or the stroke is over 0.1 m or
         below 1 nm, which indicates another unit.
         """
-        counts = per_metre(units, error=RecordError)
         record = cls(time, voltage, displacement, name, others=others or ())  # type: ignore[arg-type]
-        record = replace(record, displacement=record.displacement / counts)
-        if words := quality.other_unit(record):
-            raise record._error(words)
-        return record
+        return record._in_unit(record.displacement, units)
 
     @classmethod
     def from_events(
@@ -323,9 +319,12 @@ class Record(Plotted):
         a position is not finite, or times and positions differ in number; otherwise as `from_arrays`.
         """
         whole = cls(time, voltage, np.zeros(np.shape(time)), name)  # type: ignore[arg-type]
-        counts = per_metre(units, error=RecordError)
-        displacement = events.at_samples(whole.time, whole.voltage, event_time, position) / counts
-        record = replace(whole, displacement=displacement, measured=~np.isnan(displacement))
+        displacement = events.at_samples(whole.time, whole.voltage, event_time, position)
+        return whole._in_unit(displacement, units, measured=~np.isnan(displacement))
+
+    def _in_unit(self, displacement: Array, units: str, **more: Any) -> Record:
+        """Return the record with a displacement in a unit of length; raise if no actuator has such a stroke."""
+        record = replace(self, displacement=displacement / per_metre(units, error=RecordError), **more)
         if words := quality.other_unit(record):
             raise record._error(words)
         return record

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import stat
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO
 
 from dehyst._errors import FileFormatError
 
@@ -14,32 +13,6 @@ from dehyst._errors import FileFormatError
 MOST = 500_000_000
 # Bytes of a double.
 _DOUBLE = 8
-
-
-class Content(NamedTuple):
-    """A file that is open, and how its columns are to be read.
-
-    `stream`: its bytes, which can be read again; those of a pipe are in memory. `suffix`: of its format. `most`: memory
-    that its numbers may take [bytes]. `decimal`: the decimal sign that the user states.
-    """
-
-    path: Path
-    stream: io.BufferedIOBase
-    suffix: str
-    most: int
-    decimal: str | None = None
-
-    @property
-    def data(self) -> bytes:
-        """All bytes, never more than `most`."""
-        self.stream.seek(0)
-        return self.stream.read(self.most)
-
-    @property
-    def sha256(self) -> str:
-        """The digest of the bytes, in hexadecimal digits."""
-        self.stream.seek(0)
-        return hashlib.file_digest(self.stream, "sha256").hexdigest()
 
 
 class Allowance:
@@ -70,29 +43,31 @@ class Allowance:
             )
 
 
-def content_of(path: Path, most: float) -> Content:
+def opened(path: Path, most: float) -> BinaryIO:
     """Open a regular file, or read a named pipe or a process substitution once; never more than `most` bytes.
 
-    A pipe without a suffix holds text. Raise `FileFormatError` for a folder, a device, a socket, an empty file, more
-    than `most` bytes. Raise `OSError` if the file cannot be opened.
+    Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes. Raise `OSError` if
+    the file cannot be opened.
     """
-    allowed, state = int(most), path.stat()
+    state = path.stat()
     if stat.S_ISDIR(state.st_mode):
         raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
-    pipe = stat.S_ISFIFO(state.st_mode)
-    if not (pipe or stat.S_ISREG(state.st_mode)):
+    if not (stat.S_ISFIFO(state.st_mode) or stat.S_ISREG(state.st_mode)):
         raise FileFormatError(f"{path}: this is a device, need a file or a pipe; save its data to a file first")
-    size, stream = state.st_size, io.BytesIO()
+    size, stream = state.st_size, path.open("rb")
     if not size:
         # A pipe, or a file of the system that states no size.
-        with path.open("rb") as source:
-            stream = io.BytesIO(source.read(allowed + 1))
-        size = stream.getbuffer().nbytes
-    Allowance(allowed).check(size, f"{path}: the file")
-    if not size:
-        raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-    opened = path.open("rb") if state.st_size else stream
-    return Content(path, opened, path.suffix.lower() or (".csv" if pipe else ""), allowed)
+        with stream:
+            kept = io.BytesIO(stream.read(int(most) + 1))
+        size, stream = kept.getbuffer().nbytes, kept  # type: ignore[assignment]
+    try:
+        Allowance(int(most)).check(size, f"{path}: the file")
+        if not size:
+            raise FileFormatError(f"{path}: the file is empty; export the measurement again")
+    except FileFormatError:
+        stream.close()
+        raise
+    return stream
 
 
 def _in_words(size: int) -> str:

@@ -14,6 +14,7 @@ from contextlib import closing
 from dataclasses import replace
 from itertools import zip_longest
 from math import inf, nan
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -21,7 +22,7 @@ import numpy as np
 from dehyst._errors import DehystError, FileFormatError, MissingExtraError
 from dehyst.records.formats import containers
 from dehyst.records.formats.columns import TEXT, Column, shortened
-from dehyst.records.formats.file_content import Allowance, Content
+from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.table_layout import is_number, number_in
 from dehyst.records.formats.text_table import read_text
 
@@ -134,33 +135,33 @@ LOADERS: dict[str, Loader] = {
 }
 
 
-def load(content: Content) -> list[Column]:
+def load(path: Path, stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read a file's columns; raise FileFormatError, with the file's name before each message.
 
-    Raise `MissingExtraError` if the library is not installed.
+    A file without a suffix, as a pipe, holds text. Raise `MissingExtraError` if the library is not installed.
     """
-    allowance = Allowance(content.most, content.path.stem, content.decimal)
+    suffix = path.suffix.lower() or ".csv"
     try:
         with warnings.catch_warnings():
             # Of a library on styles of a sheet and the like, which are no matter of the columns.
             warnings.simplefilter("ignore")
-            read = LOADERS[content.suffix]
-            return read(content.stream if read is _read_text else content.data, allowance)
+            read = LOADERS[suffix]
+            return read(stream if read is _read_text else stream.read(allowance.most), allowance)
     except FileFormatError as error:
-        raise type(error)(**vars(error) | {"message": f"{content.path}: {error.message}"}) from error
+        raise type(error)(**vars(error) | {"message": f"{path}: {error.message}"}) from error
     except DehystError:
         raise
     except ImportError as error:
         package = (error.name or "").partition(".")[0]
-        raise MissingExtraError.of(package, "files", f"Reading {content.suffix} files") from error
+        raise MissingExtraError.of(package, "files", f"Reading {suffix} files") from error
     except MemoryError as error:
         raise FileFormatError(
-            f"{content.path}: reading it takes more memory than {content.most / 1e6:.4g} MB of numbers should",
+            f"{path}: reading it takes more memory than {allowance.most / 1e6:.4g} MB of numbers should",
             hint="the file is damaged, or give a larger max_size=MB",
             change=("columns",),
         ) from error
     except Exception as error:  # Every library has its own errors for broken content.
         raise FileFormatError(
-            f"{content.path}: not a readable {content.suffix} file ({str(error)[:300] or type(error).__name__}); check "
+            f"{path}: not a readable {suffix} file ({str(error)[:300] or type(error).__name__}); check "
             "that the suffix fits"
         ) from error
