@@ -26,7 +26,7 @@ ROOMS = {
     "model": 3611,
     "operations": 4025,
     "paper": 1075,
-    "records": 4874,
+    "records": 4860,
     "report": 1496,
     "testing": 492,
     "trust": 2340,

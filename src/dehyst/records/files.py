@@ -103,7 +103,8 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
             raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
         # Each axis is checked by itself.
         records = [
-            Record(time, *(part[q].values for q in _MEASURED), f"{name} ({axis})") for axis, part in parts.items()
+            Record(time, part["voltage"].values, part["displacement"].values, f"{name} ({axis})")
+            for axis, part in parts.items()
         ]
         voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
         return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)

@@ -66,7 +66,8 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     rate = 1 / max(abs(float(np.polyfit(np.arange(time.size), time, 1)[0])), SHORTEST)
     if (steps < 0.0).all():
         # The first of several axes.
-        way = loops.sense(*(values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement)))
+        v, y = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
+        way = loops.sense(v, y)
         sign = f"the time has the wrong sign: give rate={rate:.6g} in its place if the samples are even"
         turn = "the rows are in reverse order: turn them round, such as array[::-1]"
         told = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"

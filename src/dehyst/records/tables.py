@@ -470,7 +470,7 @@ def _common(kept: _Timed, moved: _Timed) -> tuple[Mask, list[str]]:
         got = f"times in {kept.table.source} and {moved.table.source} that do not overlap"
         need = "times in common, or rate=HZ for the first"
         raise FileFormatError(argument="join", got=got, need=need)
-    near = np.count_nonzero((others >= times[inside][0]) & (others <= times[inside][-1]))
+    near = int(np.count_nonzero((others >= times[inside][0]) & (others <= times[inside][-1])))
     steps = np.diff(others)
     gaps = np.flatnonzero(steps > _GAP * np.median(steps))
     gaps = gaps[(others[gaps + 1] > times[inside][0]) & (others[gaps] < times[inside][-1])]

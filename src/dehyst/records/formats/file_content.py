@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import stat
 from pathlib import Path
-from typing import BinaryIO
 
 from dehyst._errors import FileFormatError
 
@@ -43,7 +42,7 @@ class Allowance:
             )
 
 
-def opened(path: Path, most: float) -> BinaryIO:
+def opened(path: Path, most: float) -> io.BufferedIOBase:
     """Open a regular file, or read a named pipe or a process substitution once; never more than `most` bytes.
 
     Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes. Raise `OSError` if
@@ -54,12 +53,13 @@ def opened(path: Path, most: float) -> BinaryIO:
         raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
     if not (stat.S_ISFIFO(state.st_mode) or stat.S_ISREG(state.st_mode)):
         raise FileFormatError(f"{path}: this is a device, need a file or a pipe; save its data to a file first")
-    size, stream = state.st_size, path.open("rb")
+    size = state.st_size
+    stream: io.BufferedIOBase = path.open("rb")
     if not size:
         # A pipe, or a file of the system that states no size.
         with stream:
             kept = io.BytesIO(stream.read(int(most) + 1))
-        size, stream = kept.getbuffer().nbytes, kept  # type: ignore[assignment]
+        size, stream = kept.getbuffer().nbytes, kept
     try:
         Allowance(int(most)).check(size, f"{path}: the file")
         if not size:

@@ -135,7 +135,7 @@ LOADERS: dict[str, Loader] = {
 }
 
 
-def load(path: Path, stream: BinaryIO, allowance: Allowance) -> list[Column]:
+def load(path: Path, stream: io.BufferedIOBase, allowance: Allowance) -> list[Column]:
     """Read a file's columns; raise FileFormatError, with the file's name before each message.
 
     A file without a suffix, as a pipe, holds text. Raise `MissingExtraError` if the library is not installed.

@@ -146,9 +146,9 @@ class _Table:
         first, last = (cells_of(line, self.delimiter) for line in self.ends)
         ends = list(zip(first, last, strict=False))
         if self.headers:
-            lines = ", ".join(map(str, [self.layout.first + 1, *self.headers][:_LISTED]))
+            starts = ", ".join(map(str, [self.layout.first + 1, *self.headers][:_LISTED]))
             raise FileFormatError(
-                f"{len(self.headers) + 1} tables, which begin at the lines {lines}: these are several records",
+                f"{len(self.headers) + 1} tables, which begin at the lines {starts}: these are several records",
                 hint="save each in a file of its own, and give all of them as records of one actuator",
             )
         return [self._column(place, columns[place, : self.count], ends[place]) for place in range(self.width)]
