@@ -44,45 +44,30 @@ def _reading() -> Form:
 
 
 # A field: "above" or "least" and "optional" hold for its number, "many" for several numbers in it.
+_SLEW = {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0}
 FORMS: dict[str, Form] = {
     "excite": {
         "low": {"label": "Lowest voltage", "unit": "V", "value": "0"},
         "high": {"label": "Highest voltage", "unit": "V", "value": "100"},
-        "slew": {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0},
+        "slew": _SLEW,
         "frequency": {
-            "label": "Speed of large loops",
-            "unit": "cycles/s",
-            "placeholder": "four minutes",
-            "optional": True,
-            "above": 0,
-            "hint": "near the speed of use",
+            **{"label": "Speed of large loops", "unit": "cycles/s", "placeholder": "four minutes"},
+            **{"optional": True, "above": 0, "hint": "near the speed of use"},
         },
     },
     "reading": _reading(),
     "identify": {
         "structure": {"label": "Structure", "choices": [*_STRUCTURES.items()], "value": "auto"},
         "goal": {
-            "label": "Goal: largest error",
-            "unit": "% of the stroke",
-            "value": "1",
-            "above": 0,
-            "optional": True,
+            **{"label": "Goal: largest error", "unit": "% of the stroke", "value": "1", "optional": True, "above": 0},
             "hint": "With an error below it the model is ready for use.",
         },
         "time_limit": {
-            "label": "Time limit",
-            "unit": "s",
-            "placeholder": "none",
-            "above": 0,
-            "optional": True,
+            **{"label": "Time limit", "unit": "s", "placeholder": "none", "optional": True, "above": 0},
             "hint": "Then the best model so far is completed.",
         },
         "sensor_lag": {
-            "label": "Lag of the sensor",
-            "unit": "s",
-            "placeholder": "unknown",
-            "least": 0,
-            "optional": True,
+            **{"label": "Lag of the sensor", "unit": "s", "placeholder": "unknown", "optional": True, "least": 0},
             "hint": "Time constant of its filter; 0 if it has none.",
         },
         "name": {"label": "Name of the model", "placeholder": "of the first record", "text": True},
@@ -90,7 +75,7 @@ FORMS: dict[str, Form] = {
     "path": {
         "low": {"label": "Lowest voltage", "unit": "V"},
         "high": {"label": "Highest voltage", "unit": "V"},
-        "slew": {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0},
+        "slew": _SLEW,
         "rate": {"label": "Samples a second", "unit": "Hz", "value": "1000", "above": 0},
     },
     "check": {"record": {"label": "New record"}},

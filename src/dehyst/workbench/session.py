@@ -27,7 +27,7 @@ from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
 # Seconds after a change until it is on the disk.
-_SOON = 0.5
+_SOON = 1.0
 # Columns of a file from which the page offers to choose.
 _MOST_COLUMNS = 500
 _NO_RECORD = (
@@ -69,7 +69,6 @@ class WorkbenchSession:
         self.voltages: dict[str, VoltageEntry]
         self.excitations: dict[str, ExcitationEntry]
         self.changed, self._last = changed, 0
-        self._saved: dict[str, Any] = {}
         self._saving: asyncio.TimerHandle | None = None
         self.jobs = Jobs(folder, self.touch, worker)
         try:
@@ -400,17 +399,11 @@ class WorkbenchSession:
         return {kind: [asdict(one) for one in getattr(self, kind).values()] for kind in _KINDS}
 
     def _save(self) -> None:
-        """Write the entries if they changed; the progress of an identification is no change."""
+        """Write the entries."""
         if self._saving is not None:
             self._saving.cancel()
             self._saving = None
-        state: dict[str, Any] = finite({"last": self._last, **self._entries()})
-        for model in state["models"]:
-            if model["status"] == "identifying":
-                model |= {"progress": "", "seconds": 0.0}
-        if state != self._saved:
-            self.folder.save(state)
-            self._saved = state
+        self.folder.save(finite({"last": self._last, **self._entries()}))
 
     def _take_up(self, saved: Mapping[str, Any]) -> None:
         """Take up the session that the folder holds; what ran when it ended was cancelled."""

@@ -1,25 +1,13 @@
 // The second step: the identification as it runs, its verdict, its pictures, and how far to trust it.
 import { h } from "./dom.js";
 import { fold } from "./forms.js";
-import { duration, percent, range } from "./numbers.js";
+import { duration, range } from "./numbers.js";
 import * as server from "./server.js";
 import { goTo, needsModel } from "./steps.js";
 import { assessment, checkCard } from "./trust.js";
 import { axesBlock, fileLink, isOld, modelChoice, mounted, verdictBlock } from "./verdict.js";
 
-const { announce, button, problem, readyModels } = server;
-let known = null; // models that were ready when the page last looked
-
-// A model that has become ready is announced, and all steps speak of it.
-server.watch(({ revision }) => {
-  if (revision === undefined) return;
-  const ready = readyModels();
-  const fresh = known && ready.find(({ id }) => !known.has(id));
-  known = new Set(ready.map(({ id }) => id));
-  if (!fresh) return;
-  announce(`${fresh.name} is ready: largest error ${percent(fresh.verdict.largest_percent)} of the stroke.`);
-  server.chooseModel(fresh.id);
-});
+const { button, problem } = server;
 
 export function modelView({ models }, model) {
   return [

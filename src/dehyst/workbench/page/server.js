@@ -133,7 +133,7 @@ export function openJobs(kind, subject) {
   return all.filter((one, k) => one.status === "running" || (one.status === "failed" && k === all.length - 1));
 }
 
-// What this page alone knows: which model the person looks at. It survives a reload, and is no secret.
+// What this page alone knows: which model the person looks at, the newest unless one is chosen. It survives a reload.
 const CHOSEN = "dehyst-model";
 export const chosenModel = () =>
   among(readyModels(), sessionStorage.getItem(CHOSEN)) ?? readyModels().at(-1) ?? null;

@@ -2,7 +2,7 @@
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Form, card, fold, list } from "./forms.js";
-import { button, openJobs, problem, readyRecords, workOn } from "./server.js";
+import { button, chooseModel, openJobs, problem, readyRecords, workOn } from "./server.js";
 import { goTo } from "./steps.js";
 import { jobCards, mounted } from "./verdict.js";
 
@@ -39,8 +39,10 @@ export function checkCard(model) {
   const records = readyRecords().filter((one) => !model.train.includes(one.id));
   checking.offer("record", records.map((one) => [one.id, one.name]));
   const jobs = [...openJobs("check", model.id), ...openJobs("update", model.id)];
-  const act = (text, what, record, begun, look) =>
-    button(text, "check", () => workOn(model.id, what, { record }, begun), { ...look, hidden: jobs.some(runs) });
+  const act = (text, what, record, begun, look) => {
+    const work = () => workOn(model.id, what, { record }, begun).then(() => what === "update" && chooseModel(""));
+    return button(text, "check", work, { ...look, hidden: jobs.some(runs) });
+  };
   const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records", "")];
   return card("Is it still true?", { id: "check", key: "check" },
     check &&
