@@ -294,17 +294,6 @@ def test_a_retreat_goes_on_though_every_command_is_complained_of():
     assert rig.instrument.voltage == 90.0
 
 
-def test_what_shows_that_the_sensor_is_dead_is_heard_too():
-    rig, heard = FakeRig((0.0, 100.0)), []
-    rig.instrument.unplugged = True
-    with pytest.raises(SensorError, match="does not move") as caught:
-        rig.play(UP, heard.append)
-    low, high = heard[0].voltage[0], heard[-1].voltage[-1]
-    fifth = 0.2 * np.ptp(UP.voltage)
-    assert high - low > fifth > heard[-2].voltage[-1] - low
-    assert caught.value.__notes__ == [BROUGHT]
-
-
 def test_a_reading_that_is_no_number_is_refused():
     rig = FakeRig()
     rig._read = lambda: Reading(0.0, np.nan, 0.0)

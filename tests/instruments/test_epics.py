@@ -4,7 +4,7 @@ import signal
 import sys
 import time
 import warnings
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from ioc_process import IocProcess
 
 from dehyst._errors import MissingExtraError
 from dehyst.instruments import DeviceError, LinkError, RigError
-from dehyst.instruments.epics import ChannelAccess, EpicsRig, PvNames
+from dehyst.instruments.epics import ChannelAccess, EpicsRig, PvNames, WaveNames
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation
 
@@ -104,7 +104,7 @@ def test_the_rate_is_the_devices(rig):
 def test_without_waves_the_host_keeps_time(doomed):
     """At the asked rate or slower: by the device's own clock it is never steeper than asked for."""
     excitation = cosine(120, 200.0, 20.0)
-    with EpicsRig.connect(doomed.prefix, names=PvNames().without_waves()) as rig:
+    with EpicsRig.connect(doomed.prefix, names=PvNames(waves=None)) as rig:
         assert rig.nearest_rate(1000.0) == 200.0
         assert rig.nearest_rate(20.0) == 20.0
         record = rig.play(excitation)
@@ -115,14 +115,14 @@ def test_without_waves_the_host_keeps_time(doomed):
 
 def test_an_ioc_without_waves_is_told_and_used(ioc):
     """Names that nobody answers for, all of those for waves."""
-    nobody = {what: f"NO:{name}" for what, name in PvNames().waves.items()}
+    nobody = WaveNames(*(f"NO:{name}" for name in astuple(WaveNames())))
     with pytest.warns(UserWarning, match="are missing"):
-        rig = EpicsRig.connect(ioc.prefix, names=replace(PvNames(), **nobody), timeout=0.5)
+        rig = EpicsRig.connect(ioc.prefix, names=PvNames(waves=nobody), timeout=0.5)
     assert len(rig.play(cosine(20, 100.0, 5.0))) == 20
 
 
 def test_a_laboratorys_own_names(ioc):
-    names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None).without_waves()
+    names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None, waves=None)
     front, _, rest = ioc.prefix.partition(":")
     names = replace(names, voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION")
     with EpicsRig.connect(f"{front}:", names=names) as rig:
@@ -142,9 +142,7 @@ def test_missing_variables_are_named(ioc):
 
 def test_some_variables_for_waves_are_not_enough(ioc):
     with pytest.raises(LinkError, match="WAVE:NONE: no"):
-        EpicsRig.connect(ioc.prefix, names=PvNames(wave_busy="WAVE:NONE"), timeout=0.5)
-    with pytest.raises(RigError, match="none for wave_busy"):
-        EpicsRig.connect(ioc.prefix, names=PvNames(wave_busy=None), timeout=0.5)
+        EpicsRig.connect(ioc.prefix, names=PvNames(waves=WaveNames(busy="WAVE:NONE")), timeout=0.5)
 
 
 def test_no_ioc():

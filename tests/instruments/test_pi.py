@@ -47,17 +47,6 @@ def test_a_record_is_what_the_bench_did():
     assert rig.read().time >= again.time[-1]
 
 
-def test_long_waves_are_cut_where_the_tables_end():
-    controller = FakeController(wave_points=100, record_points=90)
-    rig = quick(controller)
-    assert rig.longest == 90
-    wave = triangle(count=401)
-    record = rig.play(wave)
-    rows = rig.rows(len(wave))
-    assert np.abs(record.voltage - wave.voltage[rows]).max() <= 0.6e-6
-    assert (np.diff(record.time) > 0).all()
-
-
 def test_times_rise_within_one_tick_of_the_controller_s_clock():
     with pytest.warns(UserWarning, match="slowly"):
         rig = quick(FakeController(without=["DRR?"], told={"TIM?": ["0"]}), slew_rate=4000.0)

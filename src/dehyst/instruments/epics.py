@@ -7,7 +7,7 @@ import threading
 import time
 import warnings
 from collections.abc import Coroutine, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -170,12 +170,29 @@ class ChannelAccess:
 
 
 @dataclass(frozen=True)
+class WaveNames:
+    """Names of the process variables of a wave generator and its recorder, without the prefix.
+
+    `period` is the time per sample [s]. A put to `start` resets `count` before its callback, `stop` ends the wave.
+    """
+
+    voltage: str = "WAVE:VOLTAGE"
+    period: str = "WAVE:PERIOD"
+    start: str = "WAVE:START"
+    stop: str = "WAVE:STOP"
+    busy: str = "WAVE:BUSY"
+    count: str = "REC:COUNT"
+    recorded_time: str = "REC:TIME"
+    recorded_voltage: str = "REC:VOLTAGE"
+    recorded_position: str = "REC:POSITION"
+
+
+@dataclass(frozen=True)
 class PvNames:
     """Names of process variables without the prefix; None for those that an IOC does not have.
 
-    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `wave_period` is the
-    time per sample [s]. A put to `wave_start` resets `record_count` before its callback, `wave_stop` ends the wave.
-    `error` is a text that stays until an empty one overwrites it.
+    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `error` is a text that
+    stays until an empty one overwrites it. `waves`: None for an IOC that plays none.
     """
 
     voltage: str = "VOLTAGE"
@@ -187,43 +204,13 @@ class PvNames:
     low: str | None = "LIMIT:LOW"
     high: str | None = "LIMIT:HIGH"
     slew: str | None = "SLEW"
-    wave_voltage: str | None = "WAVE:VOLTAGE"
-    wave_period: str | None = "WAVE:PERIOD"
-    wave_start: str | None = "WAVE:START"
-    wave_stop: str | None = "WAVE:STOP"
-    wave_busy: str | None = "WAVE:BUSY"
-    record_count: str | None = "REC:COUNT"
-    record_time: str | None = "REC:TIME"
-    record_voltage: str | None = "REC:VOLTAGE"
-    record_position: str | None = "REC:POSITION"
+    waves: WaveNames | None = WaveNames()
 
     @property
-    def all(self) -> dict[str, str]:
-        """Names of the process variables by purpose, without those that are None."""
-        names = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {what: name for what, name in names.items() if name is not None}
-
-    @property
-    def waves(self) -> dict[str, str]:
-        """The names of wave generator and recorder, by their purpose.
-
-        Raise `RigError` if some of them are missing, but not all.
-        """
-        wanted = [field.name for field in fields(self) if field.name.startswith(("wave_", "record_"))]
-        found = {what: name for what, name in self.all.items() if what in wanted}
-        missing = [what for what in wanted if what not in found]
-        if missing and found:
-            raise RigError(
-                f"got none for {', '.join(missing)}",
-                argument="names",
-                hint="waves need all of them, or set all to None",
-            )
-        return found
-
-    def without_waves(self) -> PvNames:
-        """Return the names for an IOC that plays no waves."""
-        absent: dict[str, Any] = dict.fromkeys(self.waves)
-        return replace(self, **absent)
+    def all(self) -> list[str]:
+        """All names, without those that are None."""
+        waves = () if self.waves is None else astuple(self.waves)
+        return [name for name in (*astuple(replace(self, waves=None)), *waves) if name is not None]
 
 
 class EpicsRig(AbstractRig):
@@ -232,15 +219,15 @@ class EpicsRig(AbstractRig):
     def __init__(
         self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
     ) -> None:
-        self._link, self._names, self._pvs = link, names, names.waves
+        self._link, self._names, self._waves = link, names, names.waves
         identity = "" if names.identity is None else link.text(names.identity).strip()
         # A record without a unit is in um, as those of the emulator.
         self._metres = link.metres(names.position) or 1e-6
         self._recorded_metres, longest = self._metres, None
-        if self._pvs:
-            self._recorded_metres = link.metres(self._pvs["record_position"]) or self._metres
-            tables = ("wave_voltage", "record_time", "record_voltage", "record_position")
-            longest = min(link.length(self._pvs[table]) for table in tables)
+        if waves := self._waves:
+            self._recorded_metres = link.metres(waves.recorded_position) or self._metres
+            self._tables = [waves.recorded_time, waves.recorded_voltage, waves.recorded_position]
+            longest = min(link.length(table) for table in (waves.voltage, *self._tables))
         self._last, self._began = 0.0, time.monotonic()
         # The variable of the last command.
         self._commanded = names.voltage
@@ -281,11 +268,11 @@ class EpicsRig(AbstractRig):
 
     def nearest_rate(self, sample_rate: float) -> float:
         """Set `sample_rate` [Hz], and return the rate to which the device rounds it."""
-        if not self._pvs:
+        if self._waves is None:
             return min(sample_rate, HIGHEST_RATE)
-        self._link.put(self._pvs["wave_period"], 1 / sample_rate)
+        self._link.put(self._waves.period, 1 / sample_rate)
         self._raise_error()
-        (period,) = self._link.numbers(self._pvs["wave_period"])
+        (period,) = self._link.numbers(self._waves.period)
         if not period > 0:
             raise DeviceError(
                 f"{self.name}: its sample period is {period:.6g} s where {sample_rate:.6g} Hz was requested"
@@ -318,19 +305,18 @@ class EpicsRig(AbstractRig):
             )
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        if not self._pvs:
+        if (waves := self._waves) is None:
             yield from host_timed(self, voltage, rate)
             return
-        for what, value in (("wave_voltage", voltage), ("wave_period", 1 / rate), ("wave_start", 1)):
-            self._link.put(self._pvs[what], value)
+        for name, value in ((waves.voltage, voltage), (waves.period, 1 / rate), (waves.start, 1)):
+            self._link.put(name, value)
             self._raise_error()
         got, latest, cost, shift = 0, time.monotonic(), 0.0, None
         while got < voltage.size:
-            count, idle = self._progress(got, latest, max(self._link.timeout, _SILENT / rate))
+            count, idle = self._progress(waves, got, latest, max(self._link.timeout, _SILENT / rate))
             now = time.monotonic()
             if count > got and (count >= voltage.size or idle or now - latest >= cost / _SHARE):
-                tables = [self._pvs[f"record_{column}"] for column in ("time", "voltage", "position")]
-                arrays = self._link.arrays(*tables, count=min(count, voltage.size))
+                arrays = self._link.arrays(*self._tables, count=min(count, voltage.size))
                 times, volts, positions = (column[got:] for column in arrays)
                 latest = time.monotonic()
                 cost, got = latest - now, got + times.size
@@ -346,13 +332,12 @@ class EpicsRig(AbstractRig):
             if got < voltage.size:
                 self._wait(_POLL)
 
-    def _progress(self, got: int, latest: float, patience: float) -> tuple[int, bool]:
+    def _progress(self, waves: WaveNames, got: int, latest: float, patience: float) -> tuple[int, bool]:
         """Return the number of recorded samples, and whether the wave has ended."""
         # In this order: once the end is read, the count includes all samples recorded by then.
-        names = self._pvs["wave_busy"], self._pvs["record_count"]
-        if not self._link.connected(*names):
+        if not self._link.connected(waves.busy, waves.count):
             raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may continue to play")
-        busy, count = self._link.numbers(*names)
+        busy, count = self._link.numbers(waves.busy, waves.count)
         if not got <= count < float("inf"):
             raise LinkError(
                 f"{self.name}: its recorder counts {count:g} after {got} samples; does another client use it?"
@@ -365,12 +350,12 @@ class EpicsRig(AbstractRig):
 
     def _halt(self) -> None:
         self._clear_error()
-        if not self._pvs:
+        if self._waves is None:
             return
-        self._commanded = self._pvs["wave_stop"]
+        self._commanded = self._waves.stop
         self._link.put(self._commanded, 1)
         end = time.monotonic() + self._link.timeout
-        while self._link.numbers(self._pvs["wave_busy"])[0]:
+        while self._link.numbers(self._waves.busy)[0]:
             if time.monotonic() > end:
                 raise DeviceError(f"{self.name}: still plays {self._link.timeout:g} s after the stop command")
             self._wait(_POLL)
@@ -407,16 +392,16 @@ class EpicsRig(AbstractRig):
 
 def _available(link: ChannelAccess, names: PvNames) -> PvNames:
     """Return the names, without those for waves if all of these are missing; refuse any other missing name."""
-    absent = link.absent(list(names.all.values()))
+    absent = link.absent(names.all)
     if not absent:
         return names
-    if names.waves and set(absent) == set(names.waves.values()):
+    if names.waves and set(absent) == set(astuple(names.waves)):
         warnings.warn(
             f"{link.prefix}{absent[0]} and all others for waves are missing: every voltage is timed by this computer, "
             f"{HIGHEST_RATE:g} a second at most and unevenly",
             stacklevel=3,
         )
-        return names.without_waves()
+        return replace(names, waves=None)
     if len(absent) == len(names.all):
         raise LinkError(
             f"{link.prefix}*: none of {len(absent)} process variables answered within {link.timeout:g} s, not even "
