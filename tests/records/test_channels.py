@@ -38,13 +38,19 @@ def assert_all(record):
         assert not one.values.flags.writeable
 
 
-def test_by_arrays():
-    assert_all(RECORD)
-    assert_all(Record.from_arrays(T, V, Y * 1e6, units="um", others=OTHERS))
+def test_arrays_and_operations_keep_them():
+    several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
+    for record in (RECORD, Record.from_arrays(T, V, Y * 1e6, units="um", others=OTHERS), several, several.axis("y")):
+        assert_all(record)
     assert [one.role for one in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
     assert repr(RECORD).endswith("um, temperature, load, humidity>")
+    assert repr(several).endswith("axes x, y, temperature, load, humidity>")
     assert "20 to 21.19 degC" in RECORD._repr_html_()
     assert Record(T, V, Y).others == ()
+    part = RECORD[10:50]
+    assert shown(part) == ALL
+    assert np.array_equal(part.others[0].values, TEMPERATURE[10:50])
+    assert np.array_equal(RECORD[V > 50].others[2].values, HUMIDITY[V > 50])
 
 
 @pytest.mark.parametrize(
@@ -57,20 +63,19 @@ def test_by_arrays():
         ("Room (°C)", TEMPERATURE, "Room", TEMPERATURE),
         ("Force_mN", LOAD * 1e3, "Force", LOAD),
         ("load_kN", LOAD / 1e3, "load", LOAD),
+        # What is no temperature or load is kept as it is.
+        ("charge_C", V, "charge", V),
+        ("order_N", V, "order", V),
+        ("flow [l/min]", V, "flow", V),
+        ("monitor_mV", V, "monitor", V),
     ],
 )
 def test_units_are_those_of_the_quantity(column, values, name, expected):
     (one,) = Record(T, V, Y, others={column: values}).others
     assert one.name == name
     assert one.values == pytest.approx(expected, rel=1e-12)
-    assert one.unit == {"temperature": "degC", "load": "N"}[one.role]
-
-
-@pytest.mark.parametrize("column", ["charge_C", "order_N", "flow [l/min]", "monitor_mV"])
-def test_what_is_no_temperature_or_load_is_kept_as_it_is(column):
-    (one,) = Record(T, V, Y, others={column: V}).others
-    assert (one.role, one.column) == ("other", column)
-    assert np.array_equal(one.values, V)
+    assert one.unit == {"temperature": "degC", "load": "N"}.get(one.role, one.unit)
+    assert one.role != "other" or one.column == column
 
 
 @pytest.mark.parametrize(
@@ -90,17 +95,6 @@ def test_what_is_no_temperature_or_load_is_kept_as_it_is(column):
 def test_what_cannot_be_a_channel_is_refused(others):
     with pytest.raises(RecordError):
         Record(T, V, Y, others=others)
-
-
-def test_operations_keep_them():
-    part = RECORD[10:50]
-    assert shown(part) == ALL
-    assert np.array_equal(part.others[0].values, TEMPERATURE[10:50])
-    assert np.array_equal(RECORD[V > 50].others[2].values, HUMIDITY[V > 50])
-    several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
-    assert_all(several)
-    assert_all(several.axis("y"))
-    assert repr(several).endswith("axes x, y, temperature, load, humidity>")
 
 
 def test_preparation_keeps_them_in_step():
