@@ -19,7 +19,7 @@ TEXTS = [places.ROOT / "README.md", *(path for path in places.DOCS.rglob("*.md")
 ROOMS = ("cli", "operations", "report", "web", "workbench")
 SOURCES = [path for room in ROOMS for path in (places.SOURCES / room).rglob("*.[jp][sy]")]
 # How many variables of a room are called `one`: numbers may only be lowered.
-ONES = {"cli": 15, "control": 2, "operations": 104, "report": 31, "waveforms": 0, "web": 2, "workbench": 65}
+ONES = {"cli": 0, "control": 2, "operations": 0, "report": 31, "waveforms": 0, "web": 2, "workbench": 65}
 
 
 @pytest.mark.parametrize("path", [*TEXTS, *SOURCES], ids=lambda path: path.name)

@@ -121,20 +121,20 @@ def _refuse(ctx: click.Context, error: DehystError, as_json: bool, known: Mappin
 
 def error_text(ctx: click.Context, error: DehystError) -> str:
     """Return the message of an error with options in the place of the library's arguments."""
-    parameters = {one.name: one for one in ctx.command.params}
+    parameters = {parameter.name: parameter for parameter in ctx.command.params}
 
     def named(argument: str) -> str:
-        one = parameters.get(argument)
-        if one is None:
+        parameter = parameters.get(argument)
+        if parameter is None:
             return HOUSE.get(argument, argument)
-        off = one.secondary_opts and ctx.params.get(argument) is False
-        return argument.upper() if isinstance(one, click.Argument) else (one.secondary_opts if off else one.opts)[-1]
+        off = parameter.secondary_opts if ctx.params.get(argument) is False else []
+        return argument.upper() if isinstance(parameter, click.Argument) else (off or parameter.opts)[-1]
 
     def way(argument: str) -> str:
-        one = parameters.get(argument)
-        if isinstance(one, click.Option):
-            return named(argument) if one.is_flag else f"{named(argument)} {one.make_metavar(ctx)}"
+        parameter = parameters.get(argument)
+        if isinstance(parameter, click.Option):
+            return named(argument) if parameter.is_flag else f"{named(argument)} {parameter.make_metavar(ctx)}"
         key = _KEYS.get(argument)
-        return f"--columns {key}" if key and "columns" in parameters else named(argument) if one else ""
+        return f"--columns {key}" if key and "columns" in parameters else named(argument) if parameter else ""
 
     return error.text(named, way)

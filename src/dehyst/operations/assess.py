@@ -108,18 +108,18 @@ def insight(
         found, fields, head = whole.insights, whole.as_dict(), list(whole.lines())
     else:
         plan = None if trajectory is None else _planned(run, known, trajectory, columns, limits, slew_rate, zero, start)
-        one = insight_one(known.actuators[0], training, plan=plan, **asked)
-        assessed, found, fields, head = one, (one,), one.as_dict(), []
+        alone = insight_one(known.actuators[0], training, plan=plan, **asked)
+        assessed, found, fields, head = alone, (alone,), alone.as_dict(), []
     if report is not None:
         run.progress("drawing the page")
         write_insight(report, assessed, command=run.command)
 
     def lines(*, full: bool) -> list[str]:
         parts = zip(known.axes, found, strict=True)
-        each = [[*(["", f"Axis {axis}"] if axis else []), *one.summary(full).split("\n")] for axis, one in parts]
+        each = [[*(["", f"Axis {axis}"] if axis else []), *part.summary(full).split("\n")] for axis, part in parts]
         return [*head, *(line for own in each for line in own), *files(Report=report)]
 
-    good = not any(one.warnings() for one in found)
+    good = not any(part.warnings() for part in found)
     return Result(fields, lines(full=False), lines(full=True), good=good)
 
 
@@ -137,7 +137,7 @@ def _planned(
     (actuator,) = known.actuators
     table = read_table(trajectory, columns)
     # Columns are those of the records, and of the path where it has them.
-    own, clock = (one if one in table.names else None for one in (columns.displacement, columns.time))
+    own, clock = (name if name in table.names else None for name in (columns.displacement, columns.time))
     path = table.column("displacement", columns.wanted or own)
     time = clock_of(table, Columns(time=clock)).get("time_s")
     if needs_time(actuator) and time is None:
@@ -193,7 +193,7 @@ def check(run: Run, model: Path, record: Path, goal: float | None, log: Path | N
         return Result(found[0].as_dict(), [*lines, *files(Log=log)], warnings=warnings, good=good)
     lines.append("Coupling: changed" if coupling["changes"] else "Coupling: as in the model")
     lines += [*(f"  - {sentence}" for sentence in coupling["changes"]), *files(Log=log)]
-    fields = {**coupling, "axes": known.by_axis([one.as_dict() for one in found])}
+    fields = {**coupling, "axes": known.by_axis([recheck.as_dict() for recheck in found])}
     return Result(fields, lines, warnings=warnings, good=good)
 
 
@@ -242,7 +242,7 @@ def update(run: Run, model: Path, record: Path, output: Path, goal: float | None
         stage.stage.save(output)
         fields, updates, good = stage.as_dict(), [*stage.updates], stage.good
         coupling = stage.coupling_changes
-    lines = known.prefixed(_update_lines(one) for one in updates)
+    lines = known.prefixed(_update_lines(update) for update in updates)
     lines += files(Model=output)
     return Result({**fields, "output": str(output)}, lines, warnings=coupling, good=good)
 

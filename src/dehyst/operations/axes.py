@@ -206,8 +206,8 @@ class AxesModel:
         moved = displacement if self.stage is None else apply(self.stage.decoupling, displacement)
         if temperature is None:
             return moved
-        pairs = zip(self.actuators, moved.T, strict=True)
-        return np.column_stack([one.thermal.at_reference(y, temperature) if one.thermal else y for one, y in pairs])
+        pairs = zip([actuator.thermal for actuator in self.actuators], moved.T, strict=True)
+        return np.column_stack([thermal.at_reference(y, temperature) if thermal else y for thermal, y in pairs])
 
     def moved(self, targets: Array) -> Array:
         """Return the displacement (n, axes) of the axes for a displacement of each actuator."""
@@ -271,8 +271,8 @@ class AxesModel:
             raise FileFormatError(argument="axes", got=", ".join(columns.axes), need=need)
         at = -1 if quantity == "displacement" else 0
         parts = {axis: columns_of_axis(text) for axis, text in columns.axes.items()}
-        if parts and (not record or all(len(one) == 2 for one in parts.values())):
-            return {axis: one[at] for axis, one in parts.items()}
+        if parts and (not record or all(len(names) == 2 for names in parts.values())):
+            return {axis: names[at] for axis, names in parts.items()}
         names = {axis: columns_of_axis(text)[at] for axis, text in self._recorded().items()}
         used = names and all(
             table.fitting(quantity, name) == 1 and (record or Entry.of(name).scale is None) for name in names.values()
@@ -299,7 +299,7 @@ class AxesModel:
                 raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
         else:
             self._demand_named(table, quantity, names)
-        middle = self.moved(np.array([[0.5 * sum(one.reach) for one in self.actuators]]))[0]
+        middle = self.moved(np.array([[0.5 * sum(actuator.reach) for actuator in self.actuators]]))[0]
         return np.column_stack(
             [
                 np.full(table.rows, middle[j])
@@ -314,10 +314,10 @@ class AxesModel:
         missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis])]
         if not missing:
             return
-        fits = [*dict.fromkeys(one.name for one in table.columns if quantity_of(one.parts[1]) == quantity)]
+        fits = [*dict.fromkeys(column.name for column in table.columns if quantity_of(column.parts[1]) == quantity)]
         clocks = {*QUANTITIES["time"].words.split(", ")}
-        bare = [one for one in table.columns if not one.parts[1] and not one.words & clocks]
-        fits += [f"{one.name}:{unit}{GUESS}" for one in bare if (unit := plausible_unit(quantity, one.data))]
+        bare = [column for column in table.columns if not column.parts[1] and not column.words & clocks]
+        fits += [f"{column.name}:{unit}{GUESS}" for column in bare if (unit := plausible_unit(quantity, column.data))]
         fits += [f"NAME:{'V' if quantity == 'voltage' else 'um'}"] * len(self.axes)
         proposal = ", ".join(f"{axis}={fit}" for axis, fit in zip(self.axes, fits, strict=False))
         raise FileFormatError(

@@ -110,9 +110,9 @@ def calibrate(
     ):
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
-        for one, wanted, rate in zip(instrument.rigs, allowed, rates, strict=True):
-            device = f"axis {one.axis} of the device" if names else "the device"
-            for remark in bounds_remarks(wanted, rate, one.limits, f"{device} allows no more"):
+        for part, wanted, rate in zip(instrument.rigs, allowed, rates, strict=True):
+            device = f"axis {part.axis} of the device" if names else "the device"
+            for remark in bounds_remarks(wanted, rate, part.limits, f"{device} allows no more"):
                 run.note(remark)
         if dry_run:
             return _planned(instrument, plan)
@@ -150,12 +150,12 @@ def _planned(rig: AbstractRig, plan: Plan) -> Result:
     planned, several = entries(rig, plan), len(rig.axes) > 1
     columns: dict[str, list[Any]] = {
         "axes" if several else "axis": list(rig.axes),
-        "limits_V": [[one.limits.low, one.limits.high] for one in rig.rigs],
-        "slew_rate_V_per_s": [one.slew_rate for one in rig.rigs],
-        "safe_V": [one.safe for one in rig.rigs],
+        "limits_V": [[part.limits.low, part.limits.high] for part in rig.rigs],
+        "slew_rate_V_per_s": [part.slew_rate for part in rig.rigs],
+        "safe_V": [part.safe for part in rig.rigs],
     }
     allowed = columns if several else {name: values[0] for name, values in columns.items()}
-    bounds = "; ".join(f"axis {one.axis}: {one.limits.words}, at most {one.slew_rate:.6g} V/s" for one in rig.rigs)
+    bounds = "; ".join(f"axis {part.axis}: {part.limits.words}, at most {part.slew_rate:.6g} V/s" for part in rig.rigs)
     seconds = sum(entry["seconds"] for entry in planned)
     lines = [
         f"{rig.name}, {bounds}; nothing was sent",
@@ -202,9 +202,9 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
     what = "of all axes together, in % of the stroke of each" if several else "of nine reversals, in % of the stroke"
     yield f"Measured along a path {what}:"
     for name, path in (("nominal", calibration.nominal), ("compensated", calibration.compensated)):
-        for axis, one in zip(path.axes or ("",), path.each, strict=True):
+        for axis, tracked in zip(path.axes or ("",), path.each, strict=True):
             word = f"axis {axis:6s} " if axis else ""
-            yield f"  {name:12s} {word}largest {one.largest_percent:6.3f} %  RMS {one.rms_percent:6.3f} %"
+            yield f"  {name:12s} {word}largest {tracked.largest_percent:6.3f} %  RMS {tracked.rms_percent:6.3f} %"
     for axis, recheck in zip(path.axes or ("",), calibration.checked, strict=True):
         yield f"axis {axis}: {recheck.sentence}" if axis else recheck.sentence
     yield f"{'stage' if several else 'model'}.json, report.html and records: {output}"

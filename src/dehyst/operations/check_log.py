@@ -46,4 +46,4 @@ def _row(now: str, axis: str, check: Recheck) -> list[str]:
     promised = None if check.promise is None else f"{percent(check.promise.largest, check.stroke):.4g}"
     row += [f"{check.goal:.4g}", *(["", ""] if promised is None else [promised, "yes" if check.kept else "no"])]
     signs = {change.name: "-" if change.value < 0 else "+" for change in check.changed}
-    return [*row, "; ".join(f"{one.name} {signs[one.name]}{one.amount(check.stroke)}" for one in check.changed)]
+    return [*row, "; ".join(f"{new.name} {signs[new.name]}{new.amount(check.stroke)}" for new in check.changed)]

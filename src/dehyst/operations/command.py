@@ -135,7 +135,7 @@ class OperationCommand(click.Command):
     """
 
     def __init__(self, name: str | None, *, details: bool = False, returns: bool = True, **settings: Any) -> None:
-        numbers = any(isinstance(one, click.Argument) and one.type is NUMBER for one in settings["params"])
+        numbers = any(isinstance(each, click.Argument) and each.type is NUMBER for each in settings["params"])
         context = {"show_default": True, "ignore_unknown_options": numbers}
         super().__init__(name, context_settings=context, **settings)
         self.short_help = " ".join((self.help or "").partition("\n\n")[0].split())
@@ -151,13 +151,13 @@ class OperationCommand(click.Command):
     @property
     def writes(self) -> bool:
         """Whether the operation writes files."""
-        roles = {one.type.role for one in self.params if isinstance(one.type, FilePath)}
+        roles = {parameter.type.role for parameter in self.params if isinstance(parameter.type, FilePath)}
         return bool(roles & {Role.OUTPUT, Role.FOLDER, Role.CONTINUED})
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words; an option that takes files takes all names up to the next option."""
         ctx.meta["words"] = [*args]
-        many = {name for one in self.params for name in one.opts if _takes_files(one)}
+        many = {name for parameter in self.params for name in parameter.opts if _takes_files(parameter)}
         spread, inside = list[str](), ""
         for word in args:
             if inside and not word.startswith("-") and spread[-1] != inside:
@@ -198,9 +198,9 @@ def given_in(ctx: click.Context) -> dict[str, Any]:
 
 def paths_in(ctx: click.Context, *roles: Role) -> Iterator[Path]:
     """Yield the paths among the values that have one of these roles."""
-    for one in ctx.command.params:
-        value = ctx.params.get(one.name or "")
-        if isinstance(one.type, FilePath) and one.type.role in roles and value is not None:
+    for parameter in ctx.command.params:
+        value = ctx.params.get(parameter.name or "")
+        if isinstance(parameter.type, FilePath) and parameter.type.role in roles and value is not None:
             yield from value if isinstance(value, tuple) else (value,)
         elif Role.INPUT in roles:
             # Values such as columns name files that are read too.
@@ -232,25 +232,25 @@ def words_of(name: str, values: dict[str, Any]) -> list[str]:
         if head[1] not in command.commands:
             raise OperationError(argument="kind", got=repr(head[1]), need=f"one of {', '.join(command.commands)}")
         command = command.commands[head[1]]
-    known = {one.name: one for one in command.params}
+    known = {parameter.name: parameter for parameter in command.params}
     if unknown := [key for key in given if key not in known]:
         raise OperationError(
             argument=unknown[0], got=f"it for {name}", need=f"some of {', '.join(filter(None, known))}"
         )
     options = list[str]()
     for key, value in given.items():
-        one = known[key]
-        several = one.nargs == -1 or (isinstance(one, click.Option) and one.multiple)
+        parameter = known[key]
+        several = parameter.nargs == -1 or (isinstance(parameter, click.Option) and parameter.multiple)
         for each in value if several else [value]:
             parts = each if isinstance(each, list | tuple) else [each]
             if any(isinstance(part, int | float) and not abs(part) < _HUGE for part in parts):
                 raise OperationError(argument=key, got="a number that is not finite", need="a finite number")
             texts = [*map(str, parts)]
-            texts = [",".join(texts)] if one.nargs == 1 else texts
-            if isinstance(one, click.Option) and one.is_flag:
-                options += one.opts if each else one.secondary_opts
-            elif isinstance(one, click.Option):
-                options += [one.opts[-1], *texts]
+            texts = [",".join(texts)] if parameter.nargs == 1 else texts
+            if isinstance(parameter, click.Option) and parameter.is_flag:
+                options += parameter.opts if each else parameter.secondary_opts
+            elif isinstance(parameter, click.Option):
+                options += [parameter.opts[-1], *texts]
             else:
                 head += texts
     return [*head, *options]

@@ -192,7 +192,7 @@ def compensate(
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
     axes, remarks = _axes_of(known, limits, slew_rate, start, present, columns)
-    places = np.array([zero_of_path(one.actuator, one.limits, zero, one.start, one.present) for one in axes])
+    places = np.array([zero_of_path(axis.actuator, axis.limits, zero, axis.start, axis.present) for axis in axes])
     places = known.moved(places[None])[0] if zero is not None and zero.name else places
     if zero is not None:
         words = "the path is counted from {:.6g} um of the sensor, and written in um of the sensor"
@@ -251,7 +251,7 @@ def _axes_of(
         now = present_voltage(VoltageLimits(*(allowed or voltages_of(actuator))), given) if assumed else None
         stands = begin if begin is None or now is None else begin.standing_at(actuator, now)
         axes.append(_AxisRequest(actuator, allowed, slew, stands, now))
-    remarks += known.prefixed(coverage_remarks(one.actuator, one.limits) for one in axes)
+    remarks += known.prefixed(coverage_remarks(request.actuator, request.limits) for request in axes)
     return axes, remarks
 
 

@@ -102,7 +102,7 @@ def export(
     known = AxesModel.read(run, model)
     bounds: list[Any] = limits_of(known.axes, limits)
     begins, remarks = starts_of(known, start, bounds, AS_FOUND)
-    states = [one for one in begins if one is not None]
+    states = [state for state in begins if state is not None]
     remarks += known.prefixed(map(_open_start, known.actuators, states))
     if kind == "actuator":
         bounds = [ANY_VOLTAGE]
@@ -112,7 +112,7 @@ def export(
     options: dict[str, Any] = {"period": period}
     compensator: Compensator | StageCompensator
     if known.stage is not None:
-        options |= {"limits": bounds, "slew_rate": rates, "states": [one.state for one in states]}
+        options |= {"limits": bounds, "slew_rate": rates, "states": [state.state for state in states]}
         compensator = StageCompensator(known.stage, **options)
         loops = compensator.compensators
     else:
@@ -128,13 +128,11 @@ def export(
         write(source, directory, number, name=name, period=period if kind == "actuator" else None)
     remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     begin = [ExportedStart.of(loop) for loop in loops]
-    begun = [
-        {"begins": {"displacement_m": one.displacement, "voltage_V": one.voltage, "way": one.way}} for one in begin
-    ]
+    begun = [{"begins": {"displacement_m": at.displacement, "voltage_V": at.voltage, "way": at.way}} for at in begin]
     words = []
-    for one, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
-        way = "" if kind == "actuator" else f"; to bring the actuator there, {one.way}"
-        words.append([f"memory begins at {one.words} {start_words(actuator, state, loop.state)}{way}"])
+    for at, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
+        way = "" if kind == "actuator" else f"; to bring the actuator there, {at.way}"
+        words.append([f"memory begins at {at.words} {start_words(actuator, state, loop.state)}{way}"])
     files = target.files(directory) if target.files is not None else sorted(directory.iterdir())
     fields = {"path": str(directory), "kind": kind, "files": list(map(str, files)), **known.merged(begun)}
     if kind != "actuator":

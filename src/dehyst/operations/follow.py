@@ -202,13 +202,13 @@ def _result(known: AxesModel, followed: FollowedPath, records: Sequence[Path], f
         write_table(voltages, {"time_s": time, **columns})
     fields = {
         "rig": rig.identity,
-        "limits_V": known.by_axis([one.low, one.high] for one in followed.bounds),
-        "slew_V_per_s": known.by_axis(one.slew_rate for one in followed.bounds),
-        "promise": known.by_axis(None if one is None else one.as_dict() for one in followed.promises),
+        "limits_V": known.by_axis([bound.low, bound.high] for bound in followed.bounds),
+        "slew_V_per_s": known.by_axis(bound.slew_rate for bound in followed.bounds),
+        "promise": known.by_axis(None if promise is None else promise.as_dict() for promise in followed.promises),
         "kept": known.by_axis(followed.kept),
         "noise_m": known.by_axis(followed.noise),
         **best.as_dict(),
-        "repetitions": [one.as_dict() for one in followed.tracked],
+        "repetitions": [tracked.as_dict() for tracked in followed.tracked],
         "clamped": followed.clamped,
         "output": str(folder),
     }

@@ -143,7 +143,7 @@ def identify(
 def _with_defaults(model: Actuator | Stage, columns: Columns, slew_rate: float | None) -> Actuator | Stage:
     """Return a model that keeps the columns of its records, unless they are in several files, and a slew rate."""
     if isinstance(model, Stage):
-        return replace(model, actuators=tuple(_with_defaults(one, AS_FOUND, slew_rate) for one in model.actuators))
+        return replace(model, actuators=tuple(_with_defaults(axis, AS_FOUND, slew_rate) for axis in model.actuators))
     text = "" if columns.join is not None or columns == AS_FOUND else str(columns)
     return with_identification(model, columns=text, allowed_slew_rate=slew_rate)
 
@@ -163,7 +163,7 @@ def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -
     y = records[0].displacement
     places = {"": np.asarray(zero.um * 1e-6), "bottom": y.min(axis=0), "first": y[0], "mean": y.mean(axis=0)}
     place = places[zero.name]
-    words = ", ".join(f"{one * 1e6:.6g}" for one in np.atleast_1d(place).tolist())
+    words = ", ".join(f"{metres * 1e6:.6g}" for metres in np.atleast_1d(place).tolist())
 
     def moved(record: Record) -> Record:
         source = f"{record.meta.get('source', record.name)}, zero at {words} um"

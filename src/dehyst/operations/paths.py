@@ -87,13 +87,13 @@ def temperature_of(
     if constant is not None and named:
         raise ModelError(argument="temperature", got="a column and a constant one", hint="leave one out")
     if constant is not None or named:
-        demand_thermal(*(one.thermal for one in known.actuators))
-    own = () if table is None else tuple(one.name for one in table.columns if one.role == "temperature")
+        demand_thermal(*(actuator.thermal for actuator in known.actuators))
+    own = () if table is None else tuple(column.name for column in table.columns if column.role == "temperature")
     if constant is not None:
         if own:
             remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
         return check.number(constant, "temperature")
-    if table is not None and any(one.thermal or tested_temperatures(one) for one in known.actuators):
+    if table is not None and any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
         return warmth_of(table, samples, columns)
     if own:
         remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")

@@ -146,10 +146,10 @@ def perform(ctx: click.Context, run: Run) -> Result:
     """
     given, values = given_in(ctx), {name: value for name, value in ctx.params.items() if name not in HOUSE}
     run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))
-    for one in ctx.command.params:
-        broken = [each for each in getattr(one, "conditions", ()) if one.name in given and not each.holds(given)]
-        if broken:
-            raise OperationError(f"has no effect {broken[0].words}", argument=one.name, hint="leave it out")
+    for parameter in ctx.command.params:
+        conditions = getattr(parameter, "conditions", ()) if parameter.name in given else ()
+        if broken := [each for each in conditions if not each.holds(given)]:
+            raise OperationError(f"has no effect {broken[0].words}", argument=parameter.name, hint="leave it out")
     outputs = list(paths_in(ctx, Role.OUTPUT))
     folders = list(paths_in(ctx, Role.FOLDER))
     if run.force and not outputs and not folders and not any(paths_in(ctx, Role.CONTINUED)):

@@ -47,7 +47,8 @@ def show(run: Run, file: Path, output: Path | None, report: Path | None, columns
     columns.demand(RECORD, "here", axes=bool(columns.axes))
     table = table_of(file, columns)
     run.known["file_columns"] = file_columns = [
-        {"name": one.name, "unit": one.parts[1], "range": [] if one.fault else _span(one.data)} for one in table.columns
+        {"name": column.name, "unit": column.parts[1], "range": [] if column.fault else _span(column.data)}
+        for column in table.columns
     ]
     for line in _column_lines(table):
         run.say(line)
@@ -61,10 +62,10 @@ def show(run: Run, file: Path, output: Path | None, report: Path | None, columns
     if report is not None:
         from dehyst.report import write_record_page
 
-        rows = [row for one in axes.values() for row in one.understood()]
+        rows = [row for view in axes.values() for row in view.understood()]
         write_record_page(report, record, rows, command=run.command)
-    fields = {axis: {**one.fields(), "file_columns": file_columns} for axis, one in axes.items()}
-    lines = [line for one in axes.values() for line in one.lines()]
+    fields = {axis: {**view.fields(), "file_columns": file_columns} for axis, view in axes.items()}
+    lines = [line for view in axes.values() for line in view.lines()]
     return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report, Columns=save)])
 
 
@@ -82,7 +83,7 @@ def _column_lines(table: Table) -> Iterator[str]:
     width = max(6, *(min(len(column.name), 60) for column in shown))
     yield f"  {'column':<{width}}  {'unit':<8}range"
     for column in shown:
-        span, missing = " to ".join(f"{one:.6g}" for one in _span(column.data)), np.sum(~np.isfinite(column.data))
+        span, missing = " to ".join(f"{end:.6g}" for end in _span(column.data)), np.sum(~np.isfinite(column.data))
         lost = f"{counted(missing, 'value')} not finite" if missing else ""
         words = column.fault or ", ".join(filter(None, (span, lost)))
         yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
@@ -105,7 +106,7 @@ class _AxisView:
     def understood(self) -> list[tuple[str, str, str]]:
         """Return each quantity, its column and its range, in words."""
         record = self.record
-        used = {**{one.name: one.column for one in record.others}, **record.meta.get("columns", {})}
+        used = {**{channel.name: channel.column for channel in record.others}, **record.meta.get("columns", {})}
 
         def origin(quantity: str) -> str:
             scales = record.meta.get("scales", {})
@@ -121,8 +122,8 @@ class _AxisView:
             "voltage": f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}",
             "displacement": f"{y0:.5g} to {y1:.5g} um: {record.stroke * 1e6:.4g} um{noise}",
         }
-        for one in record.others:
-            ranges[one.name] = f"{one.values.min():.5g} to {one.values.max():.5g} {one.unit}"
+        for channel in record.others:
+            ranges[channel.name] = f"{channel.values.min():.5g} to {channel.values.max():.5g} {channel.unit}"
         return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
 
     def lines(self) -> Iterator[str]:
@@ -148,7 +149,7 @@ class _AxisView:
     def _ends(self) -> Iterator[str]:
         """Yield the first and last value of each used column, as in the file and as in the record."""
         without = {"time": self.columns.rate is not None, "displacement": self.record.measured is not None}
-        for quantity in (one for one in _SHOWN if not without.get(one)):
+        for quantity in (name for name in _SHOWN if not without.get(name)):
             column = self.table.select(quantity, getattr(self.columns, quantity)).column
             # Joining cuts and interpolates rows.
             cells = ("", "") if self.columns.join else column.ends
@@ -183,7 +184,7 @@ class _AxisView:
             "duration_s": float(record.time[-1] - record.time[0]),
             "voltage_V": list(record.voltage_range),
             "displacement_um": _span(record.displacement * 1e6),
-            "others": {one.column: _span(one.values) for one in record.others},
+            "others": {channel.column: _span(channel.values) for channel in record.others},
             "noise_nm": 1e9 * record.noise,
             "cycles": len(record.cycles()),
             "usable": not self.unusable,

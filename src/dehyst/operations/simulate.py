@@ -55,10 +55,10 @@ def simulate(
     time = clock_of(table, columns)
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
     warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
-    ranges = [voltages_of(one) for one in known.actuators]
+    ranges = [voltages_of(actuator) for actuator in known.actuators]
     known_path = {"time": time.get("time_s"), "temperature": warmth, "start": begins}
     paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **known_path)
-    if lag and not any(one.delay for one in known.actuators):
+    if lag and not any(actuator.delay for actuator in known.actuators):
         warnings.append("--lag: has no effect, because the model has no delay")
     clock = starts.clock_columns(paths[0], time)
     volts = np.column_stack([path.voltage for path in paths])
@@ -67,8 +67,8 @@ def simulate(
     outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
     late = "the measured displacement lagged by {:.4g} ms, which is left out here; add --lag"
     warnings += known.prefixed(
-        [*outside.warnings, *path.warnings, *([late.format(1e3 * one.delay)] if one.delay and not lag else [])]
-        for outside, path, one in zip(outsides, paths, known.actuators, strict=True)
+        [*outside.warnings, *path.warnings, *([late.format(1e3 * delay)] if delay and not lag else [])]
+        for outside, path, delay in zip(outsides, paths, [actuator.delay for actuator in known.actuators], strict=True)
     )
     far = any(outside.far for outside in outsides)
     costs = [path.promise.parts.get("temperature", 0.0) if path.promise else 0.0 for path in paths]
@@ -82,10 +82,9 @@ def simulate(
         "state": known.by_axis(path.state.as_dict() for path in paths),
         "output": str(output),
     }
-    begin_words = (
-        starts.start_words(one, path.start, path.start.state) for path, one in zip(paths, known.actuators, strict=True)
-    )
-    words = ", ".join(known.prefixed([one] for one in begin_words))
+    pairs = zip(known.actuators, paths, strict=True)
+    begins_words = ([starts.start_words(actuator, path.start, path.start.state)] for actuator, path in pairs)
+    words = ", ".join(known.prefixed(begins_words))
     lines = [
         f"{counted(len(volts), 'sample')} {words}: {output}",
         *known.prefixed(map(starts.open_start, paths)),

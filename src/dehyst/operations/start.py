@@ -86,7 +86,7 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
 
     voltages = values("voltage")
     moved = known["displacement"].values()
-    measured = not own and all(table.fitting("displacement", one) == 1 for one in moved)
+    measured = not own and all(table.fitting("displacement", column) == 1 for column in moved)
     if start.began and not measured:
         raise ModelError(
             argument="start",
@@ -135,7 +135,7 @@ def starts_of(
     for j, (actuator, allowed) in enumerate(zip(model.actuators, limits, strict=True)):
         begin = reader(j, actuator, allowed)
         found.append(_played_within(actuator, begin, allowed) if model.stage and start.name else begin)
-    return [*found], model.prefixed(one.remarks for one in found)
+    return [*found], model.prefixed(begin.remarks for begin in found)
 
 
 def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:

@@ -216,9 +216,9 @@ def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[E
     """Return the slowest excitation that is short enough; if there is none, one hardly longer than the fastest."""
     possible = [(make(frequency), frequency) for frequency in _FREQUENCIES]
     # With a warning the slew rate lengthens legs.
-    possible = [one for one in possible if not one[0].warnings] or possible
+    possible = [each for each in possible if not each[0].warnings] or possible
     most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
-    return next(one for one in possible if one[0].duration <= most)
+    return next(each for each in possible if each[0].duration <= most)
 
 
 def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float | None, **sampled: Any) -> Result:
