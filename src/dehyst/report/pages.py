@@ -71,7 +71,7 @@ def render(
     ]
     for j, (axis, one) in enumerate(zip(fit.axes, fit.fits, strict=True)):
         paths = {name: found.each[j] for name, found in followed.items()}
-        parts += [f"<h1>Axis {escape(axis)}</h1>", *_report(one, None, paths, None)]
+        parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_report(one, None, paths, None)]
     return document("Coupled axes", [*parts, reproduction(command)])
 
 
@@ -139,7 +139,7 @@ def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str
         name, parts = "Coupled axes", [sections.coupling(found.axes, found.coupling, half, caption)]
         parts.append(bullets("Remarks", map(words, found.remarks)))
         for axis, one in zip(found.axes, found.insights, strict=True):
-            parts += [f"<h2>Axis {escape(axis)}</h2>", *_insight(one)]
+            parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_insight(one)]
     head = f"<h1>{escape(name)}: how far to trust the model</h1>"
     write_atomically(path, document(f"{name}: insight", [head, *parts, reproduction(command)]))
 

@@ -281,9 +281,9 @@ def path_turns(found: Insight) -> Sequence[Turn]:
 
 def determined(found: Insight) -> list[Part]:
     """Return what to record next, and how much of the stiffnesses the records determine."""
-    commands, directions = "\n".join(found.record_next), found.identifiability
+    commands, directions = "\n".join(map(escape, found.record_next)), found.identifiability
     return [
-        f"<h2>What to record next</h2>\n<pre><code>{escape(commands)}</code></pre>" if commands else "",
+        f"<h2>What to record next</h2>\n<pre><code>{commands}</code></pre>" if commands else "",
         f"<h2>What the turning points determine</h2>\n<p>The turning points of the records determine "
         f"{directions.determined} of {directions.of} directions of {escape(directions.subject)}, with the spring and "
         "each record's constant free.</p>",
