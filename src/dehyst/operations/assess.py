@@ -50,35 +50,14 @@ _of_path = Only(lambda given: _single(given) and "trajectory" in given, "without
 @click.argument("model", type=INPUT)
 @click.argument("records", type=INPUT, nargs=-1, required=True)
 @option(
-    "--trajectory",
-    type=INPUT,
-    only=_of_one,
-    help="Show the promise of this path, as compensate plans it: a file with a displacement.",
+    "--trajectory", type=INPUT, only=_of_one, help="Show the promise of the path in this file, as compensate plans it."
 )
+@option("--zero", type=Parsed(Zero), only=_of_path, help="Zero of the trajectory, as in compensate.")
+@option("--start", type=Parsed(Start), only=_of_path, help="State before the trajectory, as in compensate.")
 @option(
-    "--zero",
-    type=Parsed(Zero),
-    only=_of_path,
-    help="Displacement from which the trajectory is counted, as in compensate; default: the sensor's zero.",
+    "--limits", type=(NUMBER, NUMBER), metavar="LOW HIGH", help="Voltages allowed [V]; default: those of the model."
 )
-@option(
-    "--start",
-    type=Parsed(Start),
-    only=_of_path,
-    help="State before the trajectory, as in compensate; default: unknown.",
-)
-@option(
-    "--limits",
-    type=(NUMBER, NUMBER),
-    metavar="LOW HIGH",
-    help="Voltages allowed [V]; default: those of the model.",
-)
-@option(
-    "--slew-rate",
-    type=AxisText("V/S|none", none=True),
-    only=_of_path,
-    help="Largest slew rate of the trajectory [V/s], as in compensate.",
-)
+@option("--slew-rate", type=AxisText("V/S|none", none=True), only=_of_path, help="Of the trajectory, as in compensate.")
 @page()
 @columns_option
 def insight(
@@ -157,15 +136,8 @@ def _planned(
 @command("check")
 @click.argument("model", type=INPUT)
 @click.argument("record", type=INPUT)
-@number(
-    "--goal",
-    help="Largest error [% of the stroke] with which the model is still true; default: the model's, or 1.",
-)
-@option(
-    "--log",
-    type=CONTINUED,
-    help="Append the check to this table (CSV), one row an axis; a new one, or any with --force, begins with a header.",
-)
+@number("--goal", help="Largest error [% of the stroke] of a model that is still true; default: the model's, or 1.")
+@option("--log", type=CONTINUED, help="Append the check to this table (CSV), one row an axis; --force begins it anew.")
 @columns_option
 def check(run: Run, model: Path, record: Path, goal: float | None, log: Path | None, columns: Columns) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.

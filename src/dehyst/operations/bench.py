@@ -39,40 +39,13 @@ _single = Only(lambda given: _names(given) is None, "with several axes")
 
 @command("calibrate")
 @click.argument("rig")
-@output(
-    "Folder for records, model and report: new, empty, or an earlier calibration's, whose whole records are not "
-    "played again.",
-    CONTINUED,
-    default="dehyst-calibration",
-)
-@option(
-    "--axes",
-    help="Calibrate these axes of one body together, as 1,2,3: coupling, model and path of all axes; default: one "
-    "axis.",
-)
-@limits_option(
-    "Range of the voltage [V]; default: the device's.",
-)
-@slew_option(
-    "Largest slew rate [V/s]; default: the whole range in 0.1 s.",
-)
-@number(
-    "--frequency",
-    help="Cycles per second [Hz] of the slowest loops, default 0.1, and 1 for several axes; the path is five times as "
-    "fast as one actuator's loops.",
-)
-@option(
-    "--protocol",
-    type=INPUT,
-    multiple=True,
-    only=_single,
-    help="Record these voltages (from dehyst excite) instead of suggested ones.",
-)
-@number(
-    "--goal",
-    default=1.0,
-    help="Largest error along the path [% of the stroke] of a good calibration, on every axis.",
-)
+@output("Folder: new, empty, or an earlier calibration's, which goes on.", CONTINUED, default="dehyst-calibration")
+@option("--axes", help="Calibrate these axes of one body together, as 1,2,3; default: one axis.")
+@limits_option("Range of the voltage [V]; default: the device's.")
+@slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s.")
+@number("--frequency", help="Cycles per second [Hz] of the slowest loops; default: 0.1, and 1 for several axes.")
+@option("--protocol", type=INPUT, multiple=True, only=_single, help="Record these voltages of dehyst excite instead.")
+@number("--goal", default=1.0, help="Largest error [% of the stroke] of a good calibration, on every axis.")
 @option("--dry-run", is_flag=True, help="Print what would be sent, and send nothing.")
 def calibrate(
     run: Run,

@@ -21,13 +21,7 @@ from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
 
 @command("compare", details=True)
 @click.argument("records", type=INPUT, nargs=-1, required=True)
-@option(
-    "--validate",
-    type=INPUT,
-    multiple=True,
-    help="Held-out records. By default, the last quarter of each record is held out whose first three quarters can be "
-    "fitted, and the models are fitted to the rest.",
-)
+@option("--validate", type=INPUT, multiple=True, help="Held-out records; default: the last quarter of each record.")
 @option("--only", multiple=True, help="Compare only this model; may be repeated; default: all.")
 @page()
 @columns_option

@@ -105,58 +105,18 @@ _without_table = Only(lambda given: "table" not in given, "with --table, which i
 @click.argument("model", type=INPUT)
 @click.argument("trajectory", type=INPUT)
 @output("Write time, displacement and voltage here (CSV).")
-@limits_option(
-    "Allowed voltages [V], of all axes or of one; default: the voltages of the records.",
-)
-@slew_option(
-    "Largest slew rate [V/s]; none: the path's own speed; default: what the model keeps, or none. Jumps and "
-    "homings keep to the speed of the model's records.",
-)
+@limits_option("Allowed voltages [V], of all axes or of one; default: those of the records.")
+@slew_option("Largest slew rate [V/s]; default: what the model keeps, or none: the path's own speed.")
+@option("--zero", type=Parsed(Zero), help="Zero of the path [um], or place of the reach; default: the sensor's zero.")
+@option("--start", type=Parsed(Start), help="State before the path, or FILE: what was played before; default: unknown.")
+@option("--home/--no-home", default=None, help="Home before the path; default: if the start is unknown and matters.")
+@number("--home-within", only=_homes, help="Longest duration of the homing [s]; default: as long as needed.")
 @option(
-    "--zero",
-    type=Parsed(Zero),
-    help="Zero of the path: bottom or mean of the reachable range; first: the actuator's start; or a number [um]; "
-    "default: the sensor's zero.",
+    "--present", type=AxisText("[AXIS=]V"), multiple=True, help="Present voltage [V]; default: that of --start, or 0."
 )
-@option(
-    "--start",
-    type=Parsed(Start),
-    help="State before the first sample: turned at the top or bottom of the identified range; relaxed at 0 V; homed, "
-    "as after 'dehyst excite homing --model' without other options; as at the end of FILE (a record, or the voltages "
-    "played before); or as at the beginning of a RECORD; default: unknown.",
-)
-@option(
-    "--home/--no-home",
-    default=None,
-    help="Put the shortest homing before the path; the output then has a column phase: 0 homing, 1 the way to the "
-    "first sample, 2 the path. Default: if --start is left out and the error due to the start exceeds the model's "
-    "error.",
-)
-@number(
-    "--home-within",
-    only=_homes,
-    help="Longest duration of the homing [s]; default: as long as the model's error asks for.",
-)
-@option(
-    "--present",
-    type=AxisText("[AXIS=]V"),
-    multiple=True,
-    help="Present voltage [V], of all axes or of one: the output begins there; default: the voltage of --start, else 0 "
-    "or the nearest limit, where a homing begins.",
-)
-@option(
-    "--on-time/--late",
-    default=None,
-    help="Let the voltage lead the path by the delay of the model; default: if the model's --lag-of is actuator.",
-)
+@option("--on-time/--late", default=None, help="Lead the path by the model's delay; default: if the actuator lags.")
 @number("--temperature", only=_without_table, help=TEMPERATURE)
-@option(
-    "--table",
-    type=OUTPUT,
-    only=_of_scan,
-    help="Write the steady cycle of a scan here (CSV), a wave table; the output then has a column phase: 0 homing, 1 "
-    "start-up, 2 steady cycles.",
-)
+@option("--table", type=OUTPUT, only=_of_scan, help="Write the steady cycle of a scan here (CSV), a wave table.")
 @integer("--cycles", default=1, only=_of_table, help="Steady cycles in the output.")
 @integer("--start-up", only=_of_table, help="Cycles before the steady ones; default: from the tolerance.")
 @option("--plot", type=OUTPUT, help="Draw the path, its voltage and the error to expect here (HTML).")
@@ -183,10 +143,12 @@ def compensate(
 ) -> Result:
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
-    Without --start the state before the path is unknown: a homing comes first if the start matters, and the error due
-    to the start is reported. The status is 1 if the model is not usable, if clamped voltages miss the path by more than
-    the promise, or if a homing leaves more of the start open than the model's error; with --table also if any voltage
-    was clamped, or the cycle is not settled.
+    Without --start the state before the path is unknown: a homing comes first if the start matters. Jumps and homings
+    keep to the speed of the model's records. Column phase: 0 homing, 1 the way or start-up, 2 the path.
+
+    The status is 1 if the model is not usable, if clamped voltages miss the path by more than the promise, or if a
+    homing leaves more of the start open than the model's error; with --table also if any voltage was clamped, or the
+    cycle is not settled.
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")

@@ -116,9 +116,7 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
 
 
 @command("demo")
-@output(
-    "Folder for the files: new, empty, or an earlier demo's; any other with --force.", CONTINUED, default="dehyst-demo"
-)
+@output("Folder: new, empty, or an earlier demo's; any other with --force.", CONTINUED, default="dehyst-demo")
 @option("--report/--no-report", default=True, help="Draw the report.")
 def demo(run: Run, output: Path, report: bool) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator."""

@@ -43,6 +43,9 @@ _of_loop = Only(lambda given: given.get("kind") != "actuator", "on an FMU of the
 _of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
 
 
+_of_preview = (_of_one, _of("preview"), _of_loop)
+
+
 @command("export")
 @click.argument("model", type=INPUT)
 @click.argument("directory", type=FOLDER)
@@ -53,21 +56,11 @@ _of_one = Only(lambda given: not is_stage(given["model"]), "with a model of seve
     only=(_of_one, _of("number")),
     help="double: the same bits as Python. float: for a processor without doubles.",
 )
-@limits_option("Voltages allowed [V], of all axes or of one; default: the voltages of the records.", only=_of_loop)
+@limits_option("Voltages allowed [V], of all axes or of one; default: those of the records.", only=_of_loop)
 @slew_option("Largest slew rate [V/s], with --period; default: what the model keeps, or not limited.", only=_of_loop)
 @number("--period", help="Time between steps [s]; a model that depends on time needs it.")
-@option(
-    "--preview",
-    is_flag=True,
-    only=(_of_one, _of("preview"), _of_loop),
-    help="Compensate delay and inertia too; displacements must then be given in advance.",
-)
-@option(
-    "--name",
-    only=_of("name"),
-    help="Prefix of files, type and functions, so that several models fit into one firmware; default: piezo, or stage "
-    "for several axes.",
-)
+@option("--preview", is_flag=True, only=_of_preview, help="Compensate delay and inertia, of displacements in advance.")
+@option("--name", only=_of("name"), help="Prefix of files and functions; default: piezo, or stage for several axes.")
 @option(
     "--kind",
     type=click.Choice(["compensator", "actuator"]),

@@ -36,40 +36,13 @@ _MOST = 20
 @command("follow")
 @click.argument("rig")
 @option("--model", type=INPUT, required=True, help="The model (JSON) of one axis or several.")
-@option(
-    "--path",
-    type=INPUT,
-    required=True,
-    help="A file with times and a displacement, or the path of dehyst scan. A column temperature_C counts if the model "
-    "depends on temperature.",
-)
-@output(
-    "Folder for the record (record.csv with the wanted displacement; a file an axis of several), its picture "
-    "(report.html), and what was learnt (voltages.csv, one cycle to play again and again).",
-    FOLDER,
-    default="dehyst-follow",
-)
-@integer(
-    "--repeat",
-    help="How often the path is followed, with a way back if it is not closed; default: once, with --learn until the "
-    "error no longer falls.",
-)
-@option(
-    "--learn",
-    is_flag=True,
-    help="Correct each repetition by the error of the one before. It is measured in the second of two cycles.",
-)
-@option(
-    "--feedback",
-    is_flag=True,
-    help="Correct each sample by the reading before, of one axis, at 200 Hz at most: this computer sends each voltage.",
-)
-@limits_option(
-    "Range of the voltage [V]; default: that of the model and the device.",
-)
-@slew_option(
-    "Largest slew rate [V/s]; default: what the model keeps, else the device's, or the whole range in 0.1 s.",
-)
+@option("--path", type=INPUT, required=True, help="A file with times and a displacement, or the path of dehyst scan.")
+@output("Folder for the record, its picture, and voltages.csv, the learnt cycle.", FOLDER, default="dehyst-follow")
+@integer("--repeat", help="How often the path is followed; default: once, with --learn until the error stays.")
+@option("--learn", is_flag=True, help="Correct each repetition by the error of the one before.")
+@option("--feedback", is_flag=True, help="Correct each sample by the reading before, of one axis, at 200 Hz at most.")
+@limits_option("Range of the voltage [V]; default: that of the model and the device.")
+@slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's.")
 @option("--zero", type=Parsed(Zero), help="Zero of the path, as of dehyst compensate.")
 @columns_option
 def follow(

@@ -18,7 +18,7 @@ from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
 from dehyst.identification.results import write_traces
 from dehyst.model import Actuator, Stage, with_identification
-from dehyst.operations.command import INPUT, OUTPUT, Only, Parsed, Values, beside, command, number, option, output
+from dehyst.operations.command import INPUT, OUTPUT, Only, Parsed, Values, beside, command, number, option, output, page
 from dehyst.operations.files import AS_FOUND, RECORD, Columns, columns_option
 from dehyst.operations.paths import Zero
 from dehyst.operations.run import Result, Run, files
@@ -34,55 +34,30 @@ def _several(given: Values) -> bool:
     return len(given.get("records", ())) + len(given.get("validate", ())) > 1
 
 
+_of_several = Only(_several, "on one record")
+
+
 @command("identify", details=True)
 @click.argument("records", type=INPUT, nargs=-1, required=True)
 @output("Write the model here (JSON).", required=False)
 @option("--validate", type=INPUT, multiple=True, help="Held-out records, which are only simulated.")
-@option("--report", type=OUTPUT, help="Write a self-contained HTML report here.")
+@page()
 @option("--traces", type=OUTPUT, help="Write measured and simulated displacement of all records here (.npz).")
 @option(
     "--structure",
     type=click.Choice(["auto", "maxwell_slip"]),
     default="auto",
-    help="auto: a dictionary of graded and smooth elements, and what moves in time, chosen by held-out time. "
-    "maxwell_slip: slip elements and a spring, as in Yeh's paper.",
+    help="auto: parts chosen by held-out time. maxwell_slip: slip elements and a spring, as in Yeh's paper.",
 )
 @number("--goal", default=1.0, help="Largest error [% of the stroke] with which the model is ready for use.")
-@number(
-    "--sensor-lag",
-    help="Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown. "
-    "Any other lag is then the actuator's.",
-)
-@option(
-    "--lag-of",
-    type=click.Choice(["actuator", "sensor"]),
-    help="Whose the lag is that the records show, which they do not tell; default: not known, and the promise has two "
-    "numbers. A path that an actuator delays is planned earlier; a path that only a sensor sees late is not.",
-)
-@option(
-    "--zero",
-    type=Parsed(Zero),
-    help="Zero of the displacement: bottom, first sample or mean of the first record; default: the sensor's zero.",
-)
+@number("--sensor-lag", help="Time constant of the sensor's own filter [s], 0 if it has none; default: unknown.")
+@option("--lag-of", type=click.Choice(["actuator", "sensor"]), help="Whose the lag of the records is, if known.")
+@option("--zero", type=Parsed(Zero), help="Zero of the displacement, in the first record; default: the sensor's zero.")
 @number("--time-limit", help="End the search for a structure after this time [s], and complete the best model so far.")
-@number(
-    "--slew-rate",
-    only=beside("output"),
-    help="Largest slew rate [V/s] of later paths; the model keeps it, as it keeps the columns.",
-)
+@number("--slew-rate", only=beside("output"), help="Largest slew rate [V/s] of later paths; the model keeps it.")
 @number("--delay", help="Time [s] by which the displacement lags the voltage; default: estimated from the records.")
-@option(
-    "--drift/--no-drift",
-    default=True,
-    help="Whether a record may have a drift that is logarithmic in the time since its start, which is then removed.",
-)
-@option(
-    "--shared-zero",
-    "shared_datum",
-    is_flag=True,
-    only=Only(_several, "on one record"),
-    help="State that the sensor kept its zero in all records; default: the zero of each record is searched for.",
-)
+@option("--drift/--no-drift", default=True, help="Remove a drift of each record, logarithmic in time.")
+@option("--shared-zero", "shared_datum", is_flag=True, only=_of_several, help="The sensor kept its zero throughout.")
 @columns_option
 def identify(
     run: Run,

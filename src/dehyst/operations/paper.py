@@ -21,11 +21,7 @@ _HEADS = (("paper", "ours, by", "ours, whole", "with more"), ("", "its method", 
 
 
 @command("paper")
-@output(
-    "Folder for the files: new, empty, or one of an earlier run; any other with --force.",
-    CONTINUED,
-    default="dehyst-paper",
-)
+@output("Folder: new, empty, or of an earlier run; any other with --force.", CONTINUED, default="dehyst-paper")
 def paper(run: Run, output: Path) -> Result:
     """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
     demand_own_folder(output, *experiment.OWN, force=run.force)

@@ -27,35 +27,18 @@ _WHY = (
     "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
     "the loops; best is the rate at which the actuator will be used."
 )
-_FREQUENCY = (
-    "Cycles per second [Hz]; default: the slowest of 0.01, 0.02, 0.05 ... 1 that takes under two minutes, four if the "
-    "excitation is the recommended one."
-)
 # Options of every excitation, the last one first.
 _DRIVEN = (
     number("--slew-rate", help="Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning."),
-    option(
-        "--limits",
-        type=(NUMBER, NUMBER),
-        metavar="LOW HIGH",
-        help="Lowest and highest voltage [V] allowed. A voltage outside is an error, because clipped tops would be "
-        "another protocol.",
-    ),
-    number(
-        "--present",
-        help="Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads to the "
-        "base.",
-    ),
+    option("--limits", type=(NUMBER, NUMBER), metavar="LOW HIGH", help="Voltages allowed [V]; others are refused."),
+    number("--present", help="Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
     number("--base", default=0.0, help="Voltage [V] at which a protocol starts and ends."),
     number("--sample-rate", help="Samples per second [Hz]; default: 400 samples a cycle."),
-    number("--frequency", help=_FREQUENCY),
+    number("--frequency", help="Cycles per second [Hz]; default: the slowest that takes two minutes, or four in all."),
     output("Write time and voltage here (CSV)."),
 )
 _temperatures = option(
-    "--temperatures",
-    type=(NUMBER, NUMBER),
-    metavar="LOW HIGH",
-    help="Lowest and highest temperature in use [degC]; the answer says at which temperatures to record.",
+    "--temperatures", type=(NUMBER, NUMBER), metavar="LOW HIGH", help="Range in use [degC], to say where to record."
 )
 _majors = integer("--majors", default=2, help="Number of cycles up to the highest voltage before the tops.")
 
@@ -110,12 +93,7 @@ def descending_tops(run: Run, highest: float, **options: Any) -> Result:
 @_driven
 @number("--hold", default=60.0, help="Time at each voltage [s].")
 @integer("--steps", default=5, help="Number of steps up, and down.")
-@option(
-    "--back",
-    is_flag=True,
-    help="Let one step back follow each two steps; these inner loops at all levels determine stiffnesses that tops "
-    "with returns to the base leave open.",
-)
+@option("--back", is_flag=True, help="Let one step back follow each two steps: inner loops at all levels.")
 @_temperatures
 def staircase(run: Run, highest: float, **options: Any) -> Result:
     """Write a staircase up to HIGHEST [V] and down again, whose holds show creep."""
@@ -128,11 +106,7 @@ def staircase(run: Run, highest: float, **options: Any) -> Result:
 @option("--axes", help="Names of the axes, as x,y.")
 @integer("--steps", default=10, help="Number of falling tops of each axis alone.")
 @_majors
-@integer(
-    "--cycles",
-    default=12,
-    help="Cycles of the first axis when all move together; 0: only one axis after the other.",
-)
+@integer("--cycles", default=12, help="Cycles of the first axis when all move together; 0: none.")
 @_temperatures
 def stage(run: Run, highest: tuple[float, ...], axes: str | None, **options: Any) -> Result:
     """Move several axes to their HIGHEST [V]: one axis after the other, then all together."""
@@ -145,16 +119,8 @@ def stage(run: Run, highest: tuple[float, ...], axes: str | None, **options: Any
 @excite.command("homing")
 @click.argument("highest", type=NUMBER, required=False)
 @_driven
-@option(
-    "--model",
-    type=INPUT,
-    help="Model to home by the shortest waveform that is certified to end in a known state, instead of HIGHEST.",
-)
-@number(
-    "--hold",
-    only=beside("model"),
-    help="Time at either limit [s], of a model that creeps; default: as long as needed.",
-)
+@option("--model", type=INPUT, help="Model to home by the shortest certified waveform, instead of HIGHEST.")
+@number("--hold", only=beside("model"), help="Time at either limit [s] with creep; default: as long as needed.")
 def homing(
     run: Run, highest: float | None, model: Path | None, hold: float | None, output: Path, **options: Any
 ) -> Result:
