@@ -33,14 +33,14 @@ ROOMS = {
     "virtual": 797,
     "waveforms": 1350,
     "web": 50,
-    "workbench": 2401,
+    "workbench": 2370,
 }
 HOUSE = {
-    "lines of Python": 40418,
+    "lines of Python": 40387,
     "files of Python": 195,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2846,
-    "lines of tests": 38914,
+    "lines of tests": 38900,
     "lines of benchmarks": 5306,
     "words of docs": 27780,
     "public names": 114,

@@ -1,4 +1,4 @@
-"""The data of the page's forms, paths that are read for it, and sentences in its words."""
+"""The data of the page's forms, and paths that are read for it."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from dehyst.operations.registry import find
 from dehyst.waveforms.scans import SCANS
 from dehyst.workbench.data import RequestError, path_points
 from dehyst.workbench.entries import RecordEntry
-from dehyst.workbench.forms import FORMS, in_page, scan_form, scan_kinds
+from dehyst.workbench.forms import FORMS, scan_form, scan_kinds
 from dehyst.workbench.reading import columns_of, form_of, verified
 
 ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
@@ -18,6 +18,7 @@ def test_forms_offer_what_the_operations_declare():
     known = {parameter.name: parameter for parameter in find("identify").params}
     for name, field in FORMS["identify"].items():
         parameter = known.get(name)
+        assert field["label"] == name.replace("_", " ").capitalize() or name == "name"
         if parameter is None:
             assert name == "name"
         elif "choices" in field:
@@ -34,21 +35,6 @@ def test_a_scan_has_a_field_for_each_of_its_options():
         own = [*kinds[name]["needs"], *kinds[name]["may"]]
         assert len(own) == len({*own})
         assert {*scan.takes} <= {*own} <= {*fields}
-
-
-@pytest.mark.parametrize(
-    ("sentence", "shown"),
-    [
-        ("By time=NAME or rate=HZ.", "By <Column of the time> or <Sample rate in Hz>."),
-        ("--time-limit=5 or time_limit=5", "<Time limit> 5 or <Time limit> 5"),
-        ("give it as sensor_lag=SECONDS (0 if none)", "give it as <Lag of the sensor> (0 if none)"),
-        ("sensor_lag. (voltage=, time=)", "<Lag of the sensor>. (<Column of the voltage>, <Column of the time>)"),
-        ("Select one with displacement=NAME. A name", "Select one with <Column of the displacement>. A name"),
-        ("the goal, at any time; --other NAME", "the goal, at any time; --other NAME"),
-    ],
-)
-def test_options_in_sentences_are_the_fields_of_the_page(sentence, shown):
-    assert in_page(sentence) == shown.replace("<", "\u201c").replace(">", "\u201d")
 
 
 @pytest.fixture

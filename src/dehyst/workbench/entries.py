@@ -11,7 +11,6 @@ from dehyst.model import slew_rate_of_records, voltages_of
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.run import Run
 from dehyst.workbench.data import voltage_columns
-from dehyst.workbench.forms import in_page
 from dehyst.workbench.jobs import Finished
 
 _MICRO = 1e6
@@ -69,7 +68,7 @@ class RecordEntry:
             self.words += [
                 f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()
             ]
-            self.problems += [in_page(f"{prefix}{words}") for words in one["problems"]]
+            self.problems += [f"{prefix}{words}" for words in one["problems"]]
 
 
 @dataclass
@@ -111,7 +110,7 @@ class ModelEntry:
         if fit is None:
             stopped = self.early or finished.stopped
             self.status = "cancelled" if stopped else "failed"
-            self.error = "it was ended before there was a model" if stopped else in_page(finished.words)
+            self.error = "it was ended before there was a model" if stopped else finished.words
             return
         several = "fits" in fit
         fits = fit["fits"] if several else {"": fit}
@@ -120,7 +119,7 @@ class ModelEntry:
             axis: verdict_of(one["promise"], one["readiness"], one["basis"], one["goal_percent"], one["reasons"])
             for axis, one in found.items()
         }
-        remarks = [in_page(f"{axis}: {one}" if axis else one) for axis, own in fits.items() for one in own["remarks"]]
+        remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
         self.status, self.error = "ready", None
         self.verdict = {**worst(verdicts), "remarks": remarks}
         if several:
@@ -157,7 +156,7 @@ def verdict_of(
         "readiness": readiness,
         "basis": basis,
         "goal": goal,
-        "why": [in_page(one) for one in why],
+        "why": list(why),
     }
 
 
@@ -182,7 +181,7 @@ class ExcitationEntry:
         """Fill in the result of `excite`."""
         self.samples, self.seconds = int(result["samples"]), float(result["seconds"])
         self.range_v = [float(result["lowest_V"]), float(result["highest_V"])]
-        self.words = [in_page(str(one)) for one in result["warnings"]]
+        self.words = [str(one) for one in result["warnings"]]
 
 
 @dataclass
@@ -214,7 +213,7 @@ class VoltageEntry:
         self.axes = list(result["lowest_V"]) if several else []
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
         self.largest_um = [None if one is None else one["largest_m"] * _MICRO for one in each("promise")]
-        self.words = [in_page(str(one)) for one in result["warnings"]]
+        self.words = [str(one) for one in result["warnings"]]
         if max(each("homing_samples")):
             seconds = max(one or 0.0 for one in each("homing_s"))
             self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")

@@ -1,9 +1,7 @@
-"""The forms of the page as data: labels, units, choices, hints; and sentences in the words of the page."""
+"""The forms of the page as data: labels, units, choices, hints. A label has the words of its option."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from typing import Any
 
 from dehyst.waveforms.scans import OPTIONS, SCANS
@@ -59,15 +57,15 @@ FORMS: dict[str, Form] = {
     "identify": {
         "structure": {"label": "Structure", "choices": [*_STRUCTURES.items()], "value": "auto"},
         "goal": {
-            **{"label": "Goal: largest error", "unit": "% of the stroke", "value": "1", "optional": True, "above": 0},
-            "hint": "With an error below it the model is ready for use.",
+            **{"label": "Goal", "unit": "% of the stroke", "value": "1", "optional": True, "above": 0},
+            "hint": "With a largest error below it the model is ready for use.",
         },
         "time_limit": {
             **{"label": "Time limit", "unit": "s", "placeholder": "none", "optional": True, "above": 0},
             "hint": "Then the best model so far is completed.",
         },
         "sensor_lag": {
-            **{"label": "Lag of the sensor", "unit": "s", "placeholder": "unknown", "optional": True, "least": 0},
+            **{"label": "Sensor lag", "unit": "s", "placeholder": "unknown", "optional": True, "least": 0},
             "hint": "Time constant of its filter; 0 if it has none.",
         },
         "name": {"label": "Name of the model", "placeholder": "of the first record", "text": True},
@@ -127,29 +125,3 @@ def scan_kinds() -> dict[str, dict[str, list[str]]]:
 def declared() -> dict[str, Any]:
     """Return the fields of all forms, and the kinds of scans and exports."""
     return {"forms": {**FORMS, "scan": scan_form()}, "scans": scan_kinds(), "exports": EXPORTS}
-
-
-def _flags() -> Iterator[tuple[re.Pattern[str], str]]:
-    """Yield what options look like in a sentence, as --sensor-lag SECONDS or sensor_lag=SECONDS, and their labels."""
-    labels = {name: label for name, (label, _) in _COLUMNS.items()}
-    labels |= {name: field["label"] for name, field in {**PLAIN, **FORMS["identify"]}.items() if name != "name"}
-    for name, label in labels.items():
-        keyword = rf"\b{name}\b=?" if "_" in name else rf'\b{name}(?:=| (?="))'
-        option = rf"--{name.replace('_', '-')}(?![-\w])[ =]?"
-        value = r'"NAME"|NAMES?\b|HZ\b|SCALE\b|SECONDS\b'
-        yield re.compile(f"({option}|{keyword})({value})?(?=(.?))"), label
-
-
-_FLAGS = tuple(_flags())
-
-
-def in_page(sentence: str) -> str:
-    """Return a sentence of dehyst with the labels of fields in place of options."""
-    for flag, label in _FLAGS:
-
-        def named(found: re.Match[str], label: str = label) -> str:
-            apart = found[1][-1] in " =" and not found[2] and found[3] not in ("", ")", ",")
-            return f"\u201c{label}\u201d{' ' * apart}"
-
-        sentence = flag.sub(named, sentence)
-    return sentence

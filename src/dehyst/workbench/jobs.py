@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypeAlias
 from dehyst._errors import DehystError
 from dehyst.operations.command import context_of, words_of
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.forms import in_page
 
 # A session has one person, and a small computer two cores.
 _AT_ONCE = 2
@@ -245,7 +244,7 @@ class Jobs:
                 await after
             if entry.status == "running":
                 failed = finished.result is None
-                entry.status, entry.error = ("failed", in_page(finished.words)) if failed else ("done", None)
+                entry.status, entry.error = ("failed", finished.words) if failed else ("done", None)
         except DehystError as error:
             entry.status, entry.error = "failed", str(error)
         finally:

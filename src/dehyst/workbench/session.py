@@ -21,7 +21,7 @@ from dehyst.workbench import folder as places
 from dehyst.workbench.data import limits_of, written_path
 from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry, verdict_of, worst
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.forms import EXPORTS, in_page
+from dehyst.workbench.forms import EXPORTS
 from dehyst.workbench.jobs import Finished, Jobs, Step, Worker
 from dehyst.workbench.reading import form_of
 
@@ -162,9 +162,8 @@ class WorkbenchSession:
             entry.file_columns = first.get("file_columns", [])[:_MOST_COLUMNS] or entry.file_columns
             if finished.result is None:
                 # A suggestion is in the form already.
-                words = finished.error.get("reason", finished.words)
-                words = in_page(words.replace(entry.source, Path(entry.source).name))
-                entry.status, entry.error = "refused", words
+                words = str(finished.error.get("reason", finished.words))
+                entry.status, entry.error = "refused", words.replace(entry.source, Path(entry.source).name)
                 entry.hint = str(finished.error.get("suggestion", ""))
                 return
             entry.file = file
@@ -254,7 +253,7 @@ class WorkbenchSession:
                 and any(not one["good"] or one["advises_update"] for one in parts.values()),
                 "sentences": [f"{axis}: {one['sentence']}" if axis else one["sentence"] for axis, one in parts.items()],
                 "why": [words for one in parts.values() for words in one["change_sentences"]],
-                "remarks": [in_page(words) for one in parts.values() for words in one["remarks"]],
+                "remarks": [words for one in parts.values() for words in one["remarks"]],
             }
             if model.coupling:
                 model.check["why"] += found["changes"]
