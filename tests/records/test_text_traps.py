@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from laboratory_files import UM, T, V, Y
-from text_traps import FAST, HEAD, NOISE, NOISY, TRAPS, drive, point, stamps, table
+from text_traps import FAST, HEAD, NOISE, NOISY, TRAPS, comma, drive, point, stamps, table
 
 import dehyst
 from dehyst._errors import DehystError, FileFormatError
@@ -64,11 +64,17 @@ READ = {
         f"rigol, {len(end)} commas": (
             "X,CH1,Start,Increment,\nSequence,Volt,-1,2e-2\n" + "".join(f"{k},{3 * k}{end}\n" for k in range(3)),
             "",
-            {"X": [0, 1, 2], "CH1": [0, 3, 6]},
+            {"time": [-1, -0.98, -0.96], "CH1": [0, 3, 6]},
         )
         for end in ("", ",", ",,")
     },
-    "sigrok": ("; Samplerate: 50 Hz\nA0,A1\n1,2\n3,4\n", "", {"A0": [1, 3], "A1": [2, 4]}),
+    "sigrok": ("; Samplerate: 50 Hz\nA0,A1\n1,2\n3,4\n", "", {"time": [0, 0.02], "A0": [1, 3], "A1": [2, 4]}),
+    "owon": (
+        "# Sampling : 50 Sa/s\n# n, a, b\n0, 2.5,1\n1, 3,5\n",
+        "",
+        {"time": [0, 0.02], "a": [2.5, 3], "b": [1, 5]},
+    ),
+    "a step without a unit": ("# Sampling : 50\na,b\n1,2\n3,4\n", "", {"a": [1, 3], "b": [2, 4]}),
 }
 
 
@@ -124,6 +130,70 @@ def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
     np.savez(tmp_path / "a.npz", time_s=T, voltage_V=V, displacement_um=UM)
     with pytest.raises(FileFormatError, match="decimal: got"):
         read(tmp_path / "a.npz", "decimal=point")
+
+
+@pytest.mark.parametrize(
+    ("header", "sign", "number", "step"),
+    [
+        ("Sample rate;10000;Hz", ";", point, 1e-4),
+        ("Sample rate,1 kS/s", ",", point, 1e-3),
+        ("# Sample interval [ms] = 20", ",", point, 0.02),
+        ("dt: 5 us", ",", point, 5e-6),
+        ("dt 0,01 s", ";", comma, 0.01),
+        ("XInc, 0.01, s\nXOrg, -0.3, s", ",", point, 0.01),
+        *(
+            (f"Sample rate{text}", sign, number, None)
+            for text, sign, number in (
+                (";10,000;Hz", ";", point),
+                (" (Hz)\t1,000", "\t", point),
+                (',"10,000",Hz', ",", point),
+                (",10,000,Hz", ",", point),
+                (";1,000,000;Hz", ";", point),
+                (";10.000;Hz", ";", comma),
+                (",1000,1000", ",", point),
+                ("\t1e3 Hz\nSample rate\t2e3 Hz", "\t", point),
+            )
+        ),
+        ("Sample interval [s];0,05", ";", point, None),
+    ],
+)
+def test_a_header_states_the_step_in_the_notation_of_its_table(tmp_path, header, sign, number, step):
+    """And with its unit; else the rate is asked for."""
+    table(sign, "voltage_V,displacement_um", number(V, 2), number(UM, 2))(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text(f"{header}\n{(tmp_path / 'a.csv').read_text()}")
+    if step is None:
+        with pytest.raises(FileFormatError, match="rate=HZ"):
+            read(tmp_path / "a.csv")
+        assert read(tmp_path / "a.csv", "rate=50").time[1] == pytest.approx(0.02)
+        return
+    record = read(tmp_path / "a.csv")
+    assert record.time[:2] == pytest.approx([0, step] if "XOrg" not in header else [-0.3, -0.29])
+    assert "guesses" not in record.meta
+
+
+RISING = np.linspace(0, 100, 60)
+HINTS = {
+    "fringes": (
+        "drive (V),photodiode (V)\n",
+        [V, np.cos(40 * V / V.max())],
+        "displacement=photodiode (V)?*fringe PERIOD nm",
+    ),
+    "branches side by side": (
+        "drive (V),up (nm),down (nm)\n",
+        [RISING, 10 * RISING, 10 * RISING + 1],
+        "reverse order",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HINTS)
+def test_a_refusal_names_what_to_do(tmp_path, name):
+    header, columns, words = HINTS[name]
+    body = "".join(",".join(map("{:.6g}".format, row)) + "\n" for row in zip(*columns, strict=True))
+    (tmp_path / "a.csv").write_text(header + body)
+    with pytest.raises(FileFormatError) as caught:
+        read(tmp_path / "a.csv")
+    assert words in str(caught.value)
 
 
 # Timestamps, and the seconds since the first; or the words of their fault.

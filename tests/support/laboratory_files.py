@@ -173,7 +173,7 @@ FILES: dict[str, tuple[Callable[[Path], None], str]] = {
         "join=F0001CH2.CSV, voltage=*100, displacement=*10 um/V",
     ),
     "keysight.csv": (keysight, "voltage=*100, displacement=*10 um/V"),
-    "rigol.csv": (rigol, "voltage=*100, displacement=*10 um/V, rate=500"),
+    "rigol.csv": (rigol, "voltage=*100, displacement=*10 um/V"),
     "pico.csv": (picoscope, "voltage=*100, displacement=*10 um/V"),
     "lecroy.csv": (lecroy, ""),
     "recorder.dat": (gcs, ""),

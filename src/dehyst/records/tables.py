@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.columns import (
     GAIN,
     GUESS,
+    PERIOD,
     QUANTITIES,
     Column,
     is_small,
@@ -25,7 +26,14 @@ from dehyst.records.formats.columns import (
     plausible_unit,
     shortened,
 )
+from dehyst.records.signals import turning_points
 
+# Turns of a periodic signal for each turn of the voltage, and the least part of the range that is a turn.
+_OFTEN, _SWING = 4, 0.3
+_BRANCHES = (
+    "all its columns only rise: if they hold the rising and the falling branch side by side, write the falling one "
+    "below the rising one in reverse order, and give rate=HZ"
+)
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
 # Columns of a file that are compared with one another.
@@ -65,6 +73,8 @@ def notes_on(proposal: str) -> list[str]:
     """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
+        PERIOD: f"The signal rises and falls many times while the voltage rises: replace {PERIOD} by its period, half "
+        "a wavelength for an interferometer (fringe), the pitch of a grating (grating).",
         GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
         "the sensor; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
@@ -282,32 +292,36 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
             problems.append(error)
     if not problems:
         return found
-    proposal = _proposed(table, columns, problems, [one.column for one in found.values()])
+    proposal = _proposed(table, columns, problems, {quantity: one.column for quantity, one in found.items()})
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
     # A quantity that no column of this file seems to be may be in a second file.
     lacking = {one.quantity for one in problems if not one.column and f"{one.quantity}=" not in proposal} - {"time"}
-    if lacking and not any(column.unnamed for column in table.columns):
+    if not proposal and _side_by_side(table):
+        hint = _BRANCHES
+    elif lacking and not any(column.unnamed for column in table.columns):
         hint = f"{hint.removesuffix('.')}. If it is in a second file, join that one."
     raise ColumnsError(f"{table.source}: {faults}{f'; {hint}' if hint else ''}", proposal, problems)
 
 
-def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], known: Sequence[Column]) -> str:
+def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], known: Mapping[str, Column]) -> str:
     """Return the text of columns that may be right in the place of those with problems; empty if there are none.
 
     `known`: the columns of other quantities. What does not follow from a name or a unit is marked as a guess.
     """
     named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
     wanted = [error.quantity for error in problems if error.quantity not in named]
-    assigned = named | _assigned(table, wanted, [*known, *named.values()])
-    entries = {}
+    assigned = named | _assigned(table, wanted, [*known.values(), *named.values()])
+    entries, repeats = {}, _repeats({**known, **assigned})
     for quantity in (error.quantity for error in problems if error.quantity in assigned):
         given = Entry.of(getattr(columns, quantity) or "")
         if "*" in given.name:
             # The factor that was given is not understood.
             return ""
-        if text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
+        if quantity == "displacement" and repeats and given.scale is None:
+            entries[quantity] = f"{table.label(assigned[quantity])}{GUESS}*fringe {PERIOD} nm"
+        elif text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
             entries[quantity] = text
     # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")
@@ -315,6 +329,24 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], k
         entries["rate"] = RATE
     complete = {error.quantity for error in problems} - {"time"} <= entries.keys()
     return text_of(columns.entries() | entries) if complete and entries else ""
+
+
+def _side_by_side(table: Table) -> bool:
+    """Return whether all columns only rise, as those of two branches do that are written side by side."""
+    columns = [column.data for column in table.columns if not column.fault]
+    rise = [one.size > 2 and bool(np.all(one[1:] >= one[:-1])) and one[-1] > one[0] for one in columns]
+    return len(rise) > 2 and all(rise)
+
+
+def _repeats(assigned: Mapping[str, Column]) -> bool:
+    """Return whether the displacement's column, not in a length, rises and falls many times for each voltage branch."""
+    pair = [assigned[quantity] for quantity in ("voltage", "displacement") if quantity in assigned]
+    if len(pair) < 2 or pair[1].parts[1] in FACTORS["displacement"]:
+        return False
+    if not all(np.isfinite(column.data).all() for column in pair):
+        return False
+    turns = [turning_points(column.data, _SWING * float(np.ptp(column.data))).size for column in pair]
+    return turns[1] > _OFTEN * max(turns[0], 1)
 
 
 def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> dict[str, Column]:

@@ -35,7 +35,7 @@ class Layout(NamedTuple):
 
     `first`: number of lines before its first row. `delimiter`: separator of its cells, None for blanks. `names`,
     `units`: of its columns; no names if the file has none. `row`: its first row. `header`: the lines with the names and
-    the units.
+    the units. `above`: the lines above the table, and what a row of units states of the times of samples.
     """
 
     first: int
@@ -44,6 +44,7 @@ class Layout(NamedTuple):
     units: tuple[str, ...] = ()
     row: str = ""
     header: tuple[str, ...] = ()
+    above: tuple[str, ...] = ()
 
     @property
     def unnamed(self) -> str:
@@ -143,9 +144,9 @@ def layout_of(block: str, decimal: str | None = None) -> Layout:
     rest = [line.number for line in lines if line.number >= heading.end]
     # A row that looks like a comment: #N/A,1,2.
     rest += [c.number for c in comments if c.number >= heading.end and not is_comment(c.cells, shape.width, delimiter)]
-    first = min(rest)
-    row = block.split("\n")[first].strip()
-    return Layout(first, delimiter, heading.names, heading.units, row, heading.texts)
+    first, written = min(rest), block.split("\n")
+    above = (*written[:first], *heading.clock)
+    return Layout(first, delimiter, heading.names, heading.units, written[first].strip(), heading.texts, above)
 
 
 def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape: _Shape) -> Layout:
@@ -233,18 +234,21 @@ def _are_names(row: list[str]) -> bool:
 
 
 class _Heading(NamedTuple):
-    """Names and units of columns, the number of lines up to their end, and their texts."""
+    """Names and units of columns, the number of lines up to their end, their texts, and the time that they state."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     end: int
     texts: tuple[str, ...] = ()
+    clock: tuple[str, ...] = ()
 
 
 def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
     """Return names and units from the last one or two of these lines; None if they are no names."""
     before, last, end = lines[-2].cells if len(lines) > 1 else [], lines[-1].cells, lines[-1].number + 1
-    if any(name.lower() in _CLOCK and is_number(cell) for name, cell in zip(before, last, strict=False)):
+    stated = {name.lower(): cell for name, cell in zip(before, last, strict=False) if is_number(cell)}
+    clock = tuple(f"x{name}\t{stated[name]}\ts" for name in _CLOCK if name in stated)
+    if clock:
         before, last = ["" if name.lower() in _CLOCK else name for name in before], last[: shape.width]
     names, units = shape.names(before, words=False), [*last, *[""] * (shape.width - len(last))]
     numeric = [units[k] for k in shape.numeric]
@@ -256,6 +260,6 @@ def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
     )
     if are_units and names and all(names[k] for k in shape.numeric):
         stated_units = tuple(cell.strip("[]() ") for cell in units[: shape.width])
-        return _Heading(names, stated_units, end, tuple(line.text for line in lines[-2:]))
+        return _Heading(names, stated_units, end, tuple(line.text for line in lines[-2:]), clock)
     names = shape.names(last)
     return _Heading(names, (), end, (lines[-1].text,)) if names else None

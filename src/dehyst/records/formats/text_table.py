@@ -17,6 +17,7 @@ from dehyst.records.formats.columns import Column, shortened
 from dehyst.records.formats.file_content import Allowance
 from dehyst.records.formats.notation import Moment, clock_of, decimal_sign, is_moment, moment
 from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in
+from dehyst.records.formats.time_steps import with_clock
 
 # Longest line [characters] and most columns of a measurement.
 _LONGEST_LINE, WIDEST = 1_000_000, 10_000
@@ -90,7 +91,8 @@ def _read(text: _Text, allowance: Allowance, decimal: str | None) -> list[Column
     table = _Table(text, layout, decimal)
     columns = table.columns(allowance)
     # Separators without a name: an empty column, or what stands beside the table.
-    return [column for column in columns if column.name or np.isfinite(column.data).any()]
+    columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
+    return with_clock(columns, layout.above, table.decimal)
 
 
 class _Table:
