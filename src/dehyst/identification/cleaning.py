@@ -189,10 +189,3 @@ def cycle_time(record: Record) -> float:
     cycles = record.cycles()
     ends = [float(record.time[min(c.stop, len(record) - 1)] - record.time[c.start]) for c in cycles]
     return float(np.median(ends)) if ends else float(record.time[-1] - record.time[0])
-
-
-def drift_curve(record: Record, start: float) -> Array:
-    """Return the creep curve since the record's start: log10 of time, mean zero (n,)."""
-    scale = 0.1 * cycle_time(record)
-    curve = np.log10(1 + (record.time - start) / scale)
-    return np.asarray(curve - curve.mean())

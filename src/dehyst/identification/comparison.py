@@ -308,10 +308,9 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
 
     `gains`: of the creep whose strains before the record are among the parts.
     """
-    columns, free = program.columns
+    rows = program.free_columns
     left = program.target - (program.static / program.scale[:, None]) @ program.unknowns_of(model)
-    rows, prior = columns[:, :free], np.zeros(free)
-    place = program.numbers.size
+    prior, place = np.zeros(rows.shape[1]), program.numbers.size
     for part in program.parts:
         if part.name == "begun":
             # Errors of a model are alike in many rows; those of one that has changed are large.

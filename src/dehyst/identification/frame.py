@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array
-from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.comparison import without_offset
 from dehyst.identification.denoising import derivatives, left_of
 from dehyst.identification.motion import Motion, Parts
@@ -69,9 +68,8 @@ class Frame:
     @cached_property
     def rests(self) -> list[list[tuple[float, float]]]:
         """Begin and end [s] of each rest of the voltage that is as long as the shortest cycle, of each record."""
-        records = [item.record for item in self.training]
-        shortest = min(map(cycle_time, records))
-        return [[rest for rest in _rests(record) if rest[1] - rest[0] >= shortest] for record in records]
+        shortest = min(item.cycle for item in self.training)
+        return [[rest for rest in _rests(item.record) if rest[1] - rest[0] >= shortest] for item in self.training]
 
     @cached_property
     def before(self) -> list[Prepared]:
@@ -290,15 +288,23 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
             motion.delay + delay / start.omega,
         )
 
+    rows, columns = program.rows, program.columns[0][:, found.active_set.moving]
+    regular = len(rows) * program.regularization()[np.ix_(found.active_set.moving, found.active_set.moving)]
+    follow = np.linalg.solve(columns.T @ columns + regular, columns.T)
+
     def error(x: Array) -> Array:
         frequency, damping, delay = numbers(x)
-        model, left = replace(actuator, dynamics=Dynamics(frequency, damping)), []
+        model, at_rows, played = replace(actuator, dynamics=Dynamics(frequency, damping)), np.zeros(len(rows)), []
         late = [path.voltage for item in frame.training for path in item.acting(delay, motion.lag)]
         for one, state in zip(epochs, states, strict=True):
-            offset = found.offsets[one.number] - base
-            missed = frame.missed(one.piece, one.epoch, model, state, offset, late[one.piece])[1]
-            left.append(missed - missed.mean())
-        return np.concatenate(left) / frame.stroke
+            offset, own = found.offsets[one.number] - base, rows.epoch == one.number
+            time, missed = frame.missed(one.piece, one.epoch, model, state, offset, late[one.piece])
+            at_rows[own] = np.interp(rows.time[own], time, missed)
+            played.append((own, time, missed))
+        # What the other coefficients would follow is none of the resonance's.
+        followed = columns @ (follow @ at_rows)
+        left = [missed - np.interp(time, rows.time[own], followed[own]) for own, time, missed in played]
+        return np.concatenate([one - one.mean() for one in left]) / frame.stroke
 
     # What a resonance delays is no lead: only one that was there before stays.
     lead = max(motion.delay, 0.0)

@@ -16,7 +16,6 @@ from dehyst._types import Progress
 from dehyst._version import __version__
 from dehyst.identification import events, messages, search
 from dehyst.identification.checks import model_checks, remaining_error
-from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.comparison import compare, errors_of
 from dehyst.identification.coupling import identify_axes
 from dehyst.identification.expectation import HeldOutErrors, expectation, validity_of
@@ -214,7 +213,7 @@ class _Run:
         return _with_reason(self.finish(made), left_out)
 
     def _check_delay(self) -> None:
-        given, cycle = self.settings.delay, min(cycle_time(item.record) for item in (*self.training, *self.held_out))
+        given, cycle = self.settings.delay, min(item.cycle for item in (*self.training, *self.held_out))
         if given is not None and abs(given) > 0.25 * cycle:
             raise IdentifyError(
                 argument="delay", got=f"{given:g} s", need=f"less than a quarter of a cycle of {cycle:.4g} s"

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.denoising import significant_delay
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.regressors import epochs
@@ -38,7 +37,7 @@ def drive_like(limits: tuple[float, float], records: Sequence[Prepared]) -> Samp
     """Return the sampling for a voltage to record: within limits [V], at the rate of the records."""
     # Records leave a lowest voltage of 1e-15 V where 0 V was meant.
     low = 0.0 if abs(limits[0]) < _MARGIN * 1e-3 * (limits[1] - limits[0]) else limits[0]
-    cycle = min(cycle_time(item.record) for item in records)
+    cycle = min(item.cycle for item in records)
     return Sampling(frequency=1 / cycle, base=low, limits=(low, limits[1]))
 
 

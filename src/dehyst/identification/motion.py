@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -132,7 +133,11 @@ class Parts:
 
     def __init__(self, motion: Motion, training: Sequence[Prepared], rows: Rows) -> None:
         self.motion, self.training, self.rows = motion, training, rows
-        self.before = [motion.before(item, q) for q, item in enumerate(training)]
+
+    @cached_property
+    def before(self) -> list[Prepared]:
+        """The records without drift, temperature and creep."""
+        return [self.motion.before(item, q) for q, item in enumerate(self.training)]
 
     def of(self, names: Sequence[str]) -> list[Part]:
         """Return parts by their names."""

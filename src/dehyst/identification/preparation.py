@@ -72,6 +72,8 @@ def block_means(record: Record, block: int) -> Record:
 
 
 _SHORTEST = 20
+# Time at which a drift begins, in cycles.
+_FIRST = 0.1
 # Samples of a cycle through whose neighbours a derivative may be taken widely.
 _MANY = 100
 
@@ -95,6 +97,8 @@ class Prepared:
         Time of the first of these [s], the origin of creep.
     noise : float
         Standard deviation of the sensor [m].
+    cycle : float
+        Median duration of a cycle of the excitation [s].
     can_drift : bool
         Whether it has enough cycles to separate drift from hysteresis.
     sentences : tuple of str
@@ -112,6 +116,7 @@ class Prepared:
     samples: int
     start: float
     noise: float
+    cycle: float
     can_drift: bool
     sentences: tuple[str, ...]
     steady: bool = False
@@ -140,13 +145,12 @@ class Prepared:
         """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
         if not lag:
             return self
-        cycle = cleaning.cycle_time(self.record)
-        if lag > 0.25 * cycle:
+        if lag > 0.25 * self.cycle:
             raise IdentifyError(
-                argument="sensor_lag", got=f"{lag:g} s", need=f"less than a quarter of a cycle of {cycle:.4g} s"
+                argument="sensor_lag", got=f"{lag:g} s", need=f"less than a quarter of a cycle of {self.cycle:.4g} s"
             )
         # Few samples a cycle leave no room for a long window.
-        window = 9 if cycle > _MANY * self.record.sample_time else 5
+        window = 9 if self.cycle > _MANY * self.record.sample_time else 5
 
         def before(one: Record) -> Record:
             rate = local_polynomial(one.displacement, window, 4, 1, one.sample_time)
@@ -240,15 +244,19 @@ class Prepared:
         return self._driving[asked]
 
     def drift_curve(self, piece: Record) -> Array:
-        """Return the curve of a drift at the samples of a piece: a logarithm of the time since the record began.
+        """Return the curve of a drift at the samples of a piece: log10 of the time since the record began, mean zero.
 
         A steady drift is a straight line that covers as many decades.
         """
-        curve = cleaning.drift_curve(self.record, self.start)
+        return np.interp(piece.time, *self._drift_curve)
+
+    @cached_property
+    def _drift_curve(self) -> tuple[Array, Array]:
+        time = self.record.time
+        curve = np.log10(1 + (time - self.start) / (_FIRST * self.cycle))
         if self.steady:
-            time = self.record.time
-            curve = (time - time.mean()) * float(np.ptp(curve)) / float(np.ptp(time))
-        return np.interp(piece.time, self.record.time, curve)
+            return time, (time - time.mean()) * float(np.ptp(curve)) / float(np.ptp(time))
+        return time, curve - curve.mean()
 
     def source(self) -> dict[str, Any]:
         """Return the source of the record: name, file, hash and guesses."""
@@ -308,6 +316,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
         len(given) - sum(count for count, _ in rests),
         float(given.time[0] if not first else record.time[0]),
         record.noise,
+        cleaning.cycle_time(kept),
         len(record.cycles()) >= RULES.fewest_cycles,
         (*sentences, *gaps),
     )

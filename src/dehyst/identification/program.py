@@ -129,6 +129,17 @@ class Program:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def with_static(self, rows: Rows, grid: Grid, smoothing: float) -> Program:
+        """Return the program of the same samples, on another grid or with another smoothing.
+
+        Their weights and the parts that move stay, and all sums if the grid does.
+        """
+        other, same = replace(self, rows=rows, grid=grid, smoothing=smoothing), ["scale", "responses"]
+        if grid is self.grid:
+            same += ["columns", "target", "sums"]
+        other.__dict__.update({name: getattr(self, name) for name in same})
+        return other
+
     @cached_property
     def mean_slope(self) -> float:
         """Mean slope of voltage over displacement [V/m]."""
@@ -180,11 +191,17 @@ class Program:
     @cached_property
     def columns(self) -> tuple[Array, int]:
         """All columns (n, E + F + q), the free ones first, weighted [m]; and how many are free."""
-        free, bounded = self._split
+        free, bounded = self.free_columns.shape[1], [self.responses[part.name] for part in self._split[1]]
+        whole = np.hstack([self.free_columns, self.static, *bounded])
+        whole[:, free:] /= self.scale[:, None]
+        return whole, free
+
+    @cached_property
+    def free_columns(self) -> Array:
+        """Columns (n, E + F) of the constants, and of parts whose numbers are free, weighted [m]."""
         constants = (self.rows.epoch[:, None] == self.numbers).astype(np.float64)
-        moving, held = ([self.responses[p.name] for p in parts] for parts in (free, bounded))
-        whole = np.hstack([constants, *moving, self.static, *held]) / self.scale[:, None]
-        return whole, self.numbers.size + sum(p.value.size for p in free)
+        moving = [self.responses[part.name] for part in self._split[0]]
+        return np.asarray(np.hstack([constants, *moving]) / self.scale[:, None])
 
     @cached_property
     def responses(self) -> dict[str, Array]:

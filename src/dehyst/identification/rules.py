@@ -55,7 +55,7 @@ class DecisionRules:
         0.6, "ratio of held-out errors", "Where the voltage never rests, creep can follow a drift or the loops' memory."
     )
     static_gain: float = _rule(
-        0.95, "ratio of held-out errors", "A transformer, or smooth elements, must predict better than grades alone."
+        0.95, "ratio of held-out errors", "Elements that yield gradually must predict better than others alone."
     )
     excited: float = _rule(
         1e-07,

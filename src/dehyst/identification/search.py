@@ -17,7 +17,6 @@ import numpy as np
 
 from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
-from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.expectation import new_legs
 from dehyst.identification.frame import FOLDS, Frame, part_of, tuned
 from dehyst.identification.motion import creep_times, moved
@@ -36,7 +35,7 @@ WIDE = (
     _WHOLE,
     *(replace(_WHOLE, smoothing=s) for s in (3e-2, 3e-3)),
     replace(_WHOLE, grades=16),
-    *(replace(_WHOLE, transformer=20, grades=m) for m in (1, 2, 8)),
+    *(replace(_WHOLE, transformer=20, grades=m, smoothing=s) for m, s in ((1, 1e-2), (8, 1e-2), (8, 3e-3))),
 )
 # Where turning points leave elements open, held-out time cannot choose: the first, and others that show what is open.
 OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
@@ -108,6 +107,20 @@ class Fitted:
         numbers = [self.program.solved(self.found, without=k).numbers[name] for k in range(FOLDS)]
         return np.asarray(np.sqrt((FOLDS - 1) * np.var(numbers, axis=0)))
 
+    def with_structure(self, structure: Structure) -> Fitted:
+        """Return the solution of another structure for the same samples; what moves stays."""
+        source, rows = self.source, self.program.rows
+        if replace(structure, smoothing=self.structure.smoothing) != self.structure:
+            source = self.frame.source(structure)
+            rows = source.thinned(_ROWS)
+        program = self.program.with_static(rows, source.grid, structure.smoothing)
+        found = program.solved(self.found)
+        if structure.transformer and source is not self.source:
+            # Its own slope weighs its rows: that of tau.
+            program = replace(program, near=found)
+            found = program.solved(found)
+        return replace(self, structure=structure, source=source, program=program, found=found)
+
     @property
     def score(self) -> float:
         """The held-out error divided by what the parts must save."""
@@ -131,26 +144,29 @@ def fitted(
     rows: int,
     names: tuple[str, ...] = (),
     turns: int = 0,
+    near: Solution | None = None,
 ) -> Fitted:
-    """Solve the program of a structure; parts of these names move for some `turns` of Gauss and Newton before."""
+    """Solve the program of a structure; parts of these names move for some `turns` of Gauss and Newton before.
+
+    `near`: a solution nearby of the same structure.
+    """
     source = frame.source(structure)
-    program = frame.program(source, structure, rows)
-    found = program.solved()
+    found = frame.program(source, structure, rows).solved() if near is None else near
     for _ in range(turns):
-        program = frame.program(source, structure, rows, names, found)
-        found = program.solved()
+        found = frame.program(source, structure, rows, names, found).solved(found)
         frame = replace(frame, motion=moved(frame.motion, names, found.numbers))
         source = frame.source(structure)
     program = frame.program(source, structure, rows, names, found)
     program = with_folds(program, frame.folds(program))
-    return Fitted(frame, structure, names, source, program, program.solved())
+    return Fitted(frame, structure, names, source, program, program.solved(found))
 
 
 @dataclass(eq=False)
 class _Search:
-    """The search for what moves in time: parts that always move, and what was tried."""
+    """The search for what moves in time: parts that always move, what was tried, and the first solution."""
 
     report: Progress
+    near: Solution | None = None
     always: tuple[str, ...] = ()
     trials: list[Trial] = field(default_factory=list)
 
@@ -160,7 +176,8 @@ class _Search:
         words = f"moves: {' and '.join(moved) or 'nothing'}{more}"
         self.report(f"trying what {words}")
         whole = (*names, *(name for name in self.always if name not in names))
-        made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0)
+        made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0, self.near)
+        self.near = self.near or made.found
         self.trials.append(Trial(words, made.held_out))
         return made
 
@@ -182,7 +199,7 @@ def moving(
 
     `lag`, `drift`: whether these may move. `more`: whether creep and a resonance may.
     """
-    search = _Search(report, ("datum",) if frame.motion.datum.any() else ())
+    search = _Search(report, always=("datum",) if frame.motion.datum.any() else ())
     best = search.tried(_cold(frame), ())
     if frame.motion.thermal is not None:
         best = search.better(best, frame, ("thermal",))
@@ -251,13 +268,13 @@ def _tuned(made: Fitted) -> Fitted:
             break
         frame = tuned(made.frame, made.source, made.program, made.found)
         names = tuple(name for name in made.names if name not in ("delay", "inertia"))
-        made = replace(fitted(frame, made.structure, FEW, names, int(bool(names))), names=made.names)
+        made = replace(fitted(frame, made.structure, FEW, names, int(bool(names)), made.found), names=made.names)
     return made
 
 
 def _lags(frame: Frame) -> bool:
     """Whether the delay is one that is searched for: a sample or more of lead, or a long lag, has another cause."""
-    step, cycle = frame.times[0], min(cycle_time(item.record) for item in frame.training)
+    step, cycle = frame.times[0], min(item.cycle for item in frame.training)
     delay = frame.motion.delay
     lags = RULES.shortest_lag * step <= delay <= RULES.longest_lag * cycle
     # Read at the end of a step of a converter that holds, a displacement leads by half a sample.
@@ -266,7 +283,7 @@ def _lags(frame: Frame) -> bool:
 
 def _may_swing(frame: Frame) -> bool:
     """Whether cycles are fast enough, and samples many enough, to show a resonance."""
-    step, cycle = frame.times[0], min(cycle_time(item.record) for item in frame.training)
+    step, cycle = frame.times[0], min(item.cycle for item in frame.training)
     # Events are too few to show how a resonance swings.
     return cycle <= RULES.slowest_cycle * step and all(item.record.measured is None for item in frame.training)
 
@@ -291,10 +308,11 @@ def static(
     trials, swings = list[Trial](), "inertia" in names
     free = tuple(name for name in names if not (swings and name in ("inertia", "delay")))
 
-    def solved(structure: Structure) -> Fitted:
+    def solved(structure: Structure, near: Fitted | None = None) -> Fitted:
         report(f"solving the program for {structure.words}")
         # What was tuned by simulation stays.
-        made = replace(fitted(frame, structure, _ROWS, free, int(bool(free))), names=names)
+        made = near and near.with_structure(structure)
+        made = made or replace(fitted(frame, structure, _ROWS, free, int(bool(free))), names=names)
         trials.append(Trial(f"{structure.words}; smoothing {structure.smoothing:g}", made.held_out, structure))
         return made
 
@@ -302,17 +320,17 @@ def static(
     best = solved(first)
     if structures is WIDE:
         # Elements that yield gradually leave inner loops open: they must show themselves.
-        closed = solved(replace(first, smooth=False))
+        closed = solved(replace(first, smooth=False), best)
         if best.held_out >= RULES.static_gain * closed.held_out:
             best, others = closed, [replace(one, smooth=False) for one in others]
-    made = [best, *map(solved, others)]
+    made = [best, *(solved(structure, best) for structure in others)]
     if structures is not OPEN:
-        best = min(made, key=lambda one: one.held_out / (RULES.static_gain if one.structure.transformer else 1.0))
+        best = min(made, key=lambda one: one.held_out)
     report("solving the program of all samples")
     if swings:
         frame = tuned(best.frame, best.source, best.program, best.found)
         best = replace(best, frame=frame)
-    final = fitted(best.frame, best.structure, _MOST, free)
+    final = fitted(best.frame, best.structure, _MOST, free, int(bool(free)), best.found)
     final = replace(final, names=names, found=final.program.reweighted(final.found))
     final.__dict__["held_out"] = best.held_out
     return final, trials, made
@@ -341,7 +359,8 @@ def _datum(frame: Frame, number: int) -> float:
 
     def cost(shift: float) -> float:
         moved = replace(alone, motion=replace(both, datum=np.array([0.0, shift])))
-        return fitted(moved, _PLAIN, FEW // 2).rms
+        program = moved.program(moved.source(_PLAIN), _PLAIN, FEW // 2)
+        return rms(program.residual(program.solved()))
 
     places = np.linspace(-_WITHIN * frame.stroke, _WITHIN * frame.stroke, _PLACES)
     k = int(np.argmin([cost(float(place)) for place in places]))

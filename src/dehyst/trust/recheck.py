@@ -21,7 +21,6 @@ from dehyst.identification import (
     Plays,
     Prepared,
     Trace,
-    cleaning,
     compare,
     errors_of,
     prepare_for,
@@ -336,7 +335,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         stroke = stroke_of(actuator)
         compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
-    slow, cycle = origin.drift and prepared.can_drift, cleaning.cycle_time(prepared.record)
+    slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
     promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
     # As many turns as the excitation for an identification: another record of the kind tells no more.
