@@ -124,7 +124,7 @@ def test_several_shifted_sensor_zeros_are_found():
 
 def creeping(part):
     """A sensor that drifts by a part of the stroke a decade of time."""
-    drift = part * plain_records.STROKE * cleaning.drift_curve(TOPS, 0.0)
+    drift = part * plain_records.STROKE * np.log10(1 + TOPS.time / (0.1 * cleaning.cycle_time(TOPS)))
     return Record(TOPS.time, TOPS.voltage, TOPS.displacement + drift, "creeping")
 
 

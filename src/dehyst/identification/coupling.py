@@ -14,14 +14,14 @@ from dehyst._errors import IdentifyError, RecordError
 from dehyst._native import slip_elongations
 from dehyst._text import escaped
 from dehyst._threads import one_thread
-from dehyst._types import Array, Mask, Progress
+from dehyst._types import Array, Progress
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
-from dehyst.identification.results import Trace
+from dehyst.identification.results import RecordErrors, Trace
 from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
-from dehyst.records import Record, largest, rms
+from dehyst.records import Record
 
 # Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
 _RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
@@ -37,54 +37,10 @@ _REWEIGHTED, _LEAST_POWER = 4, 1e-3
 _CYCLES, _MOST_LEVELS = 3, 24
 # Time constant of a logarithmic drift since the start of a record, in its durations.
 _LOGARITHM = 1e-3
-# Of the range of a voltage: it stands while it moves by less.
-_STANDING = 2e-3
 # Least share of a voltage's motion that the others do not explain, and of a displacement's that the voltages explain.
 SEPARATE, _EXPLAINED = 0.01, 0.05
 # Two displacements are the same if they differ by less, of the stroke: by the rounding of a file.
 _ROUNDING = 1e-6
-
-
-@dataclass(frozen=True)
-class AxisError:
-    """Error of the model of a stage on one axis of a record.
-
-    Attributes
-    ----------
-    record, role, axis : str
-        `role` is training or validation.
-    rms, largest : float
-        RMS and largest error [m].
-    stroke : float
-        Range of the axis in the training records [m], the reference of percentages.
-    samples, left_out : int
-        Number of samples that are compared, and of others: those before the axis moves, and before the second turning
-        point of each voltage that moves.
-    """
-
-    record: str
-    role: str
-    axis: str
-    rms: float
-    largest: float
-    stroke: float
-    samples: int
-    left_out: int
-
-    @property
-    def rms_percent(self) -> float:
-        """RMS error in % of the stroke."""
-        return 100 * self.rms / self.stroke
-
-    @property
-    def largest_percent(self) -> float:
-        """Largest error in % of the stroke."""
-        return 100 * self.largest / self.stroke
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        lengths = {"rms_nm": 1e9 * self.rms, "largest_nm": 1e9 * self.largest, "stroke_um": 1e6 * self.stroke}
-        return json_values(self, "record role axis rms_percent largest_percent samples left_out") | lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +54,6 @@ class StageFit:
         The identification of each axis on its decoupled displacement ``coupling^-1 y``.
     coupling, uncertainty : (axes, axes) array
         The coupling matrix, and the standard error of each entry (0 on the diagonal).
-    errors : tuple of AxisError
-        Errors of the simulation of each record, training first, one for each axis.
-    residuals : tuple of (n, axes) array
-        Measured minus simulated displacement [m] of each record, training first; NaN where it is not compared.
     axes : tuple of str
         Names of the axes.
     """
@@ -110,8 +62,6 @@ class StageFit:
     fits: tuple[Fit, ...]
     coupling: Array
     uncertainty: Array
-    errors: tuple[AxisError, ...]
-    residuals: tuple[Array, ...]
     axes: tuple[str, ...]
 
     def __repr__(self) -> str:
@@ -126,6 +76,11 @@ class StageFit:
     def traces(self) -> tuple[Trace, ...]:
         """Measured and simulated displacement of each axis of each record."""
         return tuple(trace for fit in self.fits for trace in fit.traces)
+
+    @property
+    def errors(self) -> tuple[RecordErrors, ...]:
+        """Errors of each record, those of one axis after another, on its decoupled displacement."""
+        return tuple(error for fit in self.fits for error in fit.errors)
 
     @property
     def condition(self) -> float:
@@ -151,16 +106,17 @@ class StageFit:
                 f"Not usable: the voltage of another axis moves {', '.join(self.exchanged)} more than its own does; "
                 "are the columns of displacements exchanged?"
             )
-        held = [error for error in self.errors if error.role == "validation"]
-        judged, source = (held, "held-out") if held else (self.errors, "training")
-        worst = max(judged, key=lambda error: error.largest_percent)
+        named = [(axis, error) for axis, fit in zip(self.axes, self.fits, strict=True) for error in fit.errors]
+        held = [one for one in named if one[1].role == "validation"]
+        judged, source = (held, "held-out") if held else (named, "training")
+        axis, worst = max(judged, key=lambda one: one[1].largest_percent)
         levels = {fit.promise.readiness for fit in self.fits if fit.promise is not None}
         head = "Ready for use" if levels == {Readiness.READY} else "Usable, with care"
         if not self.good or Readiness.NOT_USABLE in levels:
             head = "Not usable"
         return (
             f"{head}: the {source} records are missed by {worst.largest_percent:.2g} % of the stroke at most "
-            f"(axis {worst.axis}), {max(error.rms_percent for error in judged):.2g} % RMS"
+            f"(axis {axis}), {max(error.rms_percent for _, error in judged):.2g} % RMS"
         )
 
     def summary(self, full: bool = False) -> str:
@@ -168,8 +124,8 @@ class StageFit:
         return "\n".join(escaped(line) for line in (self._lines if full else self._brief)())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values without traces and residuals."""
-        keys = "verdict good axes coupling uncertainty condition errors"
+        """Return JSON values without the traces."""
+        keys = "verdict good axes coupling uncertainty condition"
         return json_values(self, keys) | {"fits": by_axis(self.axes, self.fits)}
 
     def _brief(self) -> Iterator[str]:
@@ -179,21 +135,13 @@ class StageFit:
             yield f"Axis {axis}: {fit.summary().splitlines()[0]}"
 
     def _lines(self) -> Iterator[str]:
-        """Yield verdict, coupling, errors, and the verdict of each axis."""
+        """Yield verdict, coupling, and the summary of each axis."""
         yield from (self.verdict, "")
         yield "Coupling: displacement of each axis (row) for each metre that an actuator (column) moves"
         yield from matrix_lines(self.axes, self.coupling, self.uncertainty)
         yield f"Condition {self.condition:.4g}."
-        if self.errors:
-            names = [f"{error.record} ({error.axis})" for error in self.errors]
-            width = max(map(len, names))
-            yield ""
-            yield f"{'record (axis)':<{width}}  {'role':<10} {'samples':>8} {'left out':>8}  {'largest':>9}  {'RMS':>9}"
-            for name, error in zip(names, self.errors, strict=True):
-                counts = f"{error.role:<10} {error.samples:>8} {error.left_out:>8}"
-                yield f"{name:<{width}}  {counts}  {error.largest_percent:>7.3f} %  {error.rms_percent:>7.3f} %"
         for axis, fit in zip(self.axes, self.fits, strict=True):
-            yield from ("", f"Axis {axis}: {fit}", *(f"  - {remark}" for remark in fit.remarks))
+            yield from ("", f"Axis {axis}: {fit.summary(full=True)}")
 
 
 # Records to train on, records held out, and a progress report -> the fit of one axis.
@@ -228,13 +176,6 @@ def identify_axes(
         _refuse_unmoved(names, plays)
         coupling, uncertainty = plays.coupling()
     fits = _axis_fits(training, held_out, coupling, identify, report)
-    strokes = np.max([np.ptp(record.displacement, axis=0) for record in training], axis=0)
-    errors, residuals = list[AxisError](), list[Array]()
-    for k, record in enumerate(every):
-        residual, standing = _compared(record, [fit.traces[k] for fit in fits], coupling)
-        role = "training" if k < len(training) else "validation"
-        errors += _errors(record, role, np.where(standing, np.nan, residual), strokes)
-        residuals.append(residual)
     provenance = {
         "dehyst": __version__,
         "records": [{"name": one.name, **one.meta} for one in training],
@@ -247,7 +188,7 @@ def identify_axes(
         provenance=provenance,
         recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
-    return StageFit(stage, fits, coupling, uncertainty, tuple(errors), tuple(residuals), names)
+    return StageFit(stage, fits, coupling, uncertainty, names)
 
 
 def _axis_fits(
@@ -265,35 +206,6 @@ def _axis_fits(
         except (RecordError, IdentifyError) as error:
             raise type(error)(f"axis {axis}: {error}") from error
     return tuple(fits)
-
-
-def _compared(record: Record, traces: Sequence[Trace], coupling: Array) -> tuple[Array, Mask]:
-    """Return measured minus modelled displacements (n, axes) [m], and where a voltage has not moved yet.
-
-    They are NaN before the second turning point of a voltage. While a voltage has not moved yet, its actuator is taken
-    to stand where it is on average.
-    """
-    moved = apply(inverse(coupling), record.displacement)
-    left, standing = np.full(moved.shape, np.nan), np.zeros(moved.shape, dtype=bool)
-    for j, trace in enumerate(traces):
-        settled, v = trace.settled, record.voltage[:, j]
-        where = np.minimum(np.searchsorted(record.time, settled.time - 1e-9), len(record) - 1)
-        left[where, j] = settled.residual
-        away = np.flatnonzero(np.abs(v - v[0]) > _STANDING * np.ptp(v))
-        still = np.arange(len(record)) < (away[0] if away.size else len(record))
-        standing[:, j] = still & np.isnan(left[:, j])
-        if standing[:, j].any():
-            left[standing[:, j], j] = moved[standing[:, j], j] - moved[standing[:, j], j].mean()
-    return apply(coupling, left), standing
-
-
-def _errors(record: Record, role: str, residual: Array, strokes: Array) -> Iterator[AxisError]:
-    """Yield the error of each axis where its residual is a number."""
-    for axis, column, stroke in zip(record.axes, residual.T, strokes.tolist(), strict=True):
-        left = column[np.isfinite(column)]
-        if left.size:
-            numbers = rms(left), largest(left), stroke, left.size, len(record) - left.size
-            yield AxisError(record.name, role, axis, *numbers)
 
 
 @dataclass(frozen=True, eq=False)

@@ -189,7 +189,7 @@ class _Run:
             if search.fitted(self.frame, PLAIN, search.FEW).rms > still:
                 self.prepared(ringing=False)
         self._check_delay()
-        self.temperatures, left_out = temperatures_of(self.records)
+        self.temperatures, self.left_out = temperatures_of(self.records)
         if (found := self.temperatures) is not None:
             thermal, low = Thermal(0.0, 0.0, found.reference), self.frame.span[0]
             motion = replace(self.frame.motion, thermal=thermal, lowest=low, expands=found.within)
@@ -206,11 +206,11 @@ class _Run:
         made = self._static(names, plain=plain)
         if self.temperatures is not None and made.frame.motion.thermal is None:
             low, high = self.temperatures.low, self.temperatures.high
-            left_out = (
+            self.left_out = (
                 f"the temperature changes from {low:.3g} to {high:.3g} degC, which the model leaves out: held-out time "
                 "does not show its effect"
             )
-        return _with_reason(self.finish(made), left_out)
+        return self.finish(made)
 
     def _check_delay(self) -> None:
         given, cycle = self.settings.delay, min(item.cycle for item in (*self.training, *self.held_out))
@@ -332,7 +332,8 @@ class _Run:
 
     def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], float]:
         """Return reasons for care, and the lag [s] in the records that may be the sensor's."""
-        caveats, step = [], max(resolution(item.record.voltage)[1] for item in self.training)
+        caveats = [self.left_out] if self.left_out else []
+        step = max(resolution(item.record.voltage)[1] for item in self.training)
         if step > RULES.coarse_voltage:
             caveats.append(f"the voltage is recorded in steps of {100 * step:.2g} % of its range")
         lag = actuator.delay + actuator.lag
@@ -414,12 +415,3 @@ def _earlier(record: Record, seconds: float) -> Record:
     """Return a record whose voltages act that much earlier."""
     time = np.minimum(record.time + seconds, record.time[-1])
     return replace(record, voltage=np.interp(time, record.time, record.voltage))
-
-
-def _with_reason(fit: Fit, left_out: str) -> Fit:
-    """Return a fit with why temperature was left out, if it was."""
-    if not left_out:
-        return fit
-    if fit.promise is None:
-        return replace(fit, remarks=(f"{left_out[0].upper()}{left_out[1:]}.", *fit.remarks))
-    return replace(fit, promise=replace(fit.promise, reasons=(*fit.promise.reasons, left_out)))

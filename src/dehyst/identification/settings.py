@@ -56,24 +56,14 @@ class Deadline:
         self._inside = False
 
     @property
-    def so_far(self) -> float:
-        """Seconds since the start."""
-        return time.monotonic() - self._begin
-
-    @property
     def left(self) -> float:
         """Seconds left, 0 at least; infinite without a limit."""
-        return 0.0 if self.ended else max(self.seconds - self.so_far, 0.0)
+        return 0.0 if self.ended else max(self.seconds - (time.monotonic() - self._begin), 0.0)
 
     @property
     def passed(self) -> bool:
         """Whether no further step may begin."""
         return self.left <= 0
-
-    @property
-    def clock(self) -> str:
-        """Seconds so far and, with a limit, left, in words."""
-        return f"{self.so_far:.0f} s so far" + (f", {self.left:.0f} s left" if self.left < inf else "")
 
     def end(self, cause: str = "A request", *, leave_step: bool = False) -> None:
         """End the searches; `cause` is the subject of the sentence that reports it: "Ctrl-C".
