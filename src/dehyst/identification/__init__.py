@@ -11,12 +11,11 @@ from dehyst.identification.comparison import (
     initial_state,
     prepare_for,
     state_after,
-    without_offset,
 )
 from dehyst.identification.coupling import SEPARATE, Plays, StageFit, refuse_still
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
-from dehyst.identification.frame import FOLDS, part_of
+from dehyst.identification.frame import FOLDS, part_of, without_offset
 from dehyst.identification.identifiability import Identifiability, identifiability, probed
 from dehyst.identification.identify import identify
 from dehyst.identification.motion import Parts

@@ -12,7 +12,8 @@ from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask
-from dehyst.identification.denoising import derivatives, disturbs, left_of
+from dehyst.identification.denoising import disturbs
+from dehyst.identification.frame import Frame, without_offset
 from dehyst.identification.motion import Motion, Parts, moved
 from dehyst.identification.preparation import Prepared, as_list, prepare
 from dehyst.identification.program import SMALLEST_GAIN, Program, Solution
@@ -22,7 +23,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, State, at_reference, at_rest, needs_time
+from dehyst.model import Actuator, Identification, State, at_reference, needs_time
 from dehyst.records import Record, counting, largest, rms, turning_points
 
 # Rows at most: of a longer record some of its samples, evenly.
@@ -49,39 +50,30 @@ class RecordComparison:
     ----------
     given : Prepared
         As measured.
-    stroke : float
-        Reference of the percentages [m].
+    frame : Frame
+        The record, reduced, with the path before resonance, creep and drift that hysteresis makes on the model's axis.
     source : RowSource
-        The pieces, voltages delayed; the displacements are those that hysteresis makes, before resonance, creep and
-        drift, on the record's axis.
+        Its pieces.
     before : Prepared
         The record before creep and drift.
     whole : list of Record
-        Its pieces with all their samples, voltages delayed: those that are played.
+        Its pieces with all their samples, voltages delayed, displacements on the model's axis: those that are played.
     program : Program
-        Its rows, on the model's axis.
+        Its rows.
     found : Solution
         The model's coefficients, and the constants of this record.
-    motion : Motion
-        Its datum, drift and creep from before it.
     base : float
         Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
     """
 
     given: Prepared
-    stroke: float
+    frame: Frame
     source: RowSource
     before: Prepared
     whole: list[Record]
     program: Program
     found: Solution
-    motion: Motion
     base: float
-
-    @property
-    def record(self) -> Prepared:
-        """The record before creep and drift, reduced."""
-        return self.before.reduced
 
     @property
     def pieces(self) -> list[Piece]:
@@ -94,9 +86,9 @@ class RecordComparison:
         return self.source.epochs
 
     @property
-    def datum(self) -> float:
-        """Shift [m] to the model's axis, before creep."""
-        return float(self.motion.datum[0])
+    def motion(self) -> Motion:
+        """Its datum, drift and creep from before it."""
+        return self.frame.motion
 
     @property
     def drift(self) -> float:
@@ -120,21 +112,19 @@ class RecordComparison:
     ) -> Iterator[tuple[Array, ...]]:
         """Yield time, voltage, measured and simulated displacement before creep, of each run of samples that count.
 
-        Over samples of the reduced piece of this number, from a state of the record's axis, its voltages less an offset
-        [V]. In excluded stretches, the measured displacement drives the model.
+        Over samples of the reduced piece of this number, from a state, its voltages less an offset [V]. In excluded
+        stretches, the measured displacement drives the model.
         """
         piece, (state, offset), block = self.whole[number], begin, self.given.block
-        last = len(piece) if span.stop == len(self.record.pieces[number]) else span.stop * block
+        last = len(piece) if span.stop == len(self.pieces[number].path) else span.stop * block
         first = span.start * block + block // 2
         # The piece's voltages are those that act, behind the amplifier.
         model = replace(actuator._before_creep, lag=0.0)
-        state = state.shifted(self.datum)
         for start, stop, counted in _runs(piece, first, last):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
             again = int(needs_time(actuator) and start > first)
             run, own = slice(start - again, stop), slice(start, stop)
-            time = piece.time[run]
-            measured = piece.displacement[run] + self.datum
+            time, measured = piece.time[run], piece.displacement[run]
             if counted:
                 voltage = without_offset(actuator, piece.voltage[run], offset)
                 motion = model.simulate(voltage, time=time, state=state, extrapolate=True)
@@ -146,7 +136,7 @@ class RecordComparison:
             yield piece.time[own], without_offset(actuator, piece.voltage[own], offset), measured[again:], simulated
 
     def start_of(self, actuator: Actuator, number: int, first: int = 0) -> tuple[State, float]:
-        """Return the state at a piece's sample `first` on the record's axis, and the offset of its voltages [V].
+        """Return the state at a piece's sample `first`, before creep, and the offset of its voltages [V].
 
         The carts are those that explain its voltages best before the displacement alone determines them.
         """
@@ -160,7 +150,7 @@ class RecordComparison:
         if path.size > _START_SAMPLES:
             some = np.linspace(0, path.size - 1, _START_SAMPLES).astype(np.intp)
             places = np.union1d(some, turning_points(path, 1e-3 * float(np.ptp(path))))
-        places, y = first + places, path[places] + self.datum
+        places, y = first + places, path[places]
         tau, voltage = actuator.transformer, piece.voltage[places]
         held = (voltage if tau is None else tau(voltage)) - actuator.spring(y)
         known = None if standing or not own else self.last_offsets()[number]
@@ -176,37 +166,18 @@ class RecordComparison:
             strained, elongations = fit_strained(actuator.smooth, y, held, fit)
             if strained.cost < RULES.carts_alone_gain * start.cost:
                 start, begun = strained, elongations
-        state = self.state_before(actuator, number, Epoch(first, first, first + 1, 0.0))
-        state = replace(state, carts=start.carts - self.datum)
+        state = self.frame.state(self.source, number, Epoch(first, first, first + 1, 0.0), actuator)
+        state = replace(state, carts=start.carts)
         return (state if begun is None else replace(state, smooth=begun)), start.constant
 
-    def state_before(self, actuator: Actuator, number: int, epoch: Epoch) -> State:
-        """Return the state at an epoch's first sample on the record's axis: the displacement before determines it."""
-        rho = actuator.slip.breakaway
-        y = self.pieces[number].path.displacement[: epoch.start + 1]
-        carts = np.full(rho.size, y[0])
-        _, carts = slip_elongations(rho, carts, np.ascontiguousarray(y))
-        carts = np.where(2 * rho <= epoch.reach, carts, epoch.middle)
-        smooth = self.source.states[number][epoch.start]
-        motion: list[float] = []
-        if actuator.dynamics is not None:
-            measured = self.record.pieces[number]
-            motion = [measured.displacement[epoch.start], derivatives(measured)[0][epoch.start]]
-        return State(float(y[-1]), np.clip(carts, y[-1] - rho, y[-1] + rho), motion, smooth)
-
-    def on_model_axis(self, actuator: Actuator, state: State, time: float) -> State:
-        """Return a state of the record's axis at a `time` [s] on the model's, creep in displacement included."""
-        creep, state = actuator.displacement_creep, state.shifted(self.datum)
+    def with_creep(self, actuator: Actuator, state: State, time: float) -> State:
+        """Return a state at a `time` [s] with creep in displacement."""
+        creep = actuator.displacement_creep
         if creep is None:
             return state
         clock, m = self.before.with_lead
-        strains = creep.strains(clock, m, self.begun(actuator))
+        strains = creep.strains(clock, m, self.motion.begun[0] / creep.gains)
         return replace(state, displacement_creep=np.array([np.interp(time, clock, one) for one in strains.T]))
-
-    def begun(self, actuator: Actuator) -> Array:
-        """Return the strains of creep in displacement (K,) [m] at the record's first sample."""
-        creep = actuator.displacement_creep
-        return np.zeros(0) if creep is None else self.motion.begun[0] / creep.gains
 
     def crept(self, actuator: Actuator, runs: Iterator[tuple[Array, ...]], start: State) -> Iterator[tuple[Array, ...]]:
         """Yield the `runs` of `play` with creep in displacement, from a `start` that includes it."""
@@ -260,31 +231,26 @@ def _compared(
     actuator: Actuator, record: Prepared, stroke: float, motion: Motion, names: Sequence[str]
 ) -> RecordComparison:
     """Compare a record with a model at given numbers; the numbers of parts of these `names` are fitted beside."""
-    before, noise = motion.before(record, 0), record.reduced.noise
-    few = before.reduced
-    whole = list(before.acting(motion.delay, motion.lag))
-    if actuator._wide or disturbs(noise, stroke):
-        # Maxwell-slip elements take a displacement of little noise as it is.
-        paths = few.driving(motion.delay, motion.lag, motion.dynamics, stroke)
-    else:
-        paths = list(few.acting(motion.delay, motion.lag))
+    before, noise, spring = motion.before(record, 0), record.reduced.noise, actuator.spring
+    # Maxwell-slip elements take a displacement of little noise as it is.
+    denoised = actuator._wide or disturbs(noise, stroke)
+    frame = Frame([record.reduced], motion, (spring.voltage[0], spring.voltage[-1]), 0, stroke, denoised=denoised)
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
-    pieces = [Piece(0, path) for path in paths]
-    source = RowSource.of(pieces, grid, [left_of(noise, stroke)] * len(pieces), leads=[few.lead])
+    source = replace(frame.bare, grid=grid)
     if not len(source):
         lasts = float(np.ptp(record.record.time))
         raise IdentifyError(
             f"{record.record.name}: no sample counts; it lasts {lasts:.3g} s, and the model lags by "
             f"{actuator.delay + actuator.lag:.3g} s. Record longer, or check the unit of the time"
         )
-    rows, spring = source.thinned(MOST_ROWS), actuator.spring
-    rows = replace(rows, displacement=rows.displacement + motion.datum[0])
+    rows, shift = source.thinned(MOST_ROWS), frame.shift(0)
+    whole = [replace(one, displacement=one.displacement + shift) for one in before.acting(motion.delay, motion.lag)]
     least = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
     program = Program(rows, grid, least, 0.0)
-    parts = tuple(Parts(motion, [record.reduced], rows).of(names))
+    parts = tuple(Parts(motion, frame.training, rows).of(names))
     program = replace(program, near=coefficients(actuator), parts=parts)
     found = _with_nuisances(program, coefficients(actuator), motion.gains)
-    return RecordComparison(record, stroke, source, before, whole, program, found, motion, float(spring.voltage[0]))
+    return RecordComparison(record, frame, source, before, whole, program, found, float(spring.voltage[0]))
 
 
 def coefficients(actuator: Actuator) -> Solution:
@@ -334,10 +300,10 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
 
 
 def _datum(compared: RecordComparison, actuator: Actuator) -> float:
-    """Return the shift [m] of a record to the axis of a model; 0 unless it is significant."""
+    """Return the shift [m] of a record to the axis of a model, creep at rest; 0 unless it is significant."""
     from scipy.optimize import minimize_scalar
 
-    program, stroke, model = compared.program, compared.stroke, coefficients(actuator)
+    program, stroke, model = compared.program, compared.frame.stroke, coefficients(actuator)
     few = program.rows.thinned(_FEW)
 
     def cost(shift: float) -> float:
@@ -352,7 +318,7 @@ def _datum(compared: RecordComparison, actuator: Actuator) -> float:
     best = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-9 * stroke, "maxiter": 60})
     none = cost(0.0)
     worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * stroke
-    return float(best.x) if worth else 0.0
+    return compared.motion.at_rest * float(best.x) if worth else 0.0
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
@@ -400,9 +366,9 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     if own:
         number = len(compared.pieces) - 1
         last = replace(own[-1], start=len(compared.pieces[number].path) - 1)
-        state = compared.state_before(actuator, number, last)
+        state = compared.frame.state(compared.source, number, last, actuator)
         end = float(compared.pieces[number].path.time[-1])
-        state, creep = compared.on_model_axis(actuator, state, end), actuator.displacement_creep
+        state, creep = compared.with_creep(actuator, state, end), actuator.displacement_creep
         if creep is not None:
             # At rest after its motion, which does not count, the record creeps on.
             rested = np.exp(-(float(lead.time[-1]) - end) / creep.time_constants)
@@ -435,7 +401,7 @@ def initial_state(actuator: Actuator, record: Record, stroke: float | None = Non
     piece = compared.pieces[0].path
     first = _first_sample(piece, actuator.delay)
     state, offset = compared.start_of(actuator, 0, first)
-    return compared.on_model_axis(actuator, state, float(piece.time[first])), offset
+    return compared.with_creep(actuator, state, float(piece.time[first])), offset
 
 
 def _first_sample(piece: Record, delay: float) -> int:
@@ -453,7 +419,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     for number, (_, piece) in enumerate(compared.pieces):
         first = _first_sample(piece, actuator.delay)
         start = compared.start_of(actuator, number, first)
-        starts.append(compared.on_model_axis(actuator, start[0], float(piece.time[first])))
+        starts.append(compared.with_creep(actuator, start[0], float(piece.time[first])))
         runs = compared.play(actuator, number, slice(first, len(piece)), start)
         drawn += [counted_of(played, piece) for played in compared.crept(actuator, runs, starts[-1])]
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
@@ -477,9 +443,9 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         rms=rms(error),
         largest_with_drift=largest(drifting),
         rms_with_drift=rms(drifting),
-        stroke=compared.stroke,
+        stroke=compared.frame.stroke,
         offset=float(np.median(list(compared.found.offsets.values()))) - compared.base,
-        datum=at_rest(actuator) * compared.datum,
+        datum=float(compared.motion.datum[0]),
         drift=compared.drift,
         decades=float(np.ptp(curve)),
         steady=record.steady,
@@ -515,11 +481,3 @@ def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool
         edges[1:1] = [k for k in (np.flatnonzero(np.diff(counted)) + 1).tolist() if first < k < last]
     for start, stop in pairwise(edges):
         yield start, stop, counted is None or bool(counted[start])
-
-
-def without_offset(actuator: Actuator, voltage: Array, offset: float) -> Array:
-    """Return voltages (n,) [V] less an offset, which a transformer's curve does not bend."""
-    tau = actuator.transformer
-    if tau is None:
-        return voltage - offset
-    return tau.inverse(tau(voltage) - offset)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array
-from dehyst.identification.comparison import without_offset
 from dehyst.identification.denoising import derivatives, left_of
 from dehyst.identification.motion import Motion, Parts
 from dehyst.identification.preparation import Prepared, counted_samples
@@ -76,12 +75,16 @@ class Frame:
         """The records without drift, temperature and creep."""
         return [self.motion.before(item, q) for q, item in enumerate(self.training)]
 
+    def shift(self, number: int) -> float:
+        """Return the shift of a record to the axis of the model, before creep [m]."""
+        return float(self.motion.datum[number]) / self.motion.at_rest
+
     @cached_property
     def paths(self) -> list[tuple[int, int, Record]]:
         """Record number, piece number and path that drives the elements, on the model's axis, of all pieces."""
         at, found = self.motion, []
         for q, item in enumerate(self.before):
-            shift = float(at.datum[q]) / at.at_rest
+            shift = self.shift(q)
             driving = (
                 item.driving(at.delay, at.lag, at.dynamics, self.stroke)
                 if self.denoised
@@ -92,7 +95,7 @@ class Frame:
         return found
 
     @cached_property
-    def _bare(self) -> RowSource:
+    def bare(self) -> RowSource:
         """Epochs of all paths, without elements."""
         grid = Structure(elements=2, knots=2).grid((0.0, 1.0), self.voltages)
         noise = [left_of(self.training[q].noise, self.stroke) for q, _, _ in self.paths]
@@ -104,7 +107,7 @@ class Frame:
         """Lowest and highest displacement of the widest record's path [m]."""
         own = [
             (piece.path.displacement, epochs)
-            for piece, epochs in zip(self._bare.pieces, self._bare.epochs, strict=True)
+            for piece, epochs in zip(self.bare.pieces, self.bare.epochs, strict=True)
             if piece.record == self.widest
         ]
         counted = counted_samples(own)
@@ -112,7 +115,7 @@ class Frame:
 
     def source(self, structure: Structure) -> RowSource:
         """Return all rows of all records on the grid of a structure."""
-        return replace(self._bare, grid=structure.grid(self.span, self.voltages))
+        return replace(self.bare, grid=structure.grid(self.span, self.voltages))
 
     def program(
         self,
@@ -245,8 +248,7 @@ class Frame:
 
     def _measured(self, number: int, piece: int) -> Array:
         """Displacements of a piece before creep on the model's axis (n,) [m]."""
-        shift = float(self.motion.datum[number]) / self.motion.at_rest
-        return np.asarray(self.before[number].pieces[piece].displacement + shift)
+        return np.asarray(self.before[number].pieces[piece].displacement + self.shift(number))
 
     def missed(
         self, place: int, epoch: Epoch, actuator: Actuator, state: State, offset: float, late: Array | None = None
@@ -324,6 +326,14 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
 def part_of(place: Array) -> NDArray[np.intp]:
     """Return the part of the time in which places (n,), 0 to 1 in a record, are."""
     return np.asarray(np.clip((_PARTS * place).astype(np.intp), 0, _PARTS - 1))
+
+
+def without_offset(actuator: Actuator, voltage: Array, offset: float) -> Array:
+    """Return voltages (n,) [V] less an offset, which a transformer's curve does not bend."""
+    tau = actuator.transformer
+    if tau is None:
+        return voltage - offset
+    return tau.inverse(tau(voltage) - offset)
 
 
 def _rests(record: Record) -> list[tuple[float, float]]:

@@ -146,7 +146,7 @@ def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str
 
 def _insight(found: Insight) -> list[Part]:
     """Return the promise, the path, where the records turned, and what to record next."""
-    records = ", ".join(escape(one.record.name) for one in found.comparisons)
+    records = ", ".join(escape(one.given.name) for one in found.comparisons)
     return [
         f'<p class="muted">Records: {records} · stroke {escape(length(found.stroke))}</p>',
         sections.promised(found),

@@ -139,11 +139,7 @@ class Insight(Plotted):
 
         For models with more parts it concerns ten plain Maxwell-slip elements instead.
         """
-        pieces = [
-            replace(piece, displacement=piece.displacement + item.datum)
-            for item in self.comparisons
-            for _, piece in item.pieces
-        ]
+        pieces = [piece for item in self.comparisons for _, piece in item.pieces]
         grid = Grid.of_actuator(self.actuator)
         if self.actuator._wide:
             return probed(pieces, (float(grid.knots[0]), float(grid.knots[-1])))
@@ -158,7 +154,7 @@ class Insight(Plotted):
     @property
     def turns(self) -> TurnPlane | None:
         """The plane of turning points: where the records turned, and which regions they test."""
-        records = (one.record.record for one in self.comparisons)
+        records = (one.given.reduced.record for one in self.comparisons)
         return turn_plane(((one.name, one.time, one.voltage) for one in records), self.actuator.limits)
 
     def __repr__(self) -> str:
@@ -238,7 +234,7 @@ class Insight(Plotted):
         """Return JSON values; lengths in metres."""
         directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values")
         return {
-            "records": [item.record.name for item in self.comparisons],
+            "records": [item.given.name for item in self.comparisons],
             "stroke_m": self.stroke,
             "warnings": list(self.warnings()),
             **json_values(self, "promise record_next turns"),
