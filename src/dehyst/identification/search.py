@@ -387,7 +387,9 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
         return path[4 * _LEG :]
 
     mine, squares, weights = played(actuator), [], []
-    for one in others:
+    # Another smoothing is no other structure.
+    grids = {replace(one.structure, smoothing=0.0): one for one in reversed(others)}
+    for one in grids.values():
         apart = float(np.std(played(one.actuator) - mine))
         if one.structure != chosen.structure and apart < _FAILED * frame.stroke:
             squares.append(apart**2)
