@@ -303,9 +303,8 @@ def coupling(axes: Sequence[str], matrix: Array, errors: Array, caption: str) ->
 def stage_errors(fit: StageFit) -> str:
     """Return the errors of each axis of each record, simulated with all axes."""
     head = ("record", "axis", "role", "samples", "largest, % of the stroke", "RMS, %", "largest")
-    rows = [
-        (e.record, axis, e.role, str(e.samples), number(e.largest_percent), number(e.rms_percent), length(e.largest))
-        for axis, own in zip(fit.axes, fit.fits, strict=True)
-        for e in own.errors
-    ]
+    rows = list[Row]()
+    for axis, own in zip(fit.axes, fit.fits, strict=True):
+        sizes = [(number(e.largest_percent), number(e.rms_percent), length(e.largest)) for e in own.errors]
+        rows += [(e.record, axis, e.role, str(e.samples), *size) for e, size in zip(own.errors, sizes, strict=True)]
     return f"<h2>Errors of simulating each record</h2>{html.table(head, rows, 3)}" if rows else ""
