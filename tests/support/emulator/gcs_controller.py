@@ -512,6 +512,7 @@ COMMANDS: dict[str, GcsCommand] = {
     "SPA?": GcsCommand("Get parameters {[item parameter]}", _read_parameters, (0, None)),
     "STP": GcsCommand("Stop all axes", _stop, (0, None)),
     "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
+    "SVA?": _of_axes("Get open-loop value", lambda one: one.bench.target),
     "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
     "SVO?": _of_axes("Get servo mode", lambda one: int(one.bench.servo)),
     "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),

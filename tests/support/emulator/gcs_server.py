@@ -99,7 +99,9 @@ class Server:
             client.transport.abort()
 
     async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer the commands of a client; if there is one already, close the new connection at once."""
+        """Answer the commands of a client; if there is one already that does not leave, close the new connection."""
+        if self._client is not None:
+            await asyncio.sleep(_TICK)
         if self._client is not None:
             writer.close()
             return
