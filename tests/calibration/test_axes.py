@@ -1,6 +1,5 @@
 """Several axes calibrated over a socket: plan, records, stage, and a path that all axes follow together."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -162,15 +161,6 @@ class TestCommand:
         done = CliRunner().invoke(main, [str(word) for word in words])
         assert done.exit_code == status, done.output
         return done.output
-
-    @pytest.mark.parametrize("address", ["{} --axes 1,2,3", "{}/1,2,3"])
-    def test_a_dry_run_sends_nothing(self, address, tmp_path):
-        with served() as (server, bench):
-            words = address.format(f"pi://127.0.0.1:{server.port}").split()
-            plan = json.loads(self.run("calibrate", *words, "--dry-run", "-o", tmp_path / "none", "--json"))
-            assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
-        assert (plan["axes"], plan["safe_V"], len(plan["steps"])) == (["1", "2", "3"], [0.0] * 3, 3)
-        assert not (tmp_path / "none").exists()
 
     @pytest.mark.parametrize("options", [("--protocol", "p.csv"), ("--axes", "1,1"), ("--axes", "1,7")])
     def test_what_does_not_fit_is_refused(self, options, tmp_path):

@@ -40,7 +40,7 @@ HOUSE = {
     "files of Python": 196,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2846,
-    "lines of tests": 38976,
+    "lines of tests": 38973,
     "lines of benchmarks": 5306,
     "words of docs": 27786,
     "public names": 114,
