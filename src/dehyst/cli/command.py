@@ -16,7 +16,7 @@ from dehyst._errors import DecimalSignError, DehystError, DeviceError, LinkError
 from dehyst._text import escaped
 from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, note, progress_line
 from dehyst.operations.command import HOUSE, command_of
-from dehyst.operations.run import InterruptibleRun, perform, terminable
+from dehyst.operations.run import Run, perform, terminable
 from dehyst.records.columns import text_of
 from dehyst.records.tables import ColumnsError, notes_on
 
@@ -27,7 +27,7 @@ _KEYS = {"time": "time=NAME", "sample_rate": "rate=HZ", "columns": "KEY=VALUE"}
 _KEPT = "dehyst show FILE --columns TEXT --save FILE keeps them for --columns @FILE."
 
 
-class TerminalRun(InterruptibleRun):
+class TerminalRun(Run):
     """A run that shows its progress on standard error, and that Ctrl-C ends; `quiet`: nothing on standard output."""
 
     def __init__(self, *, quiet: bool = False) -> None:

@@ -17,7 +17,7 @@ from dehyst._units import quantity_of
 from dehyst.control import Compensator, PathPlan, StageCompensator
 from dehyst.model import Actuator, Stage, slew_rate_of_records
 from dehyst.model.stage import apply
-from dehyst.operations.command import NUMBER, option
+from dehyst.operations.command import NUMBER, Decorator, option
 from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, implausible_delay, is_model, read_model, values_of
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
@@ -47,13 +47,13 @@ class AxisText(click.ParamType):  # type: ignore[type-arg]
         return value
 
 
-def limits_option(text: str, **settings: Any) -> Any:
+def limits_option(text: str, **settings: Any) -> Decorator:
     """Return the option for the limits of all axes or of one."""
     pair = AxisText("[AXIS=]LOW"), NUMBER
     return option("--limits", type=pair, multiple=True, metavar="[AXIS=]LOW HIGH", help=text, **settings)
 
 
-def slew_option(text: str, **settings: Any) -> Any:
+def slew_option(text: str, **settings: Any) -> Decorator:
     """Return the option for the slew rates of all axes or of one."""
     rate = AxisText("[AXIS=]V/S|none", none=True)
     return option("--slew-rate", type=rate, multiple=True, help=text, **settings)

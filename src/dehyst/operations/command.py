@@ -21,6 +21,8 @@ from dehyst._errors import DehystError
 from dehyst.operations import registry
 
 Values = Mapping[str, Any]
+# Adds a parameter to a command.
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 # A larger number is none.
 _HUGE = 1e300
 # Options of the command line, which are not given to the function.
@@ -123,7 +125,7 @@ integer = partial(option, type=int)
 page = partial(option, "--report", type=OUTPUT, help="Write a self-contained HTML page here.")
 
 
-def output(text: str, role: FilePath = OUTPUT, **settings: Any) -> Any:
+def output(text: str, role: FilePath = OUTPUT, **settings: Any) -> Decorator:
     """Return the option for an output, by default a file that is needed."""
     return option("-o", "--output", type=role, help=text, **{"required": not settings, **settings})
 

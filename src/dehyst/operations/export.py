@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -73,7 +73,7 @@ def export(
     run: Run,
     model: Path,
     directory: Path,
-    number: str,
+    number: Literal["double", "float"],
     limits: Sequence[tuple[str, float]],
     slew_rate: Sequence[str],
     period: float | None,

@@ -118,7 +118,8 @@ def identify(
 def _with_defaults(model: Actuator | Stage, columns: Columns, slew_rate: float | None) -> Actuator | Stage:
     """Return a model that keeps the columns of its records, unless they are in several files, and a slew rate."""
     if isinstance(model, Stage):
-        return replace(model, actuators=tuple(_with_defaults(axis, AS_FOUND, slew_rate) for axis in model.actuators))
+        kept = (with_identification(axis, allowed_slew_rate=slew_rate) for axis in model.actuators)
+        return replace(model, actuators=tuple(kept))
     text = "" if columns.join is not None or columns == AS_FOUND else str(columns)
     return with_identification(model, columns=text, allowed_slew_rate=slew_rate)
 

@@ -47,19 +47,11 @@ class Run:
     def say(self, line: object) -> None:
         """Report a line of the result at once."""
 
-    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> AbstractContextManager[Any]:
-        """Let a request to end early, such as Ctrl-C, call `end` if this is `possible` then; else let it interrupt."""
-        return nullcontext()
-
     def watch(self) -> AbstractContextManager[Any]:
         """Return the progress display of a calibration."""
         from dehyst.calibration.session import ProgressListener
 
         return nullcontext(ProgressListener())
-
-
-class InterruptibleRun(Run):
-    """A run in the main thread that SIGINT ends early if possible, and interrupts otherwise."""
 
     @contextmanager
     def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:

@@ -13,7 +13,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
 from dehyst.model import temperatures_to_record, words_of
-from dehyst.operations.command import INPUT, NUMBER, OUTPUT, Kinds, Parsed, beside, integer, number, option, output
+from dehyst.operations.command import INPUT, NUMBER, Kinds, Parsed, beside, integer, number, option, output
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
@@ -154,7 +154,7 @@ def _excited(
     """
     if limits is None and (highest := max(volts)) > 0:
         limits = -highest, highest
-    sampled = {"sample_rate": sample_rate, "base": base, "present": present, "limits": limits}
+    sampled: dict[str, Any] = {"sample_rate": sample_rate, "base": base, "present": present, "limits": limits}
 
     def made(slew_rate: float | None) -> tuple[Excitation, float]:
         def make(hertz: float) -> Excitation:
@@ -283,9 +283,6 @@ def scan() -> None:
     """
 
 
-_path_output = output("Write time and displacement here (CSV).")
-
-
 def _add_scan(kind: str, text: str) -> None:
     """Add the command of a kind of scan, with the options that it takes."""
 
@@ -294,21 +291,23 @@ def _add_scan(kind: str, text: str) -> None:
         return _scanned(kind, given, output, sample_rate, cycles)
 
     written.__doc__ = text
-    for name in reversed(SCANS[kind].takes):
-        own = OPTIONS[name]
-        choices = isinstance(own.kind, tuple)
-        default = own.default or (own.kind[0] if isinstance(own.kind, tuple) else "")
+    options = [
+        output("Write time and displacement here (CSV)."),
+        number("--sample-rate", help="Samples per second [Hz]; default: from the scan."),
+        integer("--cycles", default=1, help="Cycles of the scan."),
+    ]
+    for name in SCANS[kind].takes:
+        own, choices = OPTIONS[name], OPTIONS[name].kind
+        default = own.default or (choices[0] if isinstance(choices, tuple) else "")
         words = f"{own.help}{f' [{own.unit}]' if own.unit else ''}{default and f'; default: {default}'}."
-        of = click.Choice(own.kind) if choices else {"numbers": Parsed(Numbers), float: NUMBER}.get(own.kind, own.kind)
-        written = option(f"--{name.replace('_', '-')}", type=of, required=name in SCANS[kind].needs, help=words)(
-            written
-        )
-    written = integer("--cycles", default=1, help="Cycles of the scan.")(written)
-    written = number("--sample-rate", help="Samples per second [Hz]; default: from the scan.")(written)
-    written = option("-o", "--output", type=OUTPUT, required=True, help="Write time and displacement here (CSV).")(
-        written
-    )
-    scan.command(kind)(written)
+        kinds: dict[Any, Any] = {"numbers": Parsed(Numbers), float: NUMBER}
+        of = click.Choice(choices) if isinstance(choices, tuple) else kinds.get(choices, choices)
+        flag = f"--{name.replace('_', '-')}"
+        options.append(option(flag, type=of, required=name in SCANS[kind].needs, help=words))
+    function: Callable[..., Any] = written
+    for each in reversed(options):
+        function = each(function)
+    scan.command(kind)(function)
 
 
 _add_scan("triangle", "A path up and down between two displacements.")

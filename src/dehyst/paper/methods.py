@@ -109,7 +109,7 @@ def _closed(record: Record) -> list[tuple[float, float, list[Branch], list[Branc
         if group is None:
             group = low, high, [], []
             groups.append(group)
-        group[3 if y[end] > y[start] else 2].append((y[start : end + 1], v[start : end + 1]))
+        (group[3] if y[end] > y[start] else group[2]).append((y[start : end + 1], v[start : end + 1]))
     found = []
     for _, _, down, up in groups:
         if down and up:

@@ -21,14 +21,14 @@ from typing import Any
 from dehyst._errors import DehystError
 from dehyst._io import finite
 from dehyst.operations.command import context_of
-from dehyst.operations.run import InterruptibleRun, perform, terminable
+from dehyst.operations.run import Run, perform, terminable
 
 Message = dict[str, Any]
 # What the server does comes first.
 _NICE = 5
 
 
-class _WorkerRun(InterruptibleRun):
+class _WorkerRun(Run):
     """A run that sends its progress."""
 
     def __init__(self, send: Callable[[Message], None]) -> None:
