@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 6048,
     "instruments": 2785,
     "model": 3611,
-    "operations": 3825,
+    "operations": 3819,
     "paper": 1075,
     "records": 4972,
     "report": 1496,
