@@ -29,7 +29,7 @@ function body(model) {
     modelChoice(),
     old ? checkCard(model) : h("div#verdict", verdictBlock(model), axesBlock(model)),
     h("div.row.next",
-      goTo("path", "Make a voltage"),
+      goTo("path", "Make a voltage", old ? "" : "main"),
       fileLink(model.report, "Read the report", look),
     ),
     h("p.muted", `${ranges} ${origin} `, server.removeButton("models", model)),
