@@ -10,7 +10,6 @@ from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 import dehyst
 from dehyst import FileFormatError, Stage
 from dehyst.calibration import Plan, calibrate
-from dehyst.calibration.plan import entries as planned_entries
 from dehyst.calibration.plan import steps as planned_steps
 from dehyst.calibration.tracking import PathPlanner, TrackedPath
 from dehyst.cli import main
@@ -139,8 +138,8 @@ class TestPlan:
 
     def test_entries_say_how_long_it_plays(self):
         with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
-            entries = planned_entries(rig, PLAN)
             steps = planned_steps(rig, PLAN)
+            entries = [step.as_dict(rig) for step in steps]
         assert [entry["step"] for entry in entries] == ["axes", "nominal", "compensated"]
         assert entries[0]["samples"] == len(steps[0].excitation)
         assert entries[0]["lowest_V"] == [0.0, 5.0, 0.0]

@@ -148,6 +148,20 @@ class PlannedStep(NamedTuple):
     excitation: Excitation
     more: int = 0
 
+    def as_dict(self, rig: AbstractRig) -> dict[str, Any]:
+        """Return JSON values on a `rig`: duration, and range of voltages, which are lists for several axes."""
+        rate, v = rig.check(self.excitation), self.excitation.voltage
+        samples = len(v) + self.more
+        return {
+            "step": self.name,
+            "what": self.words,
+            "samples": samples,
+            "seconds": (samples - 1) / rate,
+            "lowest_V": v.min(axis=0).tolist(),
+            "highest_V": v.max(axis=0).tolist(),
+            "steepest_V_per_s": (np.abs(np.diff(v, axis=0)).max(axis=0) * rate).tolist(),
+        }
+
 
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     """Return the steps that a calibration would play; raise `RecordError` if they exceed the rig's limits."""
@@ -161,29 +175,6 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     for step in planned:
         rig.check(step.excitation)
     return tuple(planned)
-
-
-def entries(rig: AbstractRig, plan: Plan) -> list[dict[str, Any]]:
-    """Return the steps as JSON values: excitation, duration and range of voltages.
-
-    For several axes, voltages are lists. `rig` and `plan`, and the errors, are as in `steps`.
-    """
-    listed: list[dict[str, Any]] = []
-    for step in steps(rig, plan):
-        rate, v = rig.check(step.excitation), step.excitation.voltage
-        samples = len(v) + step.more
-        listed.append(
-            {
-                "step": step.name,
-                "what": step.words,
-                "samples": samples,
-                "seconds": (samples - 1) / rate,
-                "lowest_V": v.min(axis=0).tolist(),
-                "highest_V": v.max(axis=0).tolist(),
-                "steepest_V_per_s": (np.abs(np.diff(v, axis=0)).max(axis=0) * rate).tolist(),
-            }
-        )
-    return listed
 
 
 def read_voltage(path: Path) -> Excitation:

@@ -14,7 +14,7 @@ from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_own_folder
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
-from dehyst.calibration.plan import entries, read_voltage
+from dehyst.calibration.plan import read_voltage, steps
 from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, open_rig
 from dehyst.operations.axes import limits_of, limits_option, numbers_of, slew_option
@@ -120,7 +120,7 @@ def _left(output: Path) -> Iterator[None]:
 
 def _planned(rig: AbstractRig, plan: Plan) -> Result:
     """Return the voltages that would be sent, as JSON values and lines."""
-    planned, several = entries(rig, plan), len(rig.axes) > 1
+    planned, several = [step.as_dict(rig) for step in steps(rig, plan)], len(rig.axes) > 1
     columns: dict[str, list[Any]] = {
         "axes" if several else "axis": list(rig.axes),
         "limits_V": [[part.limits.low, part.limits.high] for part in rig.rigs],
@@ -152,7 +152,7 @@ def _step_lines(planned: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     if len(rig.axes) > 1:
-        for line in _step_lines(entries(rig, plan)):
+        for line in _step_lines([step.as_dict(rig) for step in steps(rig, plan)]):
             run.note(line)
     with run.watch() as watcher:
         calibration = run_calibration(rig, output, plan=plan, watcher=watcher)
