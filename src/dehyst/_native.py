@@ -78,10 +78,6 @@ class Core:
         """Count the entries on the stack of reversals after displacements y [m], from the state (start, carts)."""
         return int(checked(self._core.depth, y, start, carts))
 
-    def spring_at(self, y: float) -> float:
-        """Return the voltage [V] of the parallel spring at y."""
-        return float(self._core.spring_at(y))
-
     def spring_inverse(self, v: float) -> float:
         """Return the displacement [m] at which the parallel spring alone has the voltage v."""
         return float(self._core.spring_inverse(v))

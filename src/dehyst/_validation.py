@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from inspect import isroutine
-from math import inf, nan
+from math import inf
 from numbers import Integral, Real
 from typing import Any
 
@@ -48,9 +49,8 @@ def untimely(time: Array, samples: int) -> str:
     """Return an error for the times of a number of samples: a wrong number, or where they do not increase."""
     if time.size != samples:
         return f"time: got {time.size} values for {samples} samples, need one a sample"
-    first = int(np.argmax(np.diff(time) <= 0)) + 1
-    before, after = time[first - 1], time[first]
-    return f"time: got {after:.9g} s after {before:.9g} s at value {first}, need strictly increasing times"
+    k = int(np.argmax(np.diff(time) <= 0)) + 1
+    return f"time: got {time[k]:.9g} s after {time[k - 1]:.9g} s at value {k}, need strictly increasing times"
 
 
 def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> Any:
@@ -104,13 +104,13 @@ def spanned(values: ArrayLike, what: str, *, error: type[DehystError] = ModelErr
     return array, low, high
 
 
-def matrix(values: ArrayLike, what: str) -> Array:
+def matrix(values: ArrayLike, what: str, *, error: type[DehystError] = ModelError) -> Array:
     """Return `values` as a contiguous two-dimensional array of finite doubles; raise as `vector` does."""
-    array = _doubles(values, what, ModelError)
+    array = _doubles(values, what, error)
+    array = array.reshape(0, 0) if array.shape == (0,) else array
     if array.ndim != 2:
-        raise ModelError(argument=what, got=f"an array of shape {array.shape}", need="two dimensions")
-    if not np.isfinite(array).all():
-        raise ModelError(f"{what}: {np.count_nonzero(~np.isfinite(array))} of {array.size} values are not finite")
+        raise error(argument=what, got=f"an array of shape {array.shape}", need="two dimensions")
+    spanned(array.ravel(), what, error=error)
     return array
 
 
@@ -144,7 +144,7 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
     ends = [number(end, "limits", error=error) for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
         raise error(argument="limits", got=limits, need="two finite voltages, the lower one first, such as (0, 200)")
-    demand_magnitudes(ends, "limits [V]", MOST_ADDED, error=error)
+    demand_computable(ends, "limits [V]", most=MOST_ADDED, error=error)
     return ends[0], ends[1]
 
 
@@ -162,12 +162,6 @@ def for_each(values: Any, count: int, what: str, *, error: type[DehystError] = M
     return (given * count)[:count]
 
 
-def demand(holds: bool, name: str, got: object, needed: str, *, error: type[DehystError] = IdentifyError) -> None:
-    """Raise `error`, with the option's name, what was got and what is needed, unless `holds`."""
-    if not holds:
-        raise error(argument=name, got=repr(got), need=needed)
-
-
 def count(
     value: object, name: str, least: int = 1, most: int | None = 500, *, error: type[DehystError] = IdentifyError
 ) -> int:
@@ -177,42 +171,13 @@ def count(
     raise error(argument=name, got=repr(value), need=f"a whole number from {least}{(f' to {most}' if most else '')}")
 
 
-def fraction(value: object, name: str, least: float | None = None) -> float:
-    """Return a number above 0, or from `least` on, and below 1; raise `IdentifyError` for anything else."""
-    holds = 0 < _real(value) < 1 if least is None else least <= _real(value) < 1
-    demand(holds, name, value, "a fraction between 0 and 1" if least is None else f"a number from {least:g} to below 1")
-    return _real(value)
-
-
-def between(value: object, name: str, least: float, most: float, what: str = "a number") -> float:
-    """Return a number from `least` to `most`; raise `IdentifyError`, which asks for `what`, for anything else."""
-    demand(least <= _real(value) <= most, name, value, f"{what} between {least:g} and {most:g}")
-    return _real(value)
-
-
-def seconds(value: object, name: str) -> float:
-    """Return seconds, 0 or more; raise `IdentifyError` for anything else."""
-    demand(0 <= _real(value) < inf, name, value, "a number of seconds, 0 or more")
-    return _real(value)
-
-
-def duration(value: object, name: str) -> float:
-    """Return seconds, more than 0; raise `IdentifyError` for anything else."""
-    demand(0 < _real(value) < inf, name, value, "a positive, finite number of seconds")
-    return _real(value)
-
-
 def choice(value: object, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> None:
     """Raise `error` unless `value` is one of the words."""
     words = " or ".join(map(repr, among)) if len(among) < 3 else f"one of {', '.join(among)}"
     near = get_close_matches(value, among, 1) if isinstance(value, str) else []
     words += f"; did you mean {near[0]!r}?" if near else ""
-    demand(value in among, name, value, words, error=error)
-
-
-def _real(value: object) -> float:
-    """Return a number as a float, and NaN for anything else."""
-    return float(value) if isinstance(value, Real) and not isinstance(value, bool) else nan
+    if value not in among:
+        raise error(argument=name, got=repr(value), need=words)
 
 
 def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception] = ModelError) -> tuple[str, ...]:
@@ -222,25 +187,6 @@ def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception
     if isinstance(axes, str) or len(names) != count or not good or len(set(names)) < count or not count:
         raise error(f"{what}: axes: got {axes!r}, need {count} different names without blanks, such as {('x', 'y')}")
     return names
-
-
-def demand_magnitudes(
-    values: ArrayLike, what: str, most: float = MOST, *, error: type[DehystError] = ModelError
-) -> None:
-    """Raise `error` for numbers that are too large to compute with: a magnitude above `most`."""
-    _demand(values, what, -np.inf, most, error)
-
-
-def demand_divisors(values: ArrayLike, what: str) -> None:
-    """Raise ModelError for numbers that cannot be divided by: a magnitude that is not between 1e-30 and 1e30."""
-    _demand(values, what, LEAST, MOST)
-
-
-def demand_curve(knots: Array, values: Array, what: str) -> None:
-    """Raise ModelError for a rising curve (M,) with a slope, or an inverse slope, that is too large to compute with."""
-    for numbers, axis in ((knots, "knots"), (values, "values")):
-        demand_magnitudes(numbers, f"{what} {axis}")
-        demand_divisors(np.diff(numbers), f"{what}: steps between {axis}")
 
 
 def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
@@ -254,7 +200,10 @@ def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
     )
 
 
-def _demand(values: ArrayLike, what: str, least: float, most: float, error: type[DehystError] = ModelError) -> None:
+def demand_computable(
+    values: ArrayLike, what: str, least: float = -inf, most: float = MOST, *, error: type[DehystError] = ModelError
+) -> None:
+    """Raise `error` for magnitudes over `most`, or below `least`: that of a number to divide by is `LEAST`."""
     magnitudes = np.abs(np.asarray(values, dtype=np.float64)).ravel()
     bad = np.flatnonzero(~((magnitudes >= least) & (magnitudes <= most)))
     if bad.size:
@@ -263,3 +212,58 @@ def _demand(values: ArrayLike, what: str, least: float, most: float, error: type
             f"{what}: got {magnitudes[bad[0]]:.3g}, which cannot be computed with; need {needed} in magnitude, in SI "
             "units. Check the units, or whether the file is damaged"
         )
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Reader of a number, a vector or a table: what each of its numbers must be.
+
+    `dimensions`: 0, 1 or 2. `positive`: above 0. `least`, `most`: smallest and largest number. `rising`: each is larger
+    than the one before. `divides`: results are divided by those that are not 0, or by the steps of rising ones.
+    `largest`: magnitude that can be computed with. `plausible`: largest magnitude in a file, far beyond those of any
+    piezo actuator. `optional`: None is allowed. `error`: what is raised.
+    """
+
+    dimensions: int = 0
+    positive: bool = False
+    least: float = -inf
+    most: float = inf
+    rising: bool = False
+    divides: bool = False
+    largest: float = MOST
+    plausible: float = inf
+    optional: bool = False
+    hint: str = ""
+    error: type[DehystError] = ModelError
+
+    def __call__(self, value: Any, where: str) -> Any:
+        """Return the number as a float, or numbers as an array; raise `error` if one is impossible."""
+        if value is None and self.optional:
+            return None
+        found = (number, vector, matrix)[self.dimensions](value, where, error=self.error)
+        demand_computable(found, where, most=self.largest, error=self.error)
+        numbers = np.atleast_1d(found)
+        bad = (numbers < self.least) | (numbers > self.most) | (self.positive & (numbers <= 0))
+        if self.rising:
+            bad[1:] |= np.diff(numbers) <= 0
+        if bad.any():
+            first = tuple(np.argwhere(bad)[0].tolist())
+            place = f" at index {', '.join(map(str, first))}" if self.dimensions else ""
+            raise self.error(argument=where, got=f"{numbers[first]:.6g}{place}", need=self.need, hint=self.hint)
+        if self.divides:
+            steps = np.diff(numbers) if self.rising else numbers[numbers != 0]
+            demand_computable(steps, f"{where}: steps" if self.rising else where, LEAST, error=self.error)
+        return found
+
+    @property
+    def need(self) -> str:
+        """What the numbers must be, in words."""
+        words = [f"{self.least:g} or more"] * (self.least > -inf) + [f"{self.most:g} or less"] * (self.most < inf)
+        words += ["above 0"] * self.positive + ["strictly increasing"] * self.rising
+        return f"{'numbers' if self.dimensions else 'a number'}, {' and '.join(words)}"
+
+
+def fraction(value: object, name: str, least: float | None = None) -> float:
+    """Return a number above 0, or from `least` on, and below 1; raise `IdentifyError` for anything else."""
+    bounds = Numbers(positive=least is None, least=least or 0.0, most=math.nextafter(1.0, 0.0), error=IdentifyError)
+    return float(bounds(value, name))

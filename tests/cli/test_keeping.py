@@ -143,7 +143,7 @@ def test_a_time_limit_ends_the_search(folder):
 def test_impossible_limits_are_refused(folder, limit):
     status, out, err = run("identify", "loops.csv", "-o", "m.json", "--time-limit", limit, cwd=folder)
     assert (status, out) == (2, "")
-    assert err == f"dehyst: --time-limit: got {float(limit)!r}, need a positive, finite number of seconds\n"
+    assert err.startswith(f"dehyst: --time-limit: got {float(limit):g}, need a ") and err.count("\n") == 1
     assert not (folder / "m.json").exists()
 
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import IdentifyError, _validation
+from dehyst import IdentifyError, Structure, _validation
+from dehyst._validation import Numbers
 from dehyst.identification import Deadline
 from dehyst.identification.settings import Settings
 
@@ -26,36 +27,18 @@ def test_a_count_is_taken_between_its_bounds_and_only_there(value, least, most):
             _validation.count(value, "cells", least, most)
 
 
-@given(st.floats(-2, 2))
-def test_a_fraction_lies_between_0_and_1(value):
-    if 0 < value < 1:
-        assert _validation.fraction(value, "floor") == value
-    else:
-        with pytest.raises(IdentifyError):
-            _validation.fraction(value, "floor")
-
-
-def test_a_fraction_may_begin_elsewhere():
-    assert _validation.fraction(0, "smoothing", 0.0) == 0.0
-    assert _validation.fraction(Fraction(1, 3), "smoothing") == pytest.approx(1 / 3)
-
-
 @given(NO_NUMBERS)
 def test_what_is_no_number_is_refused_everywhere(value):
-    for check in (
-        _validation.count,
-        _validation.fraction,
-        _validation.seconds,
-        lambda x, name: _validation.between(x, name, 0, 4),
-    ):
+    for check in (_validation.count, Numbers(least=0.0, error=IdentifyError)):
         with pytest.raises(IdentifyError, match=r"it: got .*, need"):
             check(value, "it")
 
 
-def test_seconds_bounds_and_words():
-    assert _validation.seconds(0, "delay") == 0.0
+def test_bounds_and_words():
+    assert Numbers(least=0.0)(0, "delay") == 0.0
+    assert Numbers(positive=True)(Fraction(1, 3), "smoothing") == pytest.approx(1 / 3)
+    assert Numbers(least=0.5, most=4.0)(np.float64(4), "spacing") == 4.0
     assert _validation.count(10**9, "starts", most=None) == 10**9
-    assert _validation.between(np.float64(4), "spacing", 0.5, 4) == 4.0
     _validation.choice("sensor", "lag_of", ("actuator", "sensor"))
     np.testing.assert_array_equal(_validation.vector((1, 2.5), "breakaway", error=IdentifyError), [1, 2.5])
 
@@ -65,11 +48,13 @@ def test_seconds_bounds_and_words():
     [
         lambda: _validation.vector([[1.0]], "breakaway", error=IdentifyError),
         lambda: _validation.count(0, "starts", most=None),
-        lambda: _validation.seconds(-1e-9, "delay"),
-        lambda: _validation.seconds(float("inf"), "delay"),
-        lambda: _validation.between(4.1, "spacing", 0.5, 4, "an exponent"),
+        lambda: Settings(delay=-1e-9),
+        lambda: Settings(sensor_lag=float("inf")),
+        lambda: Structure(spacing=4.1),
+        lambda: Structure(smoothing=-1e-9),
+        lambda: Structure(smooth=1),
+        lambda: Deadline(0.0),
         lambda: _validation.choice("both", "lag_of", ("actuator", "sensor")),
-        lambda: _validation.fraction(1e-7, "floor", 1e-6),
     ],
 )
 def test_what_lies_beyond_is_refused(check):

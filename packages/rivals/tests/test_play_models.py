@@ -317,7 +317,7 @@ def test_ramps_and_their_neighbours():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"slope_floor": 0.0}, r"slope_floor: got 0.0, need a fraction between 0 and 1"),
+        ({"slope_floor": 0.0}, "slope_floor: got 0, need a number"),
         ({"delay": -1.0}, r"delay: got -1.0, need seconds, 0 or more and less than a quarter of a cycle of 10.05 s"),
         ({"delay": 2.6}, r"delay: got 2.6, need seconds"),
         ({"plays": 0, "levels": 0}, r"(plays|levels): got 0, need a whole number from 1 to"),

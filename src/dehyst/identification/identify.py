@@ -97,7 +97,7 @@ def identify(
         If an option is impossible, or no sample contains information on the elements.
     """
     settings = Settings(delay, sensor_lag, lag_of, shared_datum, drift, structure)
-    _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
+    _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
     training, held_out = list_of(records), list_of(validate)

@@ -13,6 +13,7 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Progress
 from dehyst.identification.structure import Structure
 
+_POSITIVE = _validation.Numbers(positive=True, error=IdentifyError)
 _T = TypeVar("_T")
 _U = TypeVar("_U")
 
@@ -48,7 +49,7 @@ class Deadline:
     """
 
     def __init__(self, seconds: float | None = None) -> None:
-        self.seconds = inf if seconds is None else _validation.duration(seconds, "time_limit")
+        self.seconds = inf if seconds is None else _POSITIVE(seconds, "time_limit")
         self.ended = False
         self.cut: list[str] = []
         self._cause = "" if seconds is None else f"The time limit of {self.seconds:g} s"
@@ -130,10 +131,8 @@ class Settings:
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto"
 
     def __post_init__(self) -> None:
-        if self.delay is not None:
-            _validation.seconds(self.delay, "delay")
-        if self.sensor_lag is not None:
-            _validation.seconds(self.sensor_lag, "sensor_lag")
+        for name in ("delay", "sensor_lag"):
+            _validation.Numbers(least=0.0, optional=True, error=IdentifyError)(getattr(self, name), name)
         if self.lag_of is not None:
             _validation.choice(self.lag_of, "lag_of", ("actuator", "sensor"))
         if self.structure not in ("auto", "maxwell_slip") and not isinstance(self.structure, Structure):

@@ -60,9 +60,10 @@ class Structure:
     def __post_init__(self) -> None:
         for name, (least, most) in _COUNTS.items():
             _validation.count(getattr(self, name), name, least, most)
-        _validation.between(self.spacing, "spacing", 0.5, 4, "an exponent")
-        _validation.demand(isinstance(self.smooth, bool), "smooth", self.smooth, "True or False")
-        _validation.between(self.smoothing, "smoothing", 0, 1, "a number")
+        _validation.Numbers(least=0.5, most=4.0, error=IdentifyError)(self.spacing, "spacing")
+        if not isinstance(self.smooth, bool):
+            raise IdentifyError(argument="smooth", got=repr(self.smooth), need="True or False")
+        _validation.Numbers(least=0.0, most=1.0, error=IdentifyError)(self.smoothing, "smoothing")
         if self.transformer == 1:
             raise IdentifyError("transformer: got 1, need 0 or at least two segments: one segment is a straight line")
 

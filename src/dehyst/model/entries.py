@@ -7,8 +7,7 @@ the same checks; a file is read strictly, and comes back without loss.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
-from math import inf
+from dataclasses import MISSING, Field, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError
 from dehyst._io import OTHER_VERSION, VERSION, PathLike, read_json, write_json
 from dehyst._types import Array
-from dehyst._validation import MOST, demand_divisors, demand_magnitudes, keep, matrix, number, vector
+from dehyst._validation import Numbers, keep
 from dehyst._views.fields import json_value
 from dehyst._views.lines import brief
 
@@ -36,69 +35,6 @@ def entry(key: str, read: Reader, default: Any = MISSING, factory: Any = MISSING
     """Return a dataclass field: its `key` in a file, with the unit, and what checks its value."""
     given = {"default": default} if factory is MISSING else {"default_factory": factory}
     return field(**given, metadata={"key": key, "read": read})
-
-
-@dataclass(frozen=True)
-class Numbers:
-    """Reader of a number, a vector or a table: what each of its numbers must be.
-
-    `dimensions`: 0, 1 or 2. `positive`: above 0. `least`, `most`: smallest and largest number. `rising`: each is larger
-    than the one before. `divides`: results are divided by those that are not 0, or by the steps of rising ones.
-    `largest`: magnitude that can be computed with. `plausible`: largest magnitude in a file, far beyond those of any
-    piezo actuator. `optional`: None is allowed.
-    """
-
-    dimensions: int = 0
-    positive: bool = False
-    least: float = -inf
-    most: float = inf
-    rising: bool = False
-    divides: bool = False
-    largest: float = MOST
-    plausible: float = inf
-    optional: bool = False
-    hint: str = ""
-
-    def __call__(self, value: Any, where: str) -> Any:
-        """Return the number as a float, or numbers as an array; raise `ModelError` if one is impossible."""
-        if value is None and self.optional:
-            return None
-        if self.dimensions == 2 and isinstance(value, list) and not value:
-            value = np.zeros((0, 0))
-        found = (number, vector, matrix)[self.dimensions](value, where)
-        demand_magnitudes(found, where, self.largest)
-        numbers = np.atleast_1d(found)
-        bad = (numbers < self.least) | (numbers > self.most) | (self.positive & (numbers <= 0))
-        if self.rising:
-            bad[1:] |= np.diff(numbers) <= 0
-        if bad.any():
-            first = tuple(np.argwhere(bad)[0].tolist())
-            place = f" at index {', '.join(map(str, first))}" if self.dimensions else ""
-            raise ModelError(argument=where, got=f"{numbers[first]:.6g}{place}", need=self.need, hint=self.hint)
-        if self.divides:
-            steps = np.diff(numbers) if self.rising else numbers[numbers != 0]
-            demand_divisors(steps, f"{where}: steps" if self.rising else where)
-        return found
-
-    @property
-    def need(self) -> str:
-        """What the numbers must be, in words."""
-        bounds = (f"{self.least:g} or more", self.least), (f"{self.most:g} or less", self.most)
-        words = [text for text, bound in bounds if abs(bound) < inf] + ["above 0"] * self.positive
-        # Where numbers strictly increase, each is larger than the one before.
-        words += ["strictly increasing"] * self.rising
-        return f"{'numbers' if self.dimensions else 'a number'}, {' and '.join(words)}"
-
-    def demand_plausible(self, found: Any, where: str) -> None:
-        """Raise `ModelError` for numbers in a file that no piezo actuator has."""
-        size = float(np.abs(0.0 if found is None else found).max(initial=0.0))
-        if size > self.plausible:
-            raise ModelError(
-                argument=where,
-                got=f"{size:.6g}",
-                need=f"{self.plausible:g} at most in magnitude, far beyond any piezo actuator",
-                hint="correct the file, or identify again",
-            )
 
 
 def instance(*kinds: type, optional: bool = False, need: str = "") -> Reader:
@@ -181,12 +117,20 @@ class Entries:
         for one in _described(cls):
             key, read = one.metadata["key"], one.metadata["read"]
             if isinstance(read, Numbers):
-                read.demand_plausible(getattr(made, one.name), f"{cls._part}.{key}" if cls._part else key)
+                _demand_plausible(read, getattr(made, one.name), f"{cls._part}.{key}" if cls._part else key)
         return made
 
 
 def _described(kind: type) -> list[Field[Any]]:
     return [one for one in fields(kind) if one.metadata]
+
+
+def _demand_plausible(read: Numbers, found: Any, where: str) -> None:
+    """Raise `ModelError` for numbers in a file that no piezo actuator has."""
+    size = float(np.abs(0.0 if found is None else found).max(initial=0.0))
+    if size > read.plausible:
+        need = f"{read.plausible:g} at most in magnitude, far beyond any piezo actuator"
+        raise ModelError(argument=where, got=f"{size:.6g}", need=need, hint="correct the file, or identify again")
 
 
 def _same(given: Any, written: Any) -> bool:

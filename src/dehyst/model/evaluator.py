@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from dehyst._errors import ModelError
 from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, output_creep, strains
 from dehyst._types import Array
-from dehyst._validation import FARTHEST, demand_divisors, demand_result, vector
+from dehyst._validation import FARTHEST, LEAST, demand_computable, demand_result, vector
 from dehyst.model.base import State
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, low_pass_tables
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
@@ -263,7 +263,7 @@ class Evaluator:
         if not self.lag:
             return 0.0, 0.0, 0.0, 1.0
         steps = period / self.lag
-        demand_divisors(steps, "period over lag")
+        demand_computable(steps, "period over lag", LEAST)
         keep, mean = math.exp(-steps), -math.expm1(-steps) / steps
         return 1 / steps, keep, mean - keep, 1 - mean
 

@@ -26,8 +26,9 @@ from dehyst.records import Record, reversals
 Branch: TypeAlias = "tuple[Array, Array]"
 # Turning points closer to each other than this part of the stroke are the same.
 _SAME = 0.02
-# Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself.
-_RISES = 1e-3
+# Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself, and the
+# one that is imposed where it does not.
+_RISES, _FLOOR = 1e-3, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +144,7 @@ def _break_points(branches: list[Branch], start: float, end: float, step: float)
     return np.column_stack([places, np.mean([voltage_at(branch, places) for branch in branches], axis=0)])
 
 
-def identify(records: Record | Sequence[Record], *, elements: int = 10, slope_floor: float = 0.2) -> PaperFit:
+def identify(records: Record | Sequence[Record], *, elements: int = 10) -> PaperFit:
     """Identify by the linear program of Sec. 4.1: least absolute errors at the break points of all loops.
 
     The turning points of the major loop are met exactly (Eq. 4 and closure). If the spring falls somewhere, the program
@@ -156,8 +157,6 @@ def identify(records: Record | Sequence[Record], *, elements: int = 10, slope_fl
         With closed loops; the sensor keeps its zero in all.
     elements : int, optional
         N.
-    slope_floor : float, optional
-        Least slope of the spring, where it is imposed, as a part of the mean slope of the major loop.
 
     Raises
     ------
@@ -172,7 +171,7 @@ def identify(records: Record | Sequence[Record], *, elements: int = 10, slope_fl
     x, error = _least_absolute(loops, rho, knots, -np.inf)
     if np.any(x[elements : 2 * elements] < _RISES * mean_slope):
         outcome = "ASSUMPTION_I_IMPOSED"
-        x, error = _least_absolute(loops, rho, knots, _validation.fraction(slope_floor, "slope_floor") * mean_slope)
+        x, error = _least_absolute(loops, rho, knots, _FLOOR * mean_slope)
     spring = Spring.of_slopes(knots, x[elements : 2 * elements], float(x[2 * elements]))
     return PaperFit(_actuator(major, rho, np.maximum(x[:elements], 0.0), spring), outcome, loops, error)
 

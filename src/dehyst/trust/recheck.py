@@ -326,7 +326,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     actuator = model
     origin = actuator.identification or Identification()
     goal = (origin.goal or _GOAL) if goal is None else goal
-    goal = _validation.between(goal, "goal", 1e-3, 100, "a part of the stroke in %")
+    goal = _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     if not isinstance(record, Record):
         raise IdentifyError(got=type(record).__name__, need="a record", hint="read a file with dehyst.read(path)")
     with one_thread():
