@@ -15,7 +15,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1189,
+    "calibration": 1180,
     "cli": 542,
     "control": 4259,
     "exports": 1288,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2370,
 }
 HOUSE = {
-    "lines of Python": 40149,
+    "lines of Python": 40140,
     "files of Python": 196,
     "lines of C and C++": 5799,
-    "lines of JavaScript and CSS": 2846,
-    "lines of tests": 38958,
+    "lines of JavaScript and CSS": 2838,
+    "lines of tests": 38957,
     "lines of benchmarks": 5306,
     "words of docs": 27786,
     "public names": 114,

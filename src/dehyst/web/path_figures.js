@@ -68,6 +68,10 @@ export class PathFigures {
   }
 }
 
+// What there is to say of a model that a check found old.
+export const NO_PROMISE =
+  "There is no promise: by the last check this model is not true any more. Update it, or identify again.";
+
 // What to expect of a plan: a light and a sentence, then facts. `stroke` and `band` in um.
 export function judged(planned, { stroke, band, light, speed, apart }) {
   const { voltage, steepest, missed, clamps } = planned;
@@ -86,7 +90,7 @@ export function judged(planned, { stroke, band, light, speed, apart }) {
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
       band
         ? `The promise is that of any path, ${apart}; a written file has its own.`
-        : "There is no promise: by the last check this model is not true any more. Update it, or identify again.",
+        : NO_PROMISE,
     ],
   };
 }

@@ -6,7 +6,7 @@ import { COLOURS, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
 import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
-import { PathFigures, curve, judged, verdict } from "./path_figures.js";
+import { NO_PROMISE, PathFigures, curve, judged, verdict } from "./path_figures.js";
 import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
 import { fileLink, isOld, jobCards, lightOf, modelChoice } from "./verdict.js";
@@ -175,7 +175,6 @@ async function planNow(model) {
       view.source === "scan" ? server.scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
     const [module, path] = await Promise.all([compiled, wanted]);
     if (asked !== view.asked) return;
-    const began = performance.now();
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
     const points = view.source === "points" ? view.points : null;
     const line = view.source === "scan" ? 1 / (scans.scan().frequency ?? NaN) : NaN;
@@ -184,7 +183,6 @@ async function planNow(model) {
       ...{ reach: model.range_um, band: isOld(model) ? 0 : model.verdict.largest_um },
     };
     figures.draw(view.last);
-    view.took = performance.now() - began;
     view.said = described(model, view.last);
     complain("path", "");
   } catch (error) {
@@ -210,7 +208,7 @@ function planAxes(model) {
   });
   return {
     light,
-    first: `Expect ${expected.join(", ")}, ${model.verdict.apart}.`,
+    first: isOld(model) ? NO_PROMISE : `Expect ${expected.join(", ")}, ${model.verdict.apart}.`,
     facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
     remarks: model.verdict.remarks,
   };
@@ -266,9 +264,6 @@ export function currentRequest() {
   const path = view.source === "scan" ? { scan: scans.scan() } : { points: chosenPaths()[0] };
   return { ...path, ...others, slew: slew ?? "none" };
 }
-
-// For measurements: how long the last plan and its pictures took (ms).
-export const lastPlan = () => view.took;
 
 // An error of the request is one of the button.
 const write = async () =>

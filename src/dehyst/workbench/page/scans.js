@@ -4,18 +4,13 @@ import { h } from "./dom.js";
 import { Form, fold } from "./forms.js";
 import { plain, roundDown } from "./numbers.js";
 
-// The largest speed of the scan that is suggested, in its widths a cycle.
-const SPEEDS = { triangle: 2.11, raster: 2.11 };
+const FASTEST = 2.11; // widths a cycle: the largest speed of a triangle or a raster
 const SUGGESTED = [0.2, 0.8]; // of the reachable range
 const STEEPEST = 0.5 * 1.875; // widths of a change of level, times its duration
 
 export class ScanForm extends Form {
   constructor(changed) {
-    super("scan", DECLARED.forms.scan, (name) => {
-      if (name === "kind") this.values.frequency = this.frequencies[this.values.kind] ?? "";
-      changed();
-    });
-    this.frequencies = {};
+    super("scan", DECLARED.forms.scan, changed);
   }
 
   // Fill in displacements that the model reaches, and speeds of at most `pace` reachable ranges a second.
@@ -23,14 +18,12 @@ export class ScanForm extends Form {
     const place = (share) => plain(low + share * (high - low), 3);
     const [from, to] = SUGGESTED;
     const widths = pace / (to - from);
-    const slow = ([kind, speed]) => [kind, plain(roundDown(Math.min(1, widths / speed)))];
-    this.frequencies = Object.fromEntries(Object.entries(SPEEDS).map(slow));
     Object.assign(this.values, {
       low: place(from),
       high: place(to),
       levels: [from, 0.5, to, 0.5].map(place).join(" "),
       edge: plain(1 / roundDown(Math.min(20, widths / STEEPEST))),
-      frequency: this.frequencies[this.values.kind] ?? "",
+      frequency: plain(roundDown(Math.min(1, widths / FASTEST))),
     });
   }
 
