@@ -29,7 +29,7 @@ ROOMS = {
     "records": 4972,
     "report": 1496,
     "testing": 492,
-    "trust": 2335,
+    "trust": 2334,
     "virtual": 797,
     "waveforms": 1350,
     "web": 50,

@@ -87,8 +87,8 @@ def insight(
         If a range is impossible.
     """
     if isinstance(model, Stage):
-        options: dict[str, Any] = {"limits": limits, "progress": progress}
-        return _stage_insight(model, [records] if isinstance(records, Record) else records, plan, **options)
+        several = [records] if isinstance(records, Record) else records
+        return _stage_insight(model, several, plan, limits=limits, progress=progress)
     if not isinstance(model, Actuator):
         raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
     actuator = model
@@ -237,7 +237,7 @@ class Insight(Plotted):
             "records": [item.given.name for item in self.comparisons],
             "stroke_m": self.stroke,
             "warnings": list(self.warnings()),
-            **json_values(self, "promise record_next turns"),
+            **json_values(self, "promise record_next"),
             "directions": directions,
         }
 
@@ -300,14 +300,9 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
     for warning in found.warnings():
         yield f"WARNING: {warning}"
     if full:
-        identifiability = found.identifiability
-        values = " ".join(f"{value:.2g}" for value in identifiability.values)
-        yield ""
-        yield (
-            f"Directions of {identifiability.subject} that the turning points determine, whatever the noise: "
-            f"{identifiability.determined} of {identifiability.of}"
-        )
-        yield f"  singular values, V for each volt of breakaway voltages: {values}"
+        known = found.identifiability
+        share = f"{known.determined} of {known.of}"
+        yield f"Directions of {known.subject} that the turning points determine, whatever the noise: {share}"
     commands = found.record_next
     yield "To record next:" if commands else "To record next: nothing; no excitation tests more."
     yield from (f"    {command}" for command in commands)

@@ -166,11 +166,10 @@ class Recheck(Plotted):
     @property
     def sentence(self) -> str:
         """The judgement and its numbers in one line."""
-        error = f"{self._percent(self.without_noise)} of the stroke without the sensor's noise"
+        error = f"{self._percent(self.without_noise)} of the stroke without a constant offset and the sensor's noise"
         if not self.without_noise:
             error = "within the sensor's noise"
-        text = f"{self.standing.value.capitalize()}: the largest error is {error}, apart from a constant offset"
-        text += f" (goal {self.goal:g} %)"
+        text = f"{self.standing.value.capitalize()}: the largest error is {error} (goal {self.goal:g} %)"
         if self.promise is not None and not self.mismatch:
             promised = f"{self._percent(self.promise.largest)} on {self.promise.path}"
             text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"
@@ -427,7 +426,5 @@ def _uncovered(actuator: Actuator, record: Record) -> tuple[str, ...]:
     """Return a sentence if the record covers little of the model's voltages."""
     (low, high), (least, most) = voltages_of(actuator), record.voltage_range
     covered = max((min(most, high) - max(least, low)) / (high - low), 0.0)
-    beyond = (
-        f"covers {100 * covered:.0f} % of the model's voltages: what lies beyond was not checked. Record a loop over"
-    )
-    return (f"{record.name}: {beyond} the whole range.",) if covered < _LITTLE else ()
+    words = f"{record.name}: covers {100 * covered:.0f} % of the model's voltages: what lies beyond was not checked."
+    return (f"{words} Record a loop over the whole range.",) if covered < _LITTLE else ()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite, nan
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,29 +73,12 @@ class TurnPlane:
         """Tested branches of the loops of each cell (n, n): 0 none, 1 the falling, 2 the rising one, 3 both."""
         return np.asarray(self.falling + 2 * self.rising, dtype=np.intp)
 
-    @property
-    def speeds(self) -> tuple[float, float]:
-        """Lowest and highest mean speed of a branch [V/s]."""
-        speeds = [turn.speed for turn in self.turns]
-        return min(speeds), max(speeds)
-
     def path(self, voltage: Array, time: Array | None = None, name: str = "this path") -> tuple[Turn, ...]:
         """Return the rises and falls of a path by its voltage (n,) [V] and time (n,) [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
         step = _stride(voltage)
         turns = _turns(name, clock[::step], voltage[::step], float(np.ptp(self.edges)))
         return tuple(turns if time is not None else (turn._replace(speed=nan, held=0.0) for turn in turns))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {
-            "edges_V": self.edges.tolist(),
-            "cells": "".join(map(str, self.cells.ravel().tolist())),
-            "lower_V": [min(turn.begin, turn.end) for turn in self.turns],
-            "upper_V": [max(turn.begin, turn.end) for turn in self.turns],
-            "names": [turn.words for turn in self.turns],
-            "speeds_V_per_s": list(self.speeds),
-        }
 
 
 def turn_plane(

@@ -25,7 +25,18 @@ from dehyst.identification import (
     part_of,
     prepare_for,
 )
-from dehyst.model import Actuator, Promise, Stage, Validity, by_axis, promised, voltages_of, with_identification
+from dehyst.model import (
+    Actuator,
+    GradedSlip,
+    Promise,
+    Stage,
+    Validity,
+    by_axis,
+    major_loop,
+    promised,
+    voltages_of,
+    with_identification,
+)
 from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
@@ -33,8 +44,6 @@ from dehyst.trust.recheck import Recheck, check
 # How much alike the changes of neighbours are held, by a record of a few loops and by one that turns in many places:
 # held-out parts of loops that come again say nothing of it. Rows of the program.
 _ALIKE, _ALIKE_BY_MANY, _ROWS = 0.1, 0.02, 6000
-# Voltages above the lowest one that count as it, as a part of the range.
-_BOTTOM = 0.02
 # Largest change of all thresholds, as a power of e, and how closely it is found; what a change of all stiffnesses by 1
 # beside it must explain, in errors of the model.
 _STRETCH, _STRETCHED, _BESIDE = 0.8, 0.02, 3.0
@@ -170,8 +179,9 @@ def update(model: Actuator | Stage, record: Record, *, goal: float | None = None
     """Update a model from a new record of its actuator, even of one loop.
 
     Stiffnesses of slip and smooth elements, the spring and the transformer are solved for again, by the program of the
-    identification. Common changes come first: all thresholds by one factor, as friction that grows or falls changes
-    them, then the stiffness of all elements and the spring; what differs from these is small, and alike for neighbours.
+    identification. Common changes come first: all displacements by one factor, as a gain, all thresholds by another, as
+    friction that grows or falls, then the stiffness of all elements and the spring; what differs from these is small,
+    and alike for neighbours.
     Inertia, limits, creep in displacement and the effect of temperature stay; so does the delay, unless the record
     shows its change alone.
 
@@ -225,18 +235,11 @@ class _Refit:
         self.given, self.recheck, self.record = actuator, recheck, record
         self.prepared = prepare_for(actuator, record)
         self.drifts = self.prepared.can_drift
-        self.datum, known = self._datum(), actuator.identification
-        self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
-
-    def _datum(self) -> float:
-        """Return the shift [m] to the model's axis with which the lower turning points of both lie on one another."""
-        trace = self.recheck.trace
-        begins, low = trace.settled.time[0], trace.voltage.min()
-        bottom = (trace.voltage <= low + _BOTTOM * np.ptp(trace.voltage)) & (trace.time >= begins)
-        measured = np.interp(trace.time, self.record.time, self.record.displacement)
-        shift = float(np.mean((trace.simulated - measured)[bottom if bottom.any() else slice(None)]))
+        offset = next(change.value for change in recheck.changes if change.name == "offset")
         # A smaller one may be of the stage: of creep from before the record, or of a gain.
-        return shift if abs(shift) > _KEPT * self.recheck.stroke else 0.0
+        self.datum = -offset if abs(offset) > _KEPT * recheck.stroke else 0.0
+        known = actuator.identification
+        self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
 
     def update(self) -> Update:
         """Update, and judge."""
@@ -261,24 +264,35 @@ class _Refit:
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
     def _stretched(self) -> Actuator:
-        """Return the old model with the friction that explains the record best: thresholds change in one ratio."""
+        """Return the old model with the friction, and with or without the gain, that explain the record best.
+
+        A gain of the displacement scales all thresholds and places; one of the voltage is left to the stiffnesses.
+        """
         from scipy.optimize import minimize_scalar
 
-        def scaled(power: float) -> Actuator:
+        settled, used = self.recheck.trace.settled, self.record.voltage_range
+        slope = float(np.polyfit(settled.simulated, settled.measured, 1)[0])
+        reach = float(np.ptp(major_loop(self.old, used)))
+
+        def scaled(power: float, *, gains: bool) -> Actuator:
             slip, smooth, factor = self.old.slip, self.old.smooth, float(np.exp(power))
-            return replace(
+            made = replace(
                 self.old,
                 slip=replace(slip, breakaway=factor * slip.breakaway),
                 smooth=smooth and replace(smooth, length=factor * smooth.length),
                 state=None,  # type: ignore[arg-type]
             )
+            low, high = major_loop(made, used)
+            return _grown(made, slope * reach / (high - low), low) if gains else made
 
-        def missed(power: float) -> float:
-            program = self._program(made := scaled(power))
+        def missed(power: float, gains: bool) -> float:
+            program = self._program(made := scaled(power, gains=gains))
             return self._in_common(program, program.unknowns_of(coefficients(made)), _BESIDE * self.own)[1]
 
-        found = minimize_scalar(missed, bounds=(-_STRETCH, _STRETCH), method="bounded", options={"xatol": _STRETCHED})
-        return scaled(float(found.x)) if abs(found.x) > _STRETCHED else self.old
+        options: Any = {"bounds": (-_STRETCH, _STRETCH), "method": "bounded", "options": {"xatol": _STRETCHED}}
+        found = {gains: minimize_scalar(missed, args=(gains,), **options) for gains in (False, True)}
+        gains = found[True].fun < found[False].fun
+        return scaled(float(found[gains].x), gains=gains)
 
     def _program(self, near: Actuator) -> Program:
         """Return the program of the record, near a model."""
@@ -361,18 +375,16 @@ class _Refit:
         every = np.concatenate(errors)
         return largest(every), rms(every)
 
-    def _validity(self, largest: float, held_out: float) -> Validity:
-        """Return the validity of the model after the old records and the new one; its errors as measured [m]."""
+    def _validity(self, largest: float, held_out: float) -> Validity | None:
+        """Return the validity of the model after the old records and the new one; its errors as measured [m].
+
+        A record that confirms the promise does not widen it.
+        """
         noise, known = self.recheck.noise, self.old.identification
-        rms_ = float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
-        largest_ = beyond_noise(largest, noise)
-        if self.recheck.kept:
-            # A record that confirms the promise does not widen it.
-            rms_ = largest_ = 0.0
         if known is None or known.validity is None:
-            errors = {"rms": rms_, "largest": largest_, "disagreement": 0.0, "stroke": self.recheck.stroke}
-            found = Validity.by_records([(self.record.time, self.record.voltage)], **errors)
-            return replace(found, limits=voltages_of(self.old).joined(found.limits))
+            return None
+        rms_ = 0.0 if self.recheck.kept else float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
+        largest_ = 0.0 if self.recheck.kept else beyond_noise(largest, noise)
         return known.validity.with_record(self.record, rms=rms_, largest=largest_)
 
     def _missing(self) -> list[str]:
@@ -387,9 +399,8 @@ class _Refit:
         ]
         if unseen:
             missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")
-        rho = actuator.slip.breakaway
-        reach = record.stroke
-        stuck = int(np.count_nonzero(2 * rho[rho * 2 < np.ptp(actuator.reach)] > reach))
+        sliding = 2 * actuator.slip.breakaway
+        stuck = int(np.count_nonzero((sliding > record.stroke) & (sliding < np.ptp(actuator.reach))))
         if stuck:
             missing.append(
                 f"{counted(stuck, 'slip element')} did not slide both ways; the neighbours' change is taken."
@@ -399,3 +410,16 @@ class _Refit:
         if names:
             missing.append(f"Not fitted anew: {', '.join(names)} and the ratios of thresholds.")
         return missing
+
+
+def _grown(actuator: Actuator, factor: float, fixed: float) -> Actuator:
+    """Return an actuator that moves so many times as far from a `fixed` displacement [m] at the same voltages."""
+    slip, spring, smooth = actuator.slip, actuator.spring, actuator.smooth
+    grades = {"knots": fixed + factor * (slip.knots - fixed)} if isinstance(slip, GradedSlip) else {}
+    return replace(
+        actuator,
+        slip=replace(slip, breakaway=factor * slip.breakaway, stiffness=slip.stiffness / factor, **grades),
+        spring=replace(spring, displacement=fixed + factor * (spring.displacement - fixed)),
+        smooth=smooth and replace(smooth, length=factor * smooth.length, stiffness=smooth.stiffness / factor),
+        state=None,  # type: ignore[arg-type]
+    )
