@@ -78,7 +78,6 @@ def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
     [
         (["identify", "absent.csv"], "absent.csv"),
         (["identify", "loops.csv", "--columns", "voltage=drive_V"], "drive_V"),
-        (["identify", "loops.csv", "--delay", "1e9"], "--delay: "),
         (["identify", "loops.csv", "-o", "loops.csv"], "is also an input of this command"),
         (["identify", "loops.csv", "-o", "no/such/model.json"], "does not exist; create it first"),
         (["simulate", "loops.csv", "loops.csv", "-o", "x.csv"], "loops.csv"),
@@ -123,15 +122,6 @@ def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
     # A given structure: which is chosen is not the question.
     status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", *PLAIN, "--verbose", cwd=folder)
     assert (status, "misses a held-out record" in out) == (1, True)
-
-
-@pytest.mark.parametrize("names", [["other.csv", "low.csv"], ["other.csv", "--validate", "low.csv"]])
-def test_validate_takes_every_name_up_to_the_next_option(folder, names):
-    tops = dehyst.read(folder / "other.csv")
-    write_record(folder / "low.csv", tops[800:])
-    _, out, _ = run("identify", "loops.csv", "--validate", *names, *PLAIN, "--json", cwd=folder)
-    roles = [(error["record"], error["role"]) for error in json.loads(out)["errors"]]
-    assert roles == [("loops", "training"), ("other", "validation"), ("low", "validation")]
 
 
 KINDS = {

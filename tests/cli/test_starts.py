@@ -1,17 +1,17 @@
 """`--start` and `--home` as processes: what is known of the start, and what an unknown one leaves open."""
 
-import json
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import plain_records
 import pytest
-from command_line import WRITTEN, run
+from command_line import WRITTEN, result, run
 
 import dehyst
 from dehyst import Actuator, Record
 from dehyst.model import needs_time, stroke_of, turned, with_identification
-from dehyst.model.promise import promise
+from dehyst.model.promise import Validity, promise
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
@@ -36,12 +36,6 @@ def folder(tmp_path_factory):
     return target
 
 
-def answer(*arguments, cwd):
-    status, out, err = run(*arguments, "--json", cwd=cwd)
-    assert status in (0, 1), err
-    return status, json.loads(out)
-
-
 def column(folder, file, name):
     data = {one.name: one.data for one in read_table(folder / file).columns}
     return data[name]
@@ -49,7 +43,7 @@ def column(folder, file, name):
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_without_a_start_the_path_is_homed_first(folder, model):
-    status, got = answer("compensate", model, "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
+    status, got = result("compensate", model, "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
     assert status == 0 and got["certified"] and got["start"]["name"] == "unknown"
     assert got["start"]["largest_difference_percent"] <= got["start"]["model_error_percent"]
     assert got["samples"] == got["homing_samples"] + 200
@@ -70,7 +64,7 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
 
 def test_compensate_promises_what_the_records_tested_of_the_path(folder):
     """The promise of this path, and what an unknown start leaves open."""
-    _, got = answer(
+    _, got = result(
         "compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none", cwd=folder
     )
     known, judged = Actuator.load(folder / "model.json").identification, got["promise"]
@@ -85,7 +79,7 @@ def test_compensate_promises_what_the_records_tested_of_the_path(folder):
 
 def test_without_a_homing_the_error_is_reported(folder):
     given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none")
-    _, got = answer(*given, cwd=folder)
+    _, got = result(*given, cwd=folder)
     assert (got["samples"], got["homing_samples"], got["certified"]) == (200, 0, None)
     assert got["start"]["largest_difference_percent"] > 5 > got["start"]["model_error_percent"]
     assert "phase" not in read_table(folder / "v.csv").names
@@ -95,7 +89,7 @@ def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
     actuator = Actuator.load(folder / "model.json")
     coarse = replace(actuator.identification.validity, largest=1e-3)
     with_identification(actuator, validity=coarse).save(folder / "coarse.json")
-    _, got = answer("compensate", "coarse.json", "path.csv", "-o", "v.csv", cwd=folder)
+    _, got = result("compensate", "coarse.json", "path.csv", "-o", "v.csv", cwd=folder)
     assert got["homing_samples"] == 0
     assert 5 < got["start"]["largest_difference_percent"] < got["start"]["model_error_percent"]
 
@@ -103,13 +97,13 @@ def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
 def test_a_simulation_from_an_unknown_start_is_bounded(folder):
     voltage = np.concatenate([np.linspace(40, 200, 100), np.linspace(200, 0, 100), np.linspace(0, 90, 50)])
     write_columns(folder / "drive.csv", {"time_s": np.arange(250) * 0.01, "voltage_V": voltage})
-    _, got = answer("simulate", "model.json", "drive.csv", "-o", "s.csv", cwd=folder)
+    _, got = result("simulate", "model.json", "drive.csv", "-o", "s.csv", cwd=folder)
     low, y, high = (column(folder, "s.csv", f"{name}_um") for name in ("lowest", "expected", "highest"))
     slack = 1e-9
     assert np.all((low - slack <= y) & (y <= high + slack))
     actuator = Actuator.load(folder / "model.json")
     for start in ("top", "bottom", "relaxed"):
-        answer("simulate", "model.json", "drive.csv", "-o", "known.csv", "--start", start, cwd=folder)
+        result("simulate", "model.json", "drive.csv", "-o", "known.csv", "--start", start, cwd=folder)
         known = column(folder, "known.csv", "expected_um")
         assert np.all((low - slack <= known) & (known <= high + slack)), start
         assert "lowest_um" not in read_table(folder / "known.csv").names
@@ -156,7 +150,7 @@ def test_a_record_is_a_start_as_it_began(folder, model):
     assert missed["as:began.csv"] < 2e-3 and min(missed["top"], missed["bottom"]) > 5e-3
     write_columns(folder / "wish.csv", {"time_s": time[:100], "displacement_um": 1e6 * y[:100]})
     given = ("compensate", model, "wish.csv", "-o", "v.csv", "--start", "as:began.csv", "--slew-rate", "none")
-    _, got = answer(*given, cwd=folder)
+    _, got = result(*given, cwd=folder)
     assert got["start"]["name"] == "as:began.csv" and got["homing_samples"] == 0
     assert np.abs(column(folder, "v.csv", "voltage_V") - voltage[:100]).max() < 0.01 * 200
     status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", "as:same.csv", cwd=folder)
@@ -168,7 +162,7 @@ def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
     for turns, open_ in (([0.0, 40.0, 10.0, 30.0], True), ([0.0, 200.0, 0.0, 30.0], False)):
         write_columns(folder / "history.csv", {"voltage_V": np.array(turns)})
         given = ("simulate", "model.json", "next.csv", "-o", "s.csv", "--start", "history.csv")
-        _, got = answer(*given, cwd=folder)
+        _, got = result(*given, cwd=folder)
         assert got["start"]["name"] == "history.csv"
         share = got["start"]["largest_difference_percent"] / got["start"]["model_error_percent"]
         assert (share > 1) == open_
@@ -192,7 +186,7 @@ def test_of_an_output_only_the_voltages_are_a_start(folder, file):
     ends = {}
     for start in ("earlier.csv", "bare.csv"):
         given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--start", start)
-        _, ends[start] = answer(*given, cwd=folder)
+        _, ends[start] = result(*given, cwd=folder)
         err = run(*given, cwd=folder)[2]
         assert ("earlier.csv: " in err) == (start != "bare.csv")
     assert ends["earlier.csv"]["state"] == ends["bare.csv"]["state"]
@@ -233,3 +227,24 @@ def test_a_start_that_is_nothing_is_refused(folder, command):
     if command == "compensate":
         status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "top", "--home", cwd=folder)
         assert status == 2 and "--start: got it with --home" in err
+
+
+def test_a_homing_that_leaves_the_start_open_has_one_status_however_it_was_asked_for(folder):
+    replace(plain_records.plant(6), limits=(0.0, 100.0)).save(folder / "narrow.json")
+    write_columns(folder / "low.csv", {"time_s": [0, 1, 2], "displacement_um": [3, 4, 3]})
+    words = ("compensate", "narrow.json", "low.csv", "-o", "v.csv")
+    found = [result(*words, *more, cwd=folder) for more in ((), ("--home",), ("--home-within", 200))]
+    assert [(status, told["certified"], told["clamped"]) for status, told in found] == 3 * [(1, False, 0)]
+    assert result(*words, "--no-home", cwd=folder)[0] == 0
+
+
+def test_the_answer_comes_first_and_the_rest_by_verbose(folder):
+    tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0), speeds=(1.0, 50.0))
+    model = with_identification(replace(plain_records.plant(6), limits=(0.0, 200.0)), validity=tested)
+    model.save(folder / "tested.json")
+    words = ("compensate", "tested.json", "path.csv", "-o", "v.csv", "--plot", "p.html")
+    (status, brief, remarks), (_, whole, _) = (run(*words, *more, cwd=folder) for more in ((), ("--verbose",)))
+    assert status == 0 and brief.startswith("Expect this path ") and whole.startswith(brief.splitlines()[0])
+    assert "slew rate" not in brief and "slew rate: not limited" in whole and len(remarks.splitlines()) <= 1
+    assert (folder / "p.html").read_text().count("data-chart=") == 3
+    assert run(*words, cwd=folder, keep=True)[0] == 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -30,8 +30,6 @@ _MEASURED = ("voltage", "displacement")
 # Before the file of a record whose beginning, not whose end, is the start.
 _AS = "as:"
 Limits = tuple[float, float] | None
-# Gives the start of an axis' actuator within limits.
-StartReader = Callable[[int, Actuator, Limits], PossibleStart]
 
 
 @dataclass(frozen=True)
@@ -65,17 +63,31 @@ class Start:
         return () if self.path is None else (self.path,)
 
 
-def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: bool = True) -> StartReader:
-    """Return a function that gives the start of an actuator: the named start, or the start from the file, read once.
+def starts_of(
+    model: AxesModel, start: Start | None, limits: Sequence[Limits], columns: Columns, *, rests: bool = True
+) -> tuple[list[PossibleStart | None], list[str]]:
+    """Return the start of each axis (None if not given) and remarks.
 
-    Displacements written by dehyst are not measured: of such a file only the voltages count. `rests`: whether the
-    actuator still rests at the voltage of the start: the file's last voltage, or with `began` its first.
+    `rests`: whether the actuators still rest at the voltages of the start: the last ones of a file, or with `began` its
+    first.
     """
-    if start.path is None:
-        return lambda _, actuator, limits: PossibleStart.named(actuator, start.name)  # type: ignore[arg-type]
-    table, name = read_table(start.path, columns), start.path.name
-    computed = [f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes]
-    own = set(computed) <= set(table.names)
+    if start is None:
+        return [None] * len(model.axes), []
+    if start.path is not None:
+        found = _starts_in(model, start, start.path, limits, columns, rests=rests)
+    else:
+        found = [PossibleStart.named(actuator, start.name) for actuator in model.actuators]  # type: ignore[arg-type]
+        if model.stage is not None:
+            found = [*map(_played_within, model.actuators, found, limits)]
+    return [*found], model.prefixed(begin.remarks for begin in found)
+
+
+def _starts_in(
+    model: AxesModel, start: Start, path: Path, limits: Sequence[Limits], columns: Columns, *, rests: bool
+) -> list[PossibleStart]:
+    """Return the start of each axis from a file. Displacements written by dehyst count for nothing: not measured."""
+    table, name = read_table(path, columns), path.name
+    own = {f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes} <= set(table.names)
     known = {quantity: _columns_of(model, table, quantity, columns, own=own) for quantity in _MEASURED}
 
     def values(quantity: str) -> list[Array]:
@@ -84,30 +96,25 @@ def start_reader(model: AxesModel, start: Start, columns: Columns, *, rests: boo
             return [table.column(quantity, name) for _, name in pairs]
         return [model.column(table, quantity, axis, name or "") for axis, name in pairs]
 
-    voltages = values("voltage")
-    moved = known["displacement"].values()
-    measured = not own and all(table.fitting("displacement", column) == 1 for column in moved)
+    measured = not own and all(table.fitting("displacement", column) == 1 for column in known["displacement"].values())
     if start.began and not measured:
         raise ModelError(
             argument="start",
             got=f"{_AS}{name}, without a measured displacement",
             need="a record with one: it determines the state in which the record began",
         )
-    remarks = (f"{name}: {_COMPUTED}",) if own else ()
-
-    def read(axis: int, actuator: Actuator, limits: Limits) -> PossibleStart:
-        voltage = voltages[axis]
-        time = table.column("time") if needs_time(actuator) or measured else None
-        if time is not None and measured:
-            targets = model.targets(np.column_stack(values("displacement")))
-            record = Record(time, voltage, targets[:, axis], name)
-            found = start_of(actuator, record, began=start.began, limits=limits)
+    timed = measured or any(map(needs_time, model.actuators))
+    time = table.column("time") if timed else None
+    targets = model.targets(np.column_stack(values("displacement"))).T if measured else [None] * len(model.axes)
+    remarks, starts = (f"{name}: {_COMPUTED}",) if own else (), []
+    for actuator, voltage, moved, allowed in zip(model.actuators, values("voltage"), targets, limits, strict=True):
+        if time is not None and moved is not None:
+            found = start_of(actuator, Record(time, voltage, moved, name), began=start.began, limits=allowed)
         else:
-            found = PossibleStart.after(actuator, voltage, time=time, limits=limits or actuator.limits, name=name)
+            found = PossibleStart.after(actuator, voltage, time=time, limits=allowed or actuator.limits, name=name)
         found = found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found
-        return replace(found, remarks=(*found.remarks, *remarks))
-
-    return read
+        starts.append(replace(found, remarks=(*found.remarks, *remarks)))
+    return starts
 
 
 def _columns_of(model: AxesModel, table: Table, quantity: str, columns: Columns, *, own: bool) -> dict[str, str | None]:
@@ -122,20 +129,6 @@ def _columns_of(model: AxesModel, table: Table, quantity: str, columns: Columns,
     name = getattr(columns, quantity)
     has = not own and (name is None or table.fitting(quantity, name) == 1)
     return dict.fromkeys(model.axes, name if has else None)
-
-
-def starts_of(
-    model: AxesModel, start: Start | None, limits: Sequence[Limits], columns: Columns, *, rests: bool = True
-) -> tuple[list[PossibleStart | None], list[str]]:
-    """Return the start of each axis (None if not given) and remarks; arguments as in `start_reader`."""
-    if start is None:
-        return [None] * len(model.axes), []
-    reader = start_reader(model, start, columns, rests=rests)
-    found = []
-    for j, (actuator, allowed) in enumerate(zip(model.actuators, limits, strict=True)):
-        begin = reader(j, actuator, allowed)
-        found.append(_played_within(actuator, begin, allowed) if model.stage and start.name else begin)
-    return [*found], model.prefixed(begin.remarks for begin in found)
 
 
 def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:
