@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 6048,
     "instruments": 2785,
     "model": 3555,
-    "operations": 3819,
+    "operations": 3812,
     "paper": 1074,
     "records": 4972,
     "report": 1496,
