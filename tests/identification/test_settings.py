@@ -100,17 +100,6 @@ def test_a_step_that_looks_at_the_deadline_is_left():
     assert said == ["begins", "finishing"]
 
 
-def test_a_step_inside_another_is_left_with_it():
-    deadline = Deadline()
-
-    def outer():
-        deadline.end()
-        return deadline.attempt(lambda: 1, 2, "inner")
-
-    assert deadline.attempt(outer, 3, "outer") == 3
-    assert deadline.cut == ["outer"]
-
-
 def test_an_error_in_a_step_is_an_error():
     deadline = Deadline()
     with pytest.raises(ZeroDivisionError):

@@ -13,10 +13,10 @@ from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask
 from dehyst.identification.denoising import disturbs
-from dehyst.identification.frame import Frame, without_offset
+from dehyst.identification.frame import Frame, without_offset, zero_of
 from dehyst.identification.motion import Motion, Parts, moved
 from dehyst.identification.preparation import Prepared, as_list, prepare
-from dehyst.identification.program import SMALLEST_GAIN, Program, Solution
+from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import Epoch, Piece, RowSource
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
@@ -36,8 +36,8 @@ _LEAST = 0.05
 _TURN = 5e-3
 # Part of the samples that count as outliers.
 _OUTLIERS = 1e-3
-# Rows of the search for a zero, its places within this part of the stroke, and turns of Gauss and Newton.
-_FEW, _PLACES, _WITHIN, _TURNS = 1000, 25, 0.6, 2
+# Rows of the search for a zero, and turns of Gauss and Newton.
+_FEW, _TURNS = 1000, 2
 # Creep from before a record is a part of the stroke: its prior, and the least error of a model, as parts of the stroke.
 _STRAINED, _DOUBT = 0.3, 1e-3
 
@@ -179,22 +179,6 @@ class RecordComparison:
         strains = creep.strains(clock, m, self.motion.begun[0] / creep.gains)
         return replace(state, displacement_creep=np.array([np.interp(time, clock, one) for one in strains.T]))
 
-    def crept(self, actuator: Actuator, runs: Iterator[tuple[Array, ...]], start: State) -> Iterator[tuple[Array, ...]]:
-        """Yield the `runs` of `play` with creep in displacement, from a `start` that includes it."""
-        creep = actuator.displacement_creep
-        if creep is None:
-            yield from runs
-            return
-        strains, ends = [start.displacement_creep] * 2, [np.zeros(0)] * 3
-        for time, voltage, *paths in runs:
-            columns = [np.append(end, column) for end, column in zip(ends, (time, *paths), strict=True)]
-            crept = []
-            for k, path in enumerate(columns[1:]):
-                y, strains[k] = creep.added(columns[0], path, strains[k])
-                crept.append(y[-time.size :])
-            ends = [column[-1:] for column in columns]
-            yield (time, voltage, *crept)
-
 
 def compare(
     actuator: Actuator, record: Prepared, stroke: float, *, datum: float | None = None, drifting: bool = False
@@ -301,8 +285,6 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
 
 def _datum(compared: RecordComparison, actuator: Actuator) -> float:
     """Return the shift [m] of a record to the axis of a model, creep at rest; 0 unless it is significant."""
-    from scipy.optimize import minimize_scalar
-
     program, stroke, model = compared.program, compared.frame.stroke, coefficients(actuator)
     few = program.rows.thinned(_FEW)
 
@@ -312,13 +294,7 @@ def _datum(compared: RecordComparison, actuator: Actuator) -> float:
         one = replace(one, near=model)
         return rms(_with_nuisances(one, model).unknowns)
 
-    places = np.linspace(-_WITHIN * stroke, _WITHIN * stroke, _PLACES)
-    k = int(np.argmin([cost(float(place)) for place in places]))
-    ends = float(places[max(k - 1, 0)]), float(places[min(k + 1, _PLACES - 1)])
-    best = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-9 * stroke, "maxiter": 60})
-    none = cost(0.0)
-    worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * stroke
-    return compared.motion.at_rest * float(best.x) if worth else 0.0
+    return compared.motion.at_rest * zero_of(cost, stroke, 1e-9)
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
@@ -421,7 +397,10 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         start = compared.start_of(actuator, number, first)
         starts.append(compared.with_creep(actuator, start[0], float(piece.time[first])))
         runs = compared.play(actuator, number, slice(first, len(piece)), start)
-        drawn += [counted_of(played, piece) for played in compared.crept(actuator, runs, starts[-1])]
+        time, voltage, *paths = (np.concatenate(column) for column in zip(*runs, strict=True))
+        if (creep := actuator.displacement_creep) is not None:
+            paths = [creep.added(time, path, starts[-1].displacement_creep)[0] for path in paths]
+        drawn.append(counted_of((time, voltage, *paths), piece))
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
     # Errors are those at events; a turn of the voltage is filled.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp
@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst.identification.denoising import derivatives, left_of
 from dehyst.identification.motion import Motion, Parts
 from dehyst.identification.preparation import Prepared, counted_samples
-from dehyst.identification.program import Program, Solution
+from dehyst.identification.program import SMALLEST_GAIN, Program, Solution
 from dehyst.identification.regressors import Epoch, NumberedEpoch, Piece, RowSource
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
@@ -25,6 +25,8 @@ from dehyst.records import Record, rms
 # Parts of the time of a record, of which two at a time are held out.
 _PARTS = 6
 FOLDS = _PARTS // 2
+# Places of the search for a zero, and how far they go, as a part of the stroke.
+_PLACES, _WITHIN = 25, 0.6
 # Least slope of the spring, of the mean slope of the widest loop.
 SLOPE_FLOOR = 0.2
 # Finite differences of the search for a resonance.
@@ -321,6 +323,22 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
         delay = 0.0
     changed = replace(motion, mass=1 / omega**2, damping=2 * damping / omega, delay=delay)
     return replace(frame, motion=changed)
+
+
+def zero_of(cost: Callable[[float], float], stroke: float, exact: float) -> float:
+    """Return the zero [m] of a sensor with the least cost [m], to a part `exact` of the stroke.
+
+    It is 0 unless another one costs much less.
+    """
+    from scipy.optimize import minimize_scalar
+
+    places = np.linspace(-_WITHIN * stroke, _WITHIN * stroke, _PLACES)
+    k = int(np.argmin([cost(float(place)) for place in places]))
+    ends = float(places[max(k - 1, 0)]), float(places[min(k + 1, _PLACES - 1)])
+    best = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": exact * stroke, "maxiter": 60})
+    none = cost(0.0)
+    worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * stroke
+    return float(best.x) if worth else 0.0
 
 
 def part_of(place: Array) -> NDArray[np.intp]:

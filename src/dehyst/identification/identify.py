@@ -370,7 +370,7 @@ class _Run:
             self.remarks.insert(0, self._warms(made))
         self.remarks += messages.of_one_ended_loops([item.record.voltage for item in records], drive)
         self.remarks += messages.of_rare_voltages(self.training, self.limits, drive)
-        self.remarks += messages.of_held_out(self.held_out, self.limits, errors)
+        self.remarks += messages.of_held_out(self.held_out, self.limits)
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         delay = actuator.delay + actuator.lag
         repaired = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)

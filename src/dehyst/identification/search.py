@@ -18,9 +18,9 @@ import numpy as np
 from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
 from dehyst.identification.expectation import new_legs
-from dehyst.identification.frame import FOLDS, Frame, part_of, tuned
+from dehyst.identification.frame import FOLDS, Frame, part_of, tuned, zero_of
 from dehyst.identification.motion import creep_times, moved
-from dehyst.identification.program import SMALLEST_GAIN, Program, Solution, with_folds
+from dehyst.identification.program import Program, Solution, with_folds
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
@@ -41,8 +41,6 @@ WIDE = (
 OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
 # Rows of a first look, of the search, and of the final program.
 FEW, _ROWS, _MOST = 2000, 4000, 12_000
-# Places of the search for a zero, and how far they go, as a part of the stroke.
-_PLACES, _WITHIN = 25, 0.6
 # Turns of Gauss and Newton in the search.
 _TURNS = 3
 # Time constant of the fastest branch of creep, and how exactly a lead of half a sample is known, in samples.
@@ -350,8 +348,6 @@ def with_datums(frame: Frame) -> Frame:
 
 def _datum(frame: Frame, number: int) -> float:
     """Return the zero of a record, if another one than 0 explains it much better beside the widest record."""
-    from scipy.optimize import minimize_scalar
-
     # Zeros of other records must not hide what this one gains.
     pair, motion = [frame.widest, number], frame.motion
     both = replace(motion, begun=motion.begun[pair], drift=motion.drift[pair])
@@ -362,13 +358,7 @@ def _datum(frame: Frame, number: int) -> float:
         program = moved.program(moved.source(_PLAIN), _PLAIN, FEW // 2)
         return rms(program.residual(program.solved()))
 
-    places = np.linspace(-_WITHIN * frame.stroke, _WITHIN * frame.stroke, _PLACES)
-    k = int(np.argmin([cost(float(place)) for place in places]))
-    ends = float(places[max(k - 1, 0)]), float(places[min(k + 1, _PLACES - 1)])
-    exact: Any = {"xatol": 1e-4 * frame.stroke, "maxiter": 20}
-    best, none = minimize_scalar(cost, bounds=ends, method="bounded", options=exact), cost(0.0)
-    worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * frame.stroke
-    return float(best.x) if worth else 0.0
+    return zero_of(cost, frame.stroke, 1e-4)
 
 
 def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, frame: Frame) -> float:

@@ -92,11 +92,8 @@ class Deadline:
     def attempt(self, step: Callable[[], _T], otherwise: _U, name: str) -> _T | _U:
         """Return the result of a step; if the deadline passes before its end, add its `name` to `cut`: `otherwise`.
 
-        `step` may be left where it calls `check`, or by a signal; a nested step is left together with its outer one.
+        `step` may be left where it calls `check`, or by a signal.
         """
-        if self._inside:
-            self.check()
-            return step()
         if not self.passed:
             try:
                 self._inside = True
