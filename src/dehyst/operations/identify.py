@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 import dehyst._validation as check
-from dehyst._errors import DehystError
+from dehyst._errors import DehystError, IdentifyError
 from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
@@ -79,8 +79,7 @@ def identify(
     there is no model before all are identified: Ctrl-C writes nothing.
     """
     columns.demand(RECORD, "on records", axes=bool(columns.axes))
-    if slew_rate is not None:
-        check.demand(0 < slew_rate < np.inf, "slew_rate", slew_rate, "a positive number of V/s")
+    check.Numbers(positive=True, optional=True, error=IdentifyError)(slew_rate, "slew_rate")
     deadline = Deadline(time_limit)
     best = _BestSoFar(output)
     run.progress("reading")
