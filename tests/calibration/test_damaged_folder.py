@@ -122,7 +122,7 @@ def test_reading_a_damaged_record_raises_an_error_of_dehyst(folder, name):
 
 def test_no_right_to_read_is_no_record(folder, monkeypatch):
     """As another user than root: its file may not be read, but moved."""
-    real = files.content_of
+    real = files.opened
 
     def refuse(path, most):
         if path == folder / RECORD:
@@ -130,7 +130,7 @@ def test_no_right_to_read_is_no_record(folder, monkeypatch):
         return real(path, most)
 
     with monkeypatch.context() as patched:
-        patched.setattr(files, "content_of", refuse)
+        patched.setattr(files, "opened", refuse)
         with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
             assert job.stored("look", LOOK) is None
     assert go_on(folder)
