@@ -3,7 +3,7 @@
 from dehyst.trust.assessment import Insight, StageInsight, insight
 from dehyst.trust.baselines import AbstractBaseline
 from dehyst.trust.changes import Change
-from dehyst.trust.comparison import OURS, ModelComparison, RecordScore, compare
+from dehyst.trust.comparison import OURS, ModelComparison, compare
 from dehyst.trust.recheck import Recheck, check
 from dehyst.trust.start import start_of
 from dehyst.trust.turn_plane import Turn, TurnPlane, turn_plane
