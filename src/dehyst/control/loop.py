@@ -8,7 +8,7 @@ from typing import NoReturn
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._native import CoreState, Loop, StepCoefficients
+from dehyst._native import CoreState, Loop
 from dehyst._types import Array
 from dehyst.control.limits import VoltageLimits, warn_of_sample
 from dehyst.model import Actuator, evaluator_of
@@ -26,31 +26,6 @@ class ReadOnly:
         raise AttributeError(f"{name} cannot be set; make another {type(self).__name__}")
 
 
-def step_numbers(
-    actuator: Actuator, limits: VoltageLimits, period: float | None
-) -> tuple[StepCoefficients, tuple[float, float, float, float, float, float, float]]:
-    """Return the coefficients of a step, the limits [V], the largest change [V] and the coefficients of the amplifier.
-
-    Raise `ModelError` if a period is missing, too long for a resonance, or too short for the slew rate.
-    """
-    model, slew = evaluator_of(actuator), limits.slew_rate
-    if period is None and (model.needs_time or slew is not None):
-        raise ModelError(
-            "creep, inertia, a lag or a slew rate need the time between steps",
-            hint="give the period [s]",
-            change=("period",),
-        )
-    seconds = 0.0 if period is None else period
-    coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
-    most = float(np.finfo(np.float64).max)
-    change = most if slew is None else min(slew * seconds, most)
-    if change <= 0:
-        raise ModelError(
-            f"{slew:g} V/s allow no change in {seconds:g} s", argument="slew_rate", hint="give more, or a longer period"
-        )
-    return coefficients, (limits.low, limits.high, change, *model.amplifier(seconds))
-
-
 def make_loop(
     actuator: Actuator,
     limits: VoltageLimits,
@@ -61,14 +36,27 @@ def make_loop(
     warns: bool = True,
     assumed: bool = False,
 ) -> Loop:
-    """Return a loop that starts in a state, which may be only `assumed`; raise `ModelError` as `step_numbers`."""
-    core, (coefficients, numbers) = evaluator_of(actuator).core, step_numbers(actuator, limits, period)
+    """Return a loop that starts in a state, which may be only `assumed`.
+
+    Raise `ModelError` if a period is missing, too long for a resonance, or too short for the slew rate.
+    """
+    model, slew, seconds = evaluator_of(actuator), limits.slew_rate, period or 0.0
+    if period is None and (model.needs_time or slew is not None):
+        words = "creep, inertia, a lag or a slew rate need the time between steps"
+        raise ModelError(words, hint="give the period [s]", change=("period",))
+    coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
+    most = float(np.finfo(np.float64).max)
+    change = most if slew is None else min(slew * seconds, most)
+    if change <= 0:
+        words = f"{slew:g} V/s allow no change in {seconds:g} s"
+        raise ModelError(words, argument="slew_rate", hint="give more, or a longer period")
+    numbers = np.array([limits.low, limits.high, change, *model.amplifier(seconds)])
 
     def warn(slewed: bool, displacement: float, voltage: float, before: float) -> None:
         guess = before if assumed and before == begin else None
         warn_of_sample(actuator, limits, slewed, displacement, voltage, guess)
 
-    loop = core.loop(coefficients, taps, np.array(numbers), warn if warns else lambda *_: None, start)
+    loop = model.core.loop(coefficients, taps, numbers, warn if warns else lambda *_: None, start)
     begin = loop.sent()
     return loop
 

@@ -17,17 +17,20 @@ from dehyst.control.planning.wave_table import Cycle, WaveTable
 from dehyst.control.stage_compensator import StageCompensator, axes_of
 from dehyst.model import State, mechanical_response, stroke_of
 
-# Share of the error that a cycle takes away; at first of harmonics above the tenth, where a resonance may be unknown.
-_GAIN, _FIRST_GAIN, _SAFE = 0.6, 0.05, 10
-# A harmonic that falls gets so many times the gain; one that rises by this factor, so many times less.
-_FASTER, _RISE, _SLOWER = 2.0, 1.2, 0.25
+# Share of the error that a cycle takes away; at first, of harmonics above the tenth, where a resonance may be unknown;
+# and of these after a step was taken back.
+_GAIN, _FIRST_GAIN, _SAFE, _CAREFUL = 0.6, 0.05, 10, 0.02
+# A harmonic that falls gets so many times the gain; one that rises by this factor, so many times less. Once a step was
+# taken back, one with this share of the error that rises gets at most half of that gain from then on.
+_FASTER, _RISE, _SLOWER, _LARGE, _AT_MOST = 2.0, 1.2, 0.25, 0.3, 0.5
 # Longest gap between readings, as a share of the cycle.
 _GAP = 0.05
-# The correction ends at this multiple of the resonance, after errors have risen at this part of that; harmonics of the
-# error count that are more than so many times noise.
-_RESONANCE, _LOWER, _ABOVE_NOISE = 1.2, 0.5, 3.0
-# An error that is so many times the least and still rises is no drift; one of so many times returns at once.
-_WORSE, _FAR_WORSE = 1.5, 3.0
+# The correction ends at this multiple of the resonance; harmonics of the error count that are more than so many times
+# noise.
+_RESONANCE, _ABOVE_NOISE = 1.2, 3.0
+# An RMS error that is so many times the least, and this share of the first one, takes the step back; it takes back the
+# whole correction if the best cycle, played again, is no better than the first.
+_WORSE, _NEAR = 1.2, 0.3
 # Of the RMS error: a smaller change is none, nor is one within so many standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
 # Share of a cycle in which a new correction comes.
@@ -57,8 +60,8 @@ class Repetition:
 
     The correction is low-passed without a delay, to just above the identified resonance, and a harmonic of the error
     is learnt as far as it is more than noise; one that rises is taken back and learnt more slowly. A cycle counts if
-    its readings are complete, no voltage was clamped, and the sensor is believed. After two cycles with rising errors
-    the best cycle returns, and the low-pass ends at half.
+    its readings are complete, no voltage was clamped, and the sensor is believed. After one with an RMS error of more
+    than 1.2 times the least, the best cycle is played again.
 
     Parameters
     ----------
@@ -122,11 +125,13 @@ class Repetition:
         self.errors: list[float] = []
         self.fault = SensorFault.NONE
         self._cycle: _Cycle | None = None
+        # The best cycle; after a step that is taken back it is played and measured again, and then the path alone.
         self._best: _Cycle | None = None
-        self._rises = 0
-        # Error and correction of the last cycle by harmonics, and the gain of each.
+        self._returned, self._careful = 0, False
+        # Error and step of the last cycle by harmonics, and the gain of each with its most.
         self._last: tuple[Any, Any] | None = None
         self._gains = np.full((len(self.path) // 2 + 1, len(self._loops)), _GAIN)
+        self._most = self._gains.copy()
         # The harmonic at which the correction ends.
         seconds = len(self.path) * (self.compensator.period or 1.0)
         rings = [loop.actuator.dynamics.frequency for loop in self._loops if loop.actuator.dynamics is not None]
@@ -233,48 +238,58 @@ class Repetition:
 
     def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:
         """Judge a cycle by its error, and correct the next one; return whether it does."""
-        by, noise = self._filtered(error, gap)
-        least = max(_CHANGE * cycle.rms, _ERRORS * noise / np.sqrt(2 * error.size))
-        if self._best is None or cycle.rms < self._best.rms - least:
-            self._best, self._rises = cycle, 0
-        elif cycle.rms > _WORSE * self._best.rms:
-            self._rises = self._rises + 1 if self.errors[-1] > self.errors[-2] + least else 0
-        if self._rises < 2 and cycle.rms <= _FAR_WORSE * self._best.rms:
-            self.correction = np.clip(cycle.correction + by, -self.bound, self.bound)
-            return bool(by.any())
-        # What rises is a resonance that is not where it was identified: below it there may be more to learn.
-        self.correction, self._best, self._rises = self._best.correction, None, 0
-        self._highest *= _LOWER
-        self._last = None
-        return False
-
-    def _filtered(self, error: Array, gap: int) -> tuple[Array, float]:
-        """Return the part of an error (n, axes) that can be learnt, and the noise that is in it."""
-        samples, period = len(error), self.compensator.period or 1.0
         spectrum = np.fft.rfft(error, axis=0)
-        update = spectrum.copy()
-        harmonic = np.arange(len(spectrum))
         size = np.abs(spectrum)
         # The median of a Rayleigh distribution, of harmonics that hold noise alone.
         floor = np.median(size[len(size) // 2 :], axis=0) / np.sqrt(np.log(2))
+        noise = _ERRORS * float(floor.max()) / len(error) / np.sqrt(2)
+        rose = self._adapt(size, floor)
+        best = self._best
+        near = (_NEAR, 1.0, np.inf)[self._returned] * self.errors[0]
+        if best is not None and cycle.rms > max(_WORSE * best.rms + noise, near):
+            # What was the best may have been so before a resonance swung: without a correction it cannot.
+            self._returned += 1
+            self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
+            self._last, self._careful = None, True
+            self._gains[_SAFE:] = np.minimum(0.5 * self._gains[_SAFE:], _CAREFUL)
+            return False
+        if best is None or self._returned or cycle.rms < best.rms - max(_CHANGE * cycle.rms, noise):
+            self._best, self._returned = cycle, 0
+        step = self._step(spectrum, size, floor, gap)
+        if self._last is not None:
+            step = np.where(rose, -self._last[1], step)
+        self._last = size, step
+        by = np.fft.irfft(step, len(error), axis=0)
+        self.correction = np.clip(cycle.correction + by, -self.bound, self.bound)
+        return bool(by.any())
+
+    def _adapt(self, size: Array, floor: Array) -> Any:
+        """Adapt the gains by the errors (k, axes) of harmonics and their noise; return which have risen."""
+        if self._last is None:
+            return np.zeros(size.shape, dtype=bool)
+        before, step = self._last
+        moved = (np.abs(step) > 0) & (np.arange(len(size)) >= _SAFE)[:, None]
+        rose = moved & (size > _RISE * before + _ABOVE_NOISE * floor)
+        fell = (size < before - 0.5 * np.abs(step)) if self._careful else ~rose
+        large = self._careful & (size > _LARGE * np.linalg.norm(size, axis=0))
+        self._most = np.where(rose & large, _AT_MOST * self._gains, self._most)
+        factor = np.where(rose, _SLOWER, np.where(fell, _FASTER, 1.0))
+        self._gains = np.minimum(factor * self._gains, self._most)
+        return rose
+
+    def _step(self, spectrum: Any, size: Array, floor: Array, gap: int) -> Any:
+        """Return what the next cycle adds to the correction, by harmonics (k, axes) of an error."""
+        samples, period = len(self.path), self.compensator.period or 1.0
+        harmonic = np.arange(len(spectrum))
         heard = np.clip(1 - (_ABOVE_NOISE * floor / np.maximum(size, np.finfo(float).tiny)) ** 2, 0, 1)
         limit = max(min(self._highest, samples / (4.0 * max(gap, 1))), 1.0)
-        frequency, before = harmonic / (samples * period), self._last
-        if before is not None:
-            # Each harmonic by its own gain: one that has risen is taken back, and learnt more slowly.
-            rose = (size > _RISE * np.abs(before[0]) + _ABOVE_NOISE * floor) & (harmonic >= _SAFE)[:, None]
-            self._gains = np.where(rose, _SLOWER, _FASTER) * self._gains
-            self._gains = np.minimum(self._gains, _GAIN)
+        step = spectrum * heard * self._gains * np.clip(3 - 2 * harmonic / limit, 0, 1)[:, None]
         for j, loop in enumerate(self._loops):
-            actuator = loop.actuator
-            moves = mechanical_response(actuator.dynamics, actuator.delay, frequency)
-            weight = heard[:, j] * np.clip(3 - 2 * harmonic / limit, 0, 1)
-            weight = weight * self._gains[:, j]
-            update[:, j] *= weight if loop._previews else weight / np.where(weight > 0, moves, 1)
-        if before is not None:
-            update = np.where(rose, -before[1], update)
-        self._last = spectrum, update
-        return np.fft.irfft(update, samples, axis=0), float(floor.max() / np.sqrt(samples))
+            if not loop._previews:
+                actuator = loop.actuator
+                moves = mechanical_response(actuator.dynamics, actuator.delay, harmonic / (samples * period))
+                step[:, j] /= np.where(step[:, j] != 0, moves, 1)
+        return step
 
 
 def _longest_gap(there: Array) -> int:

@@ -21,32 +21,27 @@ from numpy.typing import ArrayLike
 
 from dehyst._types import Array
 from dehyst._validation import interval, number
-from dehyst.model import Actuator, GradedSlip, State, creep_times, evaluator_of, on_curve, quasistatic, voltages_of
+from dehyst.model import Actuator, State, creep_times, evaluator_of, knots_of, quasistatic, turned, voltages_of
 from dehyst.waveforms import Sampling
 
-_ROUNDING = 1e-12
 # Random histories, and turns in each.
 _HISTORIES, _TURNS = 12, 8
 
 
-def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> float:
-    """Return the displacement [m] at a voltage [V] on the major loop: side 1 is the rising branch, -1 the falling one.
+def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> State:
+    """Return the state at a voltage [V] on the major loop: side 1 is the rising branch, -1 the falling one.
 
-    It is the lowest, or the highest, of any state. Smooth elements are taken to hold their largest voltage.
+    Its displacement is the lowest, or the highest, of any state; smooth elements hold their largest voltage.
     """
-    slip, smooth, spring = actuator.slip, actuator.smooth, actuator.spring
-    held = 0.0 if smooth is None else float(smooth.stiffness @ smooth.length)
-    internal = voltage if actuator.transformer is None else float(actuator.transformer(voltage))
-    if not isinstance(slip, GradedSlip):
-        return evaluator_of(actuator).core.spring_inverse(internal - side * (held + float(slip.friction.sum())))
-    # The bends of the branch, and a point beyond either end; bends that differ by rounding are merged.
-    knots = (spring.displacement, slip.knots, (slip.knots[:, None] + side * slip.breakaway).ravel())
-    y = np.unique(np.concatenate(knots))
-    y = y[np.diff(y, prepend=-np.inf) > _ROUNDING * np.ptp(y)]
-    y = np.concatenate([[y[0] - np.ptp(y)], y, [y[-1] + np.ptp(y)]])
-    carts = y[:, None] - side * slip.breakaway
-    friction = (slip.internal_voltage(y[:, None]) - slip.internal_voltage(carts)).sum(axis=1)
-    return float(on_curve(spring(y) + side * held + friction, y, internal))
+    plain = quasistatic(replace(actuator, displacement_creep=None, state=None))  # type: ignore[arg-type]
+    low, high = knots_of(plain)
+    # It comes from so far that every element slides.
+    way = high - low + 2 * float(plain.slip.breakaway.max(initial=0.0))
+    while side * (voltage - plain.voltage(turned(plain, low - side * way, rising=side > 0))) < 0:
+        way *= 2
+    far = turned(plain, low - side * 3 * way, rising=side > 0)
+    reached: State = plain.simulate([voltage], state=far, extrapolate=True).state
+    return reached
 
 
 def middle_of(states: Sequence[State]) -> State:
@@ -91,10 +86,9 @@ def possible_states(
     are no interval.
     """
     v = number(voltage, "voltage")
-    rho, length = actuator.slip.breakaway, np.zeros(0) if actuator.smooth is None else actuator.smooth.length
+    length = np.zeros(0) if actuator.smooth is None else actuator.smooth.length
     if not time_dependence(actuator):
-        ends = ((side, _on_major_loop(actuator, v, side)) for side in (1, -1))
-        return tuple(State(y, y - side * rho) for side, y in ends)
+        return tuple(_on_major_loop(actuator, v, side) for side in (1, -1))
     low, high = voltages_of(actuator) if limits is None else interval(limits)
     low, high = min(low, v), max(high, v)
     still = quasistatic(actuator)
@@ -105,8 +99,8 @@ def possible_states(
 
     # After resting for ever at either limit.
     rested = [
-        evaluator_of(still).complete_state(State(y, y - side * rho, smooth=share * length))
-        for side, y in ((1, _on_major_loop(actuator, low, 1)), (-1, _on_major_loop(actuator, high, -1)))
+        evaluator_of(still).complete_state(State(end.deformation, end.carts, smooth=share * length))
+        for end in (_on_major_loop(actuator, low, 1), _on_major_loop(actuator, high, -1))
         for share in ((1.0, 0.0, -1.0) if length.size else (1.0,))
     ]
     # The last leg takes no time.
