@@ -153,7 +153,7 @@ def test_several_axes_are_learnt_together(tmp_path):
     phase = 2 * np.pi * np.arange(400) / 400
     path = {f"{axis}_um": 6 - 3 * np.cos(phase + axis) for axis in (1, 2, 3)}
     write_columns(tmp_path / "path.csv", {"time_s": 0.005 * np.arange(400), **path})
-    with served(stage=stage, speed=10.0) as (server, bench):
+    with served(stage=stage, speed=40.0) as (server, bench):
         rig = f"pi://127.0.0.1:{server.port}/1,2,3"
         words = ("follow", rig, "--model", "stage.json", "--path", "path.csv", "--learn", "--repeat", "4", "--json")
         found = json.loads(run(*words, cwd=tmp_path)[1])
