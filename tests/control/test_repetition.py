@@ -96,7 +96,7 @@ def test_a_sensor_that_lies_is_not_believed(sensor, fault):
 
 def test_an_error_that_grows_returns_to_the_best_cycle():
     life = Life()
-    assert any([life.cycle() for _ in range(8)])
+    assert all([life.cycle() for _ in range(8)][:1])
     best = life.repetition._best.correction
     assert not life.cycle(lambda y: y + 0.01 * STROKE)
     np.testing.assert_array_equal(life.repetition.correction, best)

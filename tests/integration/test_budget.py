@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1180,
     "cli": 542,
-    "control": 4259,
+    "control": 4256,
     "exports": 1288,
     "fleet": 312,
     "foundation": 1416,
