@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from math import comb, log, sqrt
+from math import log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst.records import signals
-from dehyst.records.signals import QUARTILE, new_samples, noise_span, resolution, runs, turning_points, white_noise
+from dehyst.records.signals import new_samples, noise_span, resolution, runs, turning_points, white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,8 +50,8 @@ _SHOWN, FEWEST_NEW = 5, 12
 # largest part of a record that spikes are.
 _SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005, 0.05
 # Least size of an excursion in steps of resolution, usual excursions and steps nearby; at an end, where it cannot come
-# back, in the largest steps. Digits of a signal are a part of its range at most.
-_DIGITS, _USUAL, _STEPS, _STEPS_AT_END, _COARSEST = 1.5, 1.5, 1.5, 3.0, 0.1
+# back, in the largest steps.
+_DIGITS, _USUAL, _STEPS, _STEPS_AT_END = 1.5, 1.5, 1.5, 3.0
 # Least share of its mean gain with which the displacement follows: a small excursion moves an actuator by half of the
 # mean slope, and half of that can fall between two samples. Multiple of the noise deviation below which it is hidden,
 # and gain next to a turn, and at an end, over the mean gain.
@@ -293,9 +293,9 @@ class _Signals(NamedTuple):
             return None
         stroke = float(np.subtract(*np.quantile(y, [0.99, 0.01])))
         cycle = 2 * len(v) / max(int(np.count_nonzero(np.diff(v > middle))), 1)
-        least = max(least * (high - low), _SIGMAS * _noise(v), _DIGITS * _digit(v))
+        least = max(least * (high - low), _SIGMAS * white_noise(v), _DIGITS * resolution(v)[0])
         lag, longest = int(np.clip(_LAG * cycle, *_LAGS)), int(min(_LONGEST, _LONGEST_PART * cycle))
-        sensor = max(_SEEN * _noise(y), _digit(y))
+        sensor = max(_SEEN * white_noise(y), resolution(y)[0])
         scales = {"gain": stroke / (high - low), "sensor": sensor, "lag": lag, "span": high - low, "longest": longest}
         return cls(v, y, least, **(scales | options))
 
@@ -365,18 +365,6 @@ class _Signals(NamedTuple):
         found = self._replace(v=v, y=y, least=self.least + _STEPS_AT_END * usual, steep=_STEEP_AT_END).inner()
         within = [(max(a - beside, 0), min(b - beside, size)) for a, b in found]
         return [(a, b) for a, b in within if a == 0 < b or a < b == size]
-
-
-def _noise(values: Array) -> float:
-    """Return the white noise, in the unit of the values: the least of three estimates (slopes, corners, steps)."""
-    spreads = ((float(np.median(np.abs(np.diff(values, k)))), comb(2 * k, k)) for k in (1, 2))
-    return min(white_noise(values), *(spread / QUARTILE / sqrt(parts) for spread, parts in spreads))
-
-
-def _digit(values: Array) -> float:
-    """Return the resolution, in the unit of the values; 0 for a signal of few large steps, which does not show it."""
-    step, part = resolution(values)
-    return step if part <= _COARSEST else 0.0
 
 
 def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:

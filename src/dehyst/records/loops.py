@@ -262,9 +262,7 @@ def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
     # Loops of one size do not tell a lag from hysteresis.
     if lag <= 0 or np.ptp(sizes) < _VARIES * sizes.max():
         return
-    # A delay, or a filter of first or second order.
-    delayed = (np.interp(time - lag, time, v), _late(time, v, lag), _late(time, _late(time, v, 0.5 * lag), 0.5 * lag))
-    if min(_parabola(record, one, slice(None))[0] for one in delayed) < least + _ROUND * width:
+    if _parabola(record, np.interp(time - lag, time, v), slice(None))[0] < least + _ROUND * width:
         yield f"No hysteresis is found beyond a lag of {1e3 * lag:.3g} ms: was a servo on?"
 
 
@@ -275,13 +273,6 @@ def _parabola(record: Record, voltage: Array, places: Any, *others: Array) -> tu
     scales = np.abs(columns).max(axis=0).clip(1e-300)
     weights = np.linalg.lstsq(columns / scales, record.displacement[places], rcond=None)[0] / scales
     return float(np.std(record.displacement[places] - columns @ weights)), weights.tolist()
-
-
-def _late(time: Array, voltage: Array, lag: float) -> Array:
-    """Return a voltage (n,) behind a filter of first order with this lag [s], as the mean of delayed ones."""
-    delays = -np.log(1 - (np.arange(8) + 0.5) / 8)
-    parts = [np.interp(time - lag * part, time, voltage) for part in delays / delays.mean()]
-    return np.asarray(np.mean(parts, axis=0))
 
 
 def _clamped(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
