@@ -26,7 +26,7 @@ ROOMS = {
     "model": 3555,
     "operations": 3811,
     "paper": 1074,
-    "records": 4832,
+    "records": 4951,
     "report": 1496,
     "testing": 492,
     "trust": 2334,
