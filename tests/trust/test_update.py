@@ -83,6 +83,14 @@ def test_friction_that_changes_alone_changes_all_thresholds(old, friction):
     assert np.all(error(old, test) > [0.01, 0.005])
 
 
+def test_a_gain_of_the_displacement_scales_all_thresholds(old):
+    record = driven(TRUE, ONE_LOOP, seed=1)
+    made = dehyst.update(old, replace(record, displacement=1.08 * record.displacement)).actuator
+    np.testing.assert_allclose(made.slip.breakaway, 1.08 * old.slip.breakaway, rtol=0.03)
+    test = driven(TRUE, TEST, seed=2)
+    assert np.all(error(made, replace(test, displacement=1.08 * test.displacement)) < [0.006, 0.0025])
+
+
 def test_one_loop_of_a_creeping_actuator_is_enough_too():
     """What creeps from before the record could take the place of a change of gain, if it could be any size."""
     creep = DisplacementCreep([0.5, 5.0, 50.0], np.full(3, 0.02))

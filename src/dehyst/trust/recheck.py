@@ -69,8 +69,6 @@ class Recheck(Plotted):
         Name of the record.
     model : str
         Name of the model.
-    samples, left_out : int
-        Number of samples of the record that were compared, and that were left out.
     largest, rms : float
         Largest and RMS difference of measured and simulated displacement [m], without an offset and, for a model
         without creep, without a drift.
@@ -98,8 +96,6 @@ class Recheck(Plotted):
 
     record: str
     model: str
-    samples: int
-    left_out: int
     largest: float
     rms: float
     noise: float
@@ -222,8 +218,6 @@ class Recheck(Plotted):
             "advises_update": self.advises_update,
             "model": self.model,
             "record": self.record,
-            "samples": self.samples,
-            "left_out": self.left_out,
             "largest_percent": percent(self.largest, self.stroke),
             "rms_percent": percent(self.rms, self.stroke),
             "without_noise_percent": percent(self.without_noise, self.stroke),
@@ -346,8 +340,6 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     return Recheck(
         record=record.name,
         model=actuator.name,
-        samples=errors.samples,
-        left_out=errors.left_out,
         largest=largest(error),
         rms=rms(error),
         noise=prepared.noise,

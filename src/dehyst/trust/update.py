@@ -415,7 +415,7 @@ class _Refit:
 def _grown(actuator: Actuator, factor: float, fixed: float) -> Actuator:
     """Return an actuator that moves so many times as far from a `fixed` displacement [m] at the same voltages."""
     slip, spring, smooth = actuator.slip, actuator.spring, actuator.smooth
-    grades = {"knots": fixed + factor * (slip.knots - fixed)} if isinstance(slip, GradedSlip) else {}
+    grades: Any = {"knots": fixed + factor * (slip.knots - fixed)} if isinstance(slip, GradedSlip) else {}
     return replace(
         actuator,
         slip=replace(slip, breakaway=factor * slip.breakaway, stiffness=slip.stiffness / factor, **grades),
