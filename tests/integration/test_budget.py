@@ -29,7 +29,7 @@ ROOMS = {
     "records": 4951,
     "report": 1496,
     "testing": 492,
-    "trust": 2334,
+    "trust": 2326,
     "virtual": 797,
     "waveforms": 1350,
     "web": 50,
