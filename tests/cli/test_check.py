@@ -57,7 +57,7 @@ def test_each_check_is_a_row_of_the_log_and_another_table_is_unchanged(folder):
     ("arguments", "words"),
     [
         (["model.json", "short.csv"], "full cycle"),
-        (["model.json", "same.csv", "--goal", "0"], "--goal: got 0.0, need"),
+        (["model.json", "same.csv", "--goal", "0"], "--goal: got 0, need"),
         (["same.csv", "model.json"], "same.csv"),
         (["model.json", "absent.csv"], "no such file"),
     ],

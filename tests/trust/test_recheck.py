@@ -213,8 +213,7 @@ def test_a_record_that_shows_nothing_is_refused():
 
 
 def test_a_check_as_json_has_no_trace_and_all_numbers():
-    record = loops.later(gain=loops.GAIN)
-    data = dehyst.check(loops.model(), record).as_dict()
+    data = dehyst.check(loops.model(), record := loops.later(gain=loops.GAIN)).as_dict()
     assert data["standing"] == "RECALIBRATE"
     assert data["changed"] == ["gain"]
     assert data["changes"][0]["name"] == "gain"
