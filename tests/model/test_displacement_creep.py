@@ -10,7 +10,7 @@ from scipy.signal import lsim
 from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, Thermal
 from dehyst.control import shortest_homing
 from dehyst.control.following import follow
-from dehyst.model import at_rest, knots_of, turned, voltages_of
+from dehyst.model import knots_of, turned, voltages_of
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -79,7 +79,7 @@ def test_derivatives_that_are_given_are_those_of_the_displacement():
 
 
 def test_a_held_voltage_ends_at_the_displacement_at_rest():
-    assert at_rest(CREEPING) == pytest.approx(1.09)
+    assert PART.at_rest == pytest.approx(1.09)
     np.testing.assert_allclose(CREEPING.reach, 1.09 * np.array(PLANT.reach), rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(knots_of(CREEPING), 1.09 * PLANT.spring.displacement[[0, -1]], rtol=1e-12)
     top = turned(CREEPING, 5e-6)

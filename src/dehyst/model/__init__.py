@@ -35,7 +35,6 @@ from dehyst.model.states import (
     NEAR,
     Range,
     at_reference,
-    at_rest,
     beginning,
     creep_times,
     knots_of,

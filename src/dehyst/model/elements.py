@@ -74,10 +74,6 @@ class MaxwellSlip(Entries):
         """(N,) breakaway voltages kappa_i rho_i [V]: the friction forces f_i in terminal coordinates."""
         return self.stiffness * self.breakaway
 
-    def stiffest(self) -> MaxwellSlip:
-        """Return the elements themselves, which have one stiffness each; see `GradedSlip.stiffest`."""
-        return self
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GradedSlip(Entries):
@@ -127,10 +123,6 @@ class GradedSlip(Entries):
         """(N,) largest voltage [V] that each element can hold at any position."""
         bends = np.concatenate([self.knots[:, None] + np.zeros(len(self)), self.knots[:, None] + self.breakaway])
         return np.asarray((self.internal_voltage(bends) - self.internal_voltage(bends - self.breakaway)).max(axis=0))
-
-    def stiffest(self) -> MaxwellSlip:
-        """Return Maxwell-slip elements of the same `friction`: for a picture, not for a simulation."""
-        return MaxwellSlip(self.breakaway, self.friction / self.breakaway)
 
     def internal_voltage(self, positions: ArrayLike) -> Array:
         """Return psi_i [V] at `positions` [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""

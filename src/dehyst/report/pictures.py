@@ -69,9 +69,9 @@ def actuator_loops(found: Actuator) -> Chart:
 
 def elements(actuator: Actuator) -> Chart:
     """Return the stiffness of each slip element, of graded ones the largest, over its breakaway elongation."""
-    slip = actuator.slip.stiffest()
+    slip = actuator.slip
     factor, unit = length_unit(float(slip.breakaway[-1]))
-    rho, stiffness = slip.breakaway * factor, slip.stiffness * 1e-6
+    rho, stiffness = slip.breakaway * factor, slip.friction / slip.breakaway * 1e-6
     series = [*stems("", rho, stiffness, "measured"), Series("", rho, stiffness, "measured", "points", 5)]
     axes = Axis("breakaway elongation", unit, _from_zero(rho)), Axis("stiffness", "V/µm", _from_zero(stiffness))
     return Chart("Slip elements", *axes, series)
