@@ -21,7 +21,6 @@ from dehyst._errors import DehystError
 from dehyst.operations import registry
 
 Values = Mapping[str, Any]
-# Adds a parameter to a command.
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 # A larger number is none.
 _HUGE = 1e300

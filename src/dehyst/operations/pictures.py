@@ -16,13 +16,14 @@ from dehyst.report.html import Charts, Part, document, reproduction, words
 
 
 def _voltage(plan: PathPlan) -> Chart:
-    """Return the voltage with what comes before the path, at negative times, and its clamped samples."""
-    if plan.time is None:
-        axis, x = Axis("sample"), np.arange(plan.voltage.size, dtype=np.float64) - plan.first
-    else:
-        axis, x = Axis("time", "s"), plan.time - plan.time[plan.first]
-    clamped = Series("clamped", x[plan.clamped], plan.voltage[plan.clamped], "simulated", "points", width=3)
-    return Chart("Voltage", axis, Axis("voltage", "V"), [Series("voltage", x, plan.voltage, "measured"), clamped])
+    """Return the voltage along the path, without what comes before it, and its clamped samples."""
+    volts, clamped = plan.voltage[plan.first :], plan.clamped[plan.first :]
+    axis, x = Axis("sample"), np.arange(volts.size, dtype=np.float64)
+    if plan.time is not None:
+        axis, x = Axis("time", "s"), plan.time[plan.first :] - plan.time[plan.first]
+    series = [Series("voltage", x, volts, "measured")]
+    series += [Series("clamped", x[clamped], volts[clamped], "simulated", "points", width=3)] if clamped.any() else []
+    return Chart("Voltage", axis, Axis("voltage", "V"), series)
 
 
 def draw_plans(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
@@ -34,7 +35,7 @@ def draw_plans(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, co
             yield axis and f"<h2>Axis {escape(axis)}</h2>"
             yield "" if plan.promise is None else f"<p>{words(plan.promise.sentence)}</p>"
             charts = pictures.planned_path(plan), _voltage(plan), pictures.error_band(plan)
-            yield Charts("", "What the model expects along the path, and the promise around it.", charts, wide=True)
+            yield Charts("", f"After {plan.seconds or 0.0:.4g} s that lead to the path.", charts, wide=True)
         yield reproduction(command)
 
     write_atomically(path, document("A planned path", parts()))
