@@ -513,7 +513,7 @@ def test_the_reach_is_where_slow_loops_turn(name):
         ({"period": "1"}, "need a finite number"),
         ({"preview": True}, "preview needs the time between steps"),
         ({"state": 1}, "need a State"),
-        ({"state": State(0.0, [])}, "0 carts, this actuator has 10"),
+        ({"state": State(0.0, [])}, "state carts: got 0 numbers, need 10"),
         ({"actuator": "model.json"}, "need an Actuator"),
     ],
 )
@@ -577,4 +577,4 @@ def test_a_clamped_step_with_preview_leaves_no_creep_behind(far):
     loop = Compensator(creeping, (0, 200), period=2e-4, preview=True, warns=False)
     loop.run([3e-6, far, *[3e-6] * 5000])
     loop.restore(loop.snapshot())
-    assert loop.clamps.limited < 10 and np.abs(loop.state.displacement_creep).max() < PLANT.stroke
+    assert loop.clamps.limited < 10 and np.abs(loop.state.displacement_creep).max() < np.ptp(PLANT.reach)

@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2370,
 }
 HOUSE = {
-    "lines of Python": 40100,
+    "lines of Python": 40068,
     "files of Python": 196,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2838,
-    "lines of tests": 38936,
+    "lines of tests": 38935,
     "lines of benchmarks": 5306,
     "words of docs": 27786,
     "public names": 114,
