@@ -18,6 +18,7 @@ from dehyst.operations.command import (
     HOUSE,
     INPUT,
     OUTPUT,
+    PAGE,
     OperationError,
     beside,
     command,
@@ -41,6 +42,7 @@ from dehyst.operations.start import Start
 @option("--fast", is_flag=True)
 @option("--home/--no-home", default=None)
 @number("--deep", only=beside("names"))
+@option("--report", type=PAGE)
 def sample(run, **values):
     """Show what an operation is."""
     return Result(json.loads(json.dumps(values, default=str)), [run.command], good=values["size"] < 5)
@@ -81,6 +83,7 @@ def test_a_run_knows_its_command_and_a_poor_result_has_status_1():
     [
         ({}, "file"),
         ({"file": "a\0b"}, "file"),
+        ({"file": "a", "report": "a.png"}, "report"),
         ({"file": "a", "length": 3}, "length"),
         ({"file": "a", "size": 3.5}, "size"),
         ({"file": "a", "size": "--force"}, "size"),

@@ -67,7 +67,7 @@ def sample_texts(parameter):
     if isinstance(parameter.type, click.Choice):
         return [parameter.type.choices[-1]]
     if isinstance(parameter.type, click.Path):
-        return [f"absent-{parameter.name}"]
+        return [f"absent-{parameter.name}{getattr(parameter.type, 'suffix', '')}"]
     return [TEXTS.get(parameter.type.name, "7")] * parameter.nargs if parameter.nargs > 0 else ["7"]
 
 

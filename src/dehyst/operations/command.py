@@ -45,20 +45,23 @@ class Role(Enum):
 
 
 class FilePath(click.Path):
-    """A path with a role."""
+    """A path with a role; `suffix`: that of its only format."""
 
-    def __init__(self, role: Role) -> None:
+    def __init__(self, role: Role, suffix: str = "") -> None:
         super().__init__(path_type=Path)
-        self.role, self.name = role, "file"
+        self.role, self.suffix, self.name = role, suffix, "file"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return a path."""
         if "\0" in str(value):
             self.fail("a name cannot hold the character 0", param, ctx)
+        if self.suffix and Path(value).suffix.lower() != self.suffix:
+            self.fail(f"got '{value}', need a name that ends in {self.suffix}", param, ctx)
         return super().convert(value, param, ctx)
 
 
 INPUT, OUTPUT, FOLDER, CONTINUED = map(FilePath, Role)
+PAGE = FilePath(Role.OUTPUT, ".html")
 
 
 class _Number(click.types.FloatParamType):
@@ -121,7 +124,7 @@ class ConditionalOption(click.Option):
 option = partial(click.option, cls=ConditionalOption)
 number = partial(option, type=NUMBER)
 integer = partial(option, type=int)
-page = partial(option, "--report", type=OUTPUT, help="Write a self-contained HTML page here.")
+page = partial(option, "--report", type=PAGE, help="Write a self-contained HTML page here.")
 
 
 def output(text: str, role: FilePath = OUTPUT, **settings: Any) -> Decorator:

@@ -31,6 +31,7 @@ from dehyst.operations.axes import (
 from dehyst.operations.command import (
     INPUT,
     OUTPUT,
+    PAGE,
     Only,
     Parsed,
     Values,
@@ -119,7 +120,7 @@ _without_table = Only(lambda given: "table" not in given, "with --table, which i
 @option("--table", type=OUTPUT, only=_of_scan, help="Write the steady cycle of a scan here (CSV), a wave table.")
 @integer("--cycles", default=1, only=_of_table, help="Steady cycles in the output.")
 @integer("--start-up", only=_of_table, help="Cycles before the steady ones; default: from the tolerance.")
-@option("--plot", type=OUTPUT, help="Draw the path, its voltage and the error to expect here (HTML).")
+@option("--plot", type=PAGE, help="Draw the path, its voltage and the error to expect here (HTML).")
 @columns_option
 def compensate(
     run: Run,
