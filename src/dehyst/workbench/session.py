@@ -27,7 +27,7 @@ from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
 # Seconds after a change until it is on the disk.
-_SOON = 1.0
+_SOON = 0.5
 # Columns of a file from which the page offers to choose.
 _MOST_COLUMNS = 500
 _NO_RECORD = (
