@@ -105,8 +105,7 @@ def test_an_error_that_grows_returns_to_the_best_cycle():
 @pytest.mark.parametrize(("hertz", "quality"), [(80, 25), (60, 10), (120, 50), (150, 100)])
 def test_a_resonance_that_no_record_showed_does_no_harm(hertz, quality):
     """At 80 Hz, the twentieth harmonic, a plain law multiplies its error by 15 in each cycle."""
-    zeta = 0.5 / quality
-    life, pole = Life(), 2 * np.pi * hertz * PERIOD * complex(-zeta, np.sqrt(1 - zeta**2))
+    life, pole = Life(), 2 * np.pi * hertz * PERIOD * complex(-0.5 / quality, np.sqrt(1 - 0.25 / quality**2))
     swing, pushed, errors = 0j, PATH[0], []
     for _ in range(25):
         motion = AGED.simulate(life.repetition.next(), state=life.state, extrapolate=True)

@@ -23,7 +23,7 @@ ROOMS = {
     "foundation": 1416,
     "identification": 6026,
     "instruments": 2785,
-    "model": 3546,
+    "model": 3544,
     "operations": 3815,
     "paper": 1074,
     "records": 4951,

@@ -11,6 +11,7 @@ from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, Model
 from dehyst.control import shortest_homing
 from dehyst.control.following import follow
 from dehyst.model import knots_of, turned, voltages_of
+from dehyst.model.dynamics import low_pass_tables
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -96,7 +97,7 @@ def test_a_loop_is_the_equation_to_the_bit():
     start = turned(PLANT, 0.3 * plain_records.STROKE)
     loop, inner = (Compensator(one, (10, 130), 3e4, period=period, state=start) for one in (CREEPING, PLANT))
     gains = PART.gains.tolist()
-    decay, rise = (table[0].tolist() for table in PART.tables(np.array([period])))
+    decay, rise = (table[0].tolist() for table in low_pass_tables(PART.time_constants, np.array([period])))
     at_once = 1.0
     for g, r in zip(gains, rise, strict=True):
         at_once += g * (1 - r)

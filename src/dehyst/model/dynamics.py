@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +21,12 @@ from dehyst.model.entries import Entries, Numbers, entry
 if TYPE_CHECKING:
     from dehyst.model.entries import Numeric
 
-
 # Terms of Taylor's series at a norm of 1: 1/20! is below the last digit.
 _TERMS = 21
 # A resonance may be this part lower or higher than identified; where none is known, the gain of a feedback.
 _ASTRAY, _UNKNOWN_GAIN, _LARGEST_GAIN = 0.05, 0.01, 0.5
+# Most durations of steps that are kept for the next motion.
+_FEW = 4096
 # Most radians in a step: after the squarings that these need, the exponential keeps four digits.
 _LONGEST = 2.0**40
 
@@ -56,10 +58,6 @@ class DisplacementCreep(Entries):
     def at_rest(self) -> float:
         """Ratio of the displacement at rest to the displacement without creep, 1 + sum_k g_k."""
         return sum(self.gains.tolist(), 1.0)
-
-    def tables(self, durations: Array) -> tuple[Array, Array]:
-        """Return decays exp(-dt/tau_k) and gains (1 - decay) tau_k/dt, (R, K), of steps (R,) [s]; both 1 at 0 s."""
-        return low_pass_tables(self.time_constants, durations)
 
     def removed(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
         """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s].
@@ -102,12 +100,12 @@ class DisplacementCreep(Entries):
         They begin with `start` (K,), or 0.
         """
         m = vector(displacement, "displacement")
-        bounds, durations = clock(time, m.size)
-        return strains(m, bounds, *self.tables(durations), np.zeros(len(self)) if start is None else start)
+        pace = self._pace(time, m.size)
+        return strains(m, pace.bounds, pace.decay, pace.gain, np.zeros(len(self)) if start is None else start)
 
     def _pace(self, time: ArrayLike, samples: int) -> StepCoefficients:
         bounds, durations = clock(time, samples)
-        return StepCoefficients(bounds, *self.tables(durations), np.empty((durations.size, 0)))
+        return StepCoefficients(bounds, *low_pass_tables(self.time_constants, durations), np.empty((durations.size, 0)))
 
 
 @dataclass(frozen=True)
@@ -264,7 +262,7 @@ class Dynamics(Entries):
         generator[:, 1, 0], generator[:, 1, 1] = -(1 - share) * distinct, -2 * self.damping * distinct
         generator[:, 1, 2] = distinct
         generator[:, 2, 3] = 1
-        steps = exponential(generator)
+        steps = (_exponentials if distinct.size <= _FEW else _exponentials.__wrapped__)(generator.tobytes())
         after = steps[:, :2, 3]
         table = np.concatenate([steps[:, :2, :2].reshape(-1, 4), steps[:, :2, 2] - after, after], axis=1)
         still = distinct == 0
@@ -314,18 +312,18 @@ def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *,
     return gain, float(w[np.argmax(left > np.sqrt(0.5))] / (2 * np.pi * period))
 
 
-def exponential(matrices: Array) -> Array:
-    """Return the exponentials of small matrices (R, n, n) by scaling and squaring with Taylor's series.
-
-    Each matrix is halved only as often as necessary, because an unnecessary halving costs one bit.
-    """
+@lru_cache(maxsize=32)
+def _exponentials(numbers: bytes) -> Array:
+    """Return the exponentials of matrices (R, 4, 4), by scaling and squaring with Taylor's series."""
+    matrices = np.frombuffer(numbers).reshape(-1, 4, 4)
+    # An unnecessary halving costs one bit.
     size = np.abs(matrices).sum(axis=2).max(axis=1, initial=0.0)
     halvings = np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)
     result = np.empty_like(matrices)
     for count in np.unique(halvings):
         same = halvings == count
         scaled = matrices[same] / 2.0**count
-        term = np.broadcast_to(np.eye(matrices.shape[1]), scaled.shape)
+        term = np.broadcast_to(np.eye(4), scaled.shape)
         total = term.copy()
         for k in range(1, _TERMS):
             term = term @ scaled / k

@@ -249,7 +249,7 @@ class Evaluator:
         if self.dynamics is None and behind is None:
             bounds, durations = bounds[[0, -1]], np.zeros(1)
         empty = np.empty((durations.size, 0))
-        decay, gain = (empty, empty) if behind is None else behind.tables(durations)
+        decay, gain = (empty, empty) if behind is None else low_pass_tables(behind.time_constants, durations)
         if self.dynamics is None:
             return StepCoefficients(bounds, decay, gain, empty)
         share = self.dynamics.share(self.spring)
