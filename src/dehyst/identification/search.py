@@ -161,7 +161,7 @@ def fitted(
 
 @dataclass(eq=False)
 class _Search:
-    """The search for what moves in time: parts that always move, what was tried, and the first solution."""
+    """The search for what moves in time: where trials begin, parts that always move, and what was tried."""
 
     report: Progress
     near: Solution | None = None
@@ -174,8 +174,9 @@ class _Search:
         words = f"moves: {' and '.join(moved) or 'nothing'}{more}"
         self.report(f"trying what {words}")
         whole = (*names, *(name for name in self.always if name not in names))
+        # All trials begin at one solution, that of the path which nothing moves.
+        self.near = self.near or frame.program(frame.source(_LIGHT), _LIGHT, FEW).solved()
         made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0, self.near)
-        self.near = self.near or made.found
         self.trials.append(Trial(words, made.held_out))
         return made
 
