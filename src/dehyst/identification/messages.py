@@ -103,15 +103,13 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float], d
 def of_held_out(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
     """Return remarks about held-out records that leave the limits [V]."""
     low, high = limits
-    margin, remarks = _MARGIN * (high - low), []
-    for item in records:
-        lowest, highest = item.record.voltage_range
-        if lowest < low - margin or highest > high + margin:
-            remarks.append(
-                f"{item.name}: the model is extrapolated: the voltages, {lowest:.4g} to {highest:.4g} V, leave those "
-                f"of the training records, {low:.4g} to {high:.4g} V."
-            )
-    return remarks
+    margin, ranges = _MARGIN * (high - low), [(item.name, *item.record.voltage_range) for item in records]
+    return [
+        f"{name}: the model is extrapolated: the voltages, {lowest:.4g} to {highest:.4g} V, leave those of the training "
+        f"records, {low:.4g} to {high:.4g} V."
+        for name, lowest, highest in ranges
+        if lowest < low - margin or highest > high + margin
+    ]
 
 
 def repaired(
