@@ -105,8 +105,8 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float]) -> lis
     low, high = limits
     margin, ranges = _MARGIN * (high - low), [(item.name, *item.record.voltage_range) for item in records]
     return [
-        f"{name}: the model is extrapolated: the voltages, {lowest:.4g} to {highest:.4g} V, leave those of the training "
-        f"records, {low:.4g} to {high:.4g} V."
+        f"{name}: the model is extrapolated: its voltages, {lowest:.4g} to {highest:.4g} V, leave those of the "
+        f"training records, {low:.4g} to {high:.4g} V."
         for name, lowest, highest in ranges
         if lowest < low - margin or highest > high + margin
     ]
