@@ -301,7 +301,7 @@ def coupling(axes: Sequence[str], matrix: Array, errors: Array, caption: str) ->
 
 
 def stage_errors(fit: StageFit) -> str:
-    """Return the errors of each axis of each record, simulated with all axes."""
+    """Return the errors of each axis of each record, the motion of the others taken out."""
     head = ("record", "axis", "role", "samples", "largest, % of the stroke", "RMS, %", "largest")
     rows = list[Row]()
     for axis, own in zip(fit.axes, fit.fits, strict=True):
