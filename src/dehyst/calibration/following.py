@@ -13,10 +13,17 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.calibration.session import Player, ProgressListener
 from dehyst.calibration.tracking import TrackedPath
-from dehyst.control import Compensator, Feedback, PathPlan, Repetition, StageCompensator, VoltageLimits, plan_path
-from dehyst.control.stage_compensator import axes_of
-from dehyst.instruments import AbstractRig
-from dehyst.instruments.waves import StepFunction
+from dehyst.control import (
+    Compensator,
+    Feedback,
+    PathPlan,
+    Repetition,
+    StageCompensator,
+    VoltageLimits,
+    axes_of,
+    plan_path,
+)
+from dehyst.instruments import AbstractRig, StepFunction
 from dehyst.model import Actuator, Stage, stroke_of
 from dehyst.records import beyond_noise, largest
 from dehyst.waveforms import Excitation

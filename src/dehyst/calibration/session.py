@@ -17,8 +17,7 @@ from dehyst._errors import FileFormatError, RecordError
 from dehyst._io import PathLike, lock, made_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.instruments import AbstractRig, Samples
-from dehyst.instruments.waves import StepFunction
+from dehyst.instruments import AbstractRig, Samples, StepFunction
 from dehyst.records import Record, Recording, about_of, demand_disk_space, read, unused_path
 from dehyst.waveforms import Excitation
 

@@ -10,7 +10,7 @@ from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.wave_table import WaveTable, wave_table
 from dehyst.control.repetition import Repetition
-from dehyst.control.stage_compensator import StageCompensator
+from dehyst.control.stage_compensator import StageCompensator, axes_of
 
 __all__ = [
     "Bank",

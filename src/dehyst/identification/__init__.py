@@ -1,6 +1,5 @@
 """Identification: from records to an actuator."""
 
-from dehyst.identification import cleaning
 from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.comparison import (
     RecordComparison,

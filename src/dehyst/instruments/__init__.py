@@ -3,7 +3,7 @@
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig
 from dehyst.instruments.base import AbstractRig
-from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, host_timed, played_rate
+from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, StepFunction, host_timed, played_rate
 
 __all__ = [
     "HIGHEST_RATE",
