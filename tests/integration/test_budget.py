@@ -15,13 +15,13 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1180,
+    "calibration": 1186,
     "cli": 542,
     "control": 4256,
     "exports": 1288,
     "fleet": 312,
     "foundation": 1416,
-    "identification": 6025,
+    "identification": 6024,
     "instruments": 2785,
     "model": 3544,
     "operations": 3815,
@@ -36,13 +36,13 @@ ROOMS = {
     "workbench": 2370,
 }
 HOUSE = {
-    "lines of Python": 40069,
+    "lines of Python": 40074,
     "files of Python": 196,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2838,
     "lines of tests": 38938,
     "lines of benchmarks": 5306,
-    "words of docs": 27786,
+    "words of docs": 27785,
     "public names": 114,
     "commands": 16,
     "options": 119,
