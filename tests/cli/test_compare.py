@@ -54,7 +54,7 @@ def test_a_failure_of_dehysts_own_model_is_the_status(folder, monkeypatch):
         ([], "RECORDS"),
         (["major.csv"], "major.csv"),
         (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try 'dehyst'"),
-        (["tops.csv", "--report", "tops.csv"], "is also an input of this command"),
+        (["tops.csv", "--report", "tops.csv"], "need a name that ends in .html"),
     ],
 )
 def test_wrong_input_is_named(folder, arguments, said):

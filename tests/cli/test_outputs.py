@@ -37,19 +37,20 @@ def writing():
 def test_no_command_replaces_a_file_or_writes_into_a_folder_of_others(folder, monkeypatch, name, command, output):
     monkeypatch.chdir(folder)
     assert run("scan", "triangle", "--low", 1, "--high", 2, "--frequency", 1, "-o", "scan.csv")[0] == 0
-    role, target = output.type.role, folder / "precious.parquet"
+    role, precious = output.type.role, f"precious{getattr(output.type, 'suffix', '') or '.parquet'}"
+    target = folder / precious
     if role is Role.OUTPUT or name in ("fleet", "check"):
         target.write_text("mine")
     else:
         target.mkdir()
         (target / "report.html").write_text("mine")
-    there = {"absent-model": "model.json", "absent-directory": "precious.parquet"}
+    there = {"absent-model": "model.json", "absent-directory": precious}
     there |= {"absent-records": "voltage.csv"} if name == "fleet" else {}
     there |= {"absent-trajectory": "scan.csv"} if output.name == "table" else {}
-    words = sample_words(command, output, "precious.parquet")
+    words = sample_words(command, output, precious)
     done = CliRunner().invoke(main, [*name.split(), *(there.get(word, word) for word in words)])
     assert done.exit_code == 2, done.output
-    assert "precious.parquet" in done.stderr
+    assert precious in done.stderr
     assert role is not Role.OUTPUT or "--force" in done.stderr
     kept = target / "report.html" if target.is_dir() else target
     assert kept.read_text() == "mine"

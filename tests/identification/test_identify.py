@@ -13,7 +13,7 @@ import structured_records as wide
 import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
 from dehyst.identification import Deadline, Outcome, Structure
-from dehyst.model import turned, voltages_of
+from dehyst.model import turned
 
 PLANT, STROKE = plain_records.plant(10), plain_records.STROKE
 TEN = Structure(elements=10, knots=11, smoothing=0.0)
@@ -260,7 +260,7 @@ def test_a_first_model_comes_once_and_says_that_it_is_provisional(structure):
     (first,) = models
     assert first.identification.provisional
     assert not fit.actuator.identification.provisional
-    path = np.linspace(*voltages_of(graded()), 50)
+    path = np.linspace(*graded().voltage_range, 50)
     assert np.ptp(first.simulate(path).displacement) == pytest.approx(np.ptp(graded().displacement), rel=0.2)
 
 
