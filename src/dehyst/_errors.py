@@ -85,6 +85,8 @@ class DehystError(Exception):
 
 def of_part(error: DehystError, part: str) -> DehystError:
     """Return the error with a `part`, such as "axis x", before it; a command can still name its own options in it."""
+    if not part:
+        return error
     if error.argument or type(error).__init__ is not DehystError.__init__:
         return type(error)(f"{part}: {error}")
     fields = {name: getattr(error, name) for name in ("got", "need", "hint", "change")}

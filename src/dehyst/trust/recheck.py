@@ -141,8 +141,9 @@ class Recheck(Plotted):
 
     def _as_it_was(self, allowed: float) -> bool:
         """Whether a model above the goal is no worse than it was: nothing has changed, or its promise is kept."""
-        above = self.promise is not None and self.promise.largest > allowed and not self.changed
-        return self.kept or (above and self.without_noise <= _BY_CHANCE * self.promise.largest)
+        promised = 0.0 if self.promise is None else self.promise.largest
+        unchanged = promised > allowed and not self.changed
+        return self.kept or (unchanged and self.without_noise <= _BY_CHANCE * promised)
 
     @property
     def good(self) -> bool:
@@ -175,7 +176,8 @@ class Recheck(Plotted):
         text = f"{self.standing.value.capitalize()}: the largest error is {error} (goal {self.goal:g} %)"
         if self.promise is not None and not self.mismatch:
             promised = f"{self._percent(self.promise.largest)} on {self.promise.path}"
-            text += f". The model promised {promised}: {'kept' if self.kept else 'not kept'}"
+            missed = "missed, as by one path in ten" if self.standing is Standing.NEVER_MET else "not kept"
+            text += f". The model promised {promised}: {'kept' if self.kept else missed}"
         return f"{text}. {self._advice()}"
 
     @property
