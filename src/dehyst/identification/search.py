@@ -319,7 +319,8 @@ def static(
     best = solved(first)
     if structures is WIDE:
         # Elements that yield gradually leave inner loops open: they must show themselves.
-        closed = solved(replace(first, smooth=False), best)
+        # Creep that was found beside smooth elements is not that beside others: both move on their own.
+        closed = solved(replace(first, smooth=False), None if free else best)
         if best.held_out >= RULES.static_gain * closed.held_out:
             best, others = closed, [replace(one, smooth=False) for one in others]
     made = [best, *(solved(structure, best) for structure in others)]
