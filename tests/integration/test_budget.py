@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1288,
     "fleet": 312,
     "foundation": 1418,
-    "identification": 6024,
+    "identification": 6025,
     "instruments": 2785,
     "model": 3544,
     "operations": 3815,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2370,
 }
 HOUSE = {
-    "lines of Python": 40085,
+    "lines of Python": 40086,
     "files of Python": 196,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2838,
