@@ -21,23 +21,16 @@ creep = dehyst.DisplacementCreep([0.01, 0.1, 1.0], [0.01, 0.01, 0.01])
 actuator = dehyst.Actuator(slip, dehyst.Spring(knots, 8e6 * knots), limits=(-30, 150), displacement_creep=creep)
 aged = dataclasses.replace(actuator, spring=dehyst.Spring(knots, 7.6e6 * knots))
 
+
 # %%
 # python-control calls the functions of a block in any order. So each call first restores the memory from the state,
-# which is a snapshot as numbers. The output of a sample depends on its input.
-PARTS = ("carts", "motion", "smooth", "displacement_creep")
-
-
+# which is a snapshot, a number a byte. The output of a sample depends on its input.
 def block(loop, inputs, outputs, advance):
-    first = loop.snapshot()
-    ends = np.cumsum([1, *(getattr(first.state, part).size for part in PARTS)])
-
     def numbers():
-        now = loop.snapshot()
-        return np.concatenate([[now.state.deformation], *(getattr(now.state, part) for part in PARTS), now.rest])
+        return np.frombuffer(loop.snapshot(), np.uint8).astype(float)
 
     def advanced(x, u):
-        (deformation,), *parts, rest = np.split(x, ends)
-        loop.restore(dataclasses.replace(first, state=dehyst.State(deformation, *parts), rest=rest))
+        loop.restore(x.astype(np.uint8).tobytes())
         return advance(u[0])
 
     def update(t, x, u, params):
@@ -47,9 +40,9 @@ def block(loop, inputs, outputs, advance):
     def output(t, x, u, params):
         return advanced(x, u)
 
-    states = ends[-1] + first.rest.size
-    made = control.NonlinearIOSystem(update, output, inputs=inputs, outputs=outputs, states=states, dt=loop.period)
-    return made, numbers()
+    begin = numbers()
+    made = control.NonlinearIOSystem(update, output, inputs=inputs, outputs=outputs, states=begin.size, dt=loop.period)
+    return made, begin
 
 
 def played(voltage):
