@@ -84,7 +84,7 @@ def test_the_devices_slew_rate_is_asked():
 def test_a_record_is_what_the_actuator_did():
     """Over Channel Access as if the actuator were driven directly, bit for bit but for the unit of the position."""
     with IocProcess() as fresh, EpicsRig.connect(fresh.prefix) as rig:
-        excitation, came = cosine(), Breaks(lambda: None)
+        excitation, came = cosine(6000), Breaks(lambda: None)
         record = rig.play(excitation, came)
     truth = PlayActuator(noise=0.0).play(excitation.voltage)
     assert np.array_equal(record.voltage, excitation.voltage)
