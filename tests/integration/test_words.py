@@ -39,3 +39,8 @@ def named_one(node):
 def test_variables_name_their_thing(room):
     trees = (ast.parse(path.read_text()) for path in (places.SOURCES / room).rglob("*.py"))
     assert sum(named_one(node) for tree in trees for node in ast.walk(tree)) <= ONES[room]
+
+
+def test_a_comment_begins_with_its_subject():
+    inverted = re.compile(r"^\s*# (Of|What|Where|Whether)\b.*", re.M)
+    assert [line.group() for path in places.SOURCES.rglob("*.py") for line in inverted.finditer(path.read_text())] == []

@@ -55,12 +55,7 @@ ENTRIES = {
 }
 # What breaks a law, in the place of one number.
 TINY = (5e-324, 1e-200, 0.99e-30)
-BROKEN = {
-    "positive": (0.0, -1.0),
-    "not_negative": (-1e-9,),
-    "half_to_one": (0.499, 1.001),
-    "divides": TINY,
-}
+BROKEN = {"positive": (0.0, -1.0), "not_negative": (-1e-9,), "half_to_one": (0.499, 1.001), "divides": TINY}
 NEVER = (np.nan, np.inf, -np.inf, 1.7e308, -1.7e308, 1.01e30)
 
 

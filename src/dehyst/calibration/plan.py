@@ -24,7 +24,7 @@ from dehyst.waveforms import (
     stage_excitation,
 )
 
-# Of one axis and of several: usual cycles a second, samples of a cycle, and how much faster than them the path is.
+# Usual cycles a second, samples of a cycle, and speed of the path beside them: for a single axis, and for several.
 _ALONE, _TOGETHER = (0.1, 1000, 5.0), (1.0, 400, 1.0)
 # Share of the median by which the steps of time may differ.
 _UNEVEN = 1e-3

@@ -16,8 +16,8 @@ from dehyst.model import Actuator, Stage, State, apply, beginning
 from dehyst.records import Record, largest, percent, rms
 from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
 
-# Of several axes: share of the range of every actuator that a path uses, and turning points by which axis j begins
-# later than the axis before.
+# Share of every actuator's range that a path of several axes uses, and turning points by which an axis begins later
+# than the axis before.
 _USED, _LATER = 0.96, 3
 # Part of a record whose mean is its last temperature; standard errors from which on a drift of it counts.
 _LAST, _SURE = 0.05, 3.0

@@ -219,7 +219,7 @@ class _Path:
 
     def simulate(self, voltage: Array, i: int, stop: int, start: State) -> tuple[float, State]:
         """Return displacement and state after the voltages of samples i to stop - 1, from the state at sample i - 1."""
-        # Where time matters, a lag needs the voltage before too.
+        # If time matters, a lag needs the voltage before too.
         piece = slice(max(i - 1, 0) if needs_time(self.actuator) else i, stop)
         data: dict[str, Any] = {name: self.data[name][piece] for name in ("time",) if name in self.data}
         motion = self.actuator.simulate(voltage[piece], **data, state=start, extrapolate=True)

@@ -31,7 +31,7 @@ _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
 # An RMS error that is so many times the least, and this share of the first one, takes the step back; it takes back the
 # whole correction if the best cycle, played again, is no better than the first.
 _WORSE, _NEAR = 1.2, 0.3
-# Of the RMS error: a smaller change is none, nor is one within so many standard errors of the noise.
+# A change of the RMS error counts above this share of it and these standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
 # Share of a cycle in which a new correction comes.
 _BLEND = 0.125
@@ -145,7 +145,7 @@ class Repetition:
         Warn `ClampWarning` as `Compensator.run`.
         """
         states, clamps = tuple(loop.state for loop in self._loops), [loop.clamps for loop in self._loops]
-        # What changes comes within a part of the cycle, so that nothing jumps.
+        # The change of the correction is spread over a part of the cycle, so that nothing jumps.
         new = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(len(self.path)) / (_BLEND * len(self.path)), 0, 1))[:, None]
         aim = self.path + self._before + new * (self.correction - self._before)
         if isinstance(self.compensator, Compensator):
@@ -247,7 +247,7 @@ class Repetition:
         best = self._best
         near = (_NEAR, 1.0, np.inf)[self._returned] * self.errors[0]
         if best is not None and cycle.rms > max(_WORSE * best.rms + noise, near):
-            # What was the best may have been so before a resonance swung: without a correction it cannot.
+            # The best cycle may have come before a resonance swung; a cycle without a correction excites none.
             self._returned += 1
             self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
             self._last, self._careful = None, True

@@ -194,7 +194,7 @@ class ModelText:
         """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from."""
         start = self._start
         elongation, crept = np.split(start.strains, [self._tables["length"].size])
-        # What a step reads: not kappa with graded elements, and one slope less than knots.
+        # A step reads these: not kappa with graded elements, and one slope less than knots.
         arrays = {name: self._tables[name] for name in self._tables if name not in _SCALARS}
         if arrays["grade_knot"].size:
             arrays["kappa"] = EMPTY

@@ -27,7 +27,7 @@ from dehyst.records import Record
 _RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
 # Samples of a regression; of more, some evenly.
 _MOST_ROWS = 24_000
-# Of the energy of a column: a ridge against columns that the record hardly moves.
+# Ridge as a part of a column's energy, against columns that the record hardly moves.
 _RIDGE = 1e-8
 # Spans of the records that are left out in turn for the standard errors.
 _SPANS = 24

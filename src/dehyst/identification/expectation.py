@@ -203,7 +203,7 @@ def validity_of(
         other = new_legs(*map(np.concatenate, pairs))
         new = max(new[0], other[0]), max(new[1], other[1])
     vibration = max(remaining[q].vibration_amplitude for q in judged)
-    # What the sensor adds, a path does not have, but for the part to which it is known.
+    # A path does not have the sensor's noise, as far as that is known.
     missed = max(_less(errors[q].settled_rms, remaining[q].sensed) for q in judged)
     if judged is training:
         missed = max(missed, _less(held_out.in_time, float(np.hypot(held_out.noise, vibration / 2**0.5))))

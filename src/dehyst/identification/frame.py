@@ -305,12 +305,12 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
             time, missed = frame.missed(one.piece, one.epoch, model, state, offset, late[one.piece])
             at_rows[own] = np.interp(rows.time[own], time, missed)
             played.append((own, time, missed))
-        # What the other coefficients would follow is none of the resonance's.
+        # The part that the other coefficients would follow does not belong to the resonance.
         followed = columns @ (follow @ at_rows)
         left = [missed - np.interp(time, rows.time[own], followed[own]) for own, time, missed in played]
         return np.concatenate([one - one.mean() for one in left]) / frame.stroke
 
-    # What a resonance delays is no lead: only one that was there before stays.
+    # A delay by the resonance is no lead: only a lead that was there before stays.
     lead = max(motion.delay, 0.0)
     least = 1 - np.array([np.inf, start.damping, lead * start.omega])
     first = np.maximum(np.ones(3), least + 2 * _STEP)

@@ -183,7 +183,7 @@ class _Run:
         self.prepared(ringing=False)
         if any(item.record.set_aside for item in self.training):
             self.remarks.append(messages.STEPS)
-            # Whether the hysteresis sees what rings, the samples after it show.
+            # The samples after the ringing show whether the hysteresis follows it.
             still = search.fitted(self.frame, PLAIN, search.FEW).rms
             self.prepared(ringing=True)
             if search.fitted(self.frame, PLAIN, search.FEW).rms > still:

@@ -56,7 +56,7 @@ def block_means(record: Record, block: int) -> Record:
         wide = 0.5 * block * record.sample_time
         aside = tuple((first - wide, last + wide) for first, last in record.set_aside)
         blocks = record.displacement[: displacement.size * block].reshape(-1, block)
-        # Where it has faded, the noise's extremes would drive them.
+        # After it has faded, the noise's extremes would drive them.
         rings = np.ptp(blocks, axis=1) > _RINGS * record.noise
         ends = np.where(np.arange(len(blocks)) % 2, blocks.max(axis=1), blocks.min(axis=1))
         whole = counted[: displacement.size * block].reshape(-1, block).any(axis=1)

@@ -37,7 +37,7 @@ WIDE = (
     replace(_WHOLE, grades=16),
     *(replace(_WHOLE, transformer=20, grades=m, smoothing=s) for m, s in ((1, 1e-2), (8, 1e-2), (8, 3e-3))),
 )
-# Where turning points leave elements open, held-out time cannot choose: the first, and others that show what is open.
+# If turning points leave elements open, held-out time cannot choose: the first is taken, others show what is open.
 OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
 # Rows of a first look, of the search, and of the final program.
 FEW, _ROWS, _MOST = 2000, 4000, 12_000
@@ -309,7 +309,7 @@ def static(
 
     def solved(structure: Structure, near: Fitted | None = None) -> Fitted:
         report(f"solving the program for {structure.words}")
-        # What was tuned by simulation stays.
+        # A resonance that was tuned by simulation stays.
         made = near and near.with_structure(structure)
         made = made or replace(fitted(frame, structure, _ROWS, free, int(bool(free))), names=names)
         trials.append(Trial(f"{structure.words}; smoothing {structure.smoothing:g}", made.held_out, structure))

@@ -34,7 +34,7 @@ _RIDGES = 1e-13, 1e-8
 _RIDGE_OF_LIMITS, _REFINEMENTS = 1e-12, 3
 # Square of a column without rows, as a part of what it was before rows left.
 _LEFT = 1e-10
-# Of the dual: how far limits may be missed, what rounding leaves of nothing, and steps for each equation.
+# How far the dual may miss limits, rounding of zero, and steps for each equation.
 _ROUGHLY, _NOTHING, _STEPS = 1e-6, 1e-14, 30
 
 
@@ -78,7 +78,7 @@ class NormalEquations:
 
     def __sub__(self, other: NormalEquations) -> NormalEquations:
         gram, image = self.gram - other.gram, self.image - other.image
-        # Of a column without further rows only rounding is left.
+        # Only rounding is left of a column without further rows.
         lost = np.diag(gram) <= _LEFT * np.diag(self.gram)
         gram[lost], gram[:, lost], image[lost] = 0.0, 0.0, 0.0
         return NormalEquations(gram, image, self.free)
@@ -164,7 +164,7 @@ def _on_face(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Fa
     y, multipliers = np.zeros(moving.size), np.zeros(active.size)
     if not columns.size:
         return None if limits.size else _Face(y, multipliers, moving, active)
-    # Of the symmetric G the transpose is the same, and in LAPACK's order without another copy.
+    # The symmetric G is its own transpose, which is in LAPACK's order without another copy.
     part = program.gram.take(columns, 0).take(columns, 1).T
     part[np.diag_indices(columns.size)] += ridge
     factor, failure = dpotrf(part, lower=1, overwrite_a=1, clean=0)
@@ -211,7 +211,7 @@ def _by_dual(program: _Program) -> _Face:
         forces = nnls(np.vstack([turned, short / unit]), goal, maxiter=_STEPS * goal.size)[0]
     except RuntimeError:
         forces = np.zeros(short.size)
-    # What is left of one is that over one plus the square of the distance; nothing is left of a contradiction.
+    # The remainder is 1 / (1 + distance^2); it is 0 for limits that contradict each other.
     left = max(1.0 - float(short @ forces) / unit, _NOTHING)
     forces *= unit / left
     y = solve_triangular(triangle, at + turned @ forces)

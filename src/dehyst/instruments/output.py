@@ -18,7 +18,7 @@ from dehyst.instruments.waves import READBACK_TOLERANCE, driver_errors
 if TYPE_CHECKING:
     from dehyst.instruments.base import AbstractRig
 
-# Of all axes, or of each; None for an axis: those of the device.
+# One value for all axes, or one for each; None for an axis: the device's.
 AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
 AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
 

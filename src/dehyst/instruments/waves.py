@@ -22,7 +22,7 @@ from dehyst.waveforms import Excitation
 if TYPE_CHECKING:
     from dehyst.instruments.base import AbstractRig
 
-# Of the displacement read before each sample [m]; returns the voltage to send [V].
+# Takes the displacement that was read before a sample [m]; returns the voltage to send [V].
 StepFunction: TypeAlias = Callable[[float | None], float]
 _Kind = TypeVar("_Kind", bound="np.generic[Any]")
 

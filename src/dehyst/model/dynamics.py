@@ -304,7 +304,7 @@ def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *,
         near = [held(omega * shift) * ahead for shift in (1 - _ASTRAY, 1.0, 1 + _ASTRAY)]
         # A reading comes up to half a step sooner or a step later than identified.
         wrong = np.max([np.abs(one * np.exp(-1j * w * late) - meant) for one in near for late in (-0.5, 0, 1)], axis=0)
-        # Where |gain / (z - 1 + gain)| times wrong is 1 / margin.
+        # At the limit |gain / (z - 1 + gain)| times wrong is 1 / margin.
         over, step = (margin * wrong) ** 2 - 1, np.abs(z - 1) ** 2
         gains = 2 * step / (step + np.sqrt(step**2 + 4 * np.maximum(over, 0) * step))
         gain = min(float(gains.min()), _LARGEST_GAIN)

@@ -58,7 +58,7 @@ _TURNS = 60
 
 # The bound of the largest error, and that of the RMS error: what the records show, times these.
 LARGEST, RMS = 5.5, 2.2
-# What errors are of those promised where the path closes loops and fewer legs of the records than this part do; and
+# Factors of the promised errors where the path closes loops and fewer legs of the records than this part do; and
 # where the records leave open who lags.
 _CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
 # The largest constant offset of a path, of its largest error, if the sensor is zeroed at its first sample.

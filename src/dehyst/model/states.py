@@ -29,7 +29,7 @@ _REST = 1e9
 # Smooth elements forget their start slowly.
 _VISITS = 60
 _ROUNDING = 1e-12
-# Of the limits' range: a state whose voltage lies outside by less is that of the limit, but for the model's error.
+# Share of the limits' range: a state whose voltage lies less outside is at the limit, but for the model's error.
 NEAR = 0.01
 
 

@@ -63,7 +63,7 @@ def temperatures_to_record(
     near = _ALIKE if reference is not None else NEAR_KELVINS
     needed = [end for end, off in ((low, tested[0] - low), (high, high - tested[1])) if off > near]
     if needed and reference is None:
-        # What the records have is one temperature, or does not show an effect: a third one lies between.
+        # The records have one temperature, or do not show its effect: a third temperature lies between.
         ends = min(low, tested[0]), max(high, tested[1])
         needed.append(0.5 * (ends[0] + ends[1]))
     return tuple(sorted(set(needed)))

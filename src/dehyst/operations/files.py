@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "TEXT_KEYS", "VOLTAGE", "Columns"]
 columns_option = option("--columns", type=Parsed(Columns), default=AS_FOUND, help=Columns.about)
-# Of an axis that stays in the middle of its range.
+# Place of an axis that stays in the middle of its range.
 MIDDLE = "middle"
 
 

@@ -21,7 +21,7 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
 
-# What a guess is marked with, the factor and unit in which a quantity is shown, and sizes of the list and the drawing.
+# Mark of a guess, the factor and unit in which a quantity is shown, and sizes of the list and the drawing.
 _GUESSED = "guessed, verify"
 _SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
 _MOST, _WIDTH, _HEIGHT = 40, 60, 16

@@ -27,7 +27,7 @@ _LINES: dict[str, dict[str, Any]] = {
 _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _Place: TypeAlias = Literal["", "upper left", "upper right"]
-# What draws on the axes; size and number of the axes.
+# Function that draws on the axes; size and number of the axes.
 _Figure = tuple[Callable[..., None], dict[str, Any]]
 
 

@@ -195,7 +195,7 @@ def _least_absolute(loops: Sequence[BreakPointLoop], rho: Array, knots: Array, f
     scale, size = np.abs(rows).max(axis=0), float(np.abs(target).max())
     scale[scale == 0] = 1.0
     least = np.concatenate([np.zeros(elements), np.full(elements, floor), np.full(len(loops), -np.inf)]) * scale / size
-    # What an error adds and what it takes away; none at the first loop's first two ends, its turning points.
+    # Effect of an error, added and taken away; none at the first loop's first two ends, its turning points.
     most = np.full(count, np.inf)
     most[[0, len(loops[0].descending) - 1]] = 0.0
     errors = np.column_stack([np.zeros(2 * count), np.tile(most, 2)])

@@ -21,7 +21,7 @@ from dehyst._validation import axis_names
 from dehyst.records.formats.columns import GAIN, GUESS, PERIOD, QUANTITIES
 from dehyst.records.formats.file_content import MOST, opened
 
-# What a user replaces by the samples a second.
+# Placeholder for the samples a second.
 RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")

@@ -25,7 +25,7 @@ _BAND, _TOP = 0.35, 0.6
 _SWING, _LEVELS = 0.3, 5
 # Turns of the voltage below this share of its range, or of the usual way between crossings, matter to no count.
 _LEAST_TURN, _SMALL_TURN = 1e-3, 0.2
-# Of a displacement that is late, two crossings beside a turn are one that is nearer than this share of the usual way.
+# Two crossings beside a turn that are nearer than this share of the usual way are one crossing, of a late displacement.
 _TWICE = 0.4
 # Largest step of the voltage in a sample, and change in which the signal stays near its middle, in half periods; and
 # largest change without a crossing, in usual ways.

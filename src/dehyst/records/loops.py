@@ -210,7 +210,7 @@ def fringes(record: Record) -> str:
     if turns.size < 2 or float(np.ptp(y)) < LEAST_STROKE:
         return ""
     own = turning_points(y, _FRINGE * float(np.ptp(y)))
-    # What rings after a step turns where the voltage rests.
+    # A displacement that rings after a step turns while the voltage rests.
     branch = np.searchsorted(turns, own)
     ends = v[np.concatenate([[0], turns, [v.size - 1]])]
     low, high = np.minimum(ends[branch], ends[branch + 1]), np.maximum(ends[branch], ends[branch + 1])

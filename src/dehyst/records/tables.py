@@ -196,7 +196,7 @@ class Table:
         select = f"Select one {way}"
         if "*" in wanted:
             select += "; or give a factor as NUMBER, NUMBER UNIT/UNIT, or fringe NUMBER UNIT after the *"
-        # Where several columns fit, their names are found already.
+        # Several columns that fit have their names already.
         example = QUANTITIES[quantity].example
         hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
         rate = " Without one, give rate=HZ." if quantity == "time" and not fits else ""
@@ -375,7 +375,7 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     fits = {name for name, one in QUANTITIES.items() if any(part in lower for part in one.parts.split(", "))}
     named = quantity in fits or (len(word) == 1 and word.lower() in QUANTITIES[quantity].letters)
     sensor = quantity == "displacement" and stated == "voltage"
-    # What is wanted of a stage is not what was measured.
+    # A set point is not a measured displacement.
     target = 4 if quantity == "displacement" and column.is_set_point else 0
     return (
         (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity}) + target
@@ -432,7 +432,7 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     """
     first, second = (_timed(one, columns) for one in (table, other))
     stem = f"{other.source.rsplit('.', 1)[0]}/"
-    # Where both files have a time, that of the first is kept.
+    # If both files have a time, that of the first is kept.
     second_time = second.column if first is not None and second is not None else None
     added = tuple(replace(c, name=stem + c.name, group=stem + c.group) for c in other.columns if c is not second_time)
     if first is not None and second is not None:

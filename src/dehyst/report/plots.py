@@ -37,7 +37,7 @@ _COLOURS = {
     "ink": INK,
     "tested": "#CFE6D8",
 }
-# Of journals: the width of a column and of a page [in], and the least resolution of a line drawing with greys.
+# Width of a journal's column and page [in], and the least resolution of a line drawing with greys.
 COLUMN, PAGE = 3.4, 7.0
 _JOURNAL_DPI = 600
 # More points than this become one image inside a figure: as vectors they would take 100 bytes each. Most samples.

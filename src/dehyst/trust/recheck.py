@@ -44,7 +44,7 @@ from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
 # Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
 ANOTHER = 50.0
-# Of the paths of unchanged stages 1.2 % miss the promise by more than this (`benchmarks/promise.py`).
+# Paths of unchanged stages miss the promise by more than this factor in 1.2 % (`benchmarks/promise.py`).
 _BY_CHANCE = 2.0
 # Changes that the error sets aside.
 _SET_ASIDE = ("offset", *SLOW)

@@ -44,7 +44,7 @@ class VirtualStage:
             raise ModelError(
                 argument="coupling", got=f"the diagonal {np.diag(self.coupling).tolist()}", need="1 for each axis"
             )
-        # Of each axis what was played since the last `take`: time, voltage and its own displacement, (3, n) each.
+        # Time, voltage and own displacement of each axis since the last `take`, (3, n) each.
         self._motions: list[list[Array]] = [[] for _ in driven]
         self.strokes = np.array([one.stroke for one in driven])
         self.highest = np.array([one.highest for one in driven])

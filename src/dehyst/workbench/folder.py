@@ -34,7 +34,7 @@ _HEADER = """#!/bin/sh
 cd "$(dirname "$0")" || exit
 mkdir -p {places}
 """
-# What a name of a file may hold, and its length.
+# Characters that a name of a file may hold, and its length.
 _OTHERS, _LONGEST = re.compile(r"[^\w.+-]+"), 80
 _SUFFIX = re.compile(r"(\.\w{1,9})?")
 

@@ -85,7 +85,7 @@ EXPORTS = {
     "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
     "wave_table": ("Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV).", ".csv"),
 }
-# Of scans: units as they are shown, options of several numbers with their hints, and first values.
+# Units of scans as they are shown, options of several numbers with their hints, and first values.
 _UNITS = {"um": "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", "share": ""}
 _MANY = {"levels": "with spaces or semicolons between them; it returns to the first"}
 _FIRST = {"lines": "16", "dwell": "0.2"}

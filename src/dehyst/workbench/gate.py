@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 _READING = ("GET", "HEAD")
 _METHODS = (*_READING, "POST", "PUT", "DELETE")
-# What a browser says of a request that its own page or its user made.
+# A browser sends these values with a request that its own page or its user made.
 _OWN_SITES = ("same-origin", "none")
 # Headers that decide, none of which may come twice.
 _DECIDING = ("host", "origin", "cookie", "sec-fetch-site")

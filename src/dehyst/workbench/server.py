@@ -123,7 +123,7 @@ def _virtual_loops() -> bytes:
         return file.read_bytes()
 
 
-# What a page that dehyst wrote may do when it is opened from here: nothing but run its own script, without this origin.
+# A page that dehyst wrote may only run its own script when it is opened from here, without this origin.
 _SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:"

@@ -24,7 +24,7 @@ from dehyst.operations.command import context_of
 from dehyst.operations.run import Run, perform, terminable
 
 Message = dict[str, Any]
-# What the server does comes first.
+# The server's work comes first.
 _NICE = 5
 
 

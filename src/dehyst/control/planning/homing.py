@@ -189,7 +189,7 @@ class _TimedHoming:
         if within is not None and excitation.duration > within:
             legs, wait, excitation = self.shortened(within)
         elif within is not None and self.longest:
-            # What time is left lets creep come to rest.
+            # Creep comes to rest in the time that is left.
             wait += (within - excitation.duration) / self.holds(legs)
             excitation = self.sampling.play("homing", self.path(legs, wait))
         state, spread = self.left(excitation.voltage, excitation.time)

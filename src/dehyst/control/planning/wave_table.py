@@ -156,7 +156,7 @@ def _towards(voltage: Array, end: float, compensator: Compensator) -> Array:
     if step == inf:
         return voltage
     far = step * np.arange(voltage.size, 0, -1)
-    # What keeps the slew rate keeps it between these two lines too.
+    # A voltage within the slew rate keeps it between these two lines too.
     return np.clip(voltage, end - far, end + far)
 
 
@@ -342,7 +342,7 @@ def wave_table(
         ahead = 1
         if count >= min(most, _MOST_CYCLES):
             ahead = 0 if steady.clamped.any() else _cycles_more(actuator, path, deviation / least)
-            # What does not fall is not creep.
+            # A deviation that does not fall is not creep.
             if not ahead or count + ahead > most or deviation > _FALLS * last:
                 break
             last = deviation

@@ -71,7 +71,7 @@ QUANTITIES = {
 }
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
-# What a user replaces by a number: a factor, a period; and the end of a selection that is a guess: "y:um?".
+# Placeholders for a number: a factor, a period; and the end of a selection that is a guess: "y:um?".
 GAIN, PERIOD, GUESS = "GAIN", "PERIOD", "?"
 # A quantity and its unit: "Time / s", "Pos/nm", "Weg in µm", "Ch1,V"; in the last brackets.
 _WRITTEN_OUT = re.compile(r"([^/]*[^/\s])(?:\s*/\s*|\s+in\s+|,\s*)([^/\s\[\]()]+)")
@@ -85,7 +85,7 @@ _PLUG = re.compile(
 _PLUG_RANGE = 10.5
 # A channel of an oscilloscope or a logger, whose numbers are volts.
 _CHANNEL = re.compile(r"(?:(?:ch|chan|channel|kanal|voie|in|ain|ai|input|analog)[\s_.]*[0-9a-d]|[a-d]\d)(?![^\W_])")
-# What is wanted of a stage, not what it does.
+# Words for a set point, which is not measured.
 _SET_POINT = re.compile(
     r"target|soll|ziel|vorgabe|führungsgr|request|consigne|desired|wanted|nominal|demand|command|reference|(?<![^\W\d_])(?:set|ref|cmd)(?![^\W\d_])|"
     r"set[\s_-]?(?:point|value|pos)"

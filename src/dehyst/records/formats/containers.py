@@ -324,7 +324,7 @@ def _refuse_inflated(data: bytes, order: str, allowance: Allowance) -> None:
 
 # The start of a waveform, and the part by which the clocks of a computer and of a converter differ.
 _START, _SAME_CLOCK = "wf_start_time", 1e-4
-# What states the start of a waveform in a TDMS file: type and value.
+# Type and value of the start of a waveform in a TDMS file.
 _STAMP = re.compile(_START.encode() + rb"(.{20})", re.DOTALL)
 
 

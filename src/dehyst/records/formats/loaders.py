@@ -143,7 +143,7 @@ def load(path: Path, stream: io.BufferedIOBase, allowance: Allowance) -> list[Co
     suffix = path.suffix.lower() or ".csv"
     try:
         with warnings.catch_warnings():
-            # Of a library on styles of a sheet and the like, which are no matter of the columns.
+            # A library warns of styles of a sheet and the like, which do not matter for the columns.
             warnings.simplefilter("ignore")
             read = LOADERS[suffix]
             return read(stream if read is _read_text else stream.read(allowance.most), allowance)

@@ -18,7 +18,7 @@ _HEAD = 400
 _FEW = 4
 # With these begins a comment.
 _MARKS = ("#", "%")
-# What instruments write in the row of units for a column of counts.
+# Instruments write these words in the row of units for a column of counts.
 _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
 # Names above the time of the first sample and the step, in the row of units of Rigol's oscilloscopes.
 _CLOCK = ("start", "increment")
