@@ -68,18 +68,18 @@ class Calibration:
     @property
     def good(self) -> bool:
         """Whether the model is usable and every axis followed the path within the goal."""
-        return self.fit.good and all(one.largest_percent <= self.goal for one in self.compensated.each)
+        return self.fit.good and all(path.largest_percent <= self.goal for path in self.compensated.each)
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
         first = () if self.insight is None else self.insight.warnings()
         missed = []
-        for axis, one in zip(self.compensated.axes or ("",), self.compensated.each, strict=True):
-            if one.largest_percent > self.goal:
+        for axis, path in zip(self.compensated.axes or ("",), self.compensated.each, strict=True):
+            if path.largest_percent > self.goal:
                 subject = f"Axis {axis} followed the path" if axis else "The path was followed"
                 missed.append(
-                    f"{subject} to {one.largest_percent:.3g} % of the stroke, the goal is {self.goal:g} %; look at the "
-                    "report's residuals, record at the speed of use (--frequency), or allow more with --goal."
+                    f"{subject} to {path.largest_percent:.3g} % of the stroke, the goal is {self.goal:g} %; look at "
+                    "the report's residuals, record at the speed of use (--frequency), or allow more with --goal."
                 )
         unused = [f"Not used, because cut off, damaged or of another plan: {path}." for path in self.aside]
         return (*first, *self.remarks, *missed, *unused)
@@ -157,7 +157,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
     found: Any = check(fit.model, after, goal=plan.goal)
     checked: tuple[Recheck, ...] = getattr(found, "rechecks", (found,))
     rows = rig.rows(len(modelled.excitation))
-    limits, rates = [[one.limits.low, one.limits.high] for one in rig.rigs], [one.slew_rate for one in rig.rigs]
+    limits, rates = [[each.limits.low, each.limits.high] for each in rig.rigs], [each.slew_rate for each in rig.rigs]
     return Calibration(
         fit,
         training=tuple(training),
@@ -216,7 +216,7 @@ def _unsteady(
         if abs(gain - 1) > max(_DRIFTS, _SURE * scatter):
             part = 100 * (gain - 1)
             yield f"The stroke{of} changed by {part:+.2g} % from one path to the next: does the rig warm?"
-        slow = [one for one in (checked[k].changes if checked else ()) if one.name == "gain"]
-        if any(abs(one.value) > max(_DRIFTS, _SURE * one.error) for one in slow):
+        slow = [change for change in (checked[k].changes if checked else ()) if change.name == "gain"]
+        if any(abs(change.value) > max(_DRIFTS, _SURE * change.error) for change in slow):
             part = 100 * slow[0].value
             yield f"The stroke{of} changed by {part:+.2g} % since the first records: does the rig warm slowly?"

@@ -81,7 +81,7 @@ class FollowedPath:
     @property
     def kept(self) -> list[bool | None]:
         """Whether the promise of each axis is kept, apart from a constant offset and the sensor's noise."""
-        apart = [largest(one.error - one.error.mean()) for one in self.best.each]
+        apart = [largest(path.error - path.error.mean()) for path in self.best.each]
         return [
             None if promise is None else beyond_noise(error, noise) <= promise.largest
             for promise, error, noise in zip(self.promises, apart, self.noise, strict=True)
@@ -94,7 +94,7 @@ class FollowedPath:
         voltage is then brought to the safe one, as at the end.
         """
         # Read before anything moves: a rig without a measurement is refused here.
-        present = [one.limits.nearest(one.read().voltage) for one in self.rig.rigs]
+        present = [axis.limits.nearest(axis.read().voltage) for axis in self.rig.rigs]
         wanted = np.tile(self.wanted, (repeat, 1))
         plan = self._plan(wanted, present)
         self.promises = list(plan.promise) if self._several else [plan.promise]
@@ -132,7 +132,7 @@ class FollowedPath:
 
         `preview`: of a single axis, whether it compensates lag and resonance.
         """
-        limits, slews = [(one.low, one.high) for one in self.bounds], [one.slew_rate for one in self.bounds]
+        limits, slews = [(bound.low, bound.high) for bound in self.bounds], [bound.slew_rate for bound in self.bounds]
         loop: Compensator | StageCompensator
         if isinstance(self.model, Stage):
             loop = StageCompensator(self.model, limits, slews, period=1 / self.rate, states=states)
@@ -216,4 +216,4 @@ class FollowedPath:
 
 def _clamps(loop: Compensator | StageCompensator) -> int:
     """Return the number of samples that were clamped or slewed."""
-    return sum(one.clamps.limited + one.clamps.slewed for one in axes_of(loop))
+    return sum(part.clamps.limited + part.clamps.slewed for part in axes_of(loop))

@@ -54,16 +54,16 @@ class Excitations:
             Sampling(
                 frequency=faster * self.frequency,
                 sample_rate=self.sample_rate,
-                base=one.low,
-                limits=(one.low, one.high),
-                slew_rate=one.slew_rate,
+                base=bounds.low,
+                limits=(bounds.low, bounds.high),
+                slew_rate=bounds.slew_rate,
             )
-            for one in self.limits
+            for bounds in self.limits
         ]
 
     def recommended(self, steps: int = 16, cycles: int = 24) -> Excitation:
         """Return the recommended excitation; of several axes one after the other, then together: see `Plan`."""
-        tops, drives = [one.high for one in self.limits], self.samplings()
+        tops, drives = [bounds.high for bounds in self.limits], self.samplings()
         if len(tops) == 1:
             return recommended(tops[0], drive=drives[0])
         played = stage_excitation(tops, drive=drives, steps=steps, cycles=cycles, axes=self.axes)
@@ -72,18 +72,18 @@ class Excitations:
     @property
     def leg(self) -> int:
         """Samples between two turns of a path: half a faster cycle, or more to use at most half of each slew rate."""
-        seconds = [np.pi * (one.high - one.low) / (one.slew_rate or np.inf) for one in self.limits]
+        seconds = [np.pi * (bounds.high - bounds.low) / (bounds.slew_rate or np.inf) for bounds in self.limits]
         return int(np.ceil(self.sample_rate * max(0.5 / (self.faster * self.frequency), *seconds)))
 
     def homing(self) -> Excitation:
         """Return two major cycles of all axes at once: after them the state is known."""
         drives = zip(self.limits, self.samplings(self.faster), strict=True)
-        cycles = [raised_cosine([one.high], cycles=2, drive=drive) for one, drive in drives]
+        cycles = [raised_cosine([bounds.high], cycles=2, drive=drive) for bounds, drive in drives]
         if len(cycles) == 1:
             return cycles[0]
         longest = max(map(len, cycles))
         # Axes that are faster wait at their lowest voltage first.
-        columns = [np.append(np.full(longest - len(one), one.voltage[0]), one.voltage) for one in cycles]
+        columns = [np.append(np.full(longest - len(cycle), cycle.voltage[0]), cycle.voltage) for cycle in cycles]
         return Excitation("homing", np.column_stack(columns), self.sample_rate)
 
 
@@ -127,13 +127,13 @@ class Plan:
         if self.protocol and len(rig.axes) > 1:
             hint = "leave it out, or calibrate one axis at a time"
             raise RecordError("a protocol is of one axis", argument="protocol", hint=hint)
-        limits = tuple(one.limits for one in rig.rigs)
+        limits = tuple(each.limits for each in rig.rigs)
         return Excitations(limits, played_rate(rig.rigs[0], samples * frequency), frequency, faster, rig.axes)
 
     def training(self, excitations: Excitations) -> list[tuple[str, str, Excitation]]:
         """Return name, description and excitation of each record for the identification."""
         if self.protocol:
-            return [(f"given-{i}", f"{one.name}, as given", one) for i, one in enumerate(self.protocol, 1)]
+            return [(f"given-{i}", f"{given.name}, as given", given) for i, given in enumerate(self.protocol, 1)]
         whole = excitations.recommended(self.steps, self.cycles)
         if len(excitations.axes) > 1:
             return [("axes", "each axis alone, then all together", whole)]

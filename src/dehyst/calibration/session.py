@@ -96,14 +96,14 @@ class Player:
             at = rows[count : count + samples.time.size]
             count += samples.time.size
             own = [samples.axis(j) for j in range(len(self.files))]
-            for j, (file, one) in enumerate(zip(self.files, own, strict=True)):
+            for j, (file, part) in enumerate(zip(self.files, own, strict=True)):
                 more = {} if columns is None or not self._states_wanted else {WANTED: 1e6 * columns[at, j]}
-                file.add(one._replace(others={**one.others, **more}))
+                file.add(part._replace(others={**part.others, **more}))
             if columns is None:
                 self._listener.samples(own[0])
                 return
             expected = np.where(at[:, None] < begin, np.nan, columns[at])
-            error = np.abs(np.column_stack([one.displacement for one in own]) - expected) / each
+            error = np.abs(np.column_stack([part.displacement for part in own]) - expected) / each
             worst = int(np.nan_to_num(error).max(axis=0).argmax())
             self._listener.samples(own[worst], expected[:, worst], float(each[worst]))
 

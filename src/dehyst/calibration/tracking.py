@@ -107,7 +107,7 @@ class PathPlanner:
         The `model` determines the place of the path after all records so far, `before`.
         """
         homed = self._homed(model, before, _seen(model, before))
-        bottom, top = (np.array([getattr(one, key) for one in self.limits]) for key in ("low", "high"))
+        bottom, top = (np.array([getattr(bounds, key) for bounds in self.limits]) for key in ("low", "high"))
         voltage = bottom + (homed.wanted - homed.low) * (top - bottom) / homed.stroke
         return self._run("nominal", homed, np.clip(voltage, bottom, top))
 
@@ -123,10 +123,10 @@ class PathPlanner:
         time = np.arange(len(wanted)) / self.homing.sample_rate
         actuators = model.actuators if isinstance(model, Stage) else (model,)
         zeros = zip(actuators, wanted.T, homed.datum.tolist(), strict=True)
-        ahead = np.column_stack([np.interp(time + one.delay, time, column) - zero for one, column, zero in zeros])
+        ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
         # The path stays where it is while the temperature drifts.
         warmth = None if seen is None else seen.after(self.homing.duration + time)
-        bounds, rates = [(one.low, one.high) for one in self.limits], [one.slew_rate for one in self.limits]
+        bounds, rates = [(bound.low, bound.high) for bound in self.limits], [bound.slew_rate for bound in self.limits]
         several = isinstance(model, Stage)
         given: dict[str, Any] = {
             "limits": bounds if several else bounds[0],
@@ -146,7 +146,7 @@ class PathPlanner:
         """Return what the records `before` tell of the next homing, at the temperature that was `seen` last."""
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
-        starts = [beginning(one, voltage[:, j]) for j, one in enumerate(stage.actuators)]
+        starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]
         options: dict[str, Any] = {"temperature": None if seen is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
         late = (len(TURNS) - 1) * self.leg if len(stage.axes) == 1 else len(before[-1]) // 2
@@ -193,7 +193,7 @@ class PathPlanner:
 def _seen(model: Actuator | Stage, records: Sequence[Record]) -> SeenTemperature | None:
     """Return the temperature after the records; None if it does not move the model or was not measured."""
     actuators = model.actuators if isinstance(model, Stage) else (model,)
-    return SeenTemperature.of(records[-1]) if any(one.thermal is not None for one in actuators) else None
+    return SeenTemperature.of(records[-1]) if any(actuator.thermal is not None for actuator in actuators) else None
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:
@@ -251,7 +251,7 @@ class TrackedPath:
         return self._percent(rms)
 
     def _percent(self, measure: Callable[[Array], float]) -> Any:
-        found = tuple(percent(measure(one.error), one.stroke) for one in self.each)
+        found = tuple(percent(measure(path.error), path.stroke) for path in self.each)
         return found if self.axes else found[0]
 
     @property
@@ -259,7 +259,7 @@ class TrackedPath:
         """The errors of each axis as text, in % of its stroke."""
         named = zip(self.axes or ("",), self.each, strict=True)
         errors = (
-            (axis, f"largest error {one.largest_percent:.3f} %, RMS {one.rms_percent:.3f} %") for axis, one in named
+            (axis, f"largest error {path.largest_percent:.3f} %, RMS {path.rms_percent:.3f} %") for axis, path in named
         )
         return "; ".join(f"{axis}: {error}" if axis else error for axis, error in errors)
 
@@ -274,7 +274,7 @@ class TrackedPath:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; for several axes by name."""
         if self.axes:
-            return {axis: one.as_dict() for axis, one in zip(self.axes, self.each, strict=True)}
+            return {axis: path.as_dict() for axis, path in zip(self.axes, self.each, strict=True)}
         return {
             "largest_percent": self.largest_percent,
             "rms_percent": self.rms_percent,
