@@ -95,7 +95,7 @@ def measured(folder: Path) -> dict:
     return results
 
 
-def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) -> dict:
+def compared_on(trial: TrackingTrial, name: str, identification: Any, seeds: int) -> dict:
     """Return a model's row on a virtual actuator's records, and its tracking errors on each path."""
     kept: list[AbstractModel] = []
 
@@ -103,12 +103,12 @@ def compared_on(one: TrackingTrial, name: str, identification: Any, seeds: int) 
         kept.append(identification(records))
         return kept[0]
 
-    records = list(one.records())
-    (row,), stroke = scored(records, [Played(prepare(record)) for record in one.held_out()], {name: fit}, print)
-    found = figures(row, kept, records, one.held_out(), stroke)
+    records = list(trial.records())
+    (row,), stroke = scored(records, [Played(prepare(record)) for record in trial.held_out()], {name: fit}, print)
+    found = figures(row, kept, records, trial.held_out(), stroke)
     for seed in range(FIRST_SEED, FIRST_SEED + seeds) if kept else ():
         try:
-            error = one.track(kept[0], seed)
+            error = trial.track(kept[0], seed)
             found["tracking"][str(seed)] = {
                 "largest_percent": error.largest,
                 "rms_percent": error.rms,
@@ -169,7 +169,7 @@ def pair(figures: tuple[float, float] | None) -> str:
 
 def worst(row: dict | None) -> tuple[float, float] | None:
     """Return the largest and RMS error of the seed with the largest error."""
-    figures = [(one["largest_percent"], one["rms_percent"]) for one in ((row or {}).get("tracking") or {}).values()]
+    figures = [(seed["largest_percent"], seed["rms_percent"]) for seed in ((row or {}).get("tracking") or {}).values()]
     return max(figures, default=None)
 
 

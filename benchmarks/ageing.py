@@ -115,12 +115,12 @@ def checked(name, own, aged, kind, seed):
     (stage, model), excitation = identified(name, own), LATER[kind]
     record, slow = stage.record(excitation, aged, seed)
     changes, (true, most) = dehyst.check(model, record).changes, truth(stage, aged, excitation, slow)
-    slower, rows = next((one.name for one in changes if one.name in SLOW), "creep"), []
-    for one in changes:
-        together = min(one.value, sum(most["creep" if part == "drift" else part] for part in one.parts))
-        right = true.get(f"offset beside {slower}" if one.name == "offset" else one.name, together)
-        rows.append((one.name, kind, one.value, one.error, right, one.counts))
-    named = {"creep" if part == "drift" else part for one in changes if one.counts for part in one.parts}
+    slower, rows = next((change.name for change in changes if change.name in SLOW), "creep"), []
+    for change in changes:
+        together = min(change.value, sum(most["creep" if part == "drift" else part] for part in change.parts))
+        right = true.get(f"offset beside {slower}" if change.name == "offset" else change.name, together)
+        rows.append((change.name, kind, change.value, change.error, right, change.counts))
+    named = {"creep" if part == "drift" else part for change in changes if change.counts for part in change.parts}
     large = [part for part, effect in most.items() if effect > 0.02 * STROKE]
     return rows, large, [(part, kind, aged) for part in large if part not in named]
 
@@ -132,7 +132,7 @@ def updated(name, own, aged, kind, seed):
     made = dehyst.update(old, stage.record(LATER[kind], aged, seed)[0]).actuator
     anew = dehyst.identify(stage.record(EXCITATION, aged, seed + 1)[0]).actuator
     errors = (dehyst.check(model, stage.record(PATH, aged, seed + 2)[0]) for model in (old, made, anew))
-    return [kind, *([100 * one.largest / STROKE, 100 * one.rms / STROKE] for one in errors)]
+    return [kind, *([100 * error.largest / STROKE, 100 * error.rms / STROKE] for error in errors)]
 
 
 def main() -> None:
@@ -147,14 +147,14 @@ def main() -> None:
         of = ("relays", "walls")[number % 2], SEED + number // 2 % 3, aged
         cases.append((*of, str(rng.choice([*LATER])), int(rng.integers(1 << 30))))
     found = [checked(*case) for case in cases]
-    rows = [row for one, _, _ in found for row in one]
+    rows = [row for rows, _, _ in found for row in rows]
     beyond = [abs(value - true) > 2 * error for _, _, value, error, true, _ in rows]
     kept = {name: [not far for far, row in zip(beyond, rows, strict=True) if row[0] == name] for name in SIZES}
     table = {
         "truths": len(found), "stated": sum(row[-1] for row in rows),
         "false": [row for far, row in zip(beyond, rows, strict=True) if far and row[-1]],
         "within two errors": {name: [sum(some), len(some)] for name, some in kept.items()},
-        "over 2 %": sum(len(large) for _, large, _ in found), "missed": [one for *_, missed in found for one in missed],
+        "over 2 %": sum(len(large) for _, large, _ in found), "missed": [x for *_, missed in found for x in missed],
     }  # fmt: skip
     kinds = "2 sines", "4 triangles", "excitation"
     table["updates"] = [updated(*case[:3], kinds[k % 3], case[4]) for k, case in enumerate(cases[:UPDATES])]

@@ -69,9 +69,9 @@ def module_graph(modules: Mapping[str, Path], deferred: bool = True) -> dict[str
     known = modules.keys() | {module_of(path) for path in SOURCES.glob("*.pyi")}  # compiled ones too
     graph: dict[str, set[str]] = {}
     for module, path in modules.items():
-        statements = [one for one in imports(ast.parse(path.read_text())) if deferred or not one.deferred]
-        whole = {f"{one.module}.{one.name}" for one in statements} & known
-        named = {one.module for one in statements if f"{one.module}.{one.name}" not in known}
+        statements = [name for name in imports(ast.parse(path.read_text())) if deferred or not name.deferred]
+        whole = {f"{name.module}.{name.name}" for name in statements} & known
+        named = {name.module for name in statements if f"{name.module}.{name.name}" not in known}
         graph[module] = ((whole | named) & modules.keys()) - {module}
     return graph
 
@@ -88,7 +88,7 @@ def room_graph() -> dict[str, set[str]]:
     for module, used in module_graph(files()).items():
         room = room_of(module)
         if module != "dehyst":
-            rooms.setdefault(room, set()).update(room_of(one) for one in used if one != "dehyst")
+            rooms.setdefault(room, set()).update(room_of(name) for name in used if name != "dehyst")
     return {room: used - {room} for room, used in rooms.items()}
 
 
@@ -99,7 +99,7 @@ def below(graph: Mapping[str, set[str]], room: str) -> set[str]:
 
 def direct(graph: Mapping[str, set[str]]) -> dict[str, set[str]]:
     """Return the graph without the arrows that other arrows imply (its transitive reduction)."""
-    return {room: used - set().union(*(below(graph, one) for one in used)) for room, used in graph.items()}
+    return {room: used - set().union(*(below(graph, room) for room in used)) for room, used in graph.items()}
 
 
 def floors(graph: Mapping[str, set[str]]) -> list[list[str]]:
@@ -138,7 +138,7 @@ class Layout:
 
     def _support(self, graph: Mapping[str, set[str]], column: tuple[str, ...]) -> float:
         """Return the mean place of what a column leads to: fewer arrows cross."""
-        used = [self.centre(one)[0] for one in (sorted(graph[column[0]]) if len(column) == 1 else column[1:])]
+        used = [self.centre(room)[0] for room in (sorted(graph[column[0]]) if len(column) == 1 else column[1:])]
         return sum(used) / max(len(used), 1)
 
     def centre(self, room: str) -> tuple[float, float]:

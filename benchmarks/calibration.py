@@ -75,11 +75,11 @@ def main() -> None:
     results = []
     print(f"{'actuator':10s}{'link':8s}{'speed':>6s}{'seconds':>9s}{'nominal %':>11s}{'compensated %':>15s}")
     for case in CASES:
-        one = measure(*case)
-        results.append(one)
+        row = measure(*case)
+        results.append(row)
         print(
-            f"{one['actuator']:10s}{one['link']:8s}{one['speed']:6g}{one['seconds']:9.1f}"
-            f"{one['nominal']['largest_percent']:11.3f}{one['compensated']['largest_percent']:15.3f}"
+            f"{row['actuator']:10s}{row['link']:8s}{row['speed']:6g}{row['seconds']:9.1f}"
+            f"{row['nominal']['largest_percent']:11.3f}{row['compensated']['largest_percent']:15.3f}"
         )
     OUTPUT.write_text(json.dumps({"calibrations": results}, indent=1) + "\n")
 

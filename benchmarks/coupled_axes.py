@@ -54,13 +54,13 @@ class VirtualStage:
         self.coupling = np.where(
             np.eye(3, dtype=bool), 1.0, rng.uniform(0.02, 0.06, (3, 3)) * rng.choice([-1, 1], (3, 3))
         )
-        self.names = [type(getattr(one, "mechanism", one)).__name__ for one in self.actuators]
+        self.names = [type(getattr(actuator, "mechanism", actuator)).__name__ for actuator in self.actuators]
         self.rng = rng
 
     def play(self, seconds, voltage):
         """Return the displacements (n, axes) [m] as measured."""
         moved = np.column_stack(
-            [one.play(voltage[:, j], time=seconds, measured=False) for j, one in enumerate(self.actuators)]
+            [actuator.play(voltage[:, j], time=seconds, measured=False) for j, actuator in enumerate(self.actuators)]
         )
         return moved @ self.coupling.T + self.rng.normal(0.0, NOISE, moved.shape)
 
@@ -77,9 +77,9 @@ def records(stage, seed):
     )
     _, first, stop = held.parts[-1]
     start = t[-1] + 1 / RATE
-    one = _record(stage, start + training.time, training.voltage, "training")
-    return one, _record(
-        stage, one.time[-1] + 1 / RATE + held.time[: stop - first], held.voltage[first:stop], "held-out"
+    record = _record(stage, start + training.time, training.voltage, "training")
+    return record, _record(
+        stage, record.time[-1] + 1 / RATE + held.time[: stop - first], held.voltage[first:stop], "held-out"
     )
 
 
@@ -97,7 +97,7 @@ def measure(kinds, seed):
     strokes = np.ptp(training.displacement, axis=0)
     single, floor = [], []
     for j in range(3):
-        exact = [one.axis(j, (one.displacement @ np.linalg.inv(stage.coupling).T)[:, j]) for one in (training, held)]
+        exact = [r.axis(j, (r.displacement @ np.linalg.inv(stage.coupling).T)[:, j]) for r in (training, held)]
         by_itself = dehyst.identify(exact[0], validate=exact[1])
         floor.append(100 * by_itself.errors[-1].settled_largest / strokes[j])
         alone = dehyst.identify(training.axis(j), validate=held.axis(j))

@@ -120,7 +120,7 @@ class ThermalRelays:
         return self.reversible * (u + 0.15 * u * (u - 1)) + (1 - self.reversible) * 0.5 * (1 + mean)
 
 
-TRUTHS = {one.__name__: one for one in (LaggingSwitches, RelaxingPreload, ThermalRelays)}
+TRUTHS = {kind.__name__: kind for kind in (LaggingSwitches, RelaxingPreload, ThermalRelays)}
 
 
 class Stage:
@@ -163,7 +163,7 @@ def held(stage, actuator, last):
     path = actuator.compensate(wanted, time=clock, state=start, extrapolate=True)
     voltage = np.clip(path.voltage[1:], 0.0, HIGHEST)
     constant = np.where(np.arange(voltage.size) < s.size, voltage, voltage[s.size - 1])
-    kept, followed = (copy.deepcopy(stage).play(clock[1:], one)[s.size - 1 :] for one in (constant, voltage))
+    kept, followed = (copy.deepcopy(stage).play(clock[1:], played)[s.size - 1 :] for played in (constant, voltage))
     return kept[-1] - kept[0], followed - followed[0], rise[-1] - begin
 
 
@@ -183,7 +183,7 @@ def trial(name, seed):
         "found": fit.actuator.displacement_creep is not None,
         "left_percent": round(100 * followed[-1] / creep, 1),
         "most_left_percent": round(100 * float(np.abs(followed).max()) / abs(creep), 1),
-        "rms_percent": [round(one.rms_percent, 3) for one in fit.errors],
+        "rms_percent": [round(error.rms_percent, 3) for error in fit.errors],
         "cpu_s": round(seconds, 1),
     }
 

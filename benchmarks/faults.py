@@ -174,7 +174,7 @@ def rehearse(case: Case) -> Outcome:
     """Rehearse one in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
         found = case.run(Path(folder))
-    found.said = [one.replace(f"{folder}/", "") for one in found.said]
+    found.said = [line.replace(f"{folder}/", "") for line in found.said]
     return found
 
 
@@ -190,8 +190,8 @@ def line(case: Case, found: Outcome) -> str:
 
 def as_dict(case: Case, found: Outcome) -> dict:
     """Return the JSON values of one case, with the ports of a real controller."""
-    said = [re.sub(r"(127\.0\.0\.1:)\d+", r"\g<1>50000", one) for one in found.said]
-    said = [re.sub(r"and \d+ its port", "and 50000 its port", one) for one in said]
+    said = [re.sub(r"(127\.0\.0\.1:)\d+", r"\g<1>50000", line) for line in found.said]
+    said = [re.sub(r"and \d+ its port", "and 50000 its port", line) for line in said]
     return {"words": case.words, **asdict(found), "said": said}
 
 
@@ -203,10 +203,10 @@ def main() -> None:
     # Most of the time is spent waiting for answers that do not come.
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(rehearse, chosen))
-    for case, one in zip(chosen, found, strict=True):
-        print(line(case, one))
+    for case, outcome in zip(chosen, found, strict=True):
+        print(line(case, outcome))
     if len(chosen) == len(CASES):
-        told = {case.name: as_dict(case, one) for case, one in zip(chosen, found, strict=True)}
+        told = {case.name: as_dict(case, outcome) for case, outcome in zip(chosen, found, strict=True)}
         write_atomically(HERE / "faults.json", (json.dumps(told, indent=1) + "\n").encode())
 
 

@@ -50,7 +50,7 @@ def updates() -> list[str]:
     aged = data("ageing")
     found = {kind: aged[f"update to anew, {kind}"] for kind in ("2 sines", "4 triangles", "excitation")}
     return [
-        *table(head, ([kind, *(f"{one[k]:.2f}" for k in (0, 1) for one in pair)] for kind, pair in found.items())),
+        *table(head, ([kind, *(f"{row[k]:.2f}" for k in (0, 1) for row in pair)] for kind, pair in found.items())),
         "",
         f"`dehyst check` of {aged['truths']} aged stages: of {aged['stated']} changes stated, {len(aged['false'])} "
         f"were false beyond twice their error; of {aged['over 2 %']} changes of over 2 % of the stroke, "
@@ -69,7 +69,7 @@ def coupled() -> list[str]:
     rows = []
     for name, title in words.items():
         most = found[name]["summary"]
-        single = [max(one["single_axis_largest_percent"]) for one in found[name]["stages"]]
+        single = [max(row["single_axis_largest_percent"]) for row in found[name]["stages"]]
         errors = [most[key] for key in ("largest_percent", "rms_percent", "uncoupled_largest_percent")]
         cells = [f"{most['matrix_error']:.4f}", *(f"{error:.2f}" for error in errors)]
         rows.append([title, *cells, f"{min(single):.1f} to {max(single):.1f}"])
@@ -87,14 +87,14 @@ def creep() -> list[str]:
     keys = "creep_percent_of_step", "left_percent"
     rows = []
     for truth, title in words.items():
-        seeds = [one for one in data("creep")["rows"] if one["truth"] == truth]
-        rows.append([title, *(", ".join(f"{one[key]:.0f}" for one in seeds) for key in keys)])
+        seeds = [row for row in data("creep")["rows"] if row["truth"] == truth]
+        rows.append([title, *(", ".join(f"{row[key]:.0f}" for row in seeds) for key in keys)])
     return table(("actuator", "creep, % of the step", "left with the voltages of the model"), rows)
 
 
 def firmware() -> list[str]:
     """Instructions of the steps of an exported compensator."""
-    plain, wide = ((one["followed"], one["clamped"]) for one in data("size")["instructions"])
+    plain, wide = ((row["followed"], row["clamped"]) for row in data("size")["instructions"])
     return [
         "A step takes bounded time, whatever came before. Instructions of one step in floats (`-O2`, a Cortex-M4F "
         f"emulated by QEMU): {plain[0]} along a path and at most {plain[1]} when a clamped step crosses the whole "

@@ -35,8 +35,8 @@ def promised(
             disagreement=0.0,
             stroke=stroke,
         )
-    found = [promise(validity, record.voltage, record.time) for record in (prepare(one).record for one in held_out)]
-    return percent(max(one.largest for one in found), stroke), percent(max(one.rms for one in found), stroke)
+    found = [promise(validity, own.voltage, own.time) for own in (prepare(record).record for record in held_out)]
+    return percent(max(error.largest for error in found), stroke), percent(max(error.rms for error in found), stroke)
 
 
 def parameters_of(model: AbstractModel) -> int | None:

@@ -29,9 +29,9 @@ def both(error: dict | None) -> str:
 def worst(row: dict | None) -> dict | None:
     """Errors of the seed with the largest error."""
     tracked = [] if row is None else row["tracking"].values()
-    return max(tracked, key=lambda one: (one["largest_percent"], one["rms_percent"]), default=None)
+    return max(tracked, key=lambda error: (error["largest_percent"], error["rms_percent"]), default=None)
 
 
 def held_out(row: dict | None) -> dict | None:
-    errors = [] if row is None else [one for one in row["errors"] if one["role"] == "validation"]
+    errors = [] if row is None else [error for error in row["errors"] if error["role"] == "validation"]
     return errors[0] if errors else None

@@ -40,7 +40,7 @@ def readme() -> list[str]:
 
 def figures(rows: dict, of: Callable[[dict], dict | None]) -> dict[str, tuple[float, float]]:
     found = {name: of(row) for name, row in rows.items()}
-    return {name: (one["largest_percent"], one["rms_percent"]) for name, one in found.items() if one is not None}
+    return {name: (own["largest_percent"], own["rms_percent"]) for name, own in found.items() if own is not None}
 
 
 def medians(cases: list[dict]) -> dict[str, tuple[float, float]]:
@@ -105,7 +105,7 @@ def baselines() -> list[str]:
         *("Largest and RMS error, % of the stroke", "plays, asymmetric", "the same, creeping", "Preisach"),
         *("Bouc-Wen, resonating", "measured, predicted"),
     )
-    rows = [["asked of dehyst", *(both(compared["asked"][one]) for one in (*truths, "measured"))]]
+    rows = [["asked of dehyst", *(both(compared["asked"][name]) for name in (*truths, "measured"))]]
     names = dict.fromkeys([*compared["tracking"]["play"], *compared["measured"]])
     for name in sorted(names, key=lambda name: not name.startswith("dehyst")):
         errors = [worst(compared["tracking"][truth].get(name)) for truth in truths]
@@ -163,9 +163,9 @@ def steps() -> list[str]:
     )
     rows = []
     for path, what in (("swept", "swept"), ("reversing", "reversing at every step")):
-        one = data("latency")["plain"]["paths"][path]
-        times = [f"{one[key]:.0f} ns" for key in ("step_ns", "c_step_ns", "run_ns")]
-        rows.append([what, *times, f"{one['interp_ns']:.1f} ns", f"{one['c_ratio']:.1f}"])
+        latency = data("latency")["plain"]["paths"][path]
+        times = [f"{latency[key]:.0f} ns" for key in ("step_ns", "c_step_ns", "run_ns")]
+        rows.append([what, *times, f"{latency['interp_ns']:.1f} ns", f"{latency['c_ratio']:.1f}"])
     return table(head, rows)
 
 
@@ -179,11 +179,11 @@ def calibrations() -> list[str]:
         "boucwen": "Bouc-Wen, resonating",
     }
     rows = []
-    for one in data("calibration")["calibrations"]:
-        fast = "" if one["speed"] == 1 else f" (instrument {one['speed']:g} times as fast)"
-        errors = [f"{one[kind]['largest_percent']:.2f}" for kind in ("nominal", "compensated")]
-        what = f"{names[one['actuator']]}, {links[one['link']]}"
-        rows.append([what, f"{one['seconds']:.0f}{fast}", *errors, f"{one['compensated']['rms_percent']:.3f}"])
+    for row in data("calibration")["calibrations"]:
+        fast = "" if row["speed"] == 1 else f" (instrument {row['speed']:g} times as fast)"
+        errors = [f"{row[kind]['largest_percent']:.2f}" for kind in ("nominal", "compensated")]
+        what = f"{names[row['actuator']]}, {links[row['link']]}"
+        rows.append([what, f"{row['seconds']:.0f}{fast}", *errors, f"{row['compensated']['rms_percent']:.3f}"])
     what = "`dehyst calibrate` over a socket, virtual actuators"
     return table((what, "seconds", "constant ratio, largest %", "compensated, largest %", "RMS %"), rows)
 
@@ -191,11 +191,11 @@ def calibrations() -> list[str]:
 def faults() -> list[str]:
     found = data("faults").values()
     head = ("fault", "exit status", "ended after, s", "voltage")
-    rows = [(one["words"], status(one), f"{one['seconds']:.1f}", voltage(one)) for one in found]
-    put = [one["put_out"] for one in found if one["put_out"]]
-    lowest, highest = min(one["lowest"] for one in put), max(one["highest"] for one in put)
-    longest = max(one["seconds"] for one in found if one["status"])
-    lost = sum(max(0, (one["came"] or 0) - one["on_disk"]) for one in found)
+    rows = [(row["words"], status(row), f"{row['seconds']:.1f}", voltage(row)) for row in found]
+    put = [row["put_out"] for row in found if row["put_out"]]
+    lowest, highest = min(row["lowest"] for row in put), max(row["highest"] for row in put)
+    longest = max(row["seconds"] for row in found if row["status"])
+    lost = sum(max(0, (row["came"] or 0) - row["on_disk"]) for row in found)
     return [
         *table(head, rows),
         "",
@@ -205,21 +205,21 @@ def faults() -> list[str]:
     ]
 
 
-def status(one: dict) -> str:
-    words = "killed" if one["status"] < 0 else str(one["status"])
-    return words if one["again"] is None else f"{words}; once more: {one['again']['status']}"
+def status(row: dict) -> str:
+    words = "killed" if row["status"] < 0 else str(row["status"])
+    return words if row["again"] is None else f"{words}; once more: {row['again']['status']}"
 
 
-def voltage(one: dict) -> str:
+def voltage(row: dict) -> str:
     """Return what happened to the voltage, as the command or else the emulator reports it."""
-    put, notes = one["put_out"], " ".join(one["said"])
+    put, notes = row["put_out"], " ".join(row["said"])
     if put is None:
         return "nothing was sent"
     if "could not be brought" in notes:
         return f"left to the device: {put['now']:g} V"
     if put["highest"] == 0:
         return "nothing was put out"
-    if one["again"] is not None and one["status"] < 0:
+    if row["again"] is not None and row["status"] < 0:
         return f"its wave went on; the next call brought it to {put['now']:g} V"
     return f"brought to {put['now']:g} V"
 
@@ -287,13 +287,13 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "README.md": {"benchmarks": readme},
     "paper/paper.md": {"benchmarks": readme, "costs": costs},
     "docs/benchmarks.md": {
-        one.__name__: one
+        table.__name__: table
         for part in (
             (accuracy, baselines, strangers, paper, speed),
             (steps, firmware, temperature, calibrations, promise),
             (coupled, creep, learning, updates, faults),
         )
-        for one in part
+        for table in part
     },
     "docs/reference/decision_rules.md": {"rules": rules},
 }

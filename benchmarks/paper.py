@@ -35,8 +35,8 @@ def add_rival(found: Experiment, rows: list[dict[str, Any]]) -> None:
 def main() -> None:
     paper = run.run(print)
     found = paper.as_dict()
-    for name, one in paper.experiments.items():
-        add_rival(one, found[name]["summary"])
+    for name, repeated in paper.experiments.items():
+        add_rival(repeated, found[name]["summary"])
     target = Path(__file__).with_name("paper.json")
     target.write_text(json.dumps(found, indent=1) + "\n")
     print(target.name)

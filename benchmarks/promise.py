@@ -137,7 +137,7 @@ def recorded(stage, protocol, condition, rng):
             y = filtered(Raw(time, volts, y, ""), scale, noise)
         elif condition == "10 bit":
             bits = truth.stroke * 1.2 / 1023, (truth.high - truth.low) / 1023
-            y, volts = (bit * np.round(one / bit) for bit, one in zip(bits, (y, volts), strict=True))
+            y, volts = (bit * np.round(column / bit) for bit, column in zip(bits, (y, volts), strict=True))
         records.append(Record(time, volts, y, f"{truth.name}-{k}"))
     return records, step
 
@@ -189,7 +189,7 @@ def case(job):
                 "promised_largest": found.largest,
                 "promised_rms": found.rms,
                 "promised_zeroed": found.largest + found.offset,
-                "untested": [one.what for one in found.untested],
+                "untested": [gap.what for gap in found.untested],
                 "held_out": validity.rms,
                 "shown": validity.largest,
                 "disagreement": validity.disagreement,
@@ -251,7 +251,7 @@ def tables_of(rows, part, seed):
     good = [row for row in rows if "largest" in row]
     tables = {by or "all": summary(good, by) for by in ("", "truth", "protocol", "condition", "path")}
     for by, table in tables.items():
-        print(f"by {by}", *(f"{value} {one}" for value, one in table.items()), sep="\n  ")
+        print(f"by {by}", *(f"{value} {count}" for value, count in table.items()), sep="\n  ")
     result = {"seed": seed, "refused": len(rows) - len(good), "tables": tables}
     return result | ({"factors": asked_for(good)} if part == "found" else {})
 

@@ -188,7 +188,7 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
     """Count the readable samples in a folder, also those set aside or of killed processes; name files without any."""
     found, left = 0, []
-    for path in sorted(one for one in (folder / "records").rglob("*") if one.is_file()):
+    for path in sorted(path for path in (folder / "records").rglob("*") if path.is_file()):
         try:
             found += len(read(path))
         except DehystError:

@@ -72,7 +72,7 @@ def case(name: str, *, curved: bool) -> dict[str, object]:
         at = [(NEUTRAL, NEUTRAL)] * 3 if constant else [(t, t + WARMS) for t in TRAINED]
         return [record(truth, *ends, seed, channel=channel, curved=curved) for seed, ends in enumerate(at, 1)]
 
-    known, unknown, constant = (dehyst.identify(one) for one in (records(True), records(False), records(False, True)))
+    known, unknown, constant = (dehyst.identify(r) for r in (records(True), records(False), records(False, True)))
     found = {
         "truth": f"{name}, curved" if curved else name,
         "constant": missed(constant.actuator, record(truth, NEUTRAL, NEUTRAL, 9, channel=False)),

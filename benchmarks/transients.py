@@ -253,11 +253,11 @@ def main() -> None:
     rows = []
     for case in options.only:
         rows.append(row(*case.split("/"), samples=options.samples))
-        one = rows[-1]
+        last = rows[-1]
         print(
-            f"{case:<20} {len(one['transients'])} transients, expected {one['expected_largest_percent']:.2f} / "
-            f"{one['expected_rms_percent']:.3f}, reached {one['reached_largest_percent']:.2f} / "
-            f"{one['reached_rms_percent']:.3f} %, {one['verdict']}, {one['cpu_seconds']:.1f} s"
+            f"{case:<20} {len(last['transients'])} transients, expected {last['expected_largest_percent']:.2f} / "
+            f"{last['expected_rms_percent']:.3f}, reached {last['reached_largest_percent']:.2f} / "
+            f"{last['reached_rms_percent']:.3f} %, {last['verdict']}, {last['cpu_seconds']:.1f} s"
         )
     Path(__file__).with_suffix(".json").write_text(json.dumps(rows, indent=1) + "\n")
 

@@ -77,9 +77,9 @@ class TrackingTrial:
 
     def _played(self, truth: VirtualActuator, name: str, *excitations: Excitation) -> tuple[Record, ...]:
         records = []
-        for letter, one in zip("abc", excitations, strict=False):
-            y = truth.play(one.voltage, time=one.time)
-            records.append(Record(one.time, one.voltage, y, f"{name}{letter}"))
+        for letter, excitation in zip("abc", excitations, strict=False):
+            y = truth.play(excitation.voltage, time=excitation.time)
+            records.append(Record(excitation.time, excitation.voltage, y, f"{name}{letter}"))
         return tuple(records)
 
     def track(self, model: AbstractModel, seed: int = 7) -> TrackingErrors:

@@ -49,7 +49,7 @@ def calibrated(tmp_path_factory):
     folder, listener = tmp_path_factory.mktemp("calibration"), Listener()
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         result = calibrate(rig, folder, plan=PLAN, watcher=listener)
-        ends = [one.voltage for one in bench.axes], [one.log.highest for one in bench.axes]
+        ends = [axis.voltage for axis in bench.axes], [axis.log.highest for axis in bench.axes]
     return result, folder, listener, ends
 
 
@@ -95,7 +95,7 @@ def test_whole_records_of_all_axes_are_kept(calibrated):
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         with pytest.raises(KeyboardInterrupt) as caught:
             calibrate(rig, folder, plan=PLAN, watcher=Listener("nominal"))
-        assert [one.voltage for one in bench.axes] == [0.0] * 3
+        assert [axis.voltage for axis in bench.axes] == [0.0] * 3
     assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
     assert len(read(folder / "records" / "axes-3.csv")) == len(result.training[0])
     assert Stage.load(folder / "stage.json")
@@ -109,14 +109,14 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
         pytest.raises(FileFormatError, match="axis 3"),
     ):
         calibrate(rig, folder, plan=PLAN)
-    assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
+    assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
 
 
 def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
     with served("error@900", speed=4.0) as (server, bench), rig_of(server) as rig:
         with pytest.raises(DeviceError):
             calibrate(rig, tmp_path, plan=PLAN)
-        assert [one.voltage for one in bench.axes] == [0.0] * 3
+        assert [single.voltage for single in bench.axes] == [0.0] * 3
     records = [read(tmp_path / "records" / f"axes-{axis}.csv") for axis in "123"]
     assert len({len(record) for record in records}) == 1
     assert len(records[0]) > 100
@@ -128,7 +128,7 @@ class TestPlan:
     def test_axes_move_one_after_the_other_then_together(self):
         with served() as (server, bench), rig_of(server) as rig:
             steps = {step.name: step.excitation.voltage for step in planned_steps(rig, PLAN)}
-            assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
+            assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
         moving = np.abs(np.diff(steps["axes"], axis=0)) > 0
         alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
         assert min(alone) > 1000
@@ -167,7 +167,7 @@ class TestCommand:
             base = ("calibrate", f"pi://127.0.0.1:{server.port}", "-o", tmp_path)
             words = options if "--axes" in options else ("--axes", "1,2", *options)
             self.run(*base, *words, status=2)
-            assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
+            assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
 
 
 def test_the_path_of_several_axes_is_planned_at_the_measured_temperature():
@@ -190,7 +190,7 @@ def test_the_path_of_several_axes_is_planned_at_the_measured_temperature():
 
     missed = {}
     for name, model in (("aware", truth), ("unaware", unaware)):
-        start = [one.relaxed(0.0) for one in truth.actuators]
+        start = [actuator.relaxed(0.0) for actuator in truth.actuators]
         first, state = played(homing, 0.0, start)
         nominal, state = played(planner.nominal(model, [first]).excitation, first.time[-1] + 0.0025, state)
         planned = planner.compensated(model, [first, nominal])

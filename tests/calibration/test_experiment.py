@@ -185,7 +185,7 @@ def test_a_given_protocol_is_played_as_it_is(tmp_path):
         [200, 150, 100, 50], cycles=2, drive=Excitations((VoltageLimits(0, 200),), 400.0, 1.0).samplings()[0]
     )
     found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
-    assert [one.name for one in found.training] == ["given-1"]
+    assert [record.name for record in found.training] == ["given-1"]
     np.testing.assert_allclose(read(tmp_path / "records" / "given-1.csv").voltage, given.voltage, atol=1e-9)
 
 

@@ -30,10 +30,10 @@ def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model)
     rig._wait(30.0)
     planner = PathPlanner(plan.homing(), [rig.limits], plan.leg)
     aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []
-    for one in (model, aware):
+    for trained in (model, aware):
         homed = rig.play(planner.homing)
-        before = [homed, rig.play(planner.nominal(one, [homed]).excitation)]
-        planned = planner.compensated(one, before)
+        before = [homed, rig.play(planner.nominal(trained, [homed]).excitation)]
+        planned = planner.compensated(trained, before)
         reached = rig.play(planned.excitation)
         missed.append(TrackedPath.of(planned, reached, rig.rows(len(planned.excitation))).rms_percent)
     assert missed[0] > 1 and missed[1] < 0.25

@@ -30,7 +30,7 @@ def test_a_table_the_figures_and_a_page(folder):
     for name in ("dehyst", "two branches", "linear ratio"):
         assert re.search(rf"^{name} +(\d+\.\d+ +){{6}}\d+\.\d+$", out, re.M), out
     found = json.loads(run(*words, "--json", cwd=folder)[1])
-    assert [one["model"] for one in found["models"]] == ["dehyst", "two branches", "linear ratio"]
+    assert [model["model"] for model in found["models"]] == ["dehyst", "two branches", "linear ratio"]
     assert (found["training"], found["validation"], found["held_out_by_itself"]) == (["tops"], ["three"], False)
     assert out.splitlines()[0] == found["best"]["sentence"]
     assert (found["best"]["model"], found["best"]["next"]) == ("dehyst", "two branches")

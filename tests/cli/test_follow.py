@@ -120,13 +120,13 @@ def test_a_repeated_path_has_a_way_back_and_an_error_each_time(folder):
     words = ("follow", "rig.py:make", "--model", "model.json", "--path", "ramp.csv", "--repeat", "3", "--json")
     found = json.loads(run(*words, cwd=folder)[1])
     assert len(found["repetitions"]) == 3
-    assert max(one["largest_percent"] for one in found["repetitions"]) < 1
+    assert max(repetition["largest_percent"] for repetition in found["repetitions"]) < 1
 
 
 def test_a_path_is_learnt_to_the_noise_and_its_voltages_play_again(folder):
     status, out, _ = run(*WORDS, "--learn", "-o", "learnt", "--json", cwd=folder)
     found = json.loads(out)
-    errors = [one["rms_percent"] for one in found["repetitions"]]
+    errors = [repetition["rms_percent"] for repetition in found["repetitions"]]
     assert status == 0
     assert 3 < len(errors) <= 21
     assert found["rms_percent"] == min(errors) < 0.3 * errors[0]
@@ -157,7 +157,7 @@ def test_several_axes_are_learnt_together(tmp_path):
         rig = f"pi://127.0.0.1:{server.port}/1,2,3"
         words = ("follow", rig, "--model", "stage.json", "--path", "path.csv", "--learn", "--repeat", "4", "--json")
         found = json.loads(run(*words, cwd=tmp_path)[1])
-        assert [one.voltage for one in bench.axes] == [0, 0, 0]
+        assert [single.voltage for single in bench.axes] == [0, 0, 0]
     first, last = found["repetitions"][0], found["repetitions"][-1]
     assert {*first} == {"1", "2", "3"}
     assert all(last[axis]["rms_percent"] < max(0.6 * first[axis]["rms_percent"], 0.05) for axis in first)
@@ -215,7 +215,7 @@ def test_the_promise_is_that_of_compensate_and_says_what_is_untested_before_anyt
         "\n\ndef still(**options):\n    return Still(PlayActuator(), **options)\n"
     )
     status, out, err = run("follow", "never_moves.py:still", *WORDS[2:], cwd=folder)
-    promised = [ran["promise"]["sentence"], *(one["sentence"] for one in ran["promise"]["untested"])]
+    promised = [ran["promise"]["sentence"], *(gap["sentence"] for gap in ran["promise"]["untested"])]
     assert (status, out.splitlines()[: len(promised)]) == (1, promised)
     assert "brought to 0 V" in err
 

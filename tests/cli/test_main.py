@@ -69,7 +69,7 @@ def test_compensate_then_simulate_gives_the_path_back(folder):
 
 def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
     status, got = result("compensate", "model.json", "path.csv", "-o", "low.csv", "--limits", "0", "100", cwd=folder)
-    assert status == 1 and got["clamped"] > 0 and any("CLAMPED" in one for one in got["warnings"])
+    assert status == 1 and got["clamped"] > 0 and any("CLAMPED" in warning for warning in got["warnings"])
     assert read_table(folder / "low.csv").column("voltage").max() <= 100
 
 

@@ -77,7 +77,7 @@ def test_an_unknown_or_untested_temperature_costs_a_stated_part_of_the_promise(f
         judged = found["promise"]
         assert judged["parts"]["temperature_m"] == pytest.approx(cost)
         assert judged["largest_m"] > tested["promise"]["largest_m"] + 0.9 * cost
-        assert any("degC" in one["sentence"] for one in judged["untested"])
+        assert any("degC" in gap["sentence"] for gap in judged["untested"])
     _, out, _ = run("simulate", "model.json", "out.csv", "--temperature", "50", "--json", "-o", "x.csv", cwd=folder)
     assert json.loads(out)["temperature_cost_um"] == pytest.approx(5e6 * kelvin)
 
@@ -94,7 +94,7 @@ def test_the_reach_of_a_path_is_that_at_its_temperature(folder):
     said = {}
     for path, *more in (("high.csv",), ("high.csv", "--temperature", "60"), ("high_hot.csv",)):
         found = json.loads(run("compensate", "model.json", path, *more, *start, cwd=folder)[1])
-        said[path, *more] = [one for one in found["warnings"] if "the path covers" in one]
+        said[path, *more] = [warning for warning in found["warnings"] if "the path covers" in warning]
         missed = found["missed_um"]
     cold, constant, column = said.values()
     assert cold == []
@@ -114,8 +114,8 @@ def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
     assert "temperature_K" in more and len(both["warnings"]) == len(alone["warnings"]) + 1
     words = ("simulate", "model.json", "out.csv", "-o", "x.csv", "--force", "--json")
     given, own = (json.loads(run(*words, *more, cwd=folder)[1])["warnings"] for more in (constant, ()))
-    assert len([one for one in given if "temperature_C" in one]) == 1
-    assert not [one for one in own if "temperature_C" in one]
+    assert len([name for name in given if "temperature_C" in name]) == 1
+    assert not [name for name in own if "temperature_C" in name]
 
 
 @pytest.mark.parametrize(
@@ -150,16 +150,16 @@ def test_a_column_is_used_by_all_of_several_axes(folder):
     result, table = follow(folder, "stage.json", "warm_axes.csv")
     assert not any(result["clamped"].values())
     assert not any("temperature" in sentence for sentence in result["warnings"] if sentence.startswith("x: "))
-    written = {one.name: one.data for one in table.columns}
+    written = {column.name: column.data for column in table.columns}
     after = slice(len(table.columns[0].data) - TIME.size, None)
     np.testing.assert_allclose(written["temperature_C"][after], DEGREES, atol=1e-9)
     stage = dehyst.Stage.load(folder / "stage.json")
-    states = [turned(one, float(one.spring.displacement[0]), rising=False) for one in stage.actuators]
+    states = [turned(actuator, float(actuator.spring.displacement[0]), rising=False) for actuator in stage.actuators]
     volts = np.column_stack([written["vx_V"], written["vy_V"]])
     moved = 1e6 * stage.simulate(volts, temperature=written["temperature_C"], states=states).displacement
     np.testing.assert_allclose(moved[after], np.column_stack([PATH, PATH[::-1]]), atol=1e-6)
     assert run("simulate", "stage.json", "out.csv", "--start", "bottom", "-o", "axes.csv", cwd=folder)[0] == 0
-    back = {one.name: one.data for one in read_table(folder / "axes.csv").columns}
+    back = {column.name: column.data for column in read_table(folder / "axes.csv").columns}
     np.testing.assert_allclose(back["x_expected_um"][after], PATH, atol=1e-6)
     constant, _ = follow(folder, "stage.json", "warm_axes.csv", "--columns", "x=x_um, y=y_um", "--temperature", "50")
     assert constant["promise"]["x"]["parts"]["temperature_m"] > 0
@@ -173,7 +173,7 @@ def test_a_planned_path_warns_as_the_command_does(folder):
     result, _ = follow(folder, "fast.json", "path.csv", "--temperature", "50", "--slew-rate", "none")
     start = PossibleStart.named(actuator, "bottom")
     planned = plan_path(dehyst.Compensator(actuator, units="um"), PATH, time=TIME, temperature=50.0, start=start)
-    assert any("50 degC" in one for one in planned.warnings)
-    assert any("V/s" in one and "(50 V/s)" in one for one in planned.warnings)
+    assert any("50 degC" in warning for warning in planned.warnings)
+    assert any("V/s" in warning and "(50 V/s)" in warning for warning in planned.warnings)
     assert set(planned.warnings) <= set(result["warnings"])
     assert set(planned.promise.lines[1:]) <= set(planned.warnings)

@@ -71,7 +71,7 @@ def test_on_a_terminal_a_bar_for_each_step(capsys, monkeypatch, error):
         with pytest.raises(error):
             played(error)
     assert capsys.readouterr().out == ""
-    assert [one.description for one in shown] == ["look", "identify"]
+    assert [task.description for task in shown] == ["look", "identify"]
     assert shown[0].percentage == 100
     assert shown[0].fields["text"].startswith("12000 samples, off the path by at most 1.000 %")
     assert (shown[1].percentage == 100) == (error is None)

@@ -76,7 +76,7 @@ def test_show_counts_the_values_of_a_column_that_are_not_finite(tmp_path, monkey
     Path("gaps.csv").write_text("time_s,voltage_V,displacement_um,gap_um,none_um\n" + rows)
     shown = run("show", "gaps.csv").stdout
     assert "2 to 39, 2 values not finite" in shown and "40 values not finite" in shown and " nan" not in shown
-    ranges = [one["range"] for one in json.loads(run("show", "gaps.csv", "--json").stdout)["file_columns"]]
+    ranges = [column["range"] for column in json.loads(run("show", "gaps.csv", "--json").stdout)["file_columns"]]
     assert ranges[3:] == [[2.0, 39.0], []]
 
 

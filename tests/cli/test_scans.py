@@ -101,7 +101,7 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
     declared = json.loads(head.removeprefix(SCAN))
     words = ("compensate", "model.json", "damaged.csv", "-o", "o.csv", *TOP)
     for name in declared:
-        damaged = {key: one for key, one in declared.items() if key != name} | ({} if value is ... else {name: value})
+        damaged = {key: text for key, text in declared.items() if key != name} | ({} if value is ... else {name: value})
         (folder / "damaged.csv").write_text("\n".join([f"{SCAN}{json.dumps(damaged)}", *lines, ""]))
         assert run(*words, cwd=folder)[0] in (0, 1, 2)
     for damaged in ({}, {"dehyst": 1}):
@@ -180,5 +180,5 @@ def test_what_is_not_settled_ends_with_status_1(folder):
     given = ("scan.csv", "--table", "t.csv", "--start", "relaxed")
     status, told = result("compensate", "slow.json", *given, "--start-up", "1", "-o", "o.csv", cwd=folder)
     assert (status, told["settled"], told["clamped"]) == (1, False, 0)
-    assert sum("NOT SETTLED" in one for one in told["warnings"]) == 1
-    assert not any("cycles=" in one for one in told["warnings"])
+    assert sum("NOT SETTLED" in warning for warning in told["warnings"]) == 1
+    assert not any("cycles=" in warning for warning in told["warnings"])

@@ -46,12 +46,12 @@ def compensated(folder, *words, model="model.json"):
 
 
 def steepest(table, name="voltage_V"):
-    columns = {one.name: one.data for one in table.columns}
+    columns = {column.name: column.data for column in table.columns}
     return float(np.abs(np.diff(columns[name]) / np.diff(columns["time_s"])).max())
 
 
 def factors(result):
-    return [one for one in result["warnings"] if "times the speed of the model's records" in one]
+    return [warning for warning in result["warnings"] if "times the speed of the model's records" in warning]
 
 
 @pytest.mark.parametrize("start", [(), ("--start", "top"), ("--start", "bottom"), ("--home",), ("--no-home",)])
@@ -59,7 +59,7 @@ def factors(result):
 def test_a_path_has_its_own_speed_and_what_leads_to_it_that_of_the_records(folder, path, start):
     status, result, table = compensated(folder, f"{path}.csv", *start)
     assert (status, result["slew_V_per_s"], result["slew_from"], result["clamped"]) == (0, None, "default", 0)
-    columns = {one.name: one.data for one in table.columns}
+    columns = {column.name: column.data for column in table.columns}
     phase = columns.get("phase", np.full(columns["time_s"].size, 2))
     before, along = ({name: columns[name][rows] for name in columns} for rows in (phase < 2, phase == 2))
     if before["time_s"].size:
@@ -82,7 +82,7 @@ def test_a_given_slew_rate_holds_and_only_a_miss_beyond_the_promise_is_a_failure
     status, result, table = compensated(folder, "fast.csv", "--slew-rate", bound, "--start", "bottom")
     assert (result["slew_V_per_s"], result["slew_from"]) == (bound, "option")
     assert steepest(table) <= bound * (1 + 1e-6) and result["clamped"] > 0
-    said = [one for one in result["warnings"] if "clamped" in one.lower()]
+    said = [warning for warning in result["warnings"] if "clamped" in warning.lower()]
     assert (status, said[0].startswith("CLAMPED")) == (int(loud), loud)
 
 
@@ -113,7 +113,7 @@ def test_an_export_says_which_slew_rate_it_has(folder, model):
         status, out, err = run(*words, "--period", 1e-3, *options, "--json", cwd=folder)
         assert status == 0, err
         found = [json.loads(out)[key] for key in ("slew_V_per_s", "slew_from")]
-        assert found == ([dict.fromkeys("xy", one) for one in expected] if model == "stage" else [*expected])
+        assert found == ([dict.fromkeys("xy", largest) for largest in expected] if model == "stage" else [*expected])
     assert "not limited" in run(*words, cwd=folder)[1]
 
 
@@ -140,7 +140,7 @@ def test_a_path_begins_at_the_last_voltage_of_a_file(folder, columns, words):
 
 
 def jumps(result):
-    return [one for one in result["warnings"] if "ramp there" in one]
+    return [warning for warning in result["warnings"] if "ramp there" in warning]
 
 
 @pytest.mark.parametrize(
@@ -153,12 +153,12 @@ def test_without_a_homing_the_way_from_a_given_voltage_is_in_the_file_and_that_f
     names = ("--columns", "x=x_um, y=y_um") if model == "stage" else ()
     words, voltages = (*path, *names, "--no-home"), ("vx_V", "vy_V") if model == "stage" else ("voltage_V",)
     _, result, table = compensated(folder, *words, model=f"{model}.json")
-    starts = {one.name: one.data[0] for one in table.columns}
+    starts = {column.name: column.data[0] for column in table.columns}
     assert len(jumps(result)) == len(voltages) and min(starts[name] for name in voltages) > 10
     status, result, table = compensated(folder, *words, "--present", 90, model=f"{model}.json")
     assert status == 0 and not jumps(result)
     for name in voltages:
-        begin = {one.name: one.data for one in table.columns}[name][0]
+        begin = {column.name: column.data for column in table.columns}[name][0]
         assert abs(begin - 90) <= SPEED * 0.01 and steepest(table, name) <= 2 * SPEED * (1 + 1e-6)
 
 
@@ -172,7 +172,7 @@ def test_each_axis_has_a_present_voltage_of_its_own(folder, more):
         (("--present", "y=30"), (0, 30)),
     ):
         status, result, table = compensated(folder, *words, *given, model="stage.json")
-        columns = {one.name: one.data for one in table.columns}
+        columns = {column.name: column.data for column in table.columns}
         assert status == 0 and not jumps(result)
         for name, begin in zip(("vx_V", "vy_V"), begins, strict=True):
             assert columns[name][0] == pytest.approx(begin, abs=1e-9)

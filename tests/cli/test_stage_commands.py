@@ -124,13 +124,13 @@ def test_each_axis_starts_as_a_record_began(folder):
     for start in (f"as:{folder / 'began.csv'}", "top", "bottom"):
         words = ["simulate", folder / "stage.json", folder / "began.csv", "--start", start, "--json"]
         result = result_of(run(*words, "-o", folder / "from.csv"))
-        assert {one["name"] for one in result["start"].values()} == {start.replace(f"{folder}/", "")}
+        assert {axis_start["name"] for axis_start in result["start"].values()} == {start.replace(f"{folder}/", "")}
         table = read_table(folder / "from.csv")
         came = np.column_stack([table.column("displacement", f"{axis}_expected_um") for axis in "xy"])
         missed[start] = (np.abs(came - record.displacement).max(axis=0) / np.ptp(record.displacement, axis=0)).max()
         if start.startswith("as:"):
             own = zip(stage.actuators, record.voltage.T, (record.displacement @ stage.decoupling.T).T, strict=True)
-            states = [start_of(one, Record(record.time, v, y), began=True).state for one, v, y in own]
+            states = [start_of(actuator, Record(record.time, v, y), began=True).state for actuator, v, y in own]
             alone = stage.simulate(voltage, states=states).displacement
             np.testing.assert_allclose(came, alone, atol=1e-9 * np.ptp(alone))
     began, *named = missed.values()
@@ -286,7 +286,7 @@ def in_other_units(folder, name, columns, *, scales=(1, 1, 1, 1)):
     """Write the columns of a table of both axes by other names, divided by scales."""
     table = read_table(folder / name)
     sources = ["vx_V", "x_um", "vy_V", "y_um"]
-    found = {one.name: one.data for one in table.columns}
+    found = {column.name: column.data for column in table.columns}
     kept = {name: values for name, values in found.items() if name not in sources}
     own = {new: found[old] / scale for old, new, scale in zip(sources, columns, scales, strict=True)}
     write_columns(folder / f"other-{name}", kept | own)

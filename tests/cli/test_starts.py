@@ -37,7 +37,7 @@ def folder(tmp_path_factory):
 
 
 def column(folder, file, name):
-    data = {one.name: one.data for one in read_table(folder / file).columns}
+    data = {column.name: column.data for column in read_table(folder / file).columns}
     return data[name]
 
 
@@ -72,7 +72,7 @@ def test_compensate_promises_what_the_records_tested_of_the_path(folder):
     found = promise(known.validity, voltage, time)
     assert judged["parts"]["model_m"] == pytest.approx(found.largest, rel=1e-9)
     assert judged["rms_m"] > found.rms
-    assert judged["untested"] == [one.as_dict() for one in found.untested]
+    assert judged["untested"] == [gap.as_dict() for gap in found.untested]
     # What is the same all along the path is no part of it.
     assert 0 < judged["parts"]["start_m"] < got["start"]["largest_difference_percent"] / 100 * judged["stroke_m"]
 
@@ -176,7 +176,7 @@ def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
 @pytest.mark.parametrize("file", ["path.csv", "timeless.csv"])
 def test_of_an_output_only_the_voltages_are_a_start(folder, file):
     """The wanted displacement of an earlier path is no measurement, even where the path was not followed."""
-    wanted = {one.name: one.data for one in read_table(folder / file).columns}
+    wanted = {column.name: column.data for column in read_table(folder / file).columns}
     write_columns(folder / "wanted.csv", wanted | {"displacement_um": wanted["displacement_um"] + 3})
     status, _, err = run(
         *("compensate", "model.json", "wanted.csv", "-o", "earlier.csv", "--home", "--limits", 0, 150), cwd=folder

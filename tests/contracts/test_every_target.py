@@ -74,7 +74,7 @@ MODELS = {
     "a spring alone": Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 80]), limits=(0.0, 80.0)),
     "graded": with_parts(slip=GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[3e6, 1e6], [1e6, 2e6]])),
     "foreign name": replace(PLAIN, name="*/ #\"'<&>\n(* µm *)"),
-    **{one.name: with_parts(**{one.name: PARTS[one.name]}) for one in fields(Actuator) if one.name not in COMMON},
+    **{part.name: with_parts(**{part.name: PARTS[part.name]}) for part in fields(Actuator) if part.name not in COMMON},
 }
 # Further arguments of a compensator that an export must keep to.
 BEGINNINGS = {
@@ -117,7 +117,7 @@ def exported(folder, actuator, name, *options):
 def content(path):
     """Return the bytes of a file, or of all files in a folder."""
     found = sorted(path.rglob("*")) if path.is_dir() else [path]
-    return {one.name: one.read_bytes() for one in found if one.is_file()}
+    return {path.name: path.read_bytes() for path in found if path.is_file()}
 
 
 def wanted_of(compensator):
@@ -141,7 +141,7 @@ def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
     assert status == 0, values
     assert values["path"] == str(path)
     made = path.iterdir() if path.is_dir() else path.parent.iterdir()
-    assert set(values["files"]) == {str(one) for one in made if one.name != "model.json"}
+    assert set(values["files"]) == {str(path) for path in made if path.name != "model.json"}
     assert exported(path.parent, PLAIN, path.name, "--force")[0] == 0
 
 

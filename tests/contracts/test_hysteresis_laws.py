@@ -130,12 +130,12 @@ def test_lemma_1(actuator, seed, other):
     a, b = (our.make_state(actuator, s, "arbitrary") for s in (seed, other))
     path = our.make_path(actuator, bottom, seed, "nested", 20).clip(bottom, top)
     path = np.concatenate([path, [bottom, top, 0.3 * bottom + 0.7 * top]])
-    one, two = (
+    first, second = (
         actuator.compensate(path, state=a, extrapolate=True),
         actuator.compensate(path, state=b, extrapolate=True),
     )
-    assert same_state(one.state, two.state, metres)
-    assert close(one.voltage[-2:], two.voltage[-2:], v)
+    assert same_state(first.state, second.state, metres)
+    assert close(first.voltage[-2:], second.voltage[-2:], v)
 
 
 def asymmetry(actuator):
@@ -317,8 +317,8 @@ def test_what_is_known_of_the_state(motion):
     metres = EXACT * (our.span_of(actuator) + np.ptp(seen))
     assert close(high - low, np.maximum(0, 2 * rho - ranges), metres)
     sweep = y0 + np.array([0.5, 0, 2.0]) * rho[-1]
-    one, two = (slip_elongations(rho, y0 + side * rho, sweep)[1] for side in (1, -1))
-    assert close(one, two, metres)
+    first, second = (slip_elongations(rho, y0 + side * rho, sweep)[1] for side in (1, -1))
+    assert close(first, second, metres)
 
 
 @given(our.motions(SOME, states=("arbitrary", "reached", "extreme"), max_samples=60), our.SEEDS)
@@ -329,14 +329,14 @@ def test_order_is_preserved_under_voltage(motion, seed):
     higher = State(y, lower.carts + np.random.default_rng(seed).uniform(0, 1, rho.size) * (y + rho - lower.carts))
     v = our.voltages_like(actuator, lower, path, seed)
     for voltage in v:
-        one, two = (
+        first, second = (
             actuator.simulate([voltage], state=lower, extrapolate=True),
             actuator.simulate([voltage], state=higher, extrapolate=True),
         )
-        metres = EXACT * (our.span_of(actuator) + abs(one.displacement[0]))
-        assert two.displacement[0] - one.displacement[0] >= -metres
-        assert np.all(two.state.carts - one.state.carts >= -metres)
-        lower, higher = one.state, two.state
+        metres = EXACT * (our.span_of(actuator) + abs(first.displacement[0]))
+        assert second.displacement[0] - first.displacement[0] >= -metres
+        assert np.all(second.state.carts - first.state.carts >= -metres)
+        lower, higher = first.state, second.state
 
 
 @given(our.motions(SOME, states=("relaxed", "turned up", "reached"), max_samples=60), our.SEEDS)

@@ -35,8 +35,8 @@ def mixed(seed, count, kinds=("plain", "creep", "tau", "both")):
     made = []
     for _ in range(count):
         seed = int(rng.integers(2**32))
-        one = make_actuator(seed, int(rng.integers(0, 23)), int(rng.integers(2, 30)), uniform=bool(rng.integers(2)))
-        low, high = voltages_of(one)
+        plant = make_actuator(seed, int(rng.integers(0, 23)), int(rng.integers(2, 30)), uniform=bool(rng.integers(2)))
+        low, high = voltages_of(plant)
         kind = kinds[int(rng.integers(len(kinds)))]
         parts = {}
         if kind in ("creep", "both"):
@@ -44,14 +44,14 @@ def mixed(seed, count, kinds=("plain", "creep", "tau", "both")):
         if kind in ("tau", "both"):
             volts = np.linspace(low, high, 7)
             parts["transformer"] = Transformer(volts, volts + 0.02 * (high - low) * np.sin(np.arange(7)))
-        made.append(Actuator(one.slip, one.spring, limits=(low, high), **parts))
+        made.append(Actuator(plant.slip, plant.spring, limits=(low, high), **parts))
     return made
 
 
 def paths(actuators, samples, seed, beyond=0.1):
     """Displacements over a little more than the reach of each actuator: jumps, rests, and small motions."""
     rng = np.random.default_rng([seed, 7])
-    ends = np.array([one.spring.displacement[[0, -1]] for one in actuators])
+    ends = np.array([actuator.spring.displacement[[0, -1]] for actuator in actuators])
     share = rng.uniform(-beyond, 1 + beyond, (samples, len(actuators)))
     near = 0.5 + 0.02 * np.cumsum(rng.normal(size=share.shape), axis=0)
     share = np.where(np.arange(samples)[:, None] // 20 % 2, share, near.clip(-beyond, 1 + beyond))
@@ -69,7 +69,7 @@ def assert_equal(state, other):
 
 
 def slews(actuators, share):
-    return [share * (one.limits[1] - one.limits[0]) / PERIOD for one in actuators]
+    return [share * (actuator.limits[1] - actuator.limits[0]) / PERIOD for actuator in actuators]
 
 
 @examples(8, nightly=50)
@@ -80,8 +80,8 @@ def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share):
     slew = slews(actuators, share)
     bank = Bank(actuators, slew_rate=slew, period=PERIOD)
     voltage = np.vstack([bank.compensate(wanted[:50]), [bank.step(row) for row in wanted[50:]]])
-    for i, one in enumerate(actuators):
-        expected, compensator = alone(one, wanted[:, i], slew[i])
+    for i, actuator in enumerate(actuators):
+        expected, compensator = alone(actuator, wanted[:, i], slew[i])
         np.testing.assert_array_equal(voltage[:, i], expected)
         assert bank.clamps[i] == compensator.clamps
         assert_equal(bank.states[i], compensator.state)
@@ -115,8 +115,8 @@ def test_every_class_has_the_bits_of_its_own_compensator():
     assert "8 actuators" in repr(bank) and f"every {PERIOD:g} s" in repr(bank)
     wanted = along_sines(actuators, 300)
     voltage = np.vstack([bank.compensate(wanted[:150]), [bank.step(row) for row in wanted[150:]]])
-    for i, one in enumerate(actuators):
-        expected, compensator = alone(one, wanted[:, i], None)
+    for i, actuator in enumerate(actuators):
+        expected, compensator = alone(actuator, wanted[:, i], None)
         np.testing.assert_array_equal(voltage[:, i], expected)
         assert_equal(bank.states[i], compensator.state)
 
@@ -125,8 +125,8 @@ def test_simulation_has_the_bits_of_a_committed_voltage():
     actuators, wide = classes(), (-1e9, 1e9)
     voltage = 55 + 54 * np.sin(np.arange(300)[:, None] / 20 + np.arange(len(actuators)))
     displacement = Bank(actuators, wide, period=PERIOD).simulate(voltage)
-    for i, one in enumerate(actuators):
-        compensator, expected = Compensator(one, wide, period=PERIOD), []
+    for i, actuator in enumerate(actuators):
+        compensator, expected = Compensator(actuator, wide, period=PERIOD), []
         for volts in voltage[:, i]:
             compensator.commit(volts)
             expected.append(compensator.displacement)
@@ -237,7 +237,7 @@ def test_simulate_undoes_compensate():
     back = Bank(actuators, [(-1e9, 1e9)] * 17, period=PERIOD)
     voltage = back.compensate(wanted)
     back.reset()
-    span = np.ptp([one.spring.displacement[[0, -1]] for one in actuators], axis=1)
+    span = np.ptp([actuator.spring.displacement[[0, -1]] for actuator in actuators], axis=1)
     assert np.max(np.abs(back.simulate(voltage) - wanted) / span) < 1e-10
 
 

@@ -61,13 +61,13 @@ def replayed(actuator, start, voltage, period=PERIOD):
     return actuator.simulate(held, time=np.arange(held.size) * period, state=start, stack=False)
 
 
-def gap(one, other):
+def gap(first, other):
     """The largest difference [m] of two states."""
     differences = [
-        np.abs(np.subtract(getattr(one, part), getattr(other, part))).max(initial=0.0)
+        np.abs(np.subtract(getattr(first, part), getattr(other, part))).max(initial=0.0)
         for part in ("carts", "displacement_creep", "smooth")
     ]
-    return max(abs(one.deformation - other.deformation), *differences)
+    return max(abs(first.deformation - other.deformation), *differences)
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -198,14 +198,14 @@ def test_after_saturation_the_memory_is_true(seed):
 
 def test_an_offer_leaves_no_trace_until_it_is_committed():
     actuator = PLANTS["all"]
-    one, other = (Compensator(actuator, FREE, period=PERIOD, state=started(actuator, 2)) for _ in range(2))
+    first, other = (Compensator(actuator, FREE, period=PERIOD, state=started(actuator, 2)) for _ in range(2))
     for y, missed in itertools.pairwise(wanted(5)):
         other.offer(missed)
         voltage = other.offer(y)
         assert other.offer(y) == voltage
         other.commit(voltage)
-        assert one.step(y) == voltage
-    assert gap(one.state, other.state) == 0
+        assert first.step(y) == voltage
+    assert gap(first.state, other.state) == 0
 
 
 def test_another_voltage_than_offered_is_what_the_memory_follows():
@@ -273,7 +273,7 @@ def said_of(call, wanted):
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         call(wanted)
-    return [one.message for one in heard]
+    return [warning.message for warning in heard]
 
 
 def test_a_first_step_that_the_slew_rate_holds_back_names_the_voltage_that_was_assumed():
@@ -313,11 +313,11 @@ def test_a_clamp_that_is_made_an_error_has_moved_nothing():
 def test_a_snapshot_goes_on_bit_for_bit(name):
     actuator, path = PLANTS[name], wanted(11)
     make = lambda: Compensator(actuator, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True)  # noqa: E731
-    one, other = make(), make()
-    quietly(one.run, path[:150])
-    other.restore(one.snapshot())
-    assert other.clamps == one.clamps
-    np.testing.assert_array_equal(quietly(other.run, path[150:]), quietly(one.run, path[150:]))
+    first, other = make(), make()
+    quietly(first.run, path[:150])
+    other.restore(first.snapshot())
+    assert other.clamps == first.clamps
+    np.testing.assert_array_equal(quietly(other.run, path[150:]), quietly(first.run, path[150:]))
 
 
 def test_a_snapshot_of_another_loop_is_refused():
@@ -356,12 +356,12 @@ def test_another_model_of_the_same_shape_goes_on_from_a_snapshot(name):
     make = lambda model: Compensator(  # noqa: E731
         model, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True, units="um"
     )
-    one, two = make(actuator), make(other)
-    sent = [quietly(one.run, 1e6 * path[:150])]
-    two.restore(one.snapshot())
-    assert one.clamps == two.clamps
-    assert gap(one.state, two.state) == 0
-    sent.append(quietly(two.run, 1e6 * path[150:]))
+    first, second = make(actuator), make(other)
+    sent = [quietly(first.run, 1e6 * path[:150])]
+    second.restore(first.snapshot())
+    assert first.clamps == second.clamps
+    assert gap(first.state, second.state) == 0
+    sent.append(quietly(second.run, 1e6 * path[150:]))
     assert np.abs(np.diff(np.concatenate(sent))).max() <= 5e3 * PERIOD * (1 + 1e-9)
 
 
@@ -384,16 +384,16 @@ def test_two_threads_cannot_share_a_loop():
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_copies_and_pickles_have_a_memory_of_their_own(name):
     path = wanted(8)
-    one = Compensator(PLANTS[name], (20, 140), 5e3, period=PERIOD, state=started(PLANTS[name], 1))
-    quietly(one.run, path[:100])
-    others = [copy.deepcopy(one), pickle.loads(pickle.dumps(one))]
-    rest = quietly(one.run, path[100:])
+    compensator = Compensator(PLANTS[name], (20, 140), 5e3, period=PERIOD, state=started(PLANTS[name], 1))
+    quietly(compensator.run, path[:100])
+    others = [copy.deepcopy(compensator), pickle.loads(pickle.dumps(compensator))]
+    rest = quietly(compensator.run, path[100:])
     for other in others:
-        assert other.clamps != one.clamps
+        assert other.clamps != compensator.clamps
         np.testing.assert_array_equal(quietly(other.run, path[100:]), rest)
     fresh = pickle.loads(pickle.dumps(Compensator(PLANT, FREE)))
     assert fresh.clamps == (0, 0)
-    assert "20 to 140 V, 5000 V/s, every 0.005 s" in repr(one)
+    assert "20 to 140 V, 5000 V/s, every 0.005 s" in repr(compensator)
 
 
 def test_what_is_no_snapshot_or_lies_outside_the_limits_is_refused():
@@ -548,8 +548,8 @@ def test_a_long_run_agrees_with_steps_to_rounding(kind, slew):
     path = low + (high - low) * (0.5 + 0.35 * np.sin(2 * np.pi * t) * np.cos(t) + 0.1 * np.sin(40 * t))
     path[9000:9050] = high + 0.2 * (high - low)
     long, steps = (Compensator(actuator, (20, 80), slew, period=PERIOD, warns=False) for _ in range(2))
-    for one in (long, steps):
-        one.scale(1.01, 1e-9)
+    for driven in (long, steps):
+        driven.scale(1.01, 1e-9)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClampWarning)
         ran = np.concatenate([long.run(path[:15_000]), long.run(path[15_000:])])

@@ -81,7 +81,7 @@ def test_what_strays_is_refused_in_words_of_the_unit():
 
 
 def test_an_export_is_in_metres_whatever_the_unit():
-    metres, micro = (golden_trace(one) for one in pair(period=1e-3))
+    metres, micro = (golden_trace(made) for made in pair(period=1e-3))
     assert repr(metres) == repr(micro)  # NaN equals NaN so
 
 
@@ -94,7 +94,7 @@ def test_a_clamp_warning_points_at_the_caller(units):
             compensator.step(wanted * scale)
             compensator._offer_and_reach(wanted * scale)
     assert compensator.clamps.limited and compensator.clamps.slewed
-    assert len(caught) >= 2 and {one.filename for one in caught} == {__file__}
+    assert len(caught) >= 2 and {warning.filename for warning in caught} == {__file__}
 
 
 def test_a_path_in_metres_is_recognized():
@@ -103,4 +103,4 @@ def test_a_path_in_metres_is_recognized():
     assert "metres" not in clamped
     assert "in metres" in hinted.warnings[-1] and "in um" in hinted.warnings[-1]
     assert "in metres" in plan_path(micro, PATH / 2e6, home=True).warnings[-1]
-    assert not any("metres" in one for one in plan_path(micro, PATH, home=True).warnings)
+    assert not any("metres" in warning for warning in plan_path(micro, PATH, home=True).warnings)

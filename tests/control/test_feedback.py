@@ -58,7 +58,7 @@ def test_a_sensor_that_contradicts_the_model_is_not_believed(lie):
     sensor, fault = LIES[lie]
     with pytest.warns(SensorWarning, match="SENSOR NOT BELIEVED") as caught:
         found, feedback = tracked(sensor, plant=PLANT, path=SMALL, bound=0.2 * STROKE)
-    assert [type(one.message) for one in caught] == [SensorWarning] and caught[0].message.fault is fault
+    assert [type(warning.message) for warning in caught] == [SensorWarning] and caught[0].message.fault is fault
     assert caught[0].filename == __file__
     assert not feedback.believed and feedback.fault is fault and feedback.correction == 0
     assert np.abs(found[-1000:] - SMALL[-1000:]).max() < 1e-9 * STROKE
@@ -139,12 +139,12 @@ def test_what_a_feedback_needs_is_said():
 
 def test_units_are_those_of_the_compensator():
     metres, microns = (Compensator(PLANT, (0, 100), period=PERIOD, units=unit) for unit in ("m", "um"))
-    one, two = Feedback(metres), Feedback(microns)
-    assert two.bound == pytest.approx(1e6 * one.bound)
+    first, second = Feedback(metres), Feedback(microns)
+    assert second.bound == pytest.approx(1e6 * first.bound)
     for k in range(20):
         y = metres.displacement + 1e-8 * k
-        assert one.step(y - 1e-7, y) == pytest.approx(two.step(1e6 * (y - 1e-7), 1e6 * y), rel=1e-12)
-    assert two.correction == pytest.approx(1e6 * one.correction)
+        assert first.step(y - 1e-7, y) == pytest.approx(second.step(1e6 * (y - 1e-7), 1e6 * y), rel=1e-12)
+    assert second.correction == pytest.approx(1e6 * first.correction)
 
 
 @pytest.mark.parametrize("preview", [False, True])

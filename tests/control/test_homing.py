@@ -76,8 +76,8 @@ def test_a_plan_offers_a_homing_that_fits_its_path_and_keeps_the_one_that_is_ask
     wanted, time = np.linspace(0.3, 0.6, 200) * plain_records.STROKE, np.arange(200) * 0.02
     loop = Compensator(CREEPING)
     long, short = plan_path(loop, wanted, time=time), plan_path(loop, wanted, time=time, home_within=9.0)
-    assert long.seconds > 20 and any("home within" in one for one in long.warnings)
-    assert short.homing.played.duration <= 9.02 and not any("home within" in one for one in short.warnings)
+    assert long.seconds > 20 and any("home within" in warning for warning in long.warnings)
+    assert short.homing.played.duration <= 9.02 and not any("home within" in warning for warning in short.warnings)
     assert short.error.largest > long.error.largest
     before = long.phase < 2
     assert np.abs(np.diff(long.voltage[before]) / np.diff(long.time[before])).max() <= 200.0 * (1 + 1e-6)

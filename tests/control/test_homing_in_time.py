@@ -66,7 +66,7 @@ def test_two_states_bound_all_states_at_rest_and_all_motion_from_them(name):
         assert np.all(lower.carts <= state.carts + slack) and np.all(state.carts <= upper.carts + slack)
         assert lower.deformation - slack <= state.deformation <= upper.deformation + slack
         voltage = rng.uniform(*LIMITS, 9)
-        low, y, high = (actuator.simulate(voltage, state=one).displacement for one in (lower, state, upper))
+        low, y, high = (actuator.simulate(voltage, state=begin).displacement for begin in (lower, state, upper))
         assert np.all((low - slack <= y) & (y <= high + slack))
 
 
@@ -94,8 +94,8 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
     time = further.time
     paths = [
-        actuator.simulate(further.voltage, time=time, state=one, extrapolate=True).displacement
-        for one in (reached, found.state)
+        actuator.simulate(further.voltage, time=time, state=state, extrapolate=True).displacement
+        for state in (reached, found.state)
     ]
     # A mass may overshoot by as much as it was off.
     assert (
@@ -112,7 +112,7 @@ def _timed(name, found={}):  # noqa: B006
 
 def test_longer_holds_leave_less_until_it_is_certified():
     homings = [shortest_homing(CREEPING, drive=DRIVE, hold=hold) for hold in (0.0, 50.0, 200.0, 800.0)]
-    left, lasts = [one.spread for one in homings], [float(np.ptp(one.played.time)) for one in homings]
+    left, lasts = [homing.spread for homing in homings], [float(np.ptp(homing.played.time)) for homing in homings]
     assert all(b < 0.8 * a for a, b in pairwise(left))
     assert left[2] / left[3] == pytest.approx(np.exp((lasts[3] - lasts[2]) / 200), rel=1e-3)
     swing = shortest_homing(CREEPING, drive=DRIVE, hold=0.0, tolerance=1e-9)

@@ -34,7 +34,7 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
     assert np.abs(shown(LATE, plan) - WANTED).max() < 5e-4 * plain_records.STROKE
     late = plan_path(LATE, WANTED, time=TIME, home=home, start=start, on_time=False)
     assert np.abs(shown(LATE, late) - WANTED).max() > 2e-2 * plain_records.STROKE
-    assert any("on time" in one for one in plan.warnings) and any("later" in one for one in late.warnings)
+    assert any("on time" in said for said in plan.warnings) and any("later" in said for said in late.warnings)
 
 
 @pytest.mark.parametrize("lag_of", ["", "sensor"])
@@ -42,7 +42,7 @@ def test_a_lag_that_is_not_the_actuators_is_made_up_for_only_if_that_is_asked(la
     actuator = replace(LATE, identification=Identification(lag_of=lag_of))
     plan = plan_path(actuator, WANTED, time=TIME, start=turned(PLANT, float(WANTED[0])))
     np.testing.assert_array_equal(plan.voltage, plan_path(PLANT, WANTED, time=TIME, start=plan.start).voltage)
-    assert any("later" in one for one in plan.warnings) == (lag_of == "")
+    assert any("later" in warning for warning in plan.warnings) == (lag_of == "")
     asked = plan_path(actuator, WANTED, time=TIME, start=plan.start, on_time=True)
     assert asked.voltage.size > plan.voltage.size
 
@@ -52,7 +52,7 @@ def test_each_axis_of_a_stage_leads_by_its_own_delay():
     wanted = np.column_stack([WANTED, WANTED[::-1]])
     plan = plan_path(stage, wanted, time=TIME, home=True)
     assert plan.followed and plan.displacement.shape == plan.voltage.shape == (plan.time.size, 2)
-    moved = np.column_stack([shown(one, part) for one, part in zip(stage.actuators, plan.each, strict=True)])
+    moved = np.column_stack([shown(actuator, part) for actuator, part in zip(stage.actuators, plan.each, strict=True)])
     reached = moved @ stage.coupling.T
     assert np.abs(reached - wanted).max() < 5e-4 * plain_records.STROKE
 
@@ -64,7 +64,7 @@ def test_a_path_is_as_fast_as_it_is_and_jumps_to_it_are_as_fast_as_the_records()
         speed = np.abs(np.diff(plan.voltage) / np.diff(plan.time))
         assert plan.first and speed[: plan.first].max() <= 200.0 * (1 + 1e-6) < speed[plan.first :].max()
         assert plan.followed and plan.missed == 0
-        assert any("times the speed of the model's records" in one for one in plan.warnings)
+        assert any("times the speed of the model's records" in warning for warning in plan.warnings)
 
 
 @pytest.mark.parametrize(("share", "loud"), [(0.999, False), (0.5, True)])
@@ -74,7 +74,7 @@ def test_capitals_are_for_a_miss_beyond_what_is_promised(share, loud):
     most = share * np.abs(np.diff(free.voltage[free.first :])).max() / STEP
     plan = plan_path(PLANT, WANTED, time=TIME, start=start, slew_rate=most)
     assert plan.clamped.any() and plan.missed > 0 and plan.followed != loud
-    assert any("CLAMPED" in one for one in plan.warnings) == loud
+    assert any("CLAMPED" in warning for warning in plan.warnings) == loud
 
 
 def test_a_model_and_its_compensator_give_the_same_plan():

@@ -49,11 +49,11 @@ def test_a_stage_without_coupling_equals_its_actuators_bit_for_bit():
     loop = StageCompensator(model, slew_rate=[2e4] * 3, period=1e-3)
     stepped = np.array([loop.step(row) for row in wanted])
     trace = model.simulate(stepped)
-    for j, one in enumerate(model.actuators):
-        single = dehyst.Compensator(one, slew_rate=2e4, period=1e-3)
+    for j, actuator in enumerate(model.actuators):
+        single = dehyst.Compensator(actuator, slew_rate=2e4, period=1e-3)
         assert np.array_equal(stepped[:, j], single.run(wanted[:, j]))
-        assert np.array_equal(trace.displacement[:, j], one.simulate(stepped[:, j]).displacement)
-        assert np.array_equal(model.compensate(wanted).voltage[:, j], one.compensate(wanted[:, j]).voltage)
+        assert np.array_equal(trace.displacement[:, j], actuator.simulate(stepped[:, j]).displacement)
+        assert np.array_equal(model.compensate(wanted).voltage[:, j], actuator.compensate(wanted[:, j]).voltage)
 
 
 @pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
@@ -92,9 +92,9 @@ def test_a_clamped_axis_does_not_falsify_the_others():
     assert missed[1:].max() < 1e-15
     parts = zip(model.actuators, limits, begin, strict=True)
     single = [dehyst.Compensator(actuator, limit, state=state) for actuator, limit, state in parts]
-    uncorrected = np.column_stack([one.run(w) for one, w in zip(single, (wanted @ model.decoupling.T).T, strict=True)])
+    uncorrected = np.column_stack([own.run(w) for own, w in zip(single, (wanted @ model.decoupling.T).T, strict=True)])
     assert np.abs(model.simulate(uncorrected, states=begin).displacement - wanted).max(axis=0)[1] > 3e-8
-    assert [sum(one) for one in loop.clamps] == [int(held[:, 0].sum()), 0, 0]
+    assert [sum(counts) for counts in loop.clamps] == [int(held[:, 0].sum()), 0, 0]
 
 
 def random_loop(rng, most=0.15):
@@ -119,7 +119,7 @@ def test_each_axis_is_clamped_only_by_its_own_limits(seed):
     # Far from what can be reached, as by a set-point in another unit.
     wanted[rng.random(wanted.shape) < 0.1] *= 30
     for row in wanted:
-        ends = np.array([[one._offer_and_reach(end)[1] for end in (-1e-3, 1e-3)] for one in loop.compensators])
+        ends = np.array([[own._offer_and_reach(end)[1] for end in (-1e-3, 1e-3)] for own in loop.compensators])
         loop.step(row)
         moved = model.decoupling @ loop.displacement
         own = row - (model.coupling - np.eye(size)) @ moved
@@ -142,19 +142,19 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
         clamped.append(loop.clamped)
     assert np.array_equal(ran, voltage)
     first = plan.first
-    for j, one in enumerate(plan.each if not first else ()):
+    for j, part in enumerate(plan.each if not first else ()):
         held = np.array(clamped)[:, j]
         assert held.any()
-        assert np.array_equal(one.clamped, held)
-        assert np.allclose(one.voltage, np.array(voltage)[:, j], rtol=0, atol=1e-10)
-        assert np.abs(one.expected - wanted[:, j])[~held].max(initial=0) < 1e-15
+        assert np.array_equal(part.clamped, held)
+        assert np.allclose(part.voltage, np.array(voltage)[:, j], rtol=0, atol=1e-10)
+        assert np.abs(part.expected - wanted[:, j])[~held].max(initial=0) < 1e-15
 
 
 def test_a_path_that_begins_where_one_axis_cannot_go_leads_the_others_to_what_is_wanted():
     model = Stage((actuator(), actuator(1.3)), [[1.0, 0.04], [-0.03, 1.0]])
     loop = StageCompensator(model, period=1e-2, limits=(-60.0, 120.0), slew_rate=40.0)
     wanted = np.column_stack([np.full(100, 4e-6), np.linspace(40e-6, 5e-6, 100)])
-    known = [PossibleStart("known", (one.state,)) for one in loop.compensators]
+    known = [PossibleStart("known", (compensator.state,)) for compensator in loop.compensators]
     for homed in (plan_path(loop, wanted, home=True), plan_path(loop, wanted, start=known)):
         assert homed.clamped[:, 1].any()
         assert not homed.clamped[:, 0].any()
@@ -192,13 +192,13 @@ def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_b
     """A start of the model beyond the limits is replaced by that of loops within them, whatever was before."""
     model, limits = stage(), (-40.0, 30.0)
     loop = StageCompensator(model, limits=[limits] * 3)
-    for one, axis in zip(model.actuators, loop.compensators, strict=True):
+    for actuator, axis in zip(model.actuators, loop.compensators, strict=True):
         for before in ([-100.0], [60.0, -10.0]):
-            played = one.simulate([*before, *np.tile(limits, 10)]).state
+            played = actuator.simulate([*before, *np.tile(limits, 10)]).state
             assert axis.state.deformation == pytest.approx(played.deformation, abs=1e-15)
             assert np.allclose(axis.state.carts, played.carts, rtol=0, atol=1e-15)
         assert axis.voltage == 30.0
-        assert axis.state.deformation < dehyst.Compensator(one, limits).state.deformation - 1e-8
+        assert axis.state.deformation < dehyst.Compensator(actuator, limits).state.deformation - 1e-8
 
 
 def test_a_clamp_that_is_made_an_error_moves_no_axis():
@@ -208,7 +208,7 @@ def test_a_clamp_that_is_made_an_error_moves_no_axis():
         before = other.snapshot()
         with pytest.raises(dehyst.ClampWarning):
             other.step([6e-6, 3e-6, 2e-6])
-    assert [sum(one) for one in other.clamps] == [0, 0, 0]
+    assert [sum(counts) for counts in other.clamps] == [0, 0, 0]
     assert other.snapshot() == before
 
 
@@ -237,7 +237,7 @@ def test_after_a_homing_the_state_before_does_not_count(timed):
         assert (np.abs(np.diff(voltage, axis=0)) / np.diff(time)[:, None]).max() <= 400.0 * (1 + 1e-9)
         assert np.allclose(np.diff(time[first:]), 1e-2)
     for before in ([0.0], [-60.0, 120.0, 30.0], [100.0, -20.0]):
-        states = [one.simulate(before).state for one in model.actuators]
+        states = [actuator.simulate(before).state for actuator in model.actuators]
         reached = model.simulate(voltage, time=time, states=states).displacement[first:]
         assert np.abs(reached - wanted).max() < 1e-13
 
@@ -291,14 +291,14 @@ def test_a_file_that_is_wrong_is_refused(change, words):
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_a_refused_displacement_withdraws_the_voltage_on_offer():
     loop = StageCompensator(stage(), period=1e-3)
-    far = np.array([10 * one.reach[1] for one in loop.compensators])
+    far = np.array([10 * compensator.reach[1] for compensator in loop.compensators])
     loop.step(far)
-    before = [one.clamps for one in loop.compensators]
+    before = [compensator.clamps for compensator in loop.compensators]
     loop.offer(far)
     with pytest.raises(dehyst.ModelError):
         loop.offer(np.full(far.size, np.nan))
     loop.hold()
-    assert [one.clamps for one in loop.compensators] == before
+    assert [compensator.clamps for compensator in loop.compensators] == before
 
 
 @pytest.mark.parametrize("kind", ["stage", "bank"])
@@ -312,12 +312,12 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
 
     pair, state = (0.0, 100.0), turned(model.actuators[0], 3e-6)
     for limits in (pair, list(pair), np.array(pair), [pair], [pair, pair], np.array([pair, pair])):
-        assert [one.limits for one in made(limits=limits)] == [pair] * 2
-    assert [one.limits for one in made(limits=[pair, None])] == [pair, (-150.0, 200.0)]
+        assert [compensator.limits for compensator in made(limits=limits)] == [pair] * 2
+    assert [compensator.limits for compensator in made(limits=[pair, None])] == [pair, (-150.0, 200.0)]
     for rate, expected in ((5.0, [5.0, 5.0]), ([5.0], [5.0, 5.0]), ([5.0, None], [5.0, None]), (None, [None] * 2)):
-        assert [one.slew_rate for one in made(slew_rate=rate)] == expected
+        assert [compensator.slew_rate for compensator in made(slew_rate=rate)] == expected
     for states in (state, [state, state]):
-        assert [one.state.deformation for one in made(states=states)] == [3e-6] * 2
+        assert [compensator.state.deformation for compensator in made(states=states)] == [3e-6] * 2
     for name, wrong in {"limits": [pair] * 3, "slew_rate": [1.0] * 3, "states": [state] * 3}.items():
         with pytest.raises(dehyst.ModelError) as caught:
             made(**{name: wrong})
@@ -331,8 +331,8 @@ def test_a_path_ahead_has_the_gains_and_offsets_of_the_axes():
     rng = np.random.default_rng(8)
     wanted, model = path(rng), stage()
     loop = StageCompensator(model)
-    for one, gain, offset in zip(loop.compensators, (1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7), strict=True):
-        one.scale(gain, offset)
+    for compensator, gain, offset in zip(loop.compensators, (1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7), strict=True):
+        compensator.scale(gain, offset)
     starts = [PossibleStart("known", (state,)) for state in loop.states]
     planned = plan_path(loop, wanted, start=starts)
     stepped = loop.run(wanted)
@@ -348,7 +348,7 @@ THERMALS = dehyst.Thermal(-2.5e-3, 4e-9, 30.0), None, dehyst.Thermal(1.5e-3, 0.0
 def warm_stage():
     cold = stage()
     pairs = zip(cold.actuators, THERMALS, strict=True)
-    return replace(cold, actuators=tuple(replace(one, thermal=part) for one, part in pairs))
+    return replace(cold, actuators=tuple(replace(actuator, thermal=part) for actuator, part in pairs))
 
 
 @pytest.mark.parametrize("shape", [(), (300,), (300, 3)])
@@ -377,8 +377,8 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
         np.testing.assert_allclose(stepped, voltage, atol=1e-9)
         np.testing.assert_allclose(loop.displacement, reached[-1], atol=1e-13)
         seen = plan_voltage(loop, voltage, time=np.arange(300.0), temperature=degrees, start=starts)
-        for one, other in zip(planned.each, seen.each, strict=True):
-            np.testing.assert_allclose(one.expected, other.expected, atol=1e-13)
+        for first, other in zip(planned.each, seen.each, strict=True):
+            np.testing.assert_allclose(first.expected, other.expected, atol=1e-13)
             assert np.all(other.error.lowest <= other.error.highest)
         assert planned.temperature.tolist() == each.tolist()
 
@@ -386,10 +386,10 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
 def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
     loop = StageCompensator(warm_stage())
     loop.set_temperature(25.0)
-    before = [one._scaling for one in loop.compensators]
+    before = [compensator._scaling for compensator in loop.compensators]
     for wrong in ([20.0, 20.0], [20.0, 20.0, 900.0, 20.0], [25.0, 20.0, -900.0], np.nan):
         with pytest.raises(dehyst.ModelError, match="temperature"):
             loop.set_temperature(wrong)
-    assert [one._scaling for one in loop.compensators] == before
+    assert [compensator._scaling for compensator in loop.compensators] == before
     with pytest.raises(dehyst.ModelError, match="temperature"):
         StageCompensator(stage()).set_temperature(25.0)

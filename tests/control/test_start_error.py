@@ -124,14 +124,14 @@ def test_an_axis_with_a_shorter_homing_waits_before_it_at_its_present_voltage(pr
     for path, slew in zip(paths, slews, strict=True):
         assert np.abs(np.diff(path.voltage) / np.diff(when)).max() <= slew * (1 + 1e-6)
         assert path.voltage.min() >= LIMITS[0] and path.voltage.max() <= LIMITS[1] and path.certified
-    homings = [one.phase == 0 for one in paths]
+    homings = [path.phase == 0 for path in paths]
     np.testing.assert_array_equal(*homings)
     # It ends when the last axis is homed.
     assert when[homings[0]][-1] >= when[0] + waits + alone.time[alone.phase == 0][-1] - 1e-6
     # What is expected is what the plant does with these voltages, with all coupling.
     moved = [
-        one.simulate(path.voltage, time=when, state=standing(one, float(path.voltage[0]), LIMITS)).displacement
-        for one, path in zip(stage.actuators, paths, strict=True)
+        plant.simulate(path.voltage, time=when, state=standing(plant, float(path.voltage[0]), LIMITS)).displacement
+        for plant, path in zip(stage.actuators, paths, strict=True)
     ]
     moved = apply(stage.coupling, np.column_stack(moved))
     for j, path in enumerate(paths):
@@ -173,10 +173,10 @@ def test_the_displacement_before_a_path_is_within_reach():
     time, present = np.arange(200.0), actuator.limits[0]
     homed = plan_path(Compensator(actuator), wanted, time=time, home=True, present=present)
     table = wave_table(actuator, Triangle(low, high - 0.1 * (high - low), 0.1).path(), present=present).played()
-    for one in (homed, table):
-        before = one.displacement[one.phase < 1]
+    for path in (homed, table):
+        before = path.displacement[path.phase < 1]
         assert before.size and before.min() >= low - 1e-9 and before.max() <= high + 1e-9
-        assert np.array_equal(before, one.expected[one.phase < 1])
+        assert np.array_equal(before, path.expected[path.phase < 1])
 
 
 @pytest.mark.parametrize(("units", "counts"), [("um", 1e6), ("nm", 1e9)])
@@ -288,8 +288,8 @@ def test_a_planned_path_has_the_gain_and_the_offset_of_its_compensator(name, kno
     expected = plan_path(plain, wanted, time=time, start=start)
     planned = plan_path(loop, offset + gain * wanted, time=time, start=start)
     np.testing.assert_allclose(planned.voltage, expected.voltage, atol=1e-6)
-    for one in ("displacement", "expected"):
-        np.testing.assert_allclose(getattr(planned, one), offset + gain * getattr(expected, one), atol=1e-12)
+    for column in ("displacement", "expected"):
+        np.testing.assert_allclose(getattr(planned, column), offset + gain * getattr(expected, column), atol=1e-12)
     np.testing.assert_allclose(planned.error.lowest, offset + gain * expected.error.lowest, atol=1e-12)
     np.testing.assert_allclose(planned.error.difference, gain * expected.error.difference, atol=1e-12)
     # No time passes before the first sample of a path ahead, and a mass moves with it.

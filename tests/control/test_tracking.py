@@ -62,12 +62,12 @@ def test_parts_that_records_do_not_need_do_not_hurt(name):
     """Truths without creep and dynamics, on paths that no record had: no worse than plain elements, nearly."""
     largest, rms = followed(name)
     plain = [followed(name, structure) for structure in PLAIN]
-    assert largest < 1.1 * min(one[0] for one in plain)
-    assert rms < 1.1 * min(one[1] for one in plain)
+    assert largest < 1.1 * min(pair[0] for pair in plain)
+    assert rms < 1.1 * min(pair[1] for pair in plain)
     chosen = fitted(name)
     held = {trial.structure: trial.held_out for trial in chosen.trials}
     best = Structure(**chosen.actuator.provenance["structure"])
-    assert held[best] < 1.1 * min(held[one] for one in PLAIN)
+    assert held[best] < 1.1 * min(held[name] for name in PLAIN)
     assert best.creep == 0
     assert chosen.actuator.displacement_creep is chosen.actuator.dynamics is None
     assert chosen.actuator.delay == 0

@@ -128,13 +128,13 @@ def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, sle
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(following, "_FEW", few)
             commands.append(follow(compensator, path, time=time))
-    one, other = commands
-    np.testing.assert_allclose(one.voltage, other.voltage, atol=1e-10 * HIGH)
-    np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-10 * plain_records.STROKE)
-    np.testing.assert_allclose(one.state.carts, other.state.carts, atol=1e-10 * plain_records.STROKE)
+    first, other = commands
+    np.testing.assert_allclose(first.voltage, other.voltage, atol=1e-10 * HIGH)
+    np.testing.assert_allclose(first.displacement, other.displacement, atol=1e-10 * plain_records.STROKE)
+    np.testing.assert_allclose(first.state.carts, other.state.carts, atol=1e-10 * plain_records.STROKE)
     # Where a wish lies on a limit to rounding, one may call it clamped and the other not.
-    differ = one.clamped != other.clamped
-    assert np.abs(one.displacement - path)[differ].max(initial=0.0) < 1e-10 * plain_records.STROKE
+    differ = first.clamped != other.clamped
+    assert np.abs(first.displacement - path)[differ].max(initial=0.0) < 1e-10 * plain_records.STROKE
 
 
 def smooth(size=1500):
@@ -220,7 +220,7 @@ def test_a_clamped_path_ahead_tells_where_gain_and_offset_lead(seed, gain, offse
 def test_a_given_velocity_is_that_of_the_displacement_with_its_gain():
     plant, time = replace(PLANT, dynamics=Dynamics(318.0, 0.05)), 1e-3 * np.arange(400)
     inside, velocity = (
-        plain_records.STROKE * (a + 0.3 * one) for a, one in ((0.5, np.sin(9 * time)), (0, np.cos(9 * time)))
+        plain_records.STROKE * (a + 0.3 * wave) for a, wave in ((0.5, np.sin(9 * time)), (0, np.cos(9 * time)))
     )
     plain, loop = (Compensator(plant, (-1e4, 1e4), period=1e-3) for _ in range(2))
     loop.scale(1.5, 1e-6)

@@ -122,12 +122,8 @@ def bench(kind, seed):
     time = np.arange(path.size) * 0.01
     pace = model._steps(time, path.size)
     # One pace for all, as a harness has it.
-    return (
-        model,
-        model.core_state(state),
-        StepCoefficients(np.array([0, path.size]), *(table[-1:] for table in pace[1:])),
-        path,
-    )
+    steps = StepCoefficients(np.array([0, path.size]), *(table[-1:] for table in pace[1:]))
+    return model, model.core_state(state), steps, path
 
 
 def numbers(model, held, pace, path):
@@ -250,5 +246,5 @@ def test_a_sample_that_is_not_a_number_moves_nothing(kind, stack, bad):
         shorter = pace._replace(bounds=np.array([0, np.count_nonzero(there)]))
         good, end = model.core.compensate(path[there], shorter, held, stack=stack)
         plain_records.assert_close(sent[there], good, 1e-12 * np.ptp(good))
-        for one, two in zip(reached, end, strict=True):
-            plain_records.assert_close(one, two, 1e-12 * np.ptp(path[there]))
+        for first, second in zip(reached, end, strict=True):
+            plain_records.assert_close(first, second, 1e-12 * np.ptp(path[there]))

@@ -66,5 +66,5 @@ def test_a_project_of_its_own_finds_it(tmp_path):
 def test_the_same_sources_make_the_same_files(tmp_path):
     for name in ("one", "two"):
         build(places.CORE, tmp_path / name, target="dehyst")
-    one, two = ((tmp_path / name / "amalgamation" / "dehyst.c").read_bytes() for name in ("one", "two"))
-    assert one == two
+    first, second = ((tmp_path / name / "amalgamation" / "dehyst.c").read_bytes() for name in ("one", "two"))
+    assert first == second

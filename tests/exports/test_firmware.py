@@ -265,7 +265,7 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("given", [None, 3, "model.json"])
 def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
-    for write in (export, lambda one, _: code(one)):
+    for write in (export, lambda number, _: code(number)):
         with pytest.raises(ModelError, match="Compensator"):
             write(given, tmp_path / "c")
     for path in (None, 3, b"c", "a\0b"):

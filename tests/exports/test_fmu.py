@@ -97,8 +97,8 @@ def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
 def test_a_step_of_many_periods_is_as_many_steps(fmus, kind):
     _, folder = fmus("creep", kind)
     given = PATH[:40] if kind == "compensator" else actuator_voltages("creep")[:40]
-    with Slave(folder) as one, Slave(folder) as other:
-        expected = one.run(np.repeat(given, 3))[2::3]
+    with Slave(folder) as first, Slave(folder) as other:
+        expected = first.run(np.repeat(given, 3))[2::3]
         np.testing.assert_array_equal([other.step(value, 3 * PERIOD) for value in given], expected)
 
 
@@ -150,8 +150,8 @@ def test_steps_between_rounded_times_are_steps(fmus):
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_number_is_refused_and_moves_nothing(fmus, kind, value):
     given = PATH[:30] if kind == "compensator" else actuator_voltages("mass")[:30]
-    with Slave(fmus("mass", kind)[1]) as one, Slave(fmus("mass", kind)[1]) as other:
-        first = one.run(given)
+    with Slave(fmus("mass", kind)[1]) as initial, Slave(fmus("mass", kind)[1]) as other:
+        first = initial.run(given)
         other.run(given[:10])
         before = other.state()
         with pytest.raises(FMICallException):
@@ -165,17 +165,17 @@ def test_what_is_no_number_is_refused_and_moves_nothing(fmus, kind, value):
 def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, kind):
     _, folder = fmus(model, kind)
     given = PATH if kind == "compensator" else actuator_voltages(model)
-    with Slave(folder) as one, Slave(folder) as other:
-        one.run(given[:101])
-        time = one.time
-        kept, data = one.fmu.getFMUState(), one.state()
-        expected = one.run(given[101:])
-        after = one.state()
-        one.fmu.setFMUState(kept)
-        one.time = time
-        assert one.state() == data
-        np.testing.assert_array_equal(one.run(given[101:]), expected)
-        one.fmu.freeFMUState(kept)
+    with Slave(folder) as first, Slave(folder) as other:
+        first.run(given[:101])
+        time = first.time
+        kept, data = first.fmu.getFMUState(), first.state()
+        expected = first.run(given[101:])
+        after = first.state()
+        first.fmu.setFMUState(kept)
+        first.time = time
+        assert first.state() == data
+        np.testing.assert_array_equal(first.run(given[101:]), expected)
+        first.fmu.freeFMUState(kept)
         # In another instance that has been elsewhere.
         other.run(given[200:250])
         other.restore(data)
@@ -191,10 +191,10 @@ def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, kind):
 
 def test_the_state_of_another_model_is_refused(fmus):
     with (
-        Slave(fmus("plain", "compensator")[1]) as one,
+        Slave(fmus("plain", "compensator")[1]) as first,
         Slave(fmus("creep", "compensator")[1]) as other,
     ):
-        for data in (one.state(), other.state()[:-1], b""):
+        for data in (first.state(), other.state()[:-1], b""):
             with pytest.raises(FMICallException):
                 other.restore(data)
             assert other.said[-1][1] == "state: it is of another model"
@@ -253,7 +253,7 @@ def test_a_damaged_state_is_refused(fmus, kind):
 def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
     """Also before the first step, and where a state is held by a voltage outside them."""
     folder = fmus("creep", "compensator")[1]
-    voltage = next(one for one in fmpy.read_model_description(folder).modelVariables if one.name == "voltage")
+    voltage = next(v for v in fmpy.read_model_description(folder).modelVariables if v.name == "voltage")
     assert (float(voltage.min), float(voltage.max)) == ALL["creep"].limits
     actuator = ALL["plain"].actuator
     low, high = narrow = 60.0, 61.0
@@ -265,7 +265,7 @@ def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
         sent = slave.run(PATH)
         assert low <= sent.min() and sent.max() <= high
     free = fmpy.read_model_description(fmus("creep", "actuator")[1]).modelVariables
-    assert all(one.min is None and one.max is None for one in free)
+    assert all(variable.min is None and variable.max is None for variable in free)
 
 
 def test_the_actuator_knows_no_limits_of_the_compensator(tmp_path):
@@ -283,10 +283,10 @@ def test_instances_do_not_meddle(fmus):
     models = ("plain", "creep", "creep", "mass")
     paths = [wanted(seed, 120) for seed in range(4)]
     slaves = [Slave(fmus(model, "compensator")[1]) for model in models]
-    found = np.array([[one.step(y) for one, y in zip(slaves, row, strict=True)] for row in zip(*paths, strict=True)])
-    for one, model, path, column in zip(slaves, models, paths, found.T, strict=True):
+    found = np.array([[own.step(y) for own, y in zip(slaves, row, strict=True)] for row in zip(*paths, strict=True)])
+    for slave, model, path, column in zip(slaves, models, paths, found.T, strict=True):
         np.testing.assert_array_equal(column, voltages(ALL[model], path)[0])
-        one.fmu.freeInstance()
+        slave.fmu.freeInstance()
 
 
 def test_clamping_is_said_once_of_each(fmus):

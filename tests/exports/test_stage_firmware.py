@@ -62,8 +62,8 @@ def wide_stage():
     """Smooth elements, graded elements and a transformer, and all parts together."""
     kinds = ("smooth", "graded, transformer", "all")
     plants = [structured_records.plant(structured_records.STRUCTURES[kind]) for kind in kinds]
-    states = [one.state for one in plants]
-    stage = Stage(tuple(one.actuator for one in plants), COUPLING)
+    states = [plant.state for plant in plants]
+    stage = Stage(tuple(plant.actuator for plant in plants), COUPLING)
     limits = [compiled_exports.LIMITS] * 3
     return StageCompensator(stage, limits=limits, period=PERIOD, slew_rate=[None, 5e3, 8e3], states=states)
 
@@ -127,7 +127,7 @@ def told_by_python(compensator, middle, half):
 
 def test_random_steps_have_the_same_bits(compensator, tmp_path):
     need("gcc")
-    reach = np.array([one.reach for one in compensator.compensators])
+    reach = np.array([axis.reach for axis in compensator.compensators])
     middle = (compensator.stage.coupling @ reach.mean(axis=1)).tolist()
     half = np.ptp(reach, axis=1).tolist()
     constants = "".join(
@@ -166,7 +166,7 @@ def test_axes_of_any_names_compile(axes, tmp_path):
 
 def test_creep_in_displacement_is_refused():
     creep = DisplacementCreep([1.0], [0.05])
-    actuators = [replace(one, displacement_creep=creep) for one in plain_stage().stage.actuators]
+    actuators = [replace(actuator, displacement_creep=creep) for actuator in plain_stage().stage.actuators]
     stage = Stage(actuators, COUPLING)
     with pytest.raises(ModelError, match="creep in displacement"):
         code(StageCompensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))
@@ -197,7 +197,7 @@ def test_temperatures_give_the_bits_of_python(tmp_path):
     plants = [plain_records.plant(count, seed=count) for count in (6, 10)]
     thermals = Thermal(-0.004, 3.3e-9, 24.7), Thermal(-0.002, 0.0, 21.0)
     stage = Stage(tuple(plants), COUPLING[:2, :2])
-    warm = tuple(replace(one, thermal=part) for one, part in zip(plants, thermals, strict=True))
+    warm = tuple(replace(plant, thermal=part) for plant, part in zip(plants, thermals, strict=True))
     loop = StageCompensator(replace(stage, actuators=warm), limits=[(20.0, 180.0), (0.0, 150.0)])
     cold = export(StageCompensator(stage, limits=loop.limits), tmp_path / "cold")
     assert "stage_temperature" not in (cold / "stage.h").read_text()
@@ -205,7 +205,7 @@ def test_temperatures_give_the_bits_of_python(tmp_path):
     (folder / "warming.c").write_text(WARMING)
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
     subprocess.run(["gcc", *flags, "warming.c", "stage.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)
-    rng, reach = np.random.default_rng(5), np.array([one.reach for one in loop.compensators])
+    rng, reach = np.random.default_rng(5), np.array([compensator.reach for compensator in loop.compensators])
     # Wide enough that each axis and both are clamped.
     rows = np.column_stack([rng.uniform(*(reach.T * 1.1), (2000, 2)), rng.uniform(10, 60, (2000, 2))]).tolist()
     given = "".join(f"{' '.join(map(repr, row))}\n" for row in rows)

@@ -51,12 +51,12 @@ def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("records")
     (made / "A").mkdir()
     (made / ".hidden").mkdir()
-    one = record(0)
-    dehyst.write_record(made / "A" / "1.csv", one)
+    again = record(0)
+    dehyst.write_record(made / "A" / "1.csv", again)
     dehyst.write_record(made / "A" / "2.csv", record(1, stroke=8e-6))
-    dead = np.random.default_rng(0).normal(0, 2e-9, len(one))
-    dehyst.write_record(made / "dead.csv", Record(one.time, one.voltage, dead))
-    dehyst.write_record(made / ".hidden" / "3.csv", one)
+    dead = np.random.default_rng(0).normal(0, 2e-9, len(again))
+    dehyst.write_record(made / "dead.csv", Record(again.time, again.voltage, dead))
+    dehyst.write_record(made / ".hidden" / "3.csv", again)
     (made / "bad.csv").write_text("hello\nworld\n")
     (made / "notes.txt.bak").write_text("no record")
     return made
@@ -91,14 +91,14 @@ def test_each_record_has_a_row_with_its_numbers_or_a_reason(folder, tmp_path, in
     table = rows(found.path)
     assert list(table) == ["A/1.csv", "A/2.csv", "bad.csv", "dead.csv"]
     assert found[1:] == (4, 4, 2)
-    one, two = table["A/1.csv"], table["A/2.csv"]
-    assert (one["reason"], two["reason"]) == ("", "")
-    assert two["stroke_um"] / one["stroke_um"] == pytest.approx(0.8, rel=2e-3)
-    assert two["loop_width_um"] / one["loop_width_um"] == pytest.approx(0.8, rel=0.01)
-    assert one["noise_nm"] == pytest.approx(2.0, rel=0.3)
+    first, second = table["A/1.csv"], table["A/2.csv"]
+    assert (first["reason"], second["reason"]) == ("", "")
+    assert second["stroke_um"] / first["stroke_um"] == pytest.approx(0.8, rel=2e-3)
+    assert second["loop_width_um"] / first["loop_width_um"] == pytest.approx(0.8, rel=0.01)
+    assert first["noise_nm"] == pytest.approx(2.0, rel=0.3)
     fit = dehyst.identify(dehyst.read(folder / "A" / "1.csv"))
-    assert one["promise_percent"] == fit.promise.largest_percent
-    assert dehyst.Actuator.from_dict(json.loads(one["model"])).voltage() == fit.actuator.voltage()
+    assert first["promise_percent"] == fit.promise.largest_percent
+    assert dehyst.Actuator.from_dict(json.loads(first["model"])).voltage() == fit.actuator.voltage()
     assert [table["bad.csv"][name] for name in (*NUMBERS, "model")] == [None] * 7
     assert table["bad.csv"]["reason"] and table["dead.csv"]["reason"]
     assert table["dead.csv"]["noise_nm"] == pytest.approx(2.0, rel=0.3)

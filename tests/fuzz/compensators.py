@@ -155,8 +155,8 @@ class Life:
         except DehystError:
             self.same(before, loop.snapshot(), "a voltage far outside moved something")
 
-    def same(self, one, two, what):
-        if one != two:
+    def same(self, first, second, what):
+        if first != second:
             self.find(what)
 
     def finite(self, compensator):

@@ -88,8 +88,8 @@ def test_too_few_branches_determine_nothing(turns):
 def test_a_wrong_model_shows_a_pattern_and_the_right_one_none():
     record = PLANT.record(noise=1e-9)
     right, poor = (
-        identify(record, structure=one, delay=0.0)
-        for one in (Structure(elements=6, grades=3, knots=7, transformer=5), Structure(elements=6, grades=2, knots=2))
+        identify(record, structure=made, delay=0.0)
+        for made in (Structure(elements=6, grades=3, knots=7, transformer=5), Structure(elements=6, grades=2, knots=2))
     )
     assert all(check.verdict is Verdict.HOLDS for check in right.checks)
     assert Verdict.FAILS in [check.verdict for check in poor.checks if check.name in PATTERNS]
@@ -105,7 +105,7 @@ def test_the_least_slope_is_that_of_a_branch():
     y = np.linspace(*WIDE.spring.displacement[[0, -1]], 4001)
     straight = replace(WIDE, transformer=None)
     volts = [[straight.voltage(turned(straight, float(at), rising=up)) for at in y] for up in (True, False)]
-    least = min(float((np.diff(one) / np.diff(y)).min()) for one in volts)
+    least = min(float((np.diff(line) / np.diff(y)).min()) for line in volts)
     assert check.value * 1e6 == pytest.approx(least, rel=0.02)
 
 

@@ -49,7 +49,7 @@ def test_noise_and_a_steady_sine_have_no_transient(sigma):
     noise = sigma * plain_records.STROKE
     tops = [plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, noise=noise, seed=seed) for seed in range(3)]
     sines = [sine(samples=samples, noise=noise) for samples in (60.7, 97.3, 203.9)]
-    assert [cleaning.transient(one) for one in (*tops, *sines)] == [0] * 6
+    assert [cleaning.transient(record) for record in (*tops, *sines)] == [0] * 6
 
 
 @pytest.mark.parametrize("length", [10, 30, 45])

@@ -66,7 +66,7 @@ def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
     prepared = prepare(record[20:])
     assert prepared.lead is None
     led = replace(prepared, lead=record[:20])
-    (_, with_lead), (_, alone) = (compared(plant.actuator, one) for one in (led, prepared))
+    (_, with_lead), (_, alone) = (compared(plant.actuator, record) for record in (led, prepared))
     half = with_lead.residual.size // 2
     assert 100 * np.abs(with_lead.residual[half:]).max() / plain_records.STROKE < EXACT
     # Alone, the smooth elements are taken to begin at none.
@@ -109,9 +109,9 @@ def test_an_oversampled_record_is_compared_by_means_of_its_samples(delay):
     assert means.block == 25 and len(means.reduced.record) == v.size // 25
     assert means.reduced.noise == pytest.approx(noise / 5, rel=0.2)
     assert whole.reduced is whole
-    (one, _), (other, _) = (compared(actuator, each) for each in (whole, means))
-    assert other.offset == pytest.approx(one.offset, abs=1e-3 * plain_records.VOLTS)
-    assert other.rms_percent < one.rms_percent * 1.01
+    (first, _), (other, _) = (compared(actuator, each) for each in (whole, means))
+    assert other.offset == pytest.approx(first.offset, abs=1e-3 * plain_records.VOLTS)
+    assert other.rms_percent < first.rms_percent * 1.01
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "transformer", "smooth", "graded, transformer"])
@@ -124,7 +124,7 @@ def test_a_given_structure_that_an_actuator_has_is_identified(name):
     assert fit.actuator.provenance["structure"] == structure.as_dict()
     # A plain actuator of a plain structure has no use for the time, but takes it.
     asked, got = (
-        one.compensate(plant.path, time=plant.time, state=plant.state).voltage for one in (plant.actuator, fit.actuator)
+        own.compensate(plant.path, time=plant.time, state=plant.state).voltage for own in (plant.actuator, fit.actuator)
     )
     assert np.abs(got - asked).max() < 1e-5 * plain_records.VOLTS
 

@@ -107,7 +107,7 @@ def test_means_of_samples_creep_from_where_the_record_began(block):
     assert item.lead is not None
     reduced = replace(item, block=block).reduced
     assert reduced.record.sample_time == pytest.approx(block / 40.0)
-    moved, whole = (one.without_creep(part).record for one in (reduced, item))
+    moved, whole = (state.without_creep(part).record for state in (reduced, item))
     expected = np.interp(moved.time, whole.time, whole.displacement)
     assert np.abs(moved.displacement - expected).max() < 1e-3 * np.ptp(expected)
 

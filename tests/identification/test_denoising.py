@@ -111,7 +111,7 @@ def test_creep_in_a_hold_goes_one_way():
     for start, sign in ((50, 1), (300, -1), (550, 1), (800, -1)):
         # The hold is seen some samples after the voltage has come to rest.
         assert np.all(sign * np.diff(smoothed[start + 8 : start + 195]) >= 0)
-        errors = [np.std((one - y)[start : start + 200]) for one in (smoothed, noisy.displacement)]
+        errors = [np.std((column - y)[start : start + 200]) for column in (smoothed, noisy.displacement)]
         assert errors[0] < 0.5 * errors[1]
 
 

@@ -56,7 +56,7 @@ def test_a_coarse_voltage_keeps_a_model_from_being_ready():
     seen, y = records()
     exact = Record(seen.time, seen.voltage, y)
     coarse = Record(seen.time, np.round(seen.voltage / 0.3) * 0.3, y)
-    fine, verdict = (identify(one, structure="maxwell_slip").promise for one in (exact, coarse))
+    fine, verdict = (identify(record, structure="maxwell_slip").promise for record in (exact, coarse))
     assert verdict.readiness is not Readiness.READY
     assert len(fine.reasons) < len(verdict.reasons)
 

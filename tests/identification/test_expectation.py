@@ -28,9 +28,9 @@ TOPS = record(0, 100, 0, 100, 0, 80, 0, 60, 0, 40, 0)
 
 def seen(*errors, held_out=None, noise=0.0, vibration=0.0, records=None, lag=0.0):
     causes = []
-    for one in errors:
-        shares = min(noise**2 / one.rms**2, 1.0), min(0.5 * vibration**2 / one.rms**2, 1.0)
-        causes.append(RemainingError(one.record, one.role, one.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
+    for error in errors:
+        shares = min(noise**2 / error.rms**2, 1.0), min(0.5 * vibration**2 / error.rms**2, 1.0)
+        causes.append(RemainingError(error.record, error.role, error.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
     records = records or [TOPS] * len(errors)
     return validity_of(records, errors, causes, held_out or HeldOutErrors(), noise, lag)
 

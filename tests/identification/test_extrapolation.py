@@ -69,7 +69,7 @@ def test_creep_that_is_there_stays():
     turns = np.concatenate([[0, 1, 0], np.random.default_rng(3).uniform(size=30)])
     time = np.arange(80 * 32) / RATE
     voltage = plain_records.VOLTS * np.interp(RATE * time / 80, np.arange(33), turns)
-    reached, expected = (one.simulate(voltage, time=time).displacement for one in (creeping, fit.actuator))
+    reached, expected = (actuator.simulate(voltage, time=time).displacement for actuator in (creeping, fit.actuator))
     assert np.ptp((expected - reached)[160:]) / 2 < fit.promise.largest
 
 

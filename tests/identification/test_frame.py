@@ -53,7 +53,7 @@ def test_held_out_time_shows_what_moves(name):
     """With the true numbers held-out time is predicted, without them it is not."""
     records, numbers, least = MOVED[name]
     known, unknown = (
-        search.fitted(wide.frame(records(), **one), moved.STRUCTURE, 4000).held_out / STROKE for one in (numbers, {})
+        search.fitted(wide.frame(records(), **kw), moved.STRUCTURE, 4000).held_out / STROKE for kw in (numbers, {})
     )
     assert known < least < 0.2 * unknown
 
@@ -64,11 +64,11 @@ def test_the_state_at_an_epoch_continues_the_record(name):
     made = search.fitted(wide.frame([wide.plant(structure).record()]), structure, 4000)
     frame, source = made.frame, made.source
     actuator = frame.actuator(made.program, made.found)
-    for one in frame.judged(source):
-        offset = made.found.offsets[one.number] - float(actuator.spring.voltage[0])
-        state = frame.state(source, one.piece, one.epoch, actuator)
-        time, missed = frame.missed(one.piece, one.epoch, actuator, state, offset)
-        assert time.size == one.epoch.stop - one.epoch.start
+    for judged in frame.judged(source):
+        offset = made.found.offsets[judged.number] - float(actuator.spring.voltage[0])
+        state = frame.state(source, judged.piece, judged.epoch, actuator)
+        time, missed = frame.missed(judged.piece, judged.epoch, actuator, state, offset)
+        assert time.size == judged.epoch.stop - judged.epoch.start
         assert np.abs(missed).max() < 1e-6 * STROKE
 
 

@@ -61,7 +61,7 @@ def clipped(y, elements):
 
 def hats(y, elements):
     knots = np.linspace(0, plain_records.STROKE, elements + 1)
-    return np.column_stack([np.interp(y, knots, one) for one in np.eye(elements + 1)])
+    return np.column_stack([np.interp(y, knots, direction) for direction in np.eye(elements + 1)])
 
 
 def without(columns, others):

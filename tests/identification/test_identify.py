@@ -109,8 +109,8 @@ def test_validation_records_get_errors_of_their_own():
     state = plain_records.any_state(PLANT, float(y[0]), 5)
     held_out = plain_records.record(PLANT, y, state=state, name="check", datum=0.05 * STROKE)
     alone, fit = dehyst.identify(TOPS, structure=TEN), dehyst.identify(TOPS, structure=TEN, validate=held_out)
-    assert [(one.record, one.role) for one in fit.errors] == [("tops", "training"), ("check", "validation")]
-    assert [(one.record, one.role) for one in fit.traces] == [("tops", "training"), ("check", "validation")]
+    assert [(error.record, error.role) for error in fit.errors] == [("tops", "training"), ("check", "validation")]
+    assert [(trace.record, trace.role) for trace in fit.traces] == [("tops", "training"), ("check", "validation")]
     assert fit.actuator.slip.stiffness.tobytes() == alone.actuator.slip.stiffness.tobytes()
     check, trace = fit.errors[1], fit.traces[1]
     assert check.largest_percent < 1e-3
@@ -280,7 +280,7 @@ def test_records_of_several_axes_give_a_stage():
     assert away.max() < 0.0005
     assert np.all(away < 3 * fit.uncertainty[off])
     assert fit.good
-    assert [type(one) for one in fit.fits] == [dehyst.Fit, dehyst.Fit]
+    assert [type(found) for found in fit.fits] == [dehyst.Fit, dehyst.Fit]
     assert fit.model is fit.stage
     assert max(error.rms_percent for error in fit.errors) < 0.2
     with pytest.raises((RecordError, IdentifyError)):

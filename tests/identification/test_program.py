@@ -48,7 +48,7 @@ def test_the_slope_of_a_row_is_the_slope_of_compensate(name, seed):
     """Tau's change over a small step ahead, from the state that the record has reached."""
     plant, program = known(name, seed)
     slope = program.slope(plant.solution(program))
-    samples = np.concatenate([np.arange(one.start, one.stop) for one in epochs(plant.record())])
+    samples = np.concatenate([np.arange(epoch.start, epoch.stop) for epoch in epochs(plant.record())])
     # Major loops go through knots, and their ends; just after a turn smooth elements are taken to go on.
     inside = (samples > 125) & (samples < plant.path.size - 1) & ~program.rows.stuck[:, 0]
     actuator, step = plant.actuator, 1e-6 * STROKE
@@ -119,8 +119,8 @@ def test_numbers_of_what_moves_are_recovered(name):
 
 
 def test_gains_of_creep_are_not_negative():
-    one = moved.still(hold=20)
-    backwards = moved.seen(one, moved.CREEP.removed(one.time, one.displacement))
+    record = moved.still(hold=20)
+    backwards = moved.seen(record, moved.CREEP.removed(record.time, record.displacement))
     motion = {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "begun": np.zeros((1, 3))}
     made = search.fitted(wide.frame([backwards], **motion), moved.STRUCTURE, 4000, ("creep",), 2)
     assert made.frame.motion.gains.min() == 0
@@ -166,7 +166,7 @@ def test_less_weight_for_large_residuals_is_robust():
     outliers = replace(program, rows=replace(program.rows, voltage=voltage))
     squares = outliers.solved()
     robust = outliers.reweighted(squares)
-    errors = [np.abs(one.stiffness - plant.actuator.slip.stiffness[:, None]).max() for one in (squares, robust)]
+    errors = [np.abs(found.stiffness - plant.actuator.slip.stiffness[:, None]).max() for found in (squares, robust)]
     assert errors[1] < 0.2 * errors[0]
 
 
@@ -215,7 +215,7 @@ def test_no_branch_falls(monkeypatch):
     assert program.residual(found).std() < program.residual(softer).std()
     y = np.linspace(0, STROKE, 2001)
     for held, (path, rising) in product(
-        (one.to_actuator(plant.grid, 0.0) for one in (found, softer)), ((y, True), (y[::-1], False))
+        (solution.to_actuator(plant.grid, 0.0) for solution in (found, softer)), ((y, True), (y[::-1], False))
     ):
         v = held.compensate(path, state=turned(held, float(path[0]), rising=rising)).voltage
         assert (np.diff(v) / np.diff(path)).min() > program.floor * (1 - 1e-3)

@@ -147,18 +147,18 @@ def test_noise_of_the_sensor_cuts_the_reach():
 
 def test_pieces_of_several_records_are_stacked_and_told_apart():
     actuator = plain_records.plant(4)
-    one, two = (
+    direct, second = (
         plain_records.loops(actuator, plain_records.MAJOR),
         plain_records.loops(actuator, (0.2, *plain_records.MAJOR)),
     )
-    pieces = [(0, one), (1, two)]
+    pieces = [(0, direct), (1, second)]
     rows, found = collect(pieces, actuator.slip.breakaway, [0.0, 0.0])
     assert [len(own) >= 1 for own in found] == [True, True]
     first = len(found[0])
     assert set(rows.epoch[rows.record == 0]) == set(range(first))
     assert set(rows.epoch[rows.record == 1]) == set(range(first, first + len(found[1])))
     taken = np.concatenate([np.arange(e.start, e.stop) for e in found[1]])
-    np.testing.assert_array_equal(rows.time[rows.record == 1], two.time[taken])
+    np.testing.assert_array_equal(rows.time[rows.record == 1], second.time[taken])
 
 
 @pytest.mark.parametrize("name", ["plain", "smooth", "all"])

@@ -25,7 +25,7 @@ def found(records, **which):
     """The motion that a search finds, and the names of its parts."""
     allowed = {"lag": True, "drift": True, "more": True, **which}
     frame, names, trials = search.moving(wide.frame(records), lambda _: None, **allowed)
-    assert all(one.held_out > 0 for one in trials)
+    assert all(trial.held_out > 0 for trial in trials)
     return frame.motion, set(names) - {"begun"}
 
 
@@ -154,11 +154,11 @@ def test_creep_lasts_from_the_fastest_branch_to_the_longest_record(fastest, long
 def test_structures_that_explain_as_well_but_differ_disagree():
     frame = wide.frame([tops(noise=0.1 * NOISE)])
     chosen, same, other = (
-        search.fitted(frame, one, 4000)
-        for one in (Structure(grades=8), Structure(grades=8, smoothing=1e-2), Structure(elements=5))
+        search.fitted(frame, structure, 4000)
+        for structure in (Structure(grades=8), Structure(grades=8, smoothing=1e-2), Structure(elements=5))
     )
-    for one in (same, other):
-        one.__dict__["held_out"] = chosen.held_out
+    for trial in (same, other):
+        trial.__dict__["held_out"] = chosen.held_out
     none, near, far, both = (
         search.disagreement(chosen.actuator, others, chosen, frame)
         for others in ([chosen], [chosen, same], [other], [same, other])
@@ -170,10 +170,10 @@ def test_structures_that_explain_as_well_but_differ_disagree():
 
 
 def test_the_smoothing_with_the_least_held_out_error_is_chosen():
-    structures = [Structure(smoothing=one) for one in (1e-3, 1.0, 1e-2)]
+    structures = [Structure(smoothing=smoothing) for smoothing in (1e-3, 1.0, 1e-2)]
     made, trials, every = search.static(wide.frame([tops()]), structures, (), lambda _: None)
-    assert [one.structure for one in trials] == structures == [one.structure for one in every]
-    best = min(trials, key=lambda one: one.held_out)
+    assert [trial.structure for trial in trials] == structures == [trial.structure for trial in every]
+    best = min(trials, key=lambda trial: trial.held_out)
     assert (made.structure, made.held_out) == (best.structure, best.held_out)
 
 

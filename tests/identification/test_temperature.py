@@ -54,7 +54,7 @@ def test_the_gain_is_found(warm):
 def test_expansion_is_found_where_the_temperature_changes_within_records(gain, seed):
     turns = (15, 45, seed), (40, 18, seed + 1)
     thermal = dehyst.identify(
-        [at(*one, gain=gain, offset=4e-8) for one in turns], **SETTINGS, drift=False
+        [at(*turn, gain=gain, offset=4e-8) for turn in turns], **SETTINGS, drift=False
     ).actuator.thermal
     # The offset is that of a displacement of 0 at the reference.
     assert thermal.offset == pytest.approx(4e-8, rel=0.2)
@@ -113,7 +113,7 @@ def test_the_range_and_the_change_within_records():
 
 def test_a_record_without_temperature_is_remarked(warm):
     remarks = dehyst.check(warm.actuator, at(38, 39, 7, known=False)).remarks
-    assert sum("temperature" in one for one in remarks) == 1
+    assert sum("temperature" in remark for remark in remarks) == 1
 
 
 def test_the_range_of_temperatures_is_known_to_the_model(warm):
@@ -125,5 +125,5 @@ def test_a_check_at_a_temperature_that_was_not_tested_says_so_and_promises_less(
     tested, hot = (dehyst.check(warm.actuator, at(first, first + 1, 7)) for first in (38, 60))
     assert hot.promise.parts["temperature"] > 0.03 * STROKE
     assert "temperature" not in tested.promise.parts
-    assert not any("not tested" in one for one in tested.remarks)
-    assert any("not tested" in one for one in hot.remarks)
+    assert not any("not tested" in remark for remark in tested.remarks)
+    assert any("not tested" in remark for remark in hot.remarks)

@@ -129,7 +129,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("read", "lines"), [(read, one) for read, every in REFUSED.values() for one in every])
+@pytest.mark.parametrize(("read", "lines"), [(read, text) for read, every in REFUSED.values() for text in every])
 def test_what_is_no_answer_is_refused(read, lines):
     with pytest.raises(LinkError, match="got"):
         read(lines)

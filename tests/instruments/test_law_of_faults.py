@@ -211,7 +211,7 @@ def test_after_a_fault_the_voltage_is_safe_or_its_place_is_said(kind, fault):
             rig.retreat()
         except (Exception, KeyboardInterrupt, Terminated) as error:
             raised = error
-            (note,) = [one for one in error.__notes__ if isinstance(one, VoltageNote)]
+            (note,) = [note for note in error.__notes__ if isinstance(note, VoltageNote)]
         seconds = time.monotonic() + faulty.waited - begin
         assert faulty.on and seconds < DEAD, raised
         log, stands = instrument.log, instrument.voltage

@@ -48,7 +48,7 @@ def test_further_channels_of_a_rig_are_in_its_records_and_must_be_those_it_decla
     record = rig.play(wave, batches.append)
     assert rig.others == ("temperature_C",)
     np.testing.assert_allclose(record.temperature, 20 + 30 * np.clip(record.time / 2, 0, 1))
-    assert sum(one.others["temperature_C"].size for one in batches) == len(record)
+    assert sum(batch.others["temperature_C"].size for batch in batches) == len(record)
     assert batches[0].axis(0).others.keys() == {"temperature_C"}
     rig.others = ("load_N",)
     with pytest.raises(DeviceError, match="temperature_C"):

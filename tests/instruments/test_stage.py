@@ -36,15 +36,15 @@ def ex(voltage, rate=RATE):
 
 
 def voltages(bench):
-    return [one.voltage for one in bench.axes]
+    return [axis.voltage for axis in bench.axes]
 
 
 def test_it_says_what_it_is():
     with served() as (server, _), rig_of(server, limits=[(0, 90), (10, 500), (0, 50)], slew_rate=700.0) as rig:
         assert rig.axes == ("1", "2", "3")
-        assert [(one.limits.low, one.limits.high) for one in rig.rigs] == [(0, 90), (10, 120), (0, 50)]
-        assert [one.slew_rate for one in rig.rigs] == [700.0] * 3
-        assert [one.safe for one in rig.rigs] == [0.0, 10.0, 0.0]
+        assert [(single.limits.low, single.limits.high) for single in rig.rigs] == [(0, 90), (10, 120), (0, 50)]
+        assert [single.slew_rate for single in rig.rigs] == [700.0] * 3
+        assert [single.safe for single in rig.rigs] == [0.0, 10.0, 0.0]
         assert rig.longest == 65536 // 2
         assert "axis 1: 0 to 90 V, 700 V/s; axis 2: 10 to 120 V" in repr(rig)
 
@@ -73,7 +73,7 @@ def test_long_records_are_cut_into_pieces_that_join():
         played, rows = rig.play(ex(v)), rig.rows(len(v))
         # Six recorder tables share the memory.
         assert rig.longest == 150
-        assert [one.log.largest_step for one in bench.axes] == pytest.approx(np.abs(np.diff(v, axis=0)).max(0), 1e-5)
+        assert [axis.log.largest_step for axis in bench.axes] == pytest.approx(np.abs(np.diff(v, axis=0)).max(0), 1e-5)
     assert len(played.time) == len(rows) == 700 + 4
     assert np.abs(played.voltage - v[rows]).max() <= 0.6e-6
     assert np.all(np.diff(played.time) > 0)
@@ -92,7 +92,7 @@ def test_what_one_axis_may_not_have_is_refused_before_anything_is_sent(change, w
     with served() as (server, bench), rig_of(server) as rig:
         with pytest.raises((RecordError, ModelError), match=words):
             rig.play(ex(change(waves())))
-        assert [one.log.largest_step for one in bench.axes] == [0.0] * 3
+        assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
 
 
 @pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt, SystemExit])
@@ -131,9 +131,9 @@ def test_after_a_fault_all_axes_are_brought_back(fault, error):
             rig.play(ex(waves()))
         assert voltages(bench) == [0.0] * 3
         assert error is not SensorError or "sensor of axis" in str(caught.value)
-        (note,) = [one for one in caught.value.__notes__ if one.startswith("The voltage")]
+        (note,) = [note for note in caught.value.__notes__ if note.startswith("The voltage")]
         assert note == "The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."
-        assert all(one.log.highest <= high for one, high in zip(bench.axes, HIGHEST, strict=True))
+        assert all(axis.log.highest <= high for axis, high in zip(bench.axes, HIGHEST, strict=True))
 
 
 @pytest.mark.parametrize("fault", ["silence", "refuse"])
@@ -142,7 +142,7 @@ def test_a_link_that_stays_lost_is_reported(fault):
         rig = PiRig.connect("127.0.0.1", server.port, axis=["1", "2", "3"], timeout=0.2)
         with rig, pytest.raises(LinkError) as caught:
             rig.play(ex(waves()))
-        (note,) = [one for one in caught.value.__notes__ if one.startswith("The voltage")]
+        (note,) = [note for note in caught.value.__notes__ if note.startswith("The voltage")]
         assert note.startswith("The voltage of the axes 1, 2, 3 could not be brought to 0, 0, 0 V")
         assert note.endswith("see to it by hand.")
 
@@ -152,15 +152,15 @@ def test_retreat_ramps_all_axes_at_once(monkeypatch):
     monkeypatch.setattr(AbstractRig, "_wait", lambda self, seconds: waits.append(seconds))
     monkeypatch.setattr(AbstractRig, "_now", lambda self: sum(waits))
     with served(speed=1.0) as (server, bench), rig_of(server) as rig:
-        for one in rig.rigs:
-            one.set_voltage(50.0)
+        for single in rig.rigs:
+            single.set_voltage(50.0)
         waits.clear()
         assert rig.retreat().tolist() == [0.0] * 3
         assert voltages(bench) == [0.0] * 3
         # The range of an axis takes a second; one after the other they would take the sum.
-        seconds = [50.0 / (one.limits.high - one.limits.low) for one in rig.rigs]
+        seconds = [50.0 / (single.limits.high - single.limits.low) for single in rig.rigs]
         assert max(seconds) - 0.02 < sum(waits) < max(seconds) + 0.1 < sum(seconds)
-        assert all(one.log.largest_step <= 0.011 * high for one, high in zip(bench.axes, HIGHEST, strict=True))
+        assert all(axis.log.largest_step <= 0.011 * high for axis, high in zip(bench.axes, HIGHEST, strict=True))
 
 
 def test_a_servo_that_is_on_is_switched_off_on_each_axis():
@@ -226,7 +226,7 @@ def test_an_axis_that_fails_does_not_keep_the_others_from_their_retreat():
 
     with pytest.raises(ValueError, match="enough") as caught:
         rig.play(ex(np.linspace(0, 50, 101)[:, None] * [1, 0.5, 0.2], 1000.0), listen)
-    assert [one.instrument.voltage for one in rig.rigs][1:] == [0.0, 0.0]
+    assert [single.instrument.voltage for single in rig.rigs][1:] == [0.0, 0.0]
     assert rig.rigs[0].instrument.voltage > 30
     (note,) = caught.value.__notes__
     assert "could not be brought to 0, 0, 0 V" in note
@@ -245,7 +245,7 @@ def test_samples_of_one_axis_that_differ_from_what_was_sent_are_refused():
     rig._wave = off
     with pytest.raises(DeviceError, match="output is 20 V away"):
         rig.play(ex(np.linspace(0, 50, 101)[:, None] * [1, 0.5, 0.2], 1000.0))
-    assert [one.instrument.voltage for one in rig.rigs] == [0.0] * 3
+    assert [single.instrument.voltage for single in rig.rigs] == [0.0] * 3
 
 
 class TestAddresses:
@@ -282,10 +282,10 @@ class TestAddresses:
 
     def test_limits_are_for_all_axes_or_for_each(self):
         with served() as (server, _), rig_of(server, limits=(0, 50)) as rig:
-            assert [one.limits.high for one in rig.rigs] == [50.0] * 3
+            assert [single.limits.high for single in rig.rigs] == [50.0] * 3
         own = {"limits": [(0, 50), None, (0, 40)], "slew_rate": [200.0, None, 100.0]}
         with served() as (server, _), rig_of(server, **own) as rig:
-            assert [one.limits.high for one in rig.rigs] == [50.0, LIMITS[1][1], 40.0]
+            assert [single.limits.high for single in rig.rigs] == [50.0, LIMITS[1][1], 40.0]
             assert [rig.rigs[j].slew_rate for j in (0, 2)] == [200.0, 100.0]
         with served() as (server, _), pytest.raises(RigError, match="slew_rate: got 2 for 3"):
             open_rig(f"pi://127.0.0.1:{server.port}/1,2,3", slew_rate=[1.0, 2.0])

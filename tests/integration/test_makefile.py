@@ -42,4 +42,4 @@ def test_the_conda_recipe_requires_what_the_package_requires():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     needed = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
     python = "python " + project["project"]["requires-python"]
-    assert listed - {"cmake >=3.18"} == {python, *(one.replace(">=", " >=") for one in needed)}
+    assert listed - {"cmake >=3.18"} == {python, *(requirement.replace(">=", " >=") for requirement in needed)}

@@ -81,7 +81,7 @@ def test_a_face_only_imports_and_lists(face):
 def test_what_a_face_offers_is_public_or_imported_by_another_room():
     used = {(source, name) for _, source, name in crossing()}
     rivals = map(ast.parse, (path.read_text() for path in places.RIVALS.rglob("*.py")))
-    used |= {(one.module, one.name) for tree in rivals for one in architecture.imports(tree)}
+    used |= {(statement.module, statement.name) for tree in rivals for statement in architecture.imports(tree)}
     public = {(f"dehyst.{room}", name) for room, names in FACES.items() for name in names}
     assert {(face, name) for face, names in OFFERED.items() for name in names} - used - public == set()
 
@@ -125,11 +125,11 @@ def test_readme_docs_and_examples_use_only_public_names(page):
     public = {"dehyst": FACES["dehyst"], **{f"dehyst.{room}": names for room, names in FACES.items()}, **DRIVERS}
     hidden = []
     for tree in map(ast.parse, snippets(page)):
-        ours = [one for one in architecture.imports(tree) if one.module.split(".")[0] == "dehyst"]
+        ours = [statement for statement in architecture.imports(tree) if statement.module.split(".")[0] == "dehyst"]
         hidden += [
-            f"from {one.module} import {one.name}"
-            for one in ours
-            if one[:2] != ("dehyst", None) and one.name not in public.get(one.module, ())
+            f"from {statement.module} import {statement.name}"
+            for statement in ours
+            if statement[:2] != ("dehyst", None) and statement.name not in public.get(statement.module, ())
         ]
         attributes = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
         used = {node.attr for node in attributes if ast.unparse(node.value) == "dehyst"}

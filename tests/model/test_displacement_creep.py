@@ -95,7 +95,7 @@ def test_a_loop_is_the_equation_to_the_bit():
     """A loop without this creep, and the equation of `dehyst_model.h` in Python, for 1e5 random steps with clamps."""
     period, samples = 1e-3, 10**5
     start = turned(PLANT, 0.3 * plain_records.STROKE)
-    loop, inner = (Compensator(one, (10, 130), 3e4, period=period, state=start) for one in (CREEPING, PLANT))
+    loop, inner = (Compensator(actuator, (10, 130), 3e4, period=period, state=start) for actuator in (CREEPING, PLANT))
     gains = PART.gains.tolist()
     decay, rise = (table[0].tolist() for table in low_pass_tables(PART.time_constants, np.array([period])))
     at_once = 1.0
@@ -107,14 +107,14 @@ def test_a_loop_is_the_equation_to_the_bit():
     e, driven, sent, clamped = [0.0] * 3, inner.state.deformation, np.empty(samples), 0
     for t, u in enumerate(path.tolist()):
         goal = u
-        for g, d, r, one in zip(gains, decay, rise, e, strict=True):
-            goal += g * (d * one - r * driven)
+        for g, d, r, element in zip(gains, decay, rise, e, strict=True):
+            goal += g * (d * element - r * driven)
         goal /= at_once
         before = inner.clamps
         sent[t] = inner.step(goal)
         if inner.clamps != before:
             goal, clamped = inner.state.deformation, clamped + 1
-        e = [d * one + r * (goal - driven) for d, r, one in zip(decay, rise, e, strict=True)]
+        e = [d * element + r * (goal - driven) for d, r, element in zip(decay, rise, e, strict=True)]
         driven = goal
     np.testing.assert_array_equal(loop.run(path), sent)
     assert loop.state.displacement_creep.tolist() == e

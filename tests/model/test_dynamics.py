@@ -79,10 +79,10 @@ def test_against_runge_and_kutta(slip):
 
     z, path = np.array([start.deformation, 0.0]), [start.deformation]
     for t in time[:-1]:
-        one = rates(t, z)
-        two = rates(t + h / 2, z + h / 2 * one)
-        three = rates(t + h / 2, z + h / 2 * two)
-        z = z + h / 6 * (one + 2 * two + 2 * three + rates(t + h, z + h * three))
+        first = rates(t, z)
+        second = rates(t + h / 2, z + h / 2 * first)
+        third = rates(t + h / 2, z + h / 2 * second)
+        z = z + h / 6 * (first + 2 * second + 2 * third + rates(t + h, z + h * third))
         memory.commit(w_of(t + h, z[0]), 0)
         path.append(z[0])
     got = actuator.simulate(voltage(time), time=time, load=load(time), state=start).displacement
@@ -155,12 +155,12 @@ def test_the_stack_moves_a_mass_as_the_carts_do(motion, series):
     volts = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
     hertz = 1.0 / np.median(np.diff(time)) if time.size > 1 else 1.0
     moving = replace(actuator, dynamics=Dynamics(hertz, 0.3, series * actuator.spring.slopes.min()))
-    one, two = (
+    first, two = (
         moving.simulate(volts, time=time, state=state, stack=stack, extrapolate=True) for stack in (True, False)
     )
-    scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(one.displacement, state.deformation)))
-    assert np.abs(one.displacement - two.displacement).max(initial=0) <= 30 * scale
-    assert np.abs(one.state.carts - two.state.carts).max(initial=0) <= 30 * scale
+    scale = 1e-12 * (our.span_of(actuator) + np.ptp(np.append(first.displacement, state.deformation)))
+    assert np.abs(first.displacement - two.displacement).max(initial=0) <= 30 * scale
+    assert np.abs(first.state.carts - two.state.carts).max(initial=0) <= 30 * scale
 
 
 def test_a_lag_is_a_low_pass_of_the_command():

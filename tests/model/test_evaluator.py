@@ -26,10 +26,10 @@ def scales(actuator, state, path):
     return EXACT * slopes * metres, EXACT * metres
 
 
-def same_state(one, two, metres):
-    plain_records.assert_close(one.deformation, two.deformation, metres)
-    plain_records.assert_close(one.carts, two.carts, metres)
-    plain_records.assert_close(one.displacement_creep, two.displacement_creep, metres)
+def same_state(first, second, metres):
+    plain_records.assert_close(first.deformation, second.deformation, metres)
+    plain_records.assert_close(first.carts, second.carts, metres)
+    plain_records.assert_close(first.displacement_creep, second.displacement_creep, metres)
 
 
 @pytest.mark.parametrize("stack", [True, False])

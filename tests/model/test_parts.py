@@ -73,7 +73,7 @@ def owner_of(part):
 
 def impossible(value, laws):
     """Values in the place of an entry that break its laws."""
-    bad = [one for law in laws for one in BROKEN.get(law, ())] + [*NEVER]
+    bad = [part for law in laws for part in BROKEN.get(law, ())] + [*NEVER]
     if not isinstance(value, np.ndarray):
         yield from (*bad, "1", [1.0], {}, True)
         return
@@ -140,7 +140,7 @@ def test_a_part_comes_back_from_a_file_and_no_other_object_is_one(part):
     field, actuator = FIELD.get(part, part), actuator_with(part)
     back = getattr(Actuator.from_dict(actuator.as_dict()), field)
     assert type(back) is type(PARTS[part]) and back.as_dict() == PARTS[part].as_dict()
-    for other in (3, "part", State(0.0, []), *(one for name, one in PARTS.items() if FIELD.get(name, name) != field)):
+    for other in (3, "part", State(0.0, []), *(part for name, part in PARTS.items() if FIELD.get(name, name) != field)):
         with pytest.raises(ModelError):
             replace(actuator, **{field: other})
     data = actuator.as_dict() | {field: None}

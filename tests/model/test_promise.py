@@ -70,9 +70,9 @@ def test_speeds_holds_and_voltages_beyond_the_records_are_named():
 def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
     time, voltage = motion(0, 100, 0, 50, 10)
     found = [promise(TOPS, voltage, time / times) for times in (1, 1.1, 2, 5, 10)]
-    assert np.all(np.diff([(one.largest, one.rms) for one in found], axis=0) > 0)
+    assert np.all(np.diff([(promise.largest, promise.rms) for promise in found], axis=0) > 0)
     assert found[1].largest < 1.1 * found[0].largest and found[-1].largest > 2 * found[0].largest
-    asked = [[one.command for one in each.untested if one.what == "speed"] for each in found]
+    asked = [[gap.command for gap in each.untested if gap.what == "speed"] for each in found]
     assert [len(commands) for commands in asked] == [0, 0, 1, 1, 1] and all(all(commands) for commands in asked)
 
 

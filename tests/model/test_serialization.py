@@ -135,8 +135,8 @@ def test_wider_parts_come_back_exactly(tmp_path):
     back = through_a_file(actuator, tmp_path / "a.json")
     for part in ("slip", "spring", "transformer", "smooth", "displacement_creep", "state"):
         for name in (field.name for field in fields(getattr(actuator, part))):
-            one, two = (np.asarray(getattr(getattr(a, part), name)) for a in (actuator, back))
-            assert (one.dtype, one.shape, one.tobytes()) == (two.dtype, two.shape, two.tobytes())
+            first, second = (np.asarray(getattr(getattr(a, part), name)) for a in (actuator, back))
+            assert (first.dtype, first.shape, first.tobytes()) == (second.dtype, second.shape, second.tobytes())
 
 
 def objects(data, place=()):

@@ -93,7 +93,7 @@ def test_a_file_is_on_the_disk_before_it_has_its_name_and_the_name_before_the_en
         sync(descriptor)
 
     monkeypatch.setattr(os, "fsync", settle)
-    monkeypatch.setattr(Path, "replace", lambda one, other: done.append("rename") or replace(one, other))
+    monkeypatch.setattr(Path, "replace", lambda source, other: done.append("rename") or replace(source, other))
     write_atomically(tmp_path / "a.txt", "new")
     assert done == ["file", "rename", "folder"][: 3 if sys.platform != "win32" else 2]
 

@@ -64,7 +64,7 @@ def mathematics(compiled, x):
     """Return decay(x) and log1p(min(x, 1)) of the core, compiled apart."""
     (compiled.folder / "mathematics.c").write_text(MATHEMATICS)
     compiled.compile("-O2", "mathematics.c", *plain_records.CORE_SOURCES, "-o", "mathematics")
-    command, text = [str(compiled.folder / "mathematics")], "\n".join(float(one).hex() for one in x)
+    command, text = [str(compiled.folder / "mathematics")], "\n".join(float(number).hex() for number in x)
     done = subprocess.run(command, input=text, capture_output=True, text=True, check=True, timeout=60)
     return np.array([[float.fromhex(word) for word in line.split()] for line in done.stdout.splitlines()]).T
 
@@ -78,9 +78,9 @@ def test_its_exponential_and_logarithm(compiled, single, ulps):
     ties = (np.arange(60)[:, None] + 0.5) * math.log(2) * (1 + 1e-15 * np.arange(-4, 5))
     x = np.concatenate([x, ties.ravel().astype(kind), 0.4142 + 1e-6 * np.arange(-5, 6), [0.0, 1.0]]).astype(kind)
     decay, logarithm = mathematics(compiled.use_float() if single else compiled, x)
-    expected = np.array([-math.expm1(-float(one)) for one in x])
+    expected = np.array([-math.expm1(-float(number)) for number in x])
     assert np.all(np.abs(decay - expected) <= ulps * np.spacing(expected.astype(kind)))
-    expected = np.array([math.log1p(min(float(one), 1.0)) for one in x])
+    expected = np.array([math.log1p(min(float(number), 1.0)) for number in x])
     assert np.all(np.abs(logarithm - expected) <= ulps * np.spacing(expected.astype(kind)))
 
 
@@ -193,8 +193,8 @@ def test_beside_every_other_part(graded, seed):
     plain_records.assert_close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
     bare, none = replace(actuator, smooth=None, transformer=None, state=None), MaxwellSlip([], [])
     held = [
-        one.compensate(path, time=time, state=replace(actuator.state, carts=carts, smooth=smooth)).voltage
-        for one, carts, smooth in (
+        plant.compensate(path, time=time, state=replace(actuator.state, carts=carts, smooth=smooth)).voltage
+        for plant, carts, smooth in (
             (bare, actuator.state.carts, []),
             (replace(bare, slip=none, smooth=SMOOTH, state=None), [], actuator.state.smooth),
             (replace(bare, slip=none, state=None), [], []),

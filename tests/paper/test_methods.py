@@ -166,8 +166,8 @@ def test_without_a_closed_loop_there_are_no_break_points():
 def test_noisy_branches_are_averaged_over_cycles():
     clean = plain_records.loops(PLANT, plain_records.MAJOR * 10, samples=200)
     noisy = plain_records.loops(PLANT, plain_records.MAJOR * 10, samples=200, noise=5e-9)
-    one, other = loops_of([clean], N)[0], loops_of([noisy], N)[0]
+    first, other = loops_of([clean], N)[0], loops_of([noisy], N)[0]
     # 5 nm is 0.06 V at the mean slope; read through both envelopes and averaged over 15 branches it must shrink.
     inner = slice(1, -1)
-    assert np.abs(one.descending[inner, 1] - other.descending[inner, 1]).max() < 0.06
-    assert np.abs(one.ascending[inner, 1] - other.ascending[inner, 1]).max() < 0.06
+    assert np.abs(first.descending[inner, 1] - other.descending[inner, 1]).max() < 0.06
+    assert np.abs(first.ascending[inner, 1] - other.ascending[inner, 1]).max() < 0.06

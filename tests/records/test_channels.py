@@ -20,7 +20,7 @@ RECORD = Record(T, V, Y, "r", others=OTHERS)
 
 
 def shown(record):
-    return {one.column: (one.name, one.unit, one.role) for one in record.others}
+    return {channel.column: (channel.name, channel.unit, channel.role) for channel in record.others}
 
 
 ALL = {
@@ -33,16 +33,16 @@ ALL = {
 def assert_all(record):
     """A record holds all three, to the last bit."""
     assert shown(record) == ALL
-    for one, values in zip(record.others, OTHERS.values(), strict=True):
-        assert np.array_equal(one.values, values)
-        assert not one.values.flags.writeable
+    for channel, values in zip(record.others, OTHERS.values(), strict=True):
+        assert np.array_equal(channel.values, values)
+        assert not channel.values.flags.writeable
 
 
 def test_arrays_and_operations_keep_them():
     several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
     for record in (RECORD, Record.from_arrays(T, V, Y * 1e6, units="um", others=OTHERS), several, several.axis("y")):
         assert_all(record)
-    assert [one.role for one in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
+    assert [channel.role for channel in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
     assert repr(RECORD).endswith("um, temperature, load, humidity>")
     assert repr(several).endswith("axes x, y, temperature, load, humidity>")
     assert "20 to 21.19 degC" in RECORD._repr_html_()
@@ -71,11 +71,11 @@ def test_arrays_and_operations_keep_them():
     ],
 )
 def test_units_are_those_of_the_quantity(column, values, name, expected):
-    (one,) = Record(T, V, Y, others={column: values}).others
-    assert one.name == name
-    assert one.values == pytest.approx(expected, rel=1e-12)
-    assert one.unit == {"temperature": "degC", "load": "N"}.get(one.role, one.unit)
-    assert one.role != "other" or one.column == column
+    (channel,) = Record(T, V, Y, others={column: values}).others
+    assert channel.name == name
+    assert channel.values == pytest.approx(expected, rel=1e-12)
+    assert channel.unit == {"temperature": "degC", "load": "N"}.get(channel.role, channel.unit)
+    assert channel.role != "other" or channel.column == column
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_temperatures_and_loads_are_found_in_files_of_others(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"
     write_columns(path, columns) if suffix == ".csv" else np.savez(path, **columns)
     record = read(path)
-    assert {one.role for one in record.others} == {"temperature", "load"}
+    assert {channel.role for channel in record.others} == {"temperature", "load"}
     assert record.temperature == pytest.approx(TEMPERATURE)
 
 
@@ -163,9 +163,9 @@ def test_a_second_file_may_have_them(tmp_path):
     write_columns(tmp_path / "a.csv", FILE)
     slow = np.linspace(-1, 3, 20)
     write_columns(tmp_path / "b.csv", {"time_s": slow, "temperature_C": 20 + slow})
-    (one,) = read(tmp_path / "a.csv", f"join={tmp_path / 'b.csv'}").others
-    assert (one.name, one.role) == ("temperature", "temperature")
-    assert one.values == pytest.approx(TEMPERATURE)
+    (channel,) = read(tmp_path / "a.csv", f"join={tmp_path / 'b.csv'}").others
+    assert (channel.name, channel.role) == ("temperature", "temperature")
+    assert channel.values == pytest.approx(TEMPERATURE)
 
 
 # Recordings

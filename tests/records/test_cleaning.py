@@ -215,7 +215,7 @@ def test_measured_records_lose_nothing_but_a_glitch_that_was_put_in(name):
     record = dehyst.read(DATA / f"{name}.csv")
     assert prepare(record).samples == len(record)
     assert not any("glitch" in said for said in prepare(record).sentences)
-    clean, fit = (fitted(one) for one in (record, with_voltage(record, [5, 1100, 4000], 9.0)))
+    clean, fit = (fitted(measured) for measured in (record, with_voltage(record, [5, 1100, 4000], 9.0)))
     assert not any("Only" in said for said in clean.remarks)
     assert fit.actuator.limits == clean.actuator.limits
     assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.01)

@@ -132,7 +132,7 @@ def test_a_text_that_is_none_is_refused(text, tmp_path, monkeypatch):
 )
 def test_what_is_printed_is_read(columns, tmp_path):
     assert Columns.parse(str(columns)) == columns
-    assert set(columns.entries()) <= {one.name for one in fields(columns)} | {"x", "y"}
+    assert set(columns.entries()) <= {part.name for part in fields(columns)} | {"x", "y"}
     if columns.entries():
         columns.save(tmp_path / "columns.txt")
         assert Columns.parse(f"@{tmp_path / 'columns.txt'}") == columns
@@ -209,7 +209,7 @@ def test_columns_of_axes(text, tmp_path):
     assert record.voltage == pytest.approx(np.c_[V, factor * V], abs=1e-6)
     assert record.displacement == pytest.approx(np.c_[Y, factor * Y], abs=1e-12)
     # What the record keeps is read again, as from a model file.
-    assert dict(one.partition("=")[::2] for one in record.meta["axes"]) == Columns.parse(text).axes
+    assert dict(pair.partition("=")[::2] for pair in record.meta["axes"]) == Columns.parse(text).axes
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_a_record_file_keeps_both(tmp_path, record, suffix):
     unit = "um" if suffix == ".csv" else "m"
     again = dehyst.read(path, f"x=vx_V:x_{unit}, y=vy_V:y_{unit}" if record.axes else None)
     same(again, record)
-    assert [one.name for one in again.others] == [one.name for one in record.others]
+    assert [channel.name for channel in again.others] == [channel.name for channel in record.others]
 
 
 def test_a_held_voltage_is_said_and_a_line_is_not():
@@ -292,7 +292,7 @@ def test_a_file_of_a_periodic_signal_is_a_record_of_events(tmp_path, kind, perio
     record = dehyst.read(path, columns)
     error = record.displacement[record.measured] / period - y[record.measured]
     assert np.abs(error - np.median(error)).max() < 0.2
-    assert [(one.name, one.unit) for one in record.others] == [("signal", "V")]
+    assert [(channel.name, channel.unit) for channel in record.others] == [("signal", "V")]
     assert len(record) == t.size
     *_, chart = record_in_time(record)
     assert (chart.y.quantity, len(chart.series[-1].x)) == ("signal", np.count_nonzero(record.measured))

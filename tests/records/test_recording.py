@@ -52,7 +52,7 @@ def test_a_recording_can_be_read_at_any_time(tmp_path):
     assert_recorded(path, 11)
     assert about_of(path) == {"rig": "E-709", "axis": 1}
     assert path.read_text().splitlines()[1] == "time_s,voltage_V,displacement_um"
-    assert [one.name for one in tmp_path.iterdir()] == ["tops.csv"]
+    assert [path.name for path in tmp_path.iterdir()] == ["tops.csv"]
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_a_column_that_charts_share_is_stored_once():
     data.add(chart(Series("one", x, y, "measured"), Series("two", x, -y, "simulated")))
     data.add(chart(Series("three", x.copy(), y, "measured")))
     assert len(list(columns(data))) == 3
-    assert [[one["x"], one["y"]] for one in json.loads(data.json())["charts"][1]["series"]] == [[0, 1]]
+    assert [[series["x"], series["y"]] for series in json.loads(data.json())["charts"][1]["series"]] == [[0, 1]]
 
 
 def test_names_cannot_end_the_data():

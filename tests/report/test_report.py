@@ -146,8 +146,8 @@ def test_the_same_fit_gives_the_same_text_without_matplotlib(monkeypatch, fit, t
 @pytest.mark.parametrize("size", [0, 1, 2, 50])
 def test_small_fits(elements, size):
     model = actuator(elements=elements)
-    one = trace(model, samples=600)
-    short = Trace("x", "training", *(z[:size] for z in (one.time, one.voltage, one.measured, one.simulated)))
+    whole = trace(model, samples=600)
+    short = Trace("x", "training", *(z[:size] for z in (whole.time, whole.voltage, whole.measured, whole.simulated)))
     fit = Fit(model, Outcome.UNDETERMINED, traces=(short,))
     page = Page(pages.render(fit))
     assert len(charts(page)) == MODEL + (4 if size > 1 else 0) + (TURNS if size > 2 else 0)

@@ -21,8 +21,8 @@ def played(time, voltage, seed=0, coupling=COUPLING, noise=3e-9):
     """Return a record of two axes after one cycle of both."""
     rise = np.sin(np.linspace(0, np.pi, 200)[:, None]) ** 2 * np.array(HIGHEST)
     both, moved = np.vstack([rise, voltage]), []
-    for j, one in enumerate(actuators()):
-        moved.append(one.play(both[:, j], measured=False)[len(rise) :])
+    for j, actuator in enumerate(actuators()):
+        moved.append(actuator.play(both[:, j], measured=False)[len(rise) :])
     y = np.column_stack(moved) @ coupling.T
     return Record(time, voltage, y + np.random.default_rng(seed).normal(0, noise, y.shape))
 

@@ -40,7 +40,7 @@ def virtual_stage(**options):
 def served(*faults, speed=20.0, stage=None, **options):
     """A server of three axes, and the bench behind it."""
     kinds = [Fault.parse(text) for text in faults]
-    limits = [actual_limits(one, kinds) for one in LIMITS]
+    limits = [actual_limits(limits, kinds) for limits in LIMITS]
     bench = VirtualBench(stage or virtual_stage(), speed=speed, limits=limits, **options)
     controller = Controller(bench, reported_limits=LIMITS)
     with Server(controller, port=0, rehearsal=Rehearsal(kinds)) as server:

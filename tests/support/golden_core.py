@@ -27,7 +27,7 @@ def _numbers(name, values):
 def numbers(name, header):
     """Return an array of numbers of a header's text."""
     found = re.search(rf"{name}\[\d+\] = {{(.*?)}};", header, re.DOTALL)[1]
-    return [float.fromhex(one) for one in found.replace(",", " ").split()]
+    return [float.fromhex(word) for word in found.replace(",", " ").split()]
 
 
 def text():

@@ -69,7 +69,7 @@ class ModelContract:
     def test_is_an_abstract_model_that_cannot_be_changed(self, model):
         assert isinstance(model, AbstractModel)
         assert is_dataclass(model)
-        for name in [*(one.name for one in fields(model)), "anything"]:
+        for name in [*(part.name for part in fields(model)), "anything"]:
             with pytest.raises(AttributeError):
                 setattr(model, name, 1.0)
 

@@ -37,40 +37,40 @@ def seen(record, displacement, noise=0.0, seed=1, **changes):
 
 def delayed(samples, noise=0.0):
     """The displacement so many samples late."""
-    one = still()
-    return seen(one, np.interp(one.time - samples * STEP, one.time, one.displacement), noise)
+    record = still()
+    return seen(record, np.interp(record.time - samples * STEP, record.time, record.displacement), noise)
 
 
 def drifting(rate, noise=0.0):
     """The displacement with a drift [parts of the stroke a unit of the drift curve]."""
-    one = still()
-    return seen(one, one.displacement + rate * STROKE * prepare(one).drift_curve(one), noise)
+    record = still()
+    return seen(record, record.displacement + rate * STROKE * prepare(record).drift_curve(record), noise)
 
 
 def creeping(begun=(0.0, 0.0, 0.0), noise=0.0):
     """The displacement with creep whose strains [m] at the first sample are `begun`."""
-    one = still(hold=20)
-    return seen(one, CREEP.added(one.time, one.displacement, np.array(begun))[0], noise)
+    record = still(hold=20)
+    return seen(record, CREEP.added(record.time, record.displacement, np.array(begun))[0], noise)
 
 
 def swinging(noise=0.0, dynamics=DYNAMICS):
     """The displacement behind a resonance."""
-    moved, one = replace(plant().actuator, dynamics=dynamics), still()
-    first = float(one.displacement[0])
+    moved, record = replace(plant().actuator, dynamics=dynamics), still()
+    first = float(record.displacement[0])
     state = replace(turned(moved, first), motion=[first, 0.0])
-    played = moved.simulate(one.voltage, time=one.time, state=state, extrapolate=True)
-    return seen(one, played.displacement, noise)
+    played = moved.simulate(record.voltage, time=record.time, state=state, extrapolate=True)
+    return seen(record, played.displacement, noise)
 
 
 def warmed(first, last, noise=0.0, seed=1):
     """The displacement while the temperature goes from `first` to `last` [degC]."""
-    one = still()
-    temperature = np.linspace(first, last, len(one))
-    y = THERMAL.warmed(one.displacement, temperature)
-    return seen(one, y, noise, seed, others={"temperature_C": temperature}, name=f"{first:g}")
+    record = still()
+    temperature = np.linspace(first, last, len(record))
+    y = THERMAL.warmed(record.displacement, temperature)
+    return seen(record, y, noise, seed, others={"temperature_C": temperature}, name=f"{first:g}")
 
 
 def shifted(datum):
     """Two records of which the second has another zero."""
-    one = still()
-    return [one, Record(one.time, one.voltage, one.displacement - datum, "shifted")[400:]]
+    record = still()
+    return [record, Record(record.time, record.voltage, record.displacement - datum, "shifted")[400:]]

@@ -61,15 +61,15 @@ def reading(**changed):
 
 FAULTS = {
     "StuckReadback": {"_read": reading(voltage=0.0)},
-    "WrongFactorInWaves": {"_wave": in_wave(lambda one: {"displacement": 1e3 * one.displacement})},
+    "WrongFactorInWaves": {"_wave": in_wave(lambda record: {"displacement": 1e3 * record.displacement})},
     "WrongFactorInReadings": {"_read": reading(displacement=lambda rig: 1.1e-7 * rig.instrument.voltage)},
-    "ZeroBeside": {"_wave": in_wave(lambda one: {"displacement": one.displacement + 3e-7})},
+    "ZeroBeside": {"_wave": in_wave(lambda record: {"displacement": record.displacement + 3e-7})},
     "Lying": {"_put": Fault.lie, "_read": reading(voltage=lambda rig: getattr(rig, "asked", 0.0))},
-    "Late": {"_wave": in_wave(lambda one: {"displacement": np.roll(one.displacement, 1)})},
+    "Late": {"_wave": in_wave(lambda record: {"displacement": np.roll(record.displacement, 1)})},
     "ClockStands": {"_read": reading(time=0.0)},
     "ClockFast": {
         "_read": reading(time=lambda rig: 2 * rig.instrument.now),
-        "_wave": in_wave(lambda one: {"time": 2 * one.time}),
+        "_wave": in_wave(lambda record: {"time": 2 * record.time}),
     },
     "Silent": {"_wave": Fault.end_early},
     "WiderLimits": {"__init__": Fault.boast},

@@ -26,12 +26,12 @@ def of_class(name, kind, public):
         yield f"{name}: {' '.join(kind.__members__)}"
         return
     if issubclass(kind, Exception):
-        yield f"{name}({', '.join(one.__name__ for one in kind.__bases__)})"
+        yield f"{name}({', '.join(base.__name__ for base in kind.__bases__)})"
         return
     yield f"{name}{signature(kind)}"
     for member in sorted(dir(kind)):
         value = inspect.getattr_static(kind, member)
-        owner = next(one for one in kind.__mro__ if member in vars(one))
+        owner = next(base for base in kind.__mro__ if member in vars(base))
         of_others = owner is not kind and (owner in public or not owner.__module__.startswith("dehyst"))
         if member.startswith(("_", "test_")) or of_others:
             continue
@@ -62,8 +62,8 @@ def of_commands():
 
     for name, command in commands():
         words = [
-            "|".join((*one.opts, *one.secondary_opts)) if one.param_type_name == "option" else one.name.upper()
-            for one in command.params
+            "|".join((*own.opts, *own.secondary_opts)) if own.param_type_name == "option" else own.name.upper()
+            for own in command.params
         ]
         yield f"$ dehyst {name} {' '.join(words)}"
 

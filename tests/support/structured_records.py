@@ -146,9 +146,9 @@ STRUCTURES = {
 
 def frame(records, **motion):
     """What an identification of these records begins with; `motion`: numbers of what moves that are known."""
-    training = [prepare(one) for one in records]
+    training = [prepare(record) for record in records]
     spans = [float(np.ptp(item.span())) for item in training]
-    volts = np.array([one.voltage_range for one in records])
+    volts = np.array([record.voltage_range for record in records])
     ends, widest = (float(volts[:, 0].min()), float(volts[:, 1].max())), int(np.argmax(spans))
     moved = replace(Motion.none(len(records)), **motion)
     return Frame(training, moved, ends, widest, spans[widest])

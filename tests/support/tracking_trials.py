@@ -65,8 +65,8 @@ def tracked(actuator, truth, learnt, step, period, seed=3):
     """
     from scipy.interpolate import CubicSpline
 
-    lowest = min(float(one.displacement[len(one) // 4 :].min()) for one in learnt)
-    stroke = max(float(one.displacement.max()) for one in learnt) - lowest
+    lowest = min(float(record.displacement[len(record) // 4 :].min()) for record in learnt)
+    stroke = max(float(record.displacement.max()) for record in learnt) - lowest
     samples, slow = round(period / step / 2), 4 if actuator.dynamics else 1
     truth.relax()
     homing = cosine([0, VOLTS, 0, VOLTS, VOLTS / 2], slow * samples)

@@ -91,7 +91,7 @@ def until(client, condition):
 
 def entry(state, kind, key):
     """Return an entry of a state."""
-    return next(one for one in state[kind] if one["id"] == key)
+    return next(entry for entry in state[kind] if entry["id"] == key)
 
 
 def upload(client, path, name=None):

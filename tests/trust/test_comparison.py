@@ -104,7 +104,7 @@ def test_the_lead_tells_any_other_model_a_constant(records):
         "line": lambda _: Linear(plain_records.STROKE / plain_records.VOLTS),
     }
     silent, found = (judged(records[0], Played(prepare(records[1]), lead=lead), chosen) for lead in (0, 6.0))
-    before, after = (one[0].worst("validation") for one in (silent, found))
+    before, after = (result[0].worst("validation") for result in (silent, found))
     assert before.largest_without == pytest.approx(25)
     assert after.largest_without == pytest.approx(0, abs=1e-6)
     line = found[1].worst("validation")
@@ -221,10 +221,10 @@ def test_the_last_quarter_is_held_out_by_itself(records):
 
     found = compare([records[0], short], models={"truth": fit, "line": Linear.fit})
     cut = records[0].time[0] + 0.75 * np.ptp(records[0].time)
-    assert [one.time[-1] <= cut for one in seen] == [True, True]
+    assert [record.time[-1] <= cut for record in seen] == [True, True]
     assert len(seen[1]) == len(short)
     assert (found.records, found.held_out, found.apart) == (("tops", "short"), ("tops",), True)
-    (score,) = (one for one in found.rows[0].scores if one.role == "validation")
+    (score,) = (score for score in found.rows[0].scores if score.role == "validation")
     assert score.samples == np.count_nonzero(records[0].time >= cut)
     assert score.largest_without < 1e-6
 

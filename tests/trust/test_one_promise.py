@@ -96,8 +96,8 @@ def test_commands_promise_the_same_of_coupled_axes(tmp_path):
     write_record(tmp_path / "r.csv", coupled_stage.excited()[0])
     found = answer("identify", "r.csv", "--columns", "x=vx_V:x_um, y=vy_V:y_um", "-o", "m.json", cwd=tmp_path)
     seen = answer("insight", "m.json", "r.csv", cwd=tmp_path)["insights"]
-    for axis, one in seen.items():
-        assert one["promise"] == found["fits"][axis]["verdict"]["promise"]
+    for axis, own in seen.items():
+        assert own["promise"] == found["fits"][axis]["verdict"]["promise"]
 
 
 def test_a_model_that_is_not_usable_is_remarked_and_not_good(tmp_path):
@@ -137,7 +137,7 @@ def test_a_command_that_was_played_is_not_asked_for_again(tmp_path):
     # A path that holds longer asks for such a hold, until it is recorded.
     clock = np.array([0.0, 10.0, 20.0, 1e3])
     longer = promised(model, [0.0, 90.0, 40.0, 40.0], clock).untested
-    assert [one.what for one in longer][-1] == "hold"
+    assert [gap.what for gap in longer][-1] == "hold"
     assert run(*shlex.split(longer[-1].command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
 
 
@@ -153,9 +153,9 @@ def test_whatever_is_not_tested_has_a_command_that_tests_it(seed, tmp_path):
     played, errors = set(), {"rms": 1e-8, "largest": 2e-8, "disagreement": 1e-8, "stroke": 1e-5}
     for _ in range(3):
         asked = promise(Validity.by_records(records, new=(0.1, 0.1), **errors), path, when).untested
-        assert all(one.command for one in asked)
-        assert played.isdisjoint(one.command for one in asked)
-        for command in dict.fromkeys(one.command for one in asked):
+        assert all(gap.command for gap in asked)
+        assert played.isdisjoint(gap.command for gap in asked)
+        for command in dict.fromkeys(gap.command for gap in asked):
             assert run(*shlex.split(command)[1:], "--force", cwd=tmp_path)[0] == 0
             table = read_table(tmp_path / "excitation.csv")
             records.append((table.column("time"), table.column("voltage")))

@@ -76,7 +76,7 @@ def test_one_loop_is_enough_for_gain_and_width(old):
 def test_friction_or_a_gain_changes_all_thresholds(old, friction, gain):
     stage = replace(TRUE, slip=replace(TRUE.slip, breakaway=friction * TRUE.slip.breakaway), state=None)
     records = driven(stage, ONE_LOOP, seed=1), driven(stage, TEST, seed=2)
-    record, test = (replace(one, displacement=gain * one.displacement) for one in records)
+    record, test = (replace(record, displacement=gain * record.displacement) for record in records)
     made = dehyst.update(old, record)
     np.testing.assert_allclose(made.actuator.slip.breakaway / old.slip.breakaway, friction * gain, rtol=0.05)
     assert np.all(error(made.actuator, test) < [0.006, 0.0025])
@@ -147,7 +147,7 @@ def test_another_actuator_is_refused(old):
 
 def test_parts_behind_the_elements_stay_as_they_are(old):
     creep, thermal = DisplacementCreep([0.5, 5.0], [0.02, 0.02]), dehyst.Thermal(2e-3, 0.0, 20.0)
-    model, stage = (replace(one, displacement_creep=creep, thermal=thermal) for one in (old, aged(-0.07, 0.25)))
+    model, stage = (replace(own, displacement_creep=creep, thermal=thermal) for own in (old, aged(-0.07, 0.25)))
     made = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
     degrees = np.full(len(made), 30.0)
     measured = stage.simulate(

@@ -33,10 +33,10 @@ def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
 
 
 def test_noise_is_seeded_and_of_the_stated_size():
-    one, two = PlayActuator(seed=3), PlayActuator(seed=3)
+    seeded, second = PlayActuator(seed=3), PlayActuator(seed=3)
     voltage = standard.raised_cosine(150.0, cycles=2).voltage
-    first = one.play(voltage)
-    np.testing.assert_array_equal(first, two.play(voltage))
+    first = seeded.play(voltage)
+    np.testing.assert_array_equal(first, second.play(voltage))
     clean = PlayActuator(noise=0).play(voltage)
     assert np.std(first - clean) == pytest.approx(2e-9, rel=0.1)
 
@@ -108,9 +108,9 @@ def test_wiping_out(kind, seed):
     within = rng.uniform(low, high, 9)
     after = rng.uniform(0, 200, 15)
     start = [250.0, low, high]
-    one = kind().play([*start, *within, low, high, *after], measured=False)[-15:]
+    reached = kind().play([*start, *within, low, high, *after], measured=False)[-15:]
     other = kind().play([*start, *after], measured=False)[-15:]
-    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * 16e-6)
+    np.testing.assert_allclose(reached, other, rtol=0, atol=1e-12 * 16e-6)
 
 
 def test_relays_switched_one_by_one_on_a_grid_say_the_same():

@@ -25,13 +25,13 @@ def waves(samples=400):
 def test_without_coupling_each_axis_is_its_actuator_bit_for_bit():
     v = waves()
     y = VirtualStage(pair(), np.eye(2)).play(v, measured=False)
-    for j, one in enumerate(pair()):
-        np.testing.assert_array_equal(y[:, j], one.play(v[:, j], measured=False))
+    for j, actuator in enumerate(pair()):
+        np.testing.assert_array_equal(y[:, j], actuator.play(v[:, j], measured=False))
 
 
 def test_displacements_are_the_matrix_times_those_of_the_actuators():
     v = waves()
-    alone = np.column_stack([one.play(v[:, j], measured=False) for j, one in enumerate(pair())])
+    alone = np.column_stack([actuator.play(v[:, j], measured=False) for j, actuator in enumerate(pair())])
     y = VirtualStage(pair(), COUPLING).play(v, measured=False)
     np.testing.assert_allclose(y, alone @ COUPLING.T, rtol=0, atol=1e-18)
 
@@ -62,9 +62,9 @@ def test_a_voltage_of_other_axes_is_refused():
 
 
 def test_equal_stages_have_equal_serial_numbers():
-    one, same = VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING, noise=0, seed=3)
-    assert one.serial == same.serial
-    assert one.serial != VirtualStage(pair(), np.eye(2)).serial
+    stage, same = VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING, noise=0, seed=3)
+    assert stage.serial == same.serial
+    assert stage.serial != VirtualStage(pair(), np.eye(2)).serial
 
 
 def bench(hand, **options):
@@ -87,7 +87,7 @@ def test_a_recorded_wave_is_what_the_stage_does_with_its_voltages(pause):
         # The sums of an actuator's own relays depend on the number of samples in their last digits.
         np.testing.assert_allclose(displacement, expected[:, j], rtol=1e-14, atol=1e-19)
     # What is read afterwards is the last sample.
-    assert [one.displacement() for one in stage.axes] == [stage.samples(axis=j)[2][-1] for j in range(2)]
+    assert [axis.displacement() for axis in stage.axes] == [stage.samples(axis=j)[2][-1] for j in range(2)]
 
 
 def test_an_axis_that_stands_is_recorded_too():
@@ -108,7 +108,7 @@ def test_of_waves_one_of_which_is_refused_none_is_played():
     with pytest.raises(DeviceError, match="start: got"):
         stage.start({0: v[:, 0], 1: v[:, 1]})
     assert not stage.playing
-    assert [one.log.highest for one in stage.axes] == [0.0, 0.0]
+    assert [axis.log.highest for axis in stage.axes] == [0.0, 0.0]
     assert stage.axes[1].log.refused == 1
 
 

@@ -104,18 +104,18 @@ def record(table=COLUMNS, **about):
     ],
 )
 def test_a_form_that_is_sent_as_it_is_means_the_columns_it_was_made_from(text):
-    one = record(columns=text)
-    assert columns_of(one, form_of(one)["values"]) == text
+    entry = record(columns=text)
+    assert columns_of(entry, form_of(entry)["values"]) == text
 
 
 def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
-    one = record(status="refused", hint="voltage=U:V?, displacement=3:um")
-    form = form_of(one)
+    entry = record(status="refused", hint="voltage=U:V?, displacement=3:um")
+    form = form_of(entry)
     assert form["marked"] == ["voltage_1", "displacement_1"] and form["help"]
-    assert columns_of(one, form["values"]) == "voltage=U:V?, displacement=3:um"
-    assert columns_of(one, {**form["values"], "voltage_1_unit": "mV"}).startswith("voltage=U:mV,")
-    one = record(status="refused", hint="time=1:s, displacement=3:um?*GAIN um/V")
-    form = form_of(one)
+    assert columns_of(entry, form["values"]) == "voltage=U:V?, displacement=3:um"
+    assert columns_of(entry, {**form["values"], "voltage_1_unit": "mV"}).startswith("voltage=U:mV,")
+    entry = record(status="refused", hint="time=1:s, displacement=3:um?*GAIN um/V")
+    form = form_of(entry)
     assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
     assert form["values"]["displacement_scale"] == "GAIN um/V" and "displacement_scale" in form["marked"]
 
@@ -139,17 +139,17 @@ def test_verified_columns_are_no_guesses(columns, known):
 
 
 def test_columns_of_coupled_axes_are_paired_by_their_units():
-    one = record(PAIRS, status="refused")
-    form = form_of(one)
+    entry = record(PAIRS, status="refused")
+    form = form_of(entry)
     assert form["values"]["axes"] == "2" and "pairs" in form["help"]
-    text = columns_of(one, form["values"])
+    text = columns_of(entry, form["values"])
     assert text == "time=t, s=U:3, y=V2:y_um"
     again = form_of(record(PAIRS, columns=text))
     assert {name: again["values"][name] for name in form["pairs"]} == form["pairs"]
     with pytest.raises(RequestError, match="all their columns"):
-        columns_of(one, {**form["values"], "voltage_2": ""})
+        columns_of(entry, {**form["values"], "voltage_2": ""})
     with pytest.raises(RequestError, match="letters and digits"):
-        columns_of(one, {**form["values"], "name_2": "1 x"})
+        columns_of(entry, {**form["values"], "name_2": "1 x"})
 
 
 def test_a_form_that_contradicts_itself_is_refused():

@@ -170,8 +170,8 @@ def test_twice_the_same_header_is_refused(bench, client):
     for name, value in (("Origin", "http://evil.example"), ("Host", "evil.example")):
         connection = http.client.HTTPConnection("127.0.0.1", bench.port)
         connection.putrequest("GET", "/api/state", skip_host=True)
-        for one, words in (("Host", f"127.0.0.1:{bench.port}"), ("Cookie", cookie(client)), (name, value)):
-            connection.putheader(one, words)
+        for header, words in (("Host", f"127.0.0.1:{bench.port}"), ("Cookie", cookie(client)), (name, value)):
+            connection.putheader(header, words)
         connection.endheaders()
         assert connection.getresponse().status in (400, 403)
         connection.close()
@@ -257,7 +257,7 @@ def test_an_uploads_name_stays_in_the_folder(bench, client, name):
     answer = client.put("/api/records", params={"name": name}, content=b"time_s,voltage_V,displacement_um\n0,1,2\n")
     assert answer.status_code == 200, answer.text
     assert {path.name for path in bench.folder.parent.iterdir()} == before
-    source = next(one for one in client.get("/api/state").json()["records"] if one["id"] == answer.json()["id"])
+    source = next(own for own in client.get("/api/state").json()["records"] if own["id"] == answer.json()["id"])
     assert (bench.folder / source["source"]).resolve().parent == (bench.folder / "uploads").resolve()
 
 
@@ -299,13 +299,13 @@ def test_an_empty_or_malformed_upload_is_refused_with_a_sentence(bench, client):
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
         records = client.get("/api/state").json()["records"]
-        if all(one["status"] != "reading" for one in records):
+        if all(record["status"] != "reading" for record in records):
             break
         time.sleep(0.1)
-    refused = [one for one in records if one["name"].isdigit()]
+    refused = [record for record in records if record["name"].isdigit()]
     assert len(refused) == 24
-    assert {one["status"] for one in refused} == {"refused"}
-    assert all(len(one["error"]) > 10 and "Traceback" not in one["error"] for one in refused)
+    assert {record["status"] for record in refused} == {"refused"}
+    assert all(len(record["error"]) > 10 and "Traceback" not in record["error"] for record in refused)
 
 
 @pytest.mark.parametrize(

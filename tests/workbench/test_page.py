@@ -122,7 +122,7 @@ def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
     owner.page.get_by_label("A scan").check()
     owner.sees("The path can be followed", within="#path")
     planned = owner.page.locator("#plan-words").inner_text()
-    low, high = (float(one) for one in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
+    low, high = (float(number) for number in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
     owner.write_voltage()
     file = max((bench_with_model.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
     table = {column.name: column.data for column in read_table(file).columns}
@@ -176,7 +176,7 @@ def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp
     person.sees("stage, y", within="#records .legend")
     person.identify(structure="maxwell_slip")
     rows = person.page.get_by_role("table", name="Verdict of each axis").locator("tbody tr")
-    assert [one[0] for one in rows.all_inner_texts()] == ["x", "y"]
+    assert [text[0] for text in rows.all_inner_texts()] == ["x", "y"]
     person.sees(r"Coupling: y moves x by 4 %, x moves y by .3 %", within="#model")
     person.step("Path")
     person.sees("Choose a file first", within="#path")

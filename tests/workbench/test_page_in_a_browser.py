@@ -257,7 +257,7 @@ def test_axe_finds_nothing(journey, scheme):
     for step in STEPS:
         page.click(f"#step-{step}")
         found = axe.run(page, options={"runOnly": TAGS}).response["violations"]
-        assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in found] == [], step
+        assert [(finding["id"], [node["html"] for node in finding["nodes"]]) for finding in found] == [], step
 
 
 def test_a_phone_has_room_for_all_steps(journey):
@@ -268,8 +268,8 @@ def test_a_phone_has_room_for_all_steps(journey):
         sync_api.expect(page.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
     wide = "tabs => tabs.map(tab => [...tab.children].map(one => one.scrollWidth - one.clientWidth)).flat()"
     assert max(page.locator("#steps button").evaluate_all(wide)) <= 0
-    boxes = [one.bounding_box() for one in page.locator("#steps .title").all()]
-    assert all(one["x"] + one["width"] <= after["x"] for one, after in pairwise(boxes))
+    boxes = [title.bounding_box() for title in page.locator("#steps .title").all()]
+    assert all(box["x"] + box["width"] <= after["x"] for box, after in pairwise(boxes))
     page.click("#step-records")
     sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
     sync_api.expect(page.locator("#identify")).to_be_visible()

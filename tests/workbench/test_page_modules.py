@@ -85,7 +85,7 @@ def test_a_long_path_inks_the_pixels_that_it_passes(run, samples, noise):
     ink[run(INK, x=x, y=y)] = True
     px, py = 4 * x.astype("<f4").astype(float), -12.5 * (y.astype("<f4").astype(float) - 12)
     share = np.linspace(0, 1, 200 if noise > 0.1 else 20)
-    u, v = (np.floor(one[:-1, None] + share * np.diff(one)[:, None]).astype(int).ravel() for one in (px, py))
+    u, v = (np.floor(column[:-1, None] + share * np.diff(column)[:, None]).astype(int).ravel() for column in (px, py))
     inside = (u >= 0) & (u < 400) & (v >= 0) & (v < 300)
     passed = np.zeros((300, 400), dtype=bool)
     passed[v[inside], u[inside]] = True

@@ -257,7 +257,7 @@ async def test_two_jobs_run_at_a_time_in_kept_workers_and_a_waiting_one_can_be_c
         worker.free.set()
     await stage.settled()
     assert [job.status for job in jobs] == ["done", "done", "cancelled"]
-    assert [one.status for one in stage.session.records.values()] == ["ready", "ready", "refused"]
+    assert [record.status for record in stage.session.records.values()] == ["ready", "ready", "refused"]
     assert len(stage.session.state()["log"]) == len(stage.workers) == 2
     await stage.record("d.csv")
     assert len(stage.workers) == 2
@@ -269,7 +269,7 @@ async def test_the_path_of_a_scan_is_written_before_its_voltage(stage):
     scan = {"kind": "raster", "low": 1, "high": 2, "frequency": 1, "lines": 4, "axis": "y", "turns": ""}
     stage.session.follow(entry.id, {"scan": scan, "rate": 50, "limits": [0, 100], "slew": "none"})
     await stage.next(Finished({}), Finished(error={"message": "no"}))
-    first, second = [one for worker in stage.workers for one in worker.steps][-2:]
+    first, second = [step for worker in stage.workers for step in worker.steps][-2:]
     assert first.operation == "scan" and first.parameters["output"] == second.parameters["trajectory"]
     assert second.command[2:4] == [entry.file, first.parameters["output"]]
     assert {"--limits", "--slew-rate", "displacement=y_um"} <= {*second.command}
@@ -330,7 +330,7 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     assert (model.status, model.verdict["largest_percent"]) == ("ready", 2.0)
     assert model.verdict["remarks"] == ["y: look"]
     assert model.coupling["matrix"][0][1] == 0.1
-    assert [one["largest_percent"] for one in model.coupling["verdicts"].values()] == [0.5, 2.0]
+    assert [verdict["largest_percent"] for verdict in model.coupling["verdicts"].values()] == [0.5, 2.0]
     points = {"x": [[0, 1], [1, 2]], "y": [[0, 3], [2, 1]]}
     stage.session.follow(model.id, {"points": points, "rate": 10})
     await stage.next(Finished(error={"message": "no"}))
@@ -408,9 +408,9 @@ def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
     async def second():
         stage = Stage(tmp_path / "bench")
         state = stage.session.state()
-        assert [one["status"] for one in state["records"]] == ["ready", "refused"]
-        assert [one["status"] for one in state["models"]] == ["cancelled"]
-        assert (await stage.record()).id not in {one["id"] for kind in ("records", "models") for one in state[kind]}
+        assert [record["status"] for record in state["records"]] == ["ready", "refused"]
+        assert [model["status"] for model in state["models"]] == ["cancelled"]
+        assert (await stage.record()).id not in {entry["id"] for kind in ("records", "models") for entry in state[kind]}
         await stage.session.close()
 
     asyncio.run(first())
@@ -499,7 +499,7 @@ def test_a_page_that_does_not_read_gets_the_newest_state_only():
             while True:
                 rest.append(json.loads(await asyncio.wait_for(anext(page), 1)))
         assert json.loads(first)["revision"] == 0
-        assert [one["revision"] for one in rest] == [1]
+        assert [state["revision"] for state in rest] == [1]
 
     asyncio.run(run())
 

@@ -87,7 +87,7 @@ def records():
     """Return two records to fit, loops with falling tops and turns anywhere, and a held-out one with other turns."""
     tops = standard.descending_tops(VOLTS, steps=5, drive=Sampling(frequency=1.0, sample_rate=RATE)).voltage
     turns = [np.r_[0, VOLTS, 0, np.random.default_rng(seed).uniform(0, VOLTS, 30)] for seed in (1, 2)]
-    turning = [np.interp(np.arange(0, one.size - 1, 1 / 25), np.arange(one.size), one) for one in turns]
+    turning = [np.interp(np.arange(0, turn.size - 1, 1 / 25), np.arange(turn.size), turn) for turn in turns]
     first, second, third = (record(f"loops {k}", v, 1e-6 * k) for k, v in enumerate([tops, *turning]))
     return [first, second], third
 
@@ -109,7 +109,7 @@ def test_the_same_records_give_the_same_model(name):
     training, held_out = records()
     first, second = (FITS[name](list(training)) for _ in range(2))
     assert first.delay == second.delay
-    assert 0 <= first.delay < min(np.ptp(one.time) for one in training)
-    made = [simulated(one, held_out.voltage, held_out.time).displacement for one in (first, second)]
+    assert 0 <= first.delay < min(np.ptp(record.time) for record in training)
+    made = [simulated(fit, held_out.voltage, held_out.time).displacement for fit in (first, second)]
     assert np.isfinite(made[0]).all()
     assert np.array_equal(*made)

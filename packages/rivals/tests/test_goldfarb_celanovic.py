@@ -157,9 +157,9 @@ def test_nothing_after_the_first_rise_matters():
     plant = relaxed_plant(1)
     whole = played(plant, path(MINOR_LOOPS, plant.slip.breakaway))
     turn = int(np.argmax(whole.voltage))
-    one, other = GoldfarbCelanovic.fit(whole).actuator, GoldfarbCelanovic.fit(whole[: turn + 1]).actuator
-    np.testing.assert_array_equal(one.slip.stiffness, other.slip.stiffness)
-    np.testing.assert_array_equal(one.spring.voltage, other.spring.voltage)
+    first, other = GoldfarbCelanovic.fit(whole).actuator, GoldfarbCelanovic.fit(whole[: turn + 1]).actuator
+    np.testing.assert_array_equal(first.slip.stiffness, other.slip.stiffness)
+    np.testing.assert_array_equal(first.spring.voltage, other.spring.voltage)
 
 
 def test_noise_in_the_displacement_moves_the_rise_by_no_more_than_itself():

@@ -161,8 +161,8 @@ def test_duhem_is_recovered(seed):
 
 def test_fits_are_seeded():
     record = record_of(boucwen(5))
-    one, two = (BoucWen.fit(record, starts=20, delay=0.0, seed=3) for _ in range(2))
-    assert (one.alpha, one.beta, one.gamma, *one.cubic) == (two.alpha, two.beta, two.gamma, *two.cubic)
+    fits = [BoucWen.fit(record, starts=20, delay=0.0, seed=3) for _ in range(2)]
+    assert len({(fit.alpha, fit.beta, fit.gamma, *fit.cubic) for fit in fits}) == 1
 
 
 @pytest.mark.parametrize(("fit", "own", "other"), [(BoucWen.fit, 0.5, 4.0), (Duhem.fit, 2.0, 5.0)])

@@ -214,8 +214,8 @@ def test_low_passes_of_a_record_are_exact_for_straight_legs():
 
 @pytest.mark.parametrize("kind", [MODELS[0], *map(at_night, MODELS[1:])])
 def test_offsets_of_records_are_free(kind):
-    one = training(PlayActuator)
-    moved = [Record(r.time, r.voltage, r.displacement + 2e-6 * q, r.name) for q, r in enumerate(one)]
+    trial = training(PlayActuator)
+    moved = [Record(r.time, r.voltage, r.displacement + 2e-6 * q, r.name) for q, r in enumerate(trial)]
     alike = fitted(kind, PlayActuator), kind.fit(moved, delay=0.0)
     first, second = (model.simulate(wander(3), time=None).displacement for model in alike)
     np.testing.assert_allclose(second - second[0], first - first[0], rtol=0, atol=1e-6 * STROKE)
@@ -223,8 +223,8 @@ def test_offsets_of_records_are_free(kind):
 
 @pytest.mark.parametrize("kind", [MODELS[0], *map(at_night, MODELS[1:])])
 def test_where_the_voltage_has_its_zero_does_not_matter(kind):
-    one = training(PlayActuator)
-    moved = [Record(r.time, r.voltage - 70.0, r.displacement, r.name) for r in one]
+    trial = training(PlayActuator)
+    moved = [Record(r.time, r.voltage - 70.0, r.displacement, r.name) for r in trial]
     first = fitted(kind, PlayActuator).simulate(wander(3)).displacement
     second = kind.fit(moved, delay=0.0).simulate(wander(3) - 70.0).displacement
     np.testing.assert_allclose(second, first, rtol=0, atol=1e-6 * STROKE)
@@ -243,10 +243,10 @@ def test_a_delay_is_found_and_the_voltage_is_delayed_by_it():
 @pytest.mark.parametrize("kind", MODELS)
 def test_a_resonance_does_not_shift_the_axis(kind):
     """Driven slowly, a model of an actuator that was recorded swinging is nowhere far off, and on the whole not off."""
-    one = TRIALS["boucwen"]
-    found = kind.fit(one.records(), delay=2e-4)
+    trial = TRIALS["boucwen"]
+    found = kind.fit(trial.records(), delay=2e-4)
     slow = standard.raised_cosine(VOLTS, cycles=2, drive=Sampling(frequency=1.0, sample_rate=2000.0))
-    y = one.truth(3).play(slow.voltage, time=slow.time, measured=False)
+    y = trial.truth(3).play(slow.voltage, time=slow.time, measured=False)
     error = (found.simulate(slow.voltage, time=slow.time).displacement - y)[slow.time.size // 2 :] / STROKE
     assert np.abs(error).max() < 0.03
     assert abs(error.mean()) < 0.01

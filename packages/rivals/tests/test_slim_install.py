@@ -78,11 +78,11 @@ def test_in_a_slim_environment_its_rows_appear(slim, wheel, tmp_path):
     assert [row["model"] for row in after["models"]][: len(BUILT_IN)] == BUILT_IN
     assert sorted(row["model"] for row in after["models"]) == sorted([*BUILT_IN, *RIVALS])
     assert after["hint"] is None
-    judged = {row["model"] for row in after["models"] if any(one["role"] == "validation" for one in row["errors"])}
+    judged = {row["model"] for row in after["models"] if any(error["role"] == "validation" for error in row["errors"])}
     # A first rise of a relaxed actuator and first-order reversal curves need not be in the record.
     assert judged >= {*BUILT_IN, *RIVALS} - {"Goldfarb-Celanovic", "Preisach, reversal curves"}
 
 
 def test_each_fit_is_an_entry_point():
     points = importlib.metadata.distribution("dehyst-rivals").entry_points
-    assert {one.name: one.load() for one in points if one.group == "dehyst.baselines"} == RIVALS
+    assert {point.name: point.load() for point in points if point.group == "dehyst.baselines"} == RIVALS

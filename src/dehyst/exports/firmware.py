@@ -101,13 +101,13 @@ def _name(compensator: Loop, name: str | None) -> str:
 
 def _coupled(compensator: StageCompensator) -> tuple[str, str]:
     """Return the macros and the numbers of several axes: those of each, and the matrices."""
-    for axis, one in zip(compensator.stage.axes, compensator.compensators, strict=True):
-        if one.actuator.displacement_creep is not None:
+    for axis, single in zip(compensator.stage.axes, compensator.compensators, strict=True):
+        if single.actuator.displacement_creep is not None:
             raise ModelError(
                 f"axis {axis} has creep in displacement, which an export of coupled axes does not compute",
                 hint="export the actuator of each axis alone, or leave that part out",
             )
-    texts = [ModelText(one, "double") for one in compensator.compensators]
+    texts = [ModelText(axis, "double") for axis in compensator.compensators]
     ends, count = list(accumulate(text.memory for text in texts)), len(texts)
     macros = {
         "AXES": count,
@@ -129,10 +129,10 @@ def _coupled(compensator: StageCompensator) -> tuple[str, str]:
 
 def _coupled_temperature(compensator: StageCompensator) -> tuple[str, str]:
     """Return declaration and definition of the call that takes the temperatures of several axes; or empty texts."""
-    thermals = [one.thermal for one in compensator.stage.actuators]
+    thermals = [actuator.thermal for actuator in compensator.stage.actuators]
     if not any(thermals):
         return "", ""
-    numbers = [(one.gain, one.offset, one.reference) if one else (0.0, 0.0, 0.0) for one in thermals]
+    numbers = [(part.gain, part.offset, part.reference) if part else (0.0, 0.0, 0.0) for part in thermals]
     return _TEMPERATURES_DECLARED, f"\n{_table('thermal', '3', np.array(numbers))}{_TEMPERATURES_DEFINED}"
 
 

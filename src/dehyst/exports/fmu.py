@@ -210,18 +210,18 @@ def _description(
 ) -> str:
     """Return the text of `modelDescription.xml`; `token` is the GUID."""
     listed, outputs = [], []
-    for reference, one in enumerate(variables):
-        role = f'variability="{"continuous" if one.unit else "discrete"}"'
-        real = f'Real unit="{one.unit}"'
-        if one.range is not None:
-            real += f' min="{one.range[0]!r}" max="{one.range[1]!r}"'
-        if one.start is not None:
-            real += f' start="{one.start!r}"'
-        if one.causality == "output":
+    for reference, variable in enumerate(variables):
+        role = f'variability="{"continuous" if variable.unit else "discrete"}"'
+        real = f'Real unit="{variable.unit}"'
+        if variable.range is not None:
+            real += f' min="{variable.range[0]!r}" max="{variable.range[1]!r}"'
+        if variable.start is not None:
+            real += f' start="{variable.start!r}"'
+        if variable.causality == "output":
             role += ' initial="calculated"'
             outputs.append(f'      <Unknown index="{reference + 1}" dependencies="" />')
-        kind = real if one.unit else "Integer"
-        listed.append(_VARIABLE.format(**one._asdict(), reference=reference, role=role, kind=kind))
+        kind = real if variable.unit else "Integer"
+        listed.append(_VARIABLE.format(**variable._asdict(), reference=reference, role=role, kind=kind))
     period = compensator.period
     quoted = {'"': "&quot;"}
     return Template(shipped("modelDescription.xml")).substitute(

@@ -92,11 +92,11 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
 
     loop, body = new(), new()
     axes = (loop,) if isinstance(loop, Compensator) else loop.compensators
-    limits, reach = np.array([one.limits for one in axes]), np.array([one.reach for one in axes])
+    limits, reach = np.array([axis.limits for axis in axes]), np.array([axis.reach for axis in axes])
     slowest = 0.0
-    for one, (low, high) in zip(axes, limits.tolist(), strict=True):
-        if one.slew_rate is not None and one.period is not None:
-            slowest = max(slowest, 4 * (high - low) / (one.slew_rate * one.period))
+    for axis, (low, high) in zip(axes, limits.tolist(), strict=True):
+        if axis.slew_rate is not None and axis.period is not None:
+            slowest = max(slowest, 4 * (high - low) / (axis.slew_rate * axis.period))
     moved = reach[:, 0] + (reach[:, 1] - reach[:, 0]) * _shares(len(axes), slowest)
     path = moved if isinstance(loop, Compensator) else apply(loop.stage.coupling, moved)
     with warnings.catch_warnings():
@@ -108,7 +108,7 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
             body.commit(_given(body, voltage))
             rows += (TraceRow(Call.SIMULATE, tuple(voltage.tolist()), _place(body)),)
     refused = sum(row.what is Call.NONSENSE for row in rows)
-    clamps = tuple(one.clamps for one in axes)
+    clamps = tuple(axis.clamps for axis in axes)
     volts, stroke = (float(np.ptp(table, axis=1).max()) for table in (limits, reach))
     return GoldenTrace(rows, clamps, refused, volts, stroke, not isinstance(loop, Compensator))
 

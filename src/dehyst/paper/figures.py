@@ -81,10 +81,10 @@ def _finish(
         ax.axhline(0, color=INK, lw=0.6)
 
 
-def _span(ax: Axes, x: float, one: float, other: float) -> None:
+def _span(ax: Axes, x: float, low: float, other: float) -> None:
     """Draw a double arrow along the ordinate."""
     arrow = {"arrowstyle": "<->", "lw": 0.8, "color": INK, "shrinkA": 0, "shrinkB": 0}
-    ax.annotate("", (x, one), (x, other), arrowprops=arrow)
+    ax.annotate("", (x, low), (x, other), arrowprops=arrow)
 
 
 def _legend_above(ax: Axes) -> None:

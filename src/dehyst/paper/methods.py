@@ -106,7 +106,7 @@ def _closed(record: Record) -> list[tuple[float, float, list[Branch], list[Branc
         if abs(y[start] - y[before]) < abs(y[end] - y[start]) - same:
             continue
         low, high = sorted((float(y[start]), float(y[end])))
-        group = next((one for one in groups if abs(one[0] - low) < same and abs(one[1] - high) < same), None)
+        group = next((known for known in groups if abs(known[0] - low) < same and abs(known[1] - high) < same), None)
         if group is None:
             group = low, high, [], []
             groups.append(group)

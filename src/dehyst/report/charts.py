@@ -153,22 +153,22 @@ class Chart:
 
     def shown(self, most: int) -> Chart:
         """Return the chart with the samples that its picture shows, of a long series about `most`."""
-        sides = [(self.x, [one.x for one in self.series]), (self.y, [one.y for one in self.series])]
+        sides = [(self.x, [series.x for series in self.series]), (self.y, [series.y for series in self.series])]
         scales = [_range(axis.scaled(np.concatenate(values))) for axis, values in sides]
-        return replace(self, series=[self._thinned(one, most, scales) for one in self.series])
+        return replace(self, series=[self._thinned(series, most, scales) for series in self.series])
 
-    def _thinned(self, one: Series, most: int, scales: Sequence[float]) -> Series:
+    def _thinned(self, series: Series, most: int, scales: Sequence[float]) -> Series:
         """Return a series with the samples that show in a picture whose axes have ranges `scales`."""
-        most *= one.parts
-        if one.x.size <= most or one.kind == "cells" or one.names:
-            return one
-        if one.kind == "points":
-            at = np.unique(np.linspace(0, one.x.size - 1, most).astype(np.intp))
+        most *= series.parts
+        if series.x.size <= most or series.kind == "cells" or series.names:
+            return series
+        if series.kind == "points":
+            at = np.unique(np.linspace(0, series.x.size - 1, most).astype(np.intp))
         else:
-            x, edges = self.x.scaled(one.x) / scales[0], [one.y] if one.top is None else [one.y, one.top]
+            x, edges = self.x.scaled(series.x) / scales[0], [series.y] if series.top is None else [series.y, series.top]
             each = [vertices(x, self.y.scaled(edge) / scales[1], most) for edge in edges]
             at = np.unique(np.concatenate(each))
-        return replace(one, x=one.x[at], y=one.y[at], top=None if one.top is None else one.top[at])
+        return replace(series, x=series.x[at], y=series.y[at], top=None if series.top is None else series.top[at])
 
 
 @dataclass(eq=False)
@@ -215,23 +215,23 @@ class ChartData:
             stored["band"] = list(chart.band)
         return {key: value for key, value in stored.items() if value}
 
-    def _series(self, one: Series, chart: Chart) -> dict[str, Any]:
-        x, y = chart.x.scaled(one.x), chart.y.scaled(one.y)
+    def _series(self, series: Series, chart: Chart) -> dict[str, Any]:
+        x, y = chart.x.scaled(series.x), chart.y.scaled(series.y)
         stored: dict[str, Any] = {
-            "name": one.name,
+            "name": series.name,
             "x": self._place(x),
             "y": self._place(y),
-            "colour": one.colour,
-            "kind": one.kind,
-            "width": one.width,
-            "opacity": one.opacity,
+            "colour": series.colour,
+            "kind": series.kind,
+            "width": series.width,
+            "opacity": series.opacity,
         }
-        if one.top is not None:
-            stored["top"] = self._place(chart.y.scaled(one.top))
-        if one.values is not None:
-            stored["values"] = self._place(one.values.ravel())
-        flags: dict[str, Any] = {"rising": one.rising, "hollow": one.hollow, "darkest": one.darkest}
-        flags |= {"names": list(one.names), "dash": [5, 4] * one.dashed}
+        if series.top is not None:
+            stored["top"] = self._place(chart.y.scaled(series.top))
+        if series.values is not None:
+            stored["values"] = self._place(series.values.ravel())
+        flags: dict[str, Any] = {"rising": series.rising, "hollow": series.hollow, "darkest": series.darkest}
+        flags |= {"names": list(series.names), "dash": [5, 4] * series.dashed}
         return stored | {key: value for key, value in flags.items() if value}
 
     def _place(self, values: Array) -> int:

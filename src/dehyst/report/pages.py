@@ -69,9 +69,9 @@ def render(
         ),
         sections.stage_errors(fit),
     ]
-    for j, (axis, one) in enumerate(zip(fit.axes, fit.fits, strict=True)):
+    for j, (axis, own) in enumerate(zip(fit.axes, fit.fits, strict=True)):
         paths = {name: found.each[j] for name, found in followed.items()}
-        parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_report(one, None, paths, None)]
+        parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_report(own, None, paths, None)]
     return document("Coupled axes", [*parts, reproduction(command)])
 
 
@@ -80,7 +80,7 @@ def _report(
 ) -> Iterable[Part]:
     """Yield the answer, and all else in one fold."""
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
-    turns = ((one.record, one.time, one.voltage) for one in fit.traces)
+    turns = ((trace.record, trace.time, trace.voltage) for trace in fit.traces)
     yield _facts(fit, actuator)
     yield sections.verdict(fit)
     yield from sections.followed(followed)
@@ -118,7 +118,7 @@ def _reproduce(fit: Fit, command: str | None) -> str:
     options = dict(fit.options)
     records = [*options.pop("records", ()), *options.pop("validation", ())]
     entries = (f"<dt>{escape(str(key))}</dt><dd>{escape(_text(value))}</dd>" for key, value in options.items())
-    rows = [tuple(str(one.get(key, "")) for key in ("name", "source", "sha256")) for one in records]
+    rows = [tuple(str(record.get(key, "")) for key in ("name", "source", "sha256")) for record in records]
     sources = table(("Record", "File", "SHA-256"), rows, texts=3) if rows else ""
     return "\n".join([reproduction(command) or "<h2>How to reproduce</h2>", "<dl>", *entries, "</dl>", sources])
 
@@ -138,15 +138,15 @@ def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str
         half, caption = (found.high - found.low) / 2, "with half the interval that the records allow (90 %)."
         name, parts = "Coupled axes", [sections.coupling(found.axes, found.coupling, half, caption)]
         parts.append(bullets("Remarks", map(words, found.remarks)))
-        for axis, one in zip(found.axes, found.insights, strict=True):
-            parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_insight(one)]
+        for axis, insight in zip(found.axes, found.insights, strict=True):
+            parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_insight(insight)]
     head = f"<h1>{escape(name)}: how far to trust the model</h1>"
     write_atomically(path, document(f"{name}: insight", [head, *parts, reproduction(command)]))
 
 
 def _insight(found: Insight) -> list[Part]:
     """Return the promise, the path, where the records turned, and what to record next."""
-    records = ", ".join(escape(one.given.name) for one in found.comparisons)
+    records = ", ".join(escape(comparison.given.name) for comparison in found.comparisons)
     return [
         f'<p class="muted">Records: {records} · stroke {escape(length(found.stroke))}</p>',
         sections.promised(found),
@@ -199,7 +199,7 @@ def _scores(found: ModelComparison) -> str:
     rows: list[Row] = []
     for row in found.rows:
         scores = [row.worst(role) for role in _ROLES]
-        cells = ["–" if one is None else (f"{number(one.largest)} %", f"{number(one.rms)} %") for one in scores]
+        cells = ["–" if score is None else (f"{number(score.largest)} %", f"{number(score.rms)} %") for score in scores]
         seconds = "–" if row.seconds is None else number(row.seconds)
         rows.append(((row.name, "this package" if row.name == OURS else ""), *cells, seconds))
     records = f"Training: {', '.join(found.records)}. {found.note} Stroke: {length(found.stroke)}."
@@ -216,13 +216,13 @@ def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *,
     `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
     """
     every = [record.axis(axis) for axis in record.axes or ("",)]
-    in_time = [chart for one in every for chart in pictures.record_in_time(one)]
+    in_time = [chart for record in every for chart in pictures.record_in_time(record)]
     parts: list[Part] = [
         f"<h1>{escape(record.name)}</h1>",
         table(("quantity", "column", "range"), columns, 3),
-        bullets("Notes", (words(problem) for one in every for problem in one.problems())),
+        bullets("Notes", (words(problem) for record in every for problem in record.problems())),
         Charts("Against time", "Check that the voltage is that of the actuator, not of a monitor.", in_time),
-        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", [pictures.record_loop(one) for one in every]),
+        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", [pictures.record_loop(own) for own in every]),
         reproduction(command),
     ]
     write_atomically(path, document(f"{record.name}: record", parts))

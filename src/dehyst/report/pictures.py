@@ -43,7 +43,7 @@ def record_in_time(record: Record) -> list[Chart]:
     of_one_axis(record)
     factor, unit = length_unit(record.stroke)
     quantities = [(record.voltage, VOLTAGE), (record.displacement * factor, Axis("displacement", unit))]
-    quantities += [(one.values, Axis("signal", one.unit)) for one in record.others if one.name == "signal"]
+    quantities += [(own.values, Axis("signal", own.unit)) for own in record.others if own.name == "signal"]
     return [Chart(record.name, TIME, y, _with_events(record, record.time, values)) for values, y in quantities]
 
 

@@ -195,9 +195,9 @@ def _draw_chart(ax: Axes, chart: Chart) -> None:
     if chart.band is not None:
         ax.axhspan(*chart.band, color=MEASURED, alpha=0.12, lw=0)
     labels: set[str] = set()
-    for one in chart.shown(_MOST).series:
-        _draw_series(ax, one, "" if one.name in labels else one.name)
-        labels.add(one.name)
+    for series in chart.shown(_MOST).series:
+        _draw_series(ax, series, "" if series.name in labels else series.name)
+        labels.add(series.name)
     if chart.zero:
         ax.axhline(0, color=INK, lw=0.6)
     ax.set(xlabel=chart.x.label, ylabel=chart.y.label)
@@ -215,15 +215,15 @@ def _draw_chart(ax: Axes, chart: Chart) -> None:
         ax.legend(fontsize="small")
 
 
-def _draw_series(ax: Axes, one: Series, label: str) -> None:
-    style: dict[str, Any] = {"color": _COLOURS[one.colour], "alpha": one.opacity, "label": _plain(label) or None}
-    if one.kind == "line":
-        ax.plot(one.x, one.y, lw=one.width * _POINTS, ls="--" if one.dashed else "-", **style)
-    elif one.kind == "points":
-        marks = {"marker": "o", "ms": one.width * _POINTS, "mec": style["color"], "mew": 0.8 if one.hollow else 0.0}
-        face = "white" if one.hollow else style["color"]
-        ax.plot(one.x, one.y, ls="none", mfc=face, rasterized=one.x.size > _VECTOR_POINTS, **marks, **style)
-    elif one.top is not None:
-        ax.fill_between(one.x, one.y, one.top, lw=0, **style)
-    elif one.values is not None:
-        ax.pcolormesh(one.x, one.y, one.values, cmap="Blues", vmax=one.darkest, lw=0, rasterized=True)
+def _draw_series(ax: Axes, series: Series, label: str) -> None:
+    style: dict[str, Any] = {"color": _COLOURS[series.colour], "alpha": series.opacity, "label": _plain(label) or None}
+    if series.kind == "line":
+        ax.plot(series.x, series.y, lw=series.width * _POINTS, ls="--" if series.dashed else "-", **style)
+    elif series.kind == "points":
+        edge, face = (0.8, "white") if series.hollow else (0.0, style["color"])
+        marks = {"marker": "o", "ms": series.width * _POINTS, "mec": style["color"], "mew": edge}
+        ax.plot(series.x, series.y, ls="none", mfc=face, rasterized=series.x.size > _VECTOR_POINTS, **marks, **style)
+    elif series.top is not None:
+        ax.fill_between(series.x, series.y, series.top, lw=0, **style)
+    elif series.values is not None:
+        ax.pcolormesh(series.x, series.y, series.values, cmap="Blues", vmax=series.darkest, lw=0, rasterized=True)

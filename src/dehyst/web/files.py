@@ -18,7 +18,7 @@ _BLANK = re.compile(r"^\s*//.*\n|^\s+", re.MULTILINE)
 
 def names() -> list[str]:
     """Return the names of all modules and styles."""
-    return sorted([one.name for one in _FOLDER.iterdir() if one.suffix in {".js", ".css"}] + [COMPENSATOR])
+    return sorted([path.name for path in _FOLDER.iterdir() if path.suffix in {".js", ".css"}] + [COMPENSATOR])
 
 
 @cache

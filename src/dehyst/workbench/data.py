@@ -43,7 +43,7 @@ def limits_of(value: Any) -> tuple[float, float]:
     """Return voltage limits [V] from a request."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise RequestError(argument="limits", need="the lowest and the highest voltage (V)")
-    low, high = (number_of(one, "limits") for one in value)
+    low, high = (number_of(limit, "limits") for limit in value)
     if not low < high:
         raise RequestError(argument="limits", got=f"{low:g} to {high:g} V", need="the lower one first")
     return low, high
@@ -61,16 +61,16 @@ def written_path(file: Path, points: Any, rate: Any) -> None:
     """
     hertz = number_of(rate, "rate")
     each = {"displacement_um": points} if not isinstance(points, Mapping) else {f"{k}_um": v for k, v in points.items()}
-    corners = {name: _corners(one) for name, one in each.items()}
+    corners = {name: _corners(path) for name, path in each.items()}
     if not corners:
         raise RequestError(argument="points", need="those of an axis at least")
-    first = max(one[0, 0] for one in corners.values())
-    seconds = max(one[-1, 0] for one in corners.values()) - first
+    first = max(path[0, 0] for path in corners.values())
+    seconds = max(path[-1, 0] for path in corners.values()) - first
     if not 1 <= seconds * hertz <= _MOST_SAMPLES:
         got = f"{hertz:g} Hz, {seconds * hertz:.4g} samples"
         raise RequestError(argument="rate", got=got, need=f"1 to {_MOST_SAMPLES:g} samples", hint="give another rate")
     sampled = first + np.arange(round(seconds * hertz) + 1) / hertz
-    moved = {name: np.interp(sampled, *one.T) for name, one in corners.items()}
+    moved = {name: np.interp(sampled, *path.T) for name, path in corners.items()}
     write_columns(file, {"time_s": sampled, **moved}, digits=12)
 
 
@@ -87,7 +87,7 @@ def path_points(file: Path, model: Path) -> list[list[list[float]]]:
         moved, time = _path_columns(file, known)
     except FileFormatError as error:
         need = ",".join(["time_s", *(known.name("displacement", axis) for axis in known.axes)])
-        unnamed = isinstance(error, ColumnsError) and not any(one.column and one.column.fault for one in error.problems)
+        unnamed = isinstance(error, ColumnsError) and not any(p.column and p.column.fault for p in error.problems)
         if unnamed or "--columns" in error.hint:
             raise RequestError(
                 f"has no column of a name and a unit as expected; need columns such as {need}"

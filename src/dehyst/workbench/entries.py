@@ -56,19 +56,19 @@ class RecordEntry:
         first = parts[0]
         self.axes = list(result) if "samples" not in result else []
         self.status, self.words, self.problems = "ready", [], []
-        self.usable = all(one["usable"] for one in parts)
+        self.usable = all(part["usable"] for part in parts)
         self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
         self.rate_hz = float(first["sample_rate_Hz"])
         self.others = dict(first["others"])
         for name, key in (("voltage", "voltage_V"), ("displacement_um", "displacement_um")):
-            setattr(self, name, [min(one[key][0] for one in parts), max(one[key][1] for one in parts)])
-        for axis, one in zip(self.axes or [""], parts, strict=True):
-            scales = {name: f", {scale}" for name, scale in one["scales"].items()}
+            setattr(self, name, [min(part[key][0] for part in parts), max(part[key][1] for part in parts)])
+        for axis, part in zip(self.axes or [""], parts, strict=True):
+            scales = {name: f", {scale}" for name, scale in part["scales"].items()}
             prefix = f"{axis}: " if axis else ""
             self.words += [
-                f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in one["columns"].items()
+                f"{prefix}{name} from '{column}'{scales.get(name, '')}" for name, column in part["columns"].items()
             ]
-            self.problems += [f"{prefix}{words}" for words in one["problems"]]
+            self.problems += [f"{prefix}{words}" for words in part["problems"]]
 
 
 @dataclass
@@ -114,12 +114,12 @@ class ModelEntry:
             return
         several = "fits" in fit
         fits = fit["fits"] if several else {"": fit}
-        found = {axis: one["verdict"] for axis, one in fits.items()}
+        found = {axis: axis_fit["verdict"] for axis, axis_fit in fits.items()}
         verdicts = {
-            axis: verdict_of(one["promise"], one["readiness"], one["basis"], one["goal_percent"], one["reasons"])
-            for axis, one in found.items()
+            axis: verdict_of(own["promise"], own["readiness"], own["basis"], own["goal_percent"], own["reasons"])
+            for axis, own in found.items()
         }
-        remarks = [f"{axis}: {one}" if axis else one for axis, own in fits.items() for one in own["remarks"]]
+        remarks = [f"{axis}: {remark}" if axis else remark for axis, own in fits.items() for remark in own["remarks"]]
         self.status, self.error = "ready", None
         self.verdict = {**worst(verdicts), "remarks": remarks}
         if several:
@@ -134,16 +134,16 @@ class ModelEntry:
         each: list[dict[str, Any]] = [
             {
                 "name": axis,
-                "range_v": list(voltages_of(one)),
-                "range_um": [end * _MICRO for end in one.reach],
-                "slew_v_per_s": slew_rate_of_records(one),
+                "range_v": list(voltages_of(actuator)),
+                "range_um": [end * _MICRO for end in actuator.reach],
+                "slew_v_per_s": slew_rate_of_records(actuator),
             }
-            for axis, one in zip(known.axes, known.actuators, strict=True)
+            for axis, actuator in zip(known.axes, known.actuators, strict=True)
         ]
         self.axes = [] if known.stage is None else each
         for name in ("range_v", "range_um"):
-            setattr(self, name, [min(one[name][0] for one in each), max(one[name][1] for one in each)])
-        self.slew_v_per_s = min((one["slew_v_per_s"] for one in each if one["slew_v_per_s"]), default=None)
+            setattr(self, name, [min(axis[name][0] for axis in each), max(axis[name][1] for axis in each)])
+        self.slew_v_per_s = min((axis["slew_v_per_s"] for axis in each if axis["slew_v_per_s"]), default=None)
 
 
 def verdict_of(
@@ -162,7 +162,7 @@ def verdict_of(
 
 def worst(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """Return the verdict of the axis with the largest error."""
-    return max(verdicts.values(), key=lambda one: float(one["largest_percent"]))
+    return max(verdicts.values(), key=lambda verdict: float(verdict["largest_percent"]))
 
 
 @dataclass
@@ -181,7 +181,7 @@ class ExcitationEntry:
         """Fill in the result of `excite`."""
         self.samples, self.seconds = int(result["samples"]), float(result["seconds"])
         self.range_v = [float(result["lowest_V"]), float(result["highest_V"])]
-        self.words = [str(one) for one in result["warnings"]]
+        self.words = [str(warning) for warning in result["warnings"]]
 
 
 @dataclass
@@ -212,10 +212,10 @@ class VoltageEntry:
 
         self.axes = list(result["lowest_V"]) if several else []
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
-        self.largest_um = [None if one is None else one["largest_m"] * _MICRO for one in each("promise")]
-        self.words = [str(one) for one in result["warnings"]]
+        self.largest_um = [None if promise is None else promise["largest_m"] * _MICRO for promise in each("promise")]
+        self.words = [str(warning) for warning in result["warnings"]]
         if max(each("homing_samples")):
-            seconds = max(one or 0.0 for one in each("homing_s"))
+            seconds = max(homing or 0.0 for homing in each("homing_s"))
             self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
         time_ = voltage_columns(file, self.axes[0] if several else "")[0]
         self.samples, self.seconds = time_.size, float(time_[-1] - time_[0]) if time_.size else 0.0

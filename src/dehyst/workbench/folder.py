@@ -95,7 +95,7 @@ class Folder:
         stem = _OTHERS.sub("-", name).strip("-.")[:_LONGEST] or "unnamed"
         suffix = suffix if _SUFFIX.fullmatch(suffix) else ""
         names = (f"{place}/{stem}{'' if k == 1 else f'-{k}'}{suffix}" for k in range(1, 1_000_000))
-        found = next(one for one in names if one not in self._promised and not (self.path / one).exists())
+        found = next(path for path in names if path not in self._promised and not (self.path / path).exists())
         self._promised.add(found)
         return found
 

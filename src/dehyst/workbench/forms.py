@@ -36,7 +36,7 @@ def _reading() -> Form:
     for name in columns:
         label, units = _COLUMNS[name.partition("_")[0]]
         found[name] = {"label": label, "column": True}
-        found[f"{name}_unit"] = {"label": "Unit", "choices": [("", "as named"), *((one, one) for one in units)]}
+        found[f"{name}_unit"] = {"label": "Unit", "choices": [("", "as named"), *((unit, unit) for unit in units)]}
     names = {f"name_{k}": {"label": f"Name of axis {k}"} for k in range(1, len(AXES) + 1)}
     return {**found, **names, **PLAIN}
 

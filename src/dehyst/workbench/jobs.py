@@ -198,9 +198,9 @@ class Jobs:
     def running(self, subject: str, kind: str | None = None) -> list[str]:
         """Return the keys of the running jobs of a subject, of one kind or of any."""
         return [
-            one.id
-            for one in self.entries.values()
-            if one.subject == subject and one.status == "running" and kind in (None, one.kind)
+            job.id
+            for job in self.entries.values()
+            if job.subject == subject and job.status == "running" and kind in (None, job.kind)
         ]
 
     def finish(self, key: str) -> None:
@@ -250,7 +250,7 @@ class Jobs:
         finally:
             if entry.status == "running":
                 entry.status, entry.error = "failed", "the workbench failed at it; see the terminal"
-            ended = [key for key, one in self.entries.items() if one.status != "running"]
+            ended = [key for key, job in self.entries.items() if job.status != "running"]
             for key in ended[:-_LISTED]:
                 del self.entries[key]
             self._changed()

@@ -55,7 +55,7 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
         If they contradict one another.
     """
     given = {name: str(value).strip() for name, value in values.items()}
-    names = [one["name"] for one in record.file_columns]
+    names = [column["name"] for column in record.file_columns]
     guesses = {field: text for field, text in _given(record, entries_of(record.hint)).items() if _GUESS in text}
     count = int(given.get("axes", "1")) if given.get("axes", "1") in ("1", "2", "3") else 1
     used: dict[str, str] = {}
@@ -66,7 +66,7 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
             if scale:
                 raise RequestError("A scale needs its column: choose the column.")
             continue
-        if not column.isdigit() or int(column) >= len(names) or column in [one.split(" ")[0] for one in used.values()]:
+        if not column.isdigit() or int(column) >= len(names) or column in [text.split()[0] for text in used.values()]:
             raise RequestError("A column stands in two fields: choose each column once.")
         place = int(column)
         # By its number where its name is not its own, or would be read otherwise.
@@ -105,13 +105,13 @@ def _given(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]:
     given = {**entries_of(record.columns), **suggested}
     found = {_field(name): given[name] for name in ("time", *QUANTITIES) if given.get(name)}
     for k, text in enumerate((text for key, text in given.items() if key not in RECORD), 1):
-        found |= {f"{name}_{k}": one for name, one in zip(QUANTITIES, columns_of_axis(text), strict=False)}
+        found |= {f"{name}_{k}": column for name, column in zip(QUANTITIES, columns_of_axis(text), strict=False)}
     return found
 
 
 def _values(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]:
     """Return the values of a record's form."""
-    names = [one["name"] for one in record.file_columns]
+    names = [column["name"] for column in record.file_columns]
     values = dict.fromkeys(FORMS["reading"], "")
     for field, text in _given(record, suggested).items():
         # A column may have a colon in its name.
@@ -127,7 +127,7 @@ def _values(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]
     values["decimal"] = signs.get(values["decimal"], values["decimal"])
     axes = [key for key in given if key not in RECORD]
     words = [re.match(r"[A-Za-z][A-Za-z0-9]*", names[k]) for k in _of_unit(record, "displacement")[: len(AXES)]]
-    usual = [one[0] for one in words if one]
+    usual = [word[0] for word in words if word]
     # Axes have the names of their columns, if these differ.
     own = usual if len({*usual}) == len(words) > 1 else AXES
     values |= {f"name_{k}": name for k, name in enumerate(axes or own, 1)}
@@ -138,7 +138,7 @@ def _of_unit(record: RecordEntry, quantity: str) -> list[int]:
     """Return the places of the columns in a unit of a quantity."""
     units = FORMS["reading"][f"{_field(quantity)}_unit"]["choices"]
     known = {value for value, _ in units if value}
-    return [k for k, one in enumerate(record.file_columns) if one.get("unit") in known]
+    return [k for k, column in enumerate(record.file_columns) if column.get("unit") in known]
 
 
 def _axis_name(text: str, k: int) -> str:

@@ -88,7 +88,7 @@ class PageFiles:
 
     def __init__(self) -> None:
         texts = {name: files.text(name) for name in files.names()}
-        texts |= {one.name: one.read_text(encoding="utf-8") for one in _PAGE.iterdir() if one.suffix in _TYPES}
+        texts |= {path.name: path.read_text(encoding="utf-8") for path in _PAGE.iterdir() if path.suffix in _TYPES}
         texts["declared.js"] = f"export const DECLARED = {json.dumps(forms.declared())};\n"
         self._files = {name: (text.encode(), _TYPES[Path(name).suffix]) for name, text in texts.items()}
         scripts = sorted(name for name in self._files if name.endswith(".js"))

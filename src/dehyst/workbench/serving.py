@@ -76,7 +76,7 @@ class Door:
         with self._lock:
             now = self._clock()
             self._ends = {token: end for token, end in self._ends.items() if now < end}
-            token = next((one for one in self._ends if compare_digest(one.encode(), given.encode())), None)
+            token = next((known for known in self._ends if compare_digest(known.encode(), given.encode())), None)
             if token is None:
                 return False
             del self._ends[token]

@@ -86,8 +86,8 @@ class WorkbenchSession:
                 "folder": self.folder.path.name,
                 "version": __version__,
                 **self._entries(),
-                "records": [{**asdict(one), "form": form_of(one)} for one in self.records.values()],
-                "jobs": [asdict(one) for one in self.jobs.entries.values()],
+                "records": [{**asdict(record), "form": form_of(record)} for record in self.records.values()],
+                "jobs": [asdict(job) for job in self.jobs.entries.values()],
                 "files": list(self.folder.files()),
                 "log": self.folder.commands(),
             }
@@ -135,8 +135,7 @@ class WorkbenchSession:
     def read_record(self, key: str, columns: str = "") -> None:
         """Read a record's file, perhaps again, with a text of columns; only files in the folder are joined."""
         entry = self.record(key)
-        users = [one.name for one in self.models.values() if entry.id in (*one.train, *one.validate)]
-        if users:
+        if users := [model.name for model in self.models.values() if entry.id in (*model.train, *model.validate)]:
             raise SessionError(f"{entry.name}: {users[0]} was identified from it; upload the file again instead")
         if self.jobs.running(entry.id):
             raise SessionError(f"{entry.name}: is being read; wait until that is done")
@@ -176,9 +175,9 @@ class WorkbenchSession:
         train, validate = (self._usable(request.get(role, ())) for role in ("train", "validate"))
         if not train:
             raise SessionError("train: got no record, need one at least; choose the records to identify from")
-        if twice := {one.id for one in train} & {one.id for one in validate}:
+        if twice := {record.id for record in train} & {record.id for record in validate}:
             raise SessionError(f"{', '.join(sorted(twice))}: to train and to validate; choose one for each record")
-        if len({tuple(one.axes) for one in (*train, *validate)}) > 1:
+        if len({tuple(record.axes) for record in (*train, *validate)}) > 1:
             raise SessionError("train: got records of different axes, need the same ones in all")
         options = request.get("options", {})
         if not isinstance(options, dict):
@@ -188,12 +187,13 @@ class WorkbenchSession:
             raise SessionError(f"options: got {unknown[0]!r}, need some of {', '.join(_IDENTIFY)}")
         file = self.folder.new(places.MODELS, str(options.get("name") or train[0].name), ".json")
         stem = Path(file).stem
-        entry = ModelEntry(self._id("m"), stem, file, [one.id for one in train], [one.id for one in validate])
+        keys = ([record.id for record in role] for role in (train, validate))
+        entry = ModelEntry(self._id("m"), stem, file, *keys)
         entry.options, entry.report = given, f"{places.REPORTS}/{stem}.html"
         outputs = {"output": file, "report": entry.report}
-        held_out = {"validate": [one.file for one in validate]} if validate else {}
+        held_out = {"validate": [record.file for record in validate]} if validate else {}
         read = train[0].reading
-        step = Step("identify", {"records": [one.file for one in train], **outputs, **given, **held_out, **read})
+        step = Step("identify", {"records": [record.file for record in train], **outputs, **given, **held_out, **read})
         began = time.monotonic()
 
         def progress(words: str) -> None:
@@ -224,8 +224,8 @@ class WorkbenchSession:
     def insight(self, key: str, _: Mapping[str, Any]) -> str:
         """Assess a model on its training records; return the job."""
         entry = self.model(key, ready=True)
-        known = [self.records[one] for one in entry.train if one in self.records]
-        files, read = [one.file for one in known], known[0].reading if known else {}
+        known = [self.records[key] for key in entry.train if key in self.records]
+        files, read = [record.file for record in known], known[0].reading if known else {}
         if not files:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
 
@@ -249,11 +249,11 @@ class WorkbenchSession:
             model.check = {
                 "record": record.id,
                 "good": found["good"],
-                "updates": not any(one["mismatch"] for one in parts.values())
-                and any(not one["good"] or one["advises_update"] for one in parts.values()),
-                "sentences": [f"{axis}: {one['sentence']}" if axis else one["sentence"] for axis, one in parts.items()],
-                "why": [words for one in parts.values() for words in one["change_sentences"]],
-                "remarks": [words for one in parts.values() for words in one["remarks"]],
+                "updates": not any(part["mismatch"] for part in parts.values())
+                and any(not part["good"] or part["advises_update"] for part in parts.values()),
+                "sentences": [f"{axis}: {own['sentence']}" if axis else own["sentence"] for axis, own in parts.items()],
+                "why": [words for part in parts.values() for words in part["change_sentences"]],
+                "remarks": [words for part in parts.values() for words in part["remarks"]],
             }
             if model.coupling:
                 model.check["why"] += found["changes"]
@@ -270,12 +270,12 @@ class WorkbenchSession:
             if (found := finished.result) is None:
                 return
             parts = found.get("axes", {"": found})
-            if not any(one["used"] for one in parts.values()):
-                raise SessionError("; ".join(one["sentence"] for one in parts.values()))
+            if not any(part["used"] for part in parts.values()):
+                raise SessionError("; ".join(part["sentence"] for part in parts.values()))
             basis, goal = f"parts of {record.name} held out in turn", model.verdict["goal"] if model.verdict else 1.0
             verdicts = {
-                axis: verdict_of(one["promise"], "READY" if one["good"] else "USABLE", basis, goal, one["sentences"])
-                for axis, one in parts.items()
+                axis: verdict_of(part["promise"], "READY" if part["good"] else "USABLE", basis, goal, part["sentences"])
+                for axis, part in parts.items()
             }
             self._list_updated(model, file, record.name, verdicts)
 
@@ -379,7 +379,7 @@ class WorkbenchSession:
         if not isinstance(keys, list | tuple):
             raise SessionError("train, validate: need lists of records")
         entries = [self.record(str(key)) for key in keys]
-        if refused := [one for one in entries if one.status != "ready"]:
+        if refused := [entry for entry in entries if entry.status != "ready"]:
             raise SessionError(f"{refused[0].name}: is not ready ({refused[0].status}); choose another record")
         return entries
 
@@ -395,7 +395,7 @@ class WorkbenchSession:
             self._saving = asyncio.get_running_loop().call_later(_SOON, self._save)
 
     def _entries(self) -> dict[str, Any]:
-        return {kind: [asdict(one) for one in getattr(self, kind).values()] for kind in _KINDS}
+        return {kind: [asdict(entry) for entry in getattr(self, kind).values()] for kind in _KINDS}
 
     def _save(self) -> None:
         """Write the entries."""
@@ -419,8 +419,8 @@ class WorkbenchSession:
 
 def _restored(kind: Callable[..., _T], saved: Any) -> dict[str, _T]:
     """Return entries from a state file; what it does not know is left out."""
-    known = {one.name for one in fields(kind)}  # type: ignore[arg-type]
-    return {one["id"]: kind(**{name: value for name, value in one.items() if name in known}) for one in saved}
+    known = {part.name for part in fields(kind)}  # type: ignore[arg-type]
+    return {entry["id"]: kind(**{name: value for name, value in entry.items() if name in known}) for entry in saved}
 
 
 def _found(entries: Mapping[str, _T], key: str, what: str) -> _T:

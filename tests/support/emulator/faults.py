@@ -114,11 +114,11 @@ class Rehearsal:
                 case "unplug":
                     first.unplugged = True
                 case "stall":
-                    for one in controller.axes:
-                        one.bench.stalled = True
+                    for axis in controller.axes:
+                        axis.bench.stalled = True
                 case "zero" | "shift" | "invert" | "blank":
-                    for one in controller.axes:
-                        one.monitor = _MONITORS[fault.name]
+                    for axis in controller.axes:
+                        axis.monitor = _MONITORS[fault.name]
         return {fault.name for fault in due} & {"drop", "refuse"}
 
     def corrupt(self, answer: bytes) -> bytes:

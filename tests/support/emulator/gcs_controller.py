@@ -128,13 +128,13 @@ class Controller:
 
     def __init__(self, instrument: VirtualBench, *, reported_limits: _Limits | Sequence[_Limits] | None = None) -> None:
         self.instrument, self.error, self.rows_sent = instrument, GcsError.NONE, 0
-        count, own = len(instrument.axes), [one.limits for one in instrument.axes]
+        count, own = len(instrument.axes), [axis.limits for axis in instrument.axes]
         limits = np.array(own if reported_limits is None else reported_limits).reshape(count, 2).tolist()
         self.axes = tuple(
             ControllerAxis(str(j + 1), bench, (low, high))
             for j, (bench, (low, high)) in enumerate(zip(instrument.axes, limits, strict=True))
         )
-        self.named = {one.name: one for one in self.axes}
+        self.named = {axis.name: axis for axis in self.axes}
         self.serial = instrument.serial.replace(",", " ")
         self.identity = ",".join((_IDENTITY, self.serial, _FIRMWARE))
         self.tables = {number: np.zeros(0) for number in range(1, max(_TABLES, count) + 1)}
@@ -180,7 +180,7 @@ class Controller:
         """Return the answer to a command of one `byte`: #5 moving, #7 ready, #9 playing, #24 stop."""
         self.instrument.advance()
         if byte in (5, 9):
-            states = (one.bench.moving if byte == 5 else one.bench.playing for one in self.axes)
+            states = (axis.bench.moving if byte == 5 else axis.bench.playing for axis in self.axes)
             return f"{sum(state << number for number, state in enumerate(states)):X}\n"
         if byte == 24:
             _stop(self, [])
@@ -230,9 +230,9 @@ def _move(axis: ControllerAxis, target: float) -> None:
 
 
 def _stop(controller: Controller, words: _Words) -> None:
-    for one in controller.chosen(words):
-        one.bench.stop()
-        one.target = one.bench.displacement()
+    for axis in controller.chosen(words):
+        axis.bench.stop()
+        axis.target = axis.bench.displacement()
     controller.error = GcsError.STOPPED
 
 
@@ -279,10 +279,10 @@ def _write_wave(controller: Controller, words: _Words) -> None:
     """Do WAV table X|& shape ...: write a table, or append to it."""
     number, how, kind = _whole(words[0], 1, len(controller.tables)), words[1].upper(), words[2].upper()
     _demand(how in ("X", "&") and kind in ("PNT", "SIN_P"), GcsError.PARAMETER_RANGE)
-    for one in controller.axes:
-        _demand(one.table != number or not one.bench.playing, GcsError.WAVE_RUNNING)
+    for axis in controller.axes:
+        _demand(axis.table != number or not axis.bench.playing, GcsError.WAVE_RUNNING)
     segment = _points(words[3:]) if kind == "PNT" else _cosine(words[3:])
-    ranges = (one.bench.limits for one in controller.axes)
+    ranges = (axis.bench.limits for axis in controller.axes)
     if not any(low <= segment.min() and segment.max() <= high for low, high in ranges):
         controller.axes[0].bench.log.refused += 1
         raise CommandError(GcsError.VOLTAGE)
@@ -463,7 +463,7 @@ class GcsCommand(NamedTuple):
 def _of_axes(words: str, value: Callable[[ControllerAxis], float | str]) -> GcsCommand:
     """Return a query of axes or channels, by default of all."""
     return GcsCommand(
-        words, lambda c, given: [f"{one.name}={_numeral(value(one))}" for one in c.chosen(given)], (0, None)
+        words, lambda c, given: [f"{axis.name}={_numeral(value(axis))}" for axis in c.chosen(given)], (0, None)
     )
 
 
@@ -472,7 +472,7 @@ def _of_generators(words: str, value: Callable[[ControllerAxis], float | str]) -
 
     def run(controller: Controller, given: _Words) -> list[str]:
         axes = [controller.generator(word) for word in given] or controller.axes
-        return [f"{controller.axes.index(one) + 1}={_numeral(value(one))}" for one in axes]
+        return [f"{controller.axes.index(axis) + 1}={_numeral(value(axis))}" for axis in axes]
 
     return GcsCommand(words, run, (0, None))
 
@@ -505,26 +505,26 @@ COMMANDS: dict[str, GcsCommand] = {
     "HDR?": GcsCommand("Get help for data recording", _recorder_help),
     "HLP?": GcsCommand("Get list of commands", _list_commands),
     "HPA?": GcsCommand("Get list of parameters", _list_parameters),
-    "MOV": _to_axes("Set target position {axis position}", lambda one, value: _move(one, 1e-6 * value)),
-    "POS?": _of_axes("Get real position", lambda one: 1e6 * one.bench.displacement()),
+    "MOV": _to_axes("Set target position {axis position}", lambda axis, value: _move(axis, 1e-6 * value)),
+    "POS?": _of_axes("Get real position", lambda axis: 1e6 * axis.bench.displacement()),
     "RTR": GcsCommand("Set record table rate {divider}", _slow_recorder, (1, 1)),
     "SAI?": GcsCommand("Get list of axes {[ALL]}", _name_axes, (0, None)),
     "SPA?": GcsCommand("Get parameters {[item parameter]}", _read_parameters, (0, None)),
     "STP": GcsCommand("Stop all axes", _stop, (0, None)),
     "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
-    "SVA?": _of_axes("Get open-loop value", lambda one: one.bench.target),
+    "SVA?": _of_axes("Get open-loop value", lambda axis: axis.bench.target),
     "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
-    "SVO?": _of_axes("Get servo mode", lambda one: int(one.bench.servo)),
+    "SVO?": _of_axes("Get servo mode", lambda axis: int(axis.bench.servo)),
     "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),
     "TNR?": GcsCommand("Get number of record tables", lambda c, _: [str(len(c.records))]),
-    "VMA?": _of_axes("Get highest voltage", lambda one: one.reported[1]),
-    "VMI?": _of_axes("Get lowest voltage", lambda one: one.reported[0]),
-    "VOL?": _of_axes("Get voltage of output channel", lambda one: one.monitor(one.bench.voltage)),
+    "VMA?": _of_axes("Get highest voltage", lambda axis: axis.reported[1]),
+    "VMI?": _of_axes("Get lowest voltage", lambda axis: axis.reported[0]),
+    "VOL?": _of_axes("Get voltage of output channel", lambda axis: axis.monitor(axis.bench.voltage)),
     "WAV": GcsCommand("Set waveform {table X|& shape ...}", _write_wave, (4, None)),
     "WAV?": GcsCommand("Get wave tables", _wave_lengths, (0, 2)),
     "WGC": GcsCommand("Set number of cycles {generator cycles}", _repeat_waves, (2, None)),
     "WGO": GcsCommand("Start or stop wave generator {generator mode}", _run_waves, (2, None)),
-    "WGO?": _of_generators("Get wave generator state", lambda one: int(one.bench.playing)),
+    "WGO?": _of_generators("Get wave generator state", lambda axis: int(axis.bench.playing)),
     "WSL": GcsCommand("Set connection of wave table {generator table}", _select_waves, (2, None)),
     "WTR": GcsCommand("Set wave generator rate {generator divider interpolation}", _slow_waves, (3, None)),
 }

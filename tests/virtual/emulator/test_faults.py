@@ -94,8 +94,8 @@ def rehearsed(request):
 
 def test_these_faults_were_rehearsed():
     told = json.loads(Path(faults.__file__).with_name("faults.json").read_text())
-    assert {name: one["words"] for name, one in told.items()} == {case.name: case.words for case in faults.CASES}
-    assert {name: one["status"] for name, one in told.items()} == {name: said[0] for name, said in SAID.items()}
+    assert {name: fault["words"] for name, fault in told.items()} == {case.name: case.words for case in faults.CASES}
+    assert {name: fault["status"] for name, fault in told.items()} == {name: said[0] for name, said in SAID.items()}
 
 
 def test_each_fault_is_looked_at():

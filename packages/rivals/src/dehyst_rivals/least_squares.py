@@ -24,7 +24,7 @@ def solve(free: Array, nonnegative: Array, target: Array) -> Solution:
     basis, triangle = np.linalg.qr(free)
     scale = np.maximum(np.linalg.norm(nonnegative, axis=0), np.finfo(np.float64).tiny)
     columns = nonnegative / scale
-    rows, left = (one - basis @ (basis.T @ one) for one in (columns, target))
+    rows, left = (column - basis @ (basis.T @ column) for column in (columns, target))
     x = nnls(rows, left, maxiter=50 * rows.shape[1] + 1000)[0] / scale
     a = np.linalg.lstsq(triangle, basis.T @ (target - nonnegative @ x), rcond=None)[0]
     return Solution(a, x, free @ a + nonnegative @ x - target)

@@ -91,7 +91,7 @@ def _search(
 def _least_of_convex(values: Mapping[float, float]) -> float:
     """Return a lower bound of a convex function between its places; -inf where the values are not convex."""
     x = np.array(sorted(values))
-    y = np.array([values[one] for one in x])
+    y = np.array([values[number] for number in x])
     slopes = np.diff(y) / np.diff(x)
     if x.size < 4 or np.any(np.diff(slopes) < 0):
         return -inf

@@ -187,12 +187,12 @@ def _assemble(items: list[Prepared], lag: float, drifting: Sequence[int]) -> Tra
                 owner += [q] if at.size else []
             pieces.append(piece)
             kept.append(rows)
-    stretches = [one for one in reach if one.size]
+    stretches = [turns for turns in reach if turns.size]
     if widest not in owner:
         raise IdentifyError(
             f"{items[widest].name}: no sample counts with a delay of {lag:.3g} s; need at least one full cycle"
         )
-    epoch = np.repeat(np.arange(len(stretches)), [one.size for one in stretches])
+    epoch = np.repeat(np.arange(len(stretches)), [stretch.size for stretch in stretches])
     record, drift = np.array(owner)[epoch], np.concatenate(drifts)
     constants = (epoch[:, None] == np.arange(len(stretches))).astype(float)
     nuisances = np.hstack([constants, *(np.where(record == q, drift, 0.0)[:, None] for q in drifting)])
