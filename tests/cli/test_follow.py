@@ -11,7 +11,7 @@ from command_line import run as run_command
 from emulated_stage import COUPLING, HIGHEST, served
 
 import dehyst
-from dehyst.model import Stage, slew_rate_of_records
+from dehyst.model import Stage
 from dehyst.records import read_table, write_columns
 from dehyst.virtual import PlayActuator, VirtualStage
 
@@ -229,13 +229,7 @@ def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given
         # By default the whole range in 0.1 s.
         assert found["slew_V_per_s"] == (1e9 if "1e9" in given else pytest.approx(10 * found["limits_V"][1]))
         notes[given] = [line for line in err.splitlines() if "limits" in line or "slew rate" in line]
-    recorded = slew_rate_of_records(dehyst.Actuator.load(folder / "model.json"))
-    for given, rate in (((), 2000), (("--slew-rate", "1e9"), 1e9), (("--limits", "0", "190"), 1900)):
-        (note,) = notes[given]
-        assert f"{rate / recorded:.3g} times" in note
-    assert len(notes["--limits", "-50", "400"]) == 2
-    slow = run(*WORDS, "--json", "--slew-rate", f"{0.9 * recorded}", cwd=folder)[2]
-    assert " times " not in slow
+    assert [len(found) for found in notes.values()] == [0, 1, 1, 0]
 
 
 def test_the_status_of_a_clamped_path_is_1(folder):

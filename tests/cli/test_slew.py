@@ -50,10 +50,6 @@ def steepest(table, name="voltage_V"):
     return float(np.abs(np.diff(columns[name]) / np.diff(columns["time_s"])).max())
 
 
-def factors(result):
-    return [warning for warning in result["warnings"] if "times the speed of the model's records" in warning]
-
-
 @pytest.mark.parametrize("start", [(), ("--start", "top"), ("--start", "bottom"), ("--home",), ("--no-home",)])
 @pytest.mark.parametrize("path", ["slow", "fast"])
 def test_a_path_has_its_own_speed_and_what_leads_to_it_that_of_the_records(folder, path, start):
@@ -65,11 +61,7 @@ def test_a_path_has_its_own_speed_and_what_leads_to_it_that_of_the_records(folde
     if before["time_s"].size:
         assert np.abs(np.diff(before["voltage_V"]) / np.diff(before["time_s"])).max() <= SPEED * (1 + 1e-6)
     fastest = np.abs(np.diff(along["voltage_V"]) / np.diff(along["time_s"])).max()
-    assert (fastest > SPEED) == (path == "fast") == bool(factors(result))
-    if path == "fast":
-        (remark,) = factors(result)
-        factor = float(remark.split(" V/s, ")[1].split(" times")[0])
-        assert factor == pytest.approx(fastest / SPEED, rel=0.1) and factor > 3
+    assert (fastest > SPEED) == (path == "fast")
     if start[:1] == ("--start",):
         first = table.column("voltage")[0]
         assert first == (200.0 if start[1] == "top" else pytest.approx(0.0, abs=SPEED * 0.01))
@@ -196,7 +188,6 @@ def test_an_excitation_states_the_speed_that_it_needs(tmp_path, limit):
     time, voltage = np.loadtxt(tmp_path / "v.csv", delimiter=",", skiprows=1).T
     assert made["slew_rate_V_per_s"] == pytest.approx(np.abs(np.diff(voltage) / np.diff(time)).max(), rel=1e-3)
     assert made["slew_rate_V_per_s"] < (50.1 if limit else 800)
-    assert len(made["warnings"]) == bool(limit)
 
 
 KEPT = "voltage=Monitor:V*15, displacement=Sensor:um"

@@ -165,9 +165,9 @@ def _brief(fit: Fit) -> Iterator[str]:
 
 def _lines(fit: Fit) -> Iterator[str]:
     """Yield the lines of a summary: verdict, errors, candidates, parts, repairs, remaining error, remarks."""
-    if fit.promise is not None:
-        yield fit.promise.sentence
-    yield fit.outcome.value
+    yield _one_line(fit)
+    if fit.promise is not None and fit.outcome is not Outcome.IDENTIFIED:
+        yield fit.outcome.value
     if fit.errors:
         rows = [_HEAD, *_error_rows(fit.errors)]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

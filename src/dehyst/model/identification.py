@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Outcome(Enum):
     """How an identification ended; the value is the sentence to show."""
 
-    IDENTIFIED = "Identified. Run dehyst insight to assess the model."
+    IDENTIFIED = "Identified."
     UNDETERMINED = (
         "Identified, but the records leave combinations of the stiffnesses open: predictions of motions other than the "
         "recorded ones may be wrong. Add minor loops with other turning points."

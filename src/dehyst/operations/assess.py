@@ -36,6 +36,7 @@ from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
 from dehyst.trust import update as update_one
+from dehyst.trust.changes import NOUNS
 
 
 def _single(given: Values) -> bool:
@@ -181,7 +182,8 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
         sign = "-" if change.value < 0 else "+"
         effect = f"{100 * change.effect / recheck.stroke:+.3f}"
         counts = "  counts" if change.counts else ""
-        yield f"{change.name:<8}{sign + change.amount(recheck.stroke):>38}{effect:>26}{counts}"
+        name = " and ".join(NOUNS[part] for part in change.parts)
+        yield f"{name:<8}{sign + change.amount(recheck.stroke):>38}{effect:>26}{counts}"
     yield "  (A change counts if it exceeds three standard errors, and its effect a quarter of the goal.)"
     if recheck.remarks:
         yield ""

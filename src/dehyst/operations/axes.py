@@ -15,10 +15,10 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
 from dehyst._units import quantity_of
 from dehyst.control import Compensator, PathPlan, StageCompensator
-from dehyst.model import Actuator, Stage, slew_rate_of_records
+from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Decorator, option
-from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, implausible_delay, is_model, read_model, values_of
+from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, implausible, is_model, read_model, values_of
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import Entry, columns_of_axis
@@ -60,14 +60,13 @@ def slew_option(text: str, **settings: Any) -> Decorator:
 
 
 class PathSlew(NamedTuple):
-    """The largest slew rate [V/s] of a path (None: its own speed), its origin, and that of the model's records.
+    """The largest slew rate [V/s] of a path (None: its own speed), and its origin.
 
     `origin`: "default", or "option", "none" for the option --slew-rate none, or "model" for that which the model keeps.
     """
 
     bound: float | None
     origin: str
-    recorded: float | None = None
 
     @property
     def asked(self) -> float | None:
@@ -75,19 +74,12 @@ class PathSlew(NamedTuple):
         return None if self.origin == "default" else math.inf if self.bound is None else self.bound
 
     @property
-    def times(self) -> float:
-        """The slew rate in multiples of that of the model's records; 0 if one of them is not known."""
-        return (self.bound or 0.0) / (self.recorded or math.inf)
-
-    @property
     def words(self) -> str:
         """The slew rate and its origin as text."""
         if self.bound is not None:
             kept = ", which the model keeps; --slew-rate takes another" if self.origin == "model" else ""
-            more = f", {self.times:.3g} times the speed of the model's records" if self.times > 1 else ""
-            return f"slew rate: at most {self.bound:.4g} V/s{kept}{more}"
-        jumps = "" if self.recorded is None else f"; jumps and homings take at most {self.recorded:.4g} V/s"
-        return f"slew rate: not limited{jumps}{' (--slew-rate V/S limits it)' if self.origin == 'default' else ''}"
+            return f"slew rate: at most {self.bound:.4g} V/s{kept}"
+        return f"slew rate: not limited{' (--slew-rate V/S limits it)' if self.origin == 'default' else ''}"
 
     def fields(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -152,7 +144,7 @@ class AxesModel:
             return cls(None, (read_model(run, path),), ("",))
         stage = Stage.load(path)
         for axis, actuator in zip(stage.axes, stage.actuators, strict=True):
-            if sentence := implausible_delay(actuator):
+            for sentence in implausible(actuator):
                 run.note(f"{path}: {axis}: {sentence}")
         return cls(stage, stage.actuators, stage.axes)
 
@@ -160,13 +152,12 @@ class AxesModel:
         """Return the slew rate of each axis: the given one, the one that its model keeps, or none."""
         found = []
         for actuator, rate in zip(self.actuators, numbers_of(self.axes, given, "slew_rate"), strict=True):
-            recorded, known = slew_rate_of_records(actuator), actuator.identification
+            known = actuator.identification
             kept = None if known is None else known.allowed_slew_rate
             if rate is not None:
-                limited = rate != math.inf
-                found.append(PathSlew(rate if limited else None, "option" if limited else "none", recorded))
+                found.append(PathSlew(None, "none") if rate == math.inf else PathSlew(rate, "option"))
             else:
-                found.append(PathSlew(kept, "default" if kept is None else "model", recorded))
+                found.append(PathSlew(kept, "default" if kept is None else "model"))
         return found
 
     def planned(

@@ -6,6 +6,7 @@ workbench give words, which click reads; see `perform`.
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -71,7 +72,10 @@ class _Number(click.types.FloatParamType):
         # Click leaves unknown options to numbers, which may be negative.
         if isinstance(value, str) and value.startswith("--"):
             raise click.NoSuchOption(value.partition("=")[0], ctx=ctx)
-        return super().convert(value, param, ctx)
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"got {value}, need a finite number", param, ctx)
+        return number
 
 
 NUMBER = _Number()

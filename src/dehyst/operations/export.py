@@ -99,8 +99,7 @@ def export(
     remarks += known.prefixed(map(_open_start, known.actuators, states))
     if kind == "actuator":
         bounds = [ANY_VOLTAGE]
-    # A loop does not jump or home.
-    slews = [slew._replace(recorded=None) if slew.bound is None else slew for slew in known.slews(slew_rate)]
+    slews = known.slews(slew_rate)
     rates = [slew.bound for slew in slews]
     options: dict[str, Any] = {"period": period}
     compensator: Compensator | StageCompensator

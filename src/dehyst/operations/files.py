@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,6 +76,8 @@ def warmth_of(table: Table, samples: int, columns: Columns) -> Array | None:
 _DIGITS = 12
 # A start that is farther from the limits by this multiple of their range is impossible.
 _IMPOSSIBLE = 100.0
+# The steepest part of a record is at most this much faster than its fastest branch.
+_FASTER = 100.0
 _LONGEST = 1_000_000
 
 
@@ -101,18 +103,21 @@ def read_model(run: Run, path: Path) -> Actuator:
         run.note(f"{path}: when this model was identified: {known.outcome.value}")
     if known is not None and known.provisional:
         run.note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
-    if sentence := implausible_delay(actuator):
+    for sentence in implausible(actuator):
         run.note(f"{path}: {sentence}")
     return actuator
 
 
-def implausible_delay(actuator: Actuator) -> str:
-    """Return a warning of a delay in a model file that its records cannot have shown; empty without one."""
-    tested = None if actuator.identification is None else actuator.identification.validity
-    lag = actuator.delay + actuator.lag
-    if tested is None or lag * tested.speeds[1] <= tested.span:
-        return ""
-    return f"its delay, {lag:.4g} s, is longer than its records took over {tested.span:.6g} V: correct it"
+def implausible(actuator: Actuator) -> Iterator[str]:
+    """Yield warnings of a delay and a slew rate in a model file that its records cannot have shown."""
+    known, lag = actuator.identification, actuator.delay + actuator.lag
+    if known is None or known.validity is None or not (fastest := known.validity.speeds[1]):
+        return
+    if lag * fastest > (span := known.validity.span):
+        yield f"its delay, {lag:.4g} s, is longer than its records took over {span:.6g} V: correct it"
+    if (rate := known.slew_rate) is not None and rate > _FASTER * fastest:
+        times = f"{rate / fastest:.3g} times the fastest branch of its records, {fastest:.4g} V/s"
+        yield f"its slew rate, {rate:.4g} V/s, is {times}: correct it"
 
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:

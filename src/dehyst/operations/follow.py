@@ -146,8 +146,7 @@ def _placed(
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
         bounds.append(used)
         remarks.append(bounds_remarks(limit, slew.asked, used, "device and model allow no more"))
-        speed = slew._replace(bound=used.slew_rate, origin="option")
-        remarks[-1] += [speed.words] if slew.origin != "default" or speed.times > 1 else []
+        remarks[-1] += [] if slew.origin == "default" else [PathSlew(used.slew_rate, "option").words]
         remarks[-1] += reach_remarks(actuator, target, (used.low, used.high), zero, warmth)
     for sentence in known.prefixed(remarks):
         run.note(sentence)

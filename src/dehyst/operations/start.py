@@ -196,19 +196,17 @@ def path_start_fields(path: PathPlan) -> dict[str, Any]:
 def before_path(
     actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, *, stands: bool
 ) -> Iterator[str]:
-    """Yield what to do before a path without a homing: the way to its first voltage, and a rest where it creeps.
+    """Yield what to do before a path: the way to its first voltage, and a rest where it creeps.
 
-    `stands`: whether it is known where the actuator stands.
+    `stands`: whether it is known where the actuator stands; otherwise it stands at 0 V.
     """
-    if path.homing is not None:
-        return
     first, (low, high) = float(path.voltage[0]), voltages_of(actuator)
-    if path.first:
+    if path.first and path.homing is None:
         yield (
             f"the first {counted(path.first, 'sample')} lead from {first:.6g} V to the first one of the path within "
             "the slew rate: play the whole file"
         )
-    present = actuator.voltage(path.start.within(actuator, limits)) if stands else min(max(0.0, low), high)
+    present = actuator.voltage(path.start.within(actuator, limits)) if stands else 0.0
     if abs(first - present) > 0.01 * max(abs(value) for value in (present, low, high)):
         within = "slowly" if slew is None else "within the slew rate"
         origin, hint = (
@@ -218,7 +216,7 @@ def before_path(
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
             f"ramp there {within} before you play the file{hint}"
         )
-    if creep_times(actuator).size and path.start.name in ("top", "bottom", "relaxed"):
+    if path.homing is None and creep_times(actuator).size and path.start.name in ("top", "bottom", "relaxed"):
         longest = float(creep_times(actuator).max())
         yield (
             f"this model creeps, and --start {path.start.name} assumes that the actuator has rested there for much "

@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
-from dehyst.model import temperatures_to_record, words_of
+from dehyst.model import legs, speeds_of, temperatures_to_record, words_of
 from dehyst.operations.command import INPUT, NUMBER, Kinds, Parsed, beside, integer, number, option, output
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
@@ -156,21 +156,14 @@ def _excited(
         limits = -highest, highest
     sampled: dict[str, Any] = {"sample_rate": sample_rate, "base": base, "present": present, "limits": limits}
 
-    def made(slew_rate: float | None) -> tuple[Excitation, float]:
-        def make(hertz: float) -> Excitation:
-            return protocol(*(given or volts), drive=Sampling(hertz, slew_rate=slew_rate, **sampled), **options)
+    def make(hertz: float) -> Excitation:
+        return protocol(*(given or volts), drive=Sampling(hertz, slew_rate=slew_rate, **sampled), **options)
 
-        return _slow_enough(make, longest) if frequency is None else (make(frequency), frequency)
-
-    found, hertz = made(slew_rate)
-    free = found if slew_rate is None else made(None)[0]
-    remarks: tuple[str, ...] = ()
-    if not found.warnings and (_fastest(found) < _fastest(free) or found.duration > free.duration):
-        remarks = (f"slower than without {slew_rate:g} V/s: {found.duration:.4g} s, not {free.duration:.4g} s",)
     warmth = temperatures_to_record(None, temperatures)
     if frequency is not None:
-        return _written(found, output, warnings=remarks, temperatures=warmth)
-    return _written(found, output, f"{hertz:g} Hz by default", advice, remarks, temperatures=warmth)
+        return _written(make(frequency), output, temperatures=warmth)
+    found, hertz = _slow_enough(make, longest)
+    return _written(found, output, f"{hertz:g} Hz by default", advice, temperatures=warmth)
 
 
 def _fastest(excitation: Excitation) -> float:
@@ -246,7 +239,10 @@ def _written(
             ("Before recording, play one cycle on all axes, so that the record begins within the loops.",),
         )
     else:
+        time, voltage = excitation.time, excitation.voltage
+        branches = speeds_of(time, voltage, legs(voltage, high - low))
         what += f", from {first:.6g} to {last:.6g} V, at {_fastest(excitation):.4g} V/s at most"
+        what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
     if temperatures:
         advice = (*advice, f"Record it at {words_of(temperatures)}, each with a column temperature_C.")

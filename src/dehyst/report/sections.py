@@ -10,7 +10,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.lines import percent
 from dehyst.identification import Fit, Readiness, StageFit, Trace
-from dehyst.model import Actuator, parts_of
+from dehyst.model import Actuator, Outcome, parts_of
 from dehyst.records import largest
 from dehyst.report import html, pictures
 from dehyst.report.charts import Chart
@@ -36,7 +36,7 @@ def verdict(fit: Fit) -> str:
         f"is the largest error to expect on any path within these voltages (RMS {rms}, from {expected.basis}; the goal "
         f"is {expected.goal:g} %), {expected.promise.apart}. "
         f"The records are missed by {measured} RMS; the sensor's noise is {noise}. "
-        f"{fit.outcome.value}"
+        f"{'' if fit.outcome is Outcome.IDENTIFIED else fit.outcome.value}"
     )
     why = "".join(f"<li>{words(reason[0].upper() + reason[1:])}.</li>" for reason in expected.why_not_ready)
     return (

@@ -39,7 +39,6 @@ from dehyst.model import (
     evaluator_of,
     major_loop,
     promised,
-    slew_rate_of_records,
     standing,
     state_at,
     temperature_columns,
@@ -631,17 +630,15 @@ class Task:
         return plans
 
     def speeds(self, j: int, found: Followed) -> tuple[str, ...]:
-        """Return a remark if the path of an axis needs more than its slew rate, or than the speed of the records."""
+        """Return a remark if the path of an axis needs more than its slew rate."""
         loop = self.loops[j]
-        if self.time is None or self.time.size < 2:
+        if self.time is None or self.time.size < 2 or loop.slew_rate is None or not found.clamped.any():
             return ()
-        if not found.clamped.any():
-            # Nothing was held back.
-            return speed_remark(loop.actuator, float(np.abs(np.diff(found.voltage) / np.diff(self.time)).max()))
         gain, offset = loop._scaling_at(self.warmth[j], len(self.rows))
         rates = {name: values / gain for name, values in self.rates.items()}
         needed = needed_slew_rate(loop.actuator, (self.moved[:, j] - offset) / gain, self.time, loop.limits, **rates)
-        return speed_remark(loop.actuator, needed, loop.slew_rate)
+        slewed = f"the path needs up to {needed:.4g} V/s, the slew rate allows {loop.slew_rate:.4g} V/s"
+        return (slewed,) if needed > loop.slew_rate else ()
 
     def result(self, plans: list[PathPlan]) -> PathPlan:
         """Return the plan of several axes, or that of the only axis in the units of its compensator."""
@@ -673,15 +670,3 @@ def needed_slew_rate(
     state = state_at(actuator, actuator.state, float(first[0]))
     voltage = actuator.compensate(displacement, **options, state=state, extrapolate=True).voltage
     return float(np.abs(np.diff(np.clip(voltage, *limits)) / np.diff(time)).max())
-
-
-def speed_remark(actuator: Actuator, needed: float, slew_rate: float | None = None) -> tuple[str, ...]:
-    """Return a remark if a path needs more V/s than its `slew_rate`, or than the records of its model have; or none."""
-    recorded, words = slew_rate_of_records(actuator), f"the path needs up to {needed:.4g} V/s"
-    held = slew_rate is not None and needed > slew_rate
-    if recorded is not None and needed > recorded:
-        margin = f"with a margin of 5 % ({recorded:.4g} V/s)"
-        words += f", {needed / recorded:.3g} times the speed of the model's records {margin}"
-    elif not held:
-        return ()
-    return (f"{words}: held back to {slew_rate:.4g} V/s" if held else words,)
