@@ -287,13 +287,13 @@ BLOCKS: dict[str, dict[str, Callable[[], list[str]]]] = {
     "README.md": {"benchmarks": readme},
     "paper/paper.md": {"benchmarks": readme, "costs": costs},
     "docs/benchmarks.md": {
-        table.__name__: table
+        make.__name__: make
         for part in (
             (accuracy, baselines, strangers, paper, speed),
             (steps, firmware, temperature, calibrations, promise),
             (coupled, creep, learning, updates, faults),
         )
-        for table in part
+        for make in part
     },
     "docs/reference/decision_rules.md": {"rules": rules},
 }

@@ -18,7 +18,7 @@ RIVAL = {"goldfarb": RELAXED, "goldfarb_energised": ENERGISED}
 def rival_trial(found: Experiment, start: str) -> PaperTrial:
     """Fit the model to the first rise from a start."""
     model = GoldfarbCelanovic.fit(found.runs[start].record, elements=ELEMENTS)
-    return paper_trial(found.truth, found.runs[start], model.actuator, "CLOSED_FORM")
+    return paper_trial(found.truth, found.runs[start], model.actuator)
 
 
 def add_rival(found: Experiment, rows: list[dict[str, Any]]) -> None:

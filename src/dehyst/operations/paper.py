@@ -10,7 +10,7 @@ from dehyst.operations.command import CONTINUED, command, output
 from dehyst.operations.run import Result, Run
 from dehyst.paper import Paper
 from dehyst.paper import run as experiment
-from dehyst.paper.tables import MODELS, summary
+from dehyst.paper.tables import summary
 
 _TITLES = {
     "asymmetric": "Virtual E-280.10",
@@ -38,9 +38,9 @@ def _table(found: Paper) -> list[str]:
         lines.append(f"{_TITLES[key]} (errors against the truth)")
         lines += [f"  {'':<42}{_cells(head)}" for head in _HEADS]
         for row in summary(repeated):
-            cells = [row.models.get(name) for name in MODELS] if row.models else [row.actuator, None, None]
-            texts = ("" if value is None else f"{value:.3f}" for value in (row.paper, *cells))
-            lines.append(f"  {row.quantity + ', ' + row.unit.replace('µ', 'u'):<42}{_cells(texts)}")
+            first = row["actuator"] if row["breakpoints"] is None else row["breakpoints"]
+            texts = ("" if x is None else f"{x:.3f}" for x in (row["paper"], first, row["record"], row["record_tops"]))
+            lines.append(f"  {row['quantity'] + ', ' + row['unit'].replace('µ', 'u'):<42}{_cells(texts)}")
         lines.append("")
     return lines
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -83,29 +83,9 @@ class PaperTracking:
         return 100 * (self.reached - self.wanted) / self.stroke
 
 
-class PaperPlan(NamedTuple):
-    """One identification to try: number of elements and records.
-
-    `whole`: whether by the whole record, or by the paper's method. `tops`: whether descending tops are in the training,
-    in addition to the major and the small loop. `noiseless`: whether the sensor is perfect.
-    """
-
-    key: str
-    whole: bool = True
-    elements: int = ELEMENTS
-    tops: bool = False
-    noiseless: bool = False
-
-
-PLANS = (
-    PaperPlan("breakpoints", whole=False),
-    PaperPlan("breakpoints_40", whole=False, elements=40),
-    PaperPlan("record_10"),
-    PaperPlan("record_20", elements=20),
-    PaperPlan("record", elements=40),
-    PaperPlan("record_noiseless", elements=40, noiseless=True),
-    PaperPlan("record_tops", elements=40, tops=True),
-)
+# Elements of each identification. "breakpoints" is the paper's method, the others take whole records; "record_tops" has
+# descending tops in its training, in addition to the major and the small loop.
+PLANS = {"breakpoints": ELEMENTS, "record_10": ELEMENTS, "record": 40, "record_tops": 40}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +94,7 @@ class PaperTrial:
 
     `simulated` (n,): displacement [m] for the voltage of the run, from the run alone: no constant is fitted. `errors`:
     largest ones against the truth of each amplitude, from the first peak on [% of the range]. `shift`: by how much
-    Eq. 10 predicts the loop to lie above the relaxed one after pre-energising [m]. `outcome`: name of an `Outcome`, or
-    `PaperFit.outcome`.
+    Eq. 10 predicts the loop to lie above the relaxed one after pre-energising [m].
     """
 
     actuator: Actuator
@@ -123,7 +102,6 @@ class PaperTrial:
     errors: Mapping[str, float]
     tracking: PaperTracking
     shift: float
-    outcome: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,41 +138,38 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
     loops = raised_cosine(list(PEAKS.values()), cycles=CYCLES, drive=DRIVE).voltage
     runs = {start: Measured.of(truth, start, loops, seed) for seed, start in enumerate(STARTS)}
     runs["tops"] = Measured.of(truth, RELAXED, descending_tops(PEAKS["major"], drive=DRIVE).voltage, len(runs))
-    trials = {plan.key: _identify(truth, runs, plan, progress) for plan in PLANS}
+    trials = {key: _identify(truth, runs, key, progress) for key in PLANS}
     relaxed = runs[RELAXED]
     break_points = loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS)
     return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None))
 
 
-def _identify(truth: PlayActuator, runs: Mapping[str, Measured], plan: PaperPlan, progress: Progress) -> PaperTrial:
+def _identify(truth: PlayActuator, runs: Mapping[str, Measured], key: str, progress: Progress) -> PaperTrial:
     """Identify on the major and the small loop, and on the further records of the plan."""
-    step = f"identifying, {plan.key.replace('_', ' ')}"
+    step = f"identifying, {key.replace('_', ' ')}"
     progress(step)
-    relaxed = seen = runs[RELAXED]
-    if plan.noiseless:
-        seen = replace(relaxed, record=replace(relaxed.record, displacement=relaxed.true))
-    records = [seen.cut("major"), seen.cut("small")]
-    if plan.tops:
+    relaxed = runs[RELAXED]
+    records = [relaxed.cut("major"), relaxed.cut("small")]
+    if key == "breakpoints":
+        return paper_trial(truth, relaxed, identify(records, elements=PLANS[key]).actuator)
+    if key == "record_tops":
         # Recorded later, with the sensor's zero left where it was.
         tops = runs["tops"]
         moved = tops.record.displacement + tops.zero - relaxed.zero
         records.append(replace(tops.record, displacement=moved, name="tops"))
-    if not plan.whole:
-        found = identify(records, elements=plan.elements)
-        return paper_trial(truth, relaxed, found.actuator, found.outcome)
     # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
     fit = identification.identify(
         records,
         progress=lambda words: progress(f"{step}: {words}"),
-        structure=Structure(elements=plan.elements, knots=min(plan.elements, 40) + 1, smoothing=0.0),
+        structure=Structure(elements=PLANS[key], knots=PLANS[key] + 1, smoothing=0.0),
         shared_datum=True,
         delay=0.0,
         drift=False,
     )
-    return paper_trial(truth, relaxed, fit.actuator, fit.outcome.name)
+    return paper_trial(truth, relaxed, fit.actuator)
 
 
-def paper_trial(truth: PlayActuator, run: Measured, actuator: Actuator, outcome: str) -> PaperTrial:
+def paper_trial(truth: PlayActuator, run: Measured, actuator: Actuator) -> PaperTrial:
     """Compare an identified actuator with the truth."""
     simulated = actuator.simulate(run.record.voltage, extrapolate=True).displacement
     missed = simulated - run.true
@@ -204,7 +179,7 @@ def paper_trial(truth: PlayActuator, run: Measured, actuator: Actuator, outcome:
     energised = _after(actuator, STARTS[ENERGISED], actuator.relaxed())
     rest = actuator.relaxed(actuator.voltage(energised), extrapolate=True)
     tracking = _track(truth, run, actuator)
-    return PaperTrial(actuator, simulated, errors, tracking, rest.deformation - energised.deformation, outcome)
+    return PaperTrial(actuator, simulated, errors, tracking, rest.deformation - energised.deformation)
 
 
 def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:

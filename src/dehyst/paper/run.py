@@ -12,7 +12,7 @@ from dehyst._io import PathLike, made_folder, write_atomically, write_json
 from dehyst._types import Progress
 from dehyst._views.html import escape
 from dehyst.paper import experiment, tables
-from dehyst.paper.experiment import PEAKS, Experiment
+from dehyst.paper.experiment import Experiment
 from dehyst.report import MINUS, Row, document, table
 
 if TYPE_CHECKING:
@@ -100,13 +100,10 @@ def page(result: Paper, plates: Sequence[Plate]) -> str:
 
 
 def _tables(result: Paper) -> Iterator[str]:
-    """Yield the summary and the identifications of both actuators, and Table 1."""
-    loops = (f"{loop.capitalize()} loop" for loop in PEAKS)
-    limits: Row = ("Identification", "N", *loops, "Tracking", "Outcome")
+    """Yield the summary of both actuators, and Table 1."""
     for name, found in result.experiments.items():
         yield f"<h2>{_ACTUATORS[name].capitalize()}</h2>\n{_muted(_OF_SUMMARY)}"
         yield table(("Quantity", "Paper", ("Measured", "no model"), *tables.MODELS.values()), _summary(found), texts=1)
-        yield table(limits, map(_identification, tables.limits(found)), texts=1)
     yield f"<h2>Table 1: stiffness and breakaway friction, N = 10</h2>\n{_muted(_OF_TABLE1)}"
     methods = ((name, method) for method in ("paper's method", "whole record") for name in ("kᵢ (N/m)", "fᵢ (N)"))
     formats = ("{:.0f}", "{:.2f}", "{:.0f}", "{:.4f}", "{:.0f}", "{:.4f}")
@@ -117,16 +114,9 @@ def _tables(result: Paper) -> Iterator[str]:
 
 def _summary(found: Experiment) -> Iterator[Row]:
     for row in tables.summary(found):
-        paper = "–" if row.paper is None else f"{row.paper:g} {row.unit}"
-        values = (row.actuator, *map(row.models.get, tables.MODELS))
-        yield (row.quantity, paper, *(_value(value, row.unit) for value in values))
-
-
-def _identification(row: dict[str, Any]) -> Row:
-    given = "descending tops added" if row["tops"] else "perfect sensor" if row["noiseless"] else ""
-    method = "Whole record" if row["whole"] else "The paper's method"
-    errors = (_value(row[key], "%") for key in (*PEAKS, "tracking"))
-    return ((method, given), str(row["elements"]), *errors, row["outcome"].replace("_", " ").lower())
+        unit, paper = row["unit"], row["paper"]
+        values = (_value(row[key], unit) for key in ("actuator", *tables.MODELS))
+        yield (row["quantity"], "–" if paper is None else f"{paper:g} {unit}", *values)
 
 
 def _value(value: float | None, unit: str) -> str:

@@ -1,15 +1,15 @@
-"""Comparison of the paper's numbers with this package: the summary, every identification, and Table 1."""
+"""Comparison of the paper's numbers with this package: the summary and Table 1."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from dehyst._types import Array
 from dehyst.model import Physical
-from dehyst.paper.experiment import PEAKS, PLANS, PRE_ENERGISED, Experiment
+from dehyst.paper.experiment import PEAKS, PRE_ENERGISED, Experiment
 from dehyst.records import largest
 
 # Sec. 4.2: T [N/V], km and ke [N/m].
@@ -31,33 +31,17 @@ MODELS = {
 }
 
 
-class Quantity(NamedTuple):
-    """A row of the summary, with values by model, where it needs one; errors are against the truth.
+def summary(found: Experiment) -> list[dict[str, Any]]:
+    """Return the paper's numbers and those of one virtual actuator, as JSON values; errors are against the truth.
 
-    `actuator`: value measured on the virtual actuator, if no model is needed. `paper`: the paper's number, if it gives
-    one.
+    A row has a `key`, its `quantity` and its `unit`, the number of the `paper`, that of the `actuator` if no model is
+    needed, and that of each of `MODELS`.
     """
-
-    key: str
-    quantity: str
-    unit: str
-    actuator: float | None
-    models: Mapping[str, float]
-    paper: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        by_model = {key: self.models.get(key) for key in MODELS}
-        return {key: value for key, value in self._asdict().items() if key != "models"} | by_model
-
-
-def summary(found: Experiment) -> tuple[Quantity, ...]:
-    """Return the paper's numbers and those of one virtual actuator."""
     trials = {key: found.trials[key] for key in MODELS}
+    shift = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"
     tracked = {key: largest(trial.tracking.error) for key, trial in trials.items()}
     spacing = {key: 2e6 * float(trial.actuator.slip.breakaway[0]) for key, trial in trials.items()}
     shifted = {key: 1e6 * trial.shift for key, trial in trials.items()}
-    by_eq_10, moved = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)", 1e6 * float(found.shift.mean())
     rows: list[tuple[str, str, str, float | None, Mapping[str, float]]] = [
         (loop, f"Model error, {loop} loop ({peak:g} V)", "%", None, {key: trials[key].errors[loop] for key in MODELS})
         for loop, peak in PEAKS.items()
@@ -67,19 +51,13 @@ def summary(found: Experiment) -> tuple[Quantity, ...]:
         ("nominal", "Tracking error, nominal ratio", "%", largest(found.nominal.error), {}),
         ("spacing", "Spacing of break points", "µm", None, spacing),
         ("range", "Range of the major loop", "µm", 1e6 * found.loops[0].range, {}),
-        ("shift", by_eq_10, "µm", moved, shifted),
+        ("shift", shift, "µm", 1e6 * float(found.shift.mean()), shifted),
     ]
-    return tuple(Quantity(*row, PAPER.get(row[0])) for row in rows)
-
-
-def limits(found: Experiment) -> list[dict[str, Any]]:
-    """Return every identification with its errors against the truth [% of the range], as JSON values."""
-    rows = []
-    for plan in PLANS:
-        trial = found.trials[plan.key]
-        tracking = {"tracking": largest(trial.tracking.error), "outcome": trial.outcome}
-        rows.append(plan._asdict() | dict(trial.errors) | tracking)
-    return rows
+    head = ("key", "quantity", "unit", "actuator")
+    return [
+        {**dict(zip(head, row, strict=True)), "paper": PAPER.get(row[0]), **dict.fromkeys(MODELS), **models}
+        for *row, models in rows
+    ]
 
 
 def physical(found: Experiment, key: str) -> Physical:
@@ -103,7 +81,6 @@ def table1(found: Experiment) -> dict[str, Array]:
 def as_dict(found: Experiment) -> dict[str, Any]:
     """Return all tables of one actuator as JSON values."""
     return {
-        "summary": [row.as_dict() for row in summary(found)],
-        "limits": limits(found),
+        "summary": summary(found),
         "table1": {key: column.tolist() for key, column in table1(found).items()},
     }
