@@ -14,7 +14,7 @@ from nv200.serial_protocol import SerialProtocol
 from nv200.telnet_protocol import TelnetProtocol
 
 from dehyst.control import VoltageLimits
-from dehyst.instruments import AbstractRig, LinkError, Reading, RigError, host_timed
+from dehyst.instruments import AbstractRig, LinkError, Reading, RigError
 
 ADDRESS = "192.168.0.5"  # a host, or a serial port
 # What the amplifier must answer: an actuator with a sensor in micrometres, open loop, setpoints from here.
@@ -60,9 +60,6 @@ class JenaRig(AbstractRig):
 
     def _put(self, voltage):
         self._ask(f"set,{voltage:.6f}")
-
-    def _wave(self, voltage, rate):
-        return host_timed(self, voltage, rate)
 
     def _halt(self):
         """Nothing plays by itself."""

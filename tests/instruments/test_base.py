@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 from dehyst._errors import RecordError
 from dehyst.calibration.plan import Plan, steps
-from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError, host_timed
+from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
 from dehyst.instruments.interrupts import shielded
-from dehyst.instruments.waves import SensorWatch
+from dehyst.instruments.waves import SensorWatch, host_timed
 from dehyst.waveforms import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)

@@ -4,7 +4,7 @@ import signal
 import sys
 import time
 import warnings
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,16 +16,14 @@ from ioc_process import IocProcess
 
 from dehyst._errors import MissingExtraError
 from dehyst.instruments import DeviceError, LinkError, RigError
-from dehyst.instruments.epics import ChannelAccess, EpicsRig, PvNames, WaveNames
+from dehyst.instruments.epics import ChannelAccess, EpicsRig, PvNames
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation
-
-POINTS = 2000
 
 
 @pytest.fixture(scope="module")
 def ioc():
-    with IocProcess(wave_points=POINTS, record_points=POINTS) as process:
+    with IocProcess() as process:
         yield process
 
 
@@ -43,19 +41,14 @@ def doomed():
         yield process
 
 
-def cosine(samples=1000, rate=2000.0, top=100.0):
+def cosine(samples=1000, rate=200.0, top=100.0):
     return Excitation("cosine", top / 2 * (1 - np.cos(np.linspace(0, 4 * np.pi, samples))), rate)
-
-
-def slow():
-    """Ten seconds, to be broken off."""
-    return cosine(5000, 500.0)
 
 
 class Breaks:
     """A listener that does something once so many samples have come, and keeps what came."""
 
-    def __init__(self, act, after=100):
+    def __init__(self, act, after=60):
         self.act, self.after, self.came, self.done = act, after, [], False
 
     def __call__(self, samples):
@@ -70,7 +63,7 @@ class Breaks:
 
 
 def test_it_knows_what_the_device_says(rig, ioc):
-    assert (rig.limits.low, rig.limits.high, rig.longest) == (0.0, 200.0, POINTS)
+    assert (rig.limits.low, rig.limits.high, rig.longest) == (0.0, 200.0, None)
     assert f"epics://{ioc.prefix}" in rig.name
     assert "dehyst" in rig.name
 
@@ -81,48 +74,21 @@ def test_the_devices_slew_rate_is_asked():
         assert EpicsRig.connect(other.prefix, slew_rate=900.0).slew_rate == 500.0
 
 
-def test_a_record_is_what_the_actuator_did():
-    """Over Channel Access as if the actuator were driven directly, bit for bit but for the unit of the position."""
-    with IocProcess() as fresh, EpicsRig.connect(fresh.prefix) as rig:
-        excitation, came = cosine(6000), Breaks(lambda: None)
-        record = rig.play(excitation, came)
-    truth = PlayActuator(noise=0.0).play(excitation.voltage)
-    assert np.array_equal(record.voltage, excitation.voltage)
-    assert np.abs(record.displacement - truth).max() < 1e-15
-    assert np.allclose(np.diff(record.time), 1 / excitation.sample_rate, rtol=1e-6)
-    assert came.count == len(record)
-    assert len(came.came) > 2
-
-
-def test_the_rate_is_the_devices(rig):
-    assert rig.nearest_rate(2900.0) == pytest.approx(1 / 3.5e-4)
-    assert rig.nearest_rate(1000.0) == pytest.approx(1000.0)
-    record = rig.play(cosine(200, 2900.0, 20.0))
-    assert np.allclose(np.diff(record.time), 1 / rig.nearest_rate(2900.0), rtol=1e-6)
-
-
-def test_without_waves_the_host_keeps_time(doomed):
-    """At the asked rate or slower: by the device's own clock it is never steeper than asked for."""
+def test_a_record_is_what_the_actuator_did_and_never_steeper(doomed):
+    """At the asked rate or slower, by the device's own clock."""
     excitation = cosine(120, 200.0, 20.0)
-    with EpicsRig.connect(doomed.prefix, names=PvNames(waves=None)) as rig:
-        assert rig.nearest_rate(1000.0) == 200.0
-        assert rig.nearest_rate(20.0) == 20.0
+    with EpicsRig.connect(doomed.prefix) as rig:
+        assert (rig.nearest_rate(1000.0), rig.nearest_rate(20.0)) == (200.0, 20.0)
         record = rig.play(excitation)
     assert np.array_equal(record.voltage, excitation.voltage)
+    truth = PlayActuator(noise=0.0).play(excitation.voltage)
+    assert np.abs(record.displacement - truth).max() < 1e-11
     assert np.all(np.diff(record.time) > 0)
     assert doomed.log()["steepest"] <= 200.0 * np.abs(np.diff(excitation.voltage)).max() * (1 + 1e-9)
 
 
-def test_an_ioc_without_waves_is_told_and_used(ioc):
-    """Names that nobody answers for, all of those for waves."""
-    nobody = WaveNames(*(f"NO:{name}" for name in astuple(WaveNames())))
-    with pytest.warns(UserWarning, match="are missing"):
-        rig = EpicsRig.connect(ioc.prefix, names=PvNames(waves=nobody), timeout=0.5)
-    assert len(rig.play(cosine(20, 100.0, 5.0))) == 20
-
-
 def test_a_laboratorys_own_names(ioc):
-    names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None, waves=None)
+    names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None)
     front, _, rest = ioc.prefix.partition(":")
     names = replace(names, voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION")
     with EpicsRig.connect(f"{front}:", names=names) as rig:
@@ -140,16 +106,11 @@ def test_missing_variables_are_named(ioc):
         EpicsRig.connect(ioc.prefix, names=names, timeout=0.5)
 
 
-def test_some_variables_for_waves_are_not_enough(ioc):
-    with pytest.raises(LinkError, match="WAVE:NONE: no"):
-        EpicsRig.connect(ioc.prefix, names=PvNames(waves=WaveNames(busy="WAVE:NONE")), timeout=0.5)
-
-
 def test_no_ioc():
     began = time.monotonic()
-    with pytest.raises(LinkError, match=r"none of 18 process variables .* EPICS_CA_ADDR_LIST"):
+    with pytest.raises(LinkError, match=r"none of 9 process variables .* EPICS_CA_ADDR_LIST"):
         EpicsRig.connect("NOBODY", timeout=0.5)
-    assert time.monotonic() - began < 18 * 0.5  # they are waited for together
+    assert time.monotonic() - began < 9 * 0.5  # they are waited for together
 
 
 def test_a_position_in_volts_is_refused(ioc):
@@ -190,7 +151,7 @@ def test_without_aioca(monkeypatch):
 
 
 def test_limits_narrower_than_told(doomed, monkeypatch):
-    """Set and played: refused by the device, said with its words, and the voltage brought back."""
+    """Refused by the device, said with its words, and the voltage brought back."""
     rig, clock = EpicsRig.connect(doomed.prefix), Hand()
     monkeypatch.setattr(rig, "_now", clock)
     monkeypatch.setattr(rig, "_wait", clock.wait)
@@ -199,9 +160,6 @@ def test_limits_narrower_than_told(doomed, monkeypatch):
     with pytest.raises(DeviceError, match="reports: VOLTAGE: got 82") as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
-    monkeypatch.undo()
-    with pytest.raises(DeviceError, match=r"reports: start: got 0 to 99.* V, need 0 to 80 V"):
-        rig.play(cosine())
     assert doomed.log()["highest"] <= 80.0
     assert rig.read().voltage == 0.0
 
@@ -236,10 +194,10 @@ def test_a_reading_that_is_older_than_the_command_contradicts_nothing(doomed):
 
 def test_killed_in_mid_wave(doomed):
     rig, keeps = EpicsRig.connect(doomed.prefix, timeout=1.0), Breaks(doomed.kill)
-    with pytest.raises(LinkError, match=r"lost after \d+ samples") as caught:
-        rig.play(slow(), keeps)
+    with pytest.raises(LinkError, match="not connected") as caught:
+        rig.play(cosine(2000), keeps)
     assert "could not be brought to 0 V" in caught.value.__notes__[0]
-    assert keeps.count >= 100
+    assert keeps.count >= 60
     with pytest.raises(RigError, match="is closed"):
         rig.read()
 
@@ -257,19 +215,12 @@ def test_hung_in_mid_wave(doomed):
     """Connected, but silent; when it wakes up, the rig can be told to retreat."""
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
     with pytest.raises(LinkError, match="answer within 1 s, though") as caught:
-        rig.play(slow(), Breaks(lambda: doomed.process.send_signal(signal.SIGSTOP)))
+        rig.play(cosine(2000), Breaks(lambda: doomed.process.send_signal(signal.SIGSTOP)))
     assert "could not be brought" in caught.value.__notes__[0]
     doomed.process.send_signal(signal.SIGCONT)
     again = EpicsRig.connect(doomed.prefix)
     assert again.retreat() == 0.0
     assert again.read().voltage == 0.0
-
-
-def test_stopped_by_somebody_else(rig, ioc):
-    link = ChannelAccess(f"{ioc.prefix}:", 1.0)
-    with pytest.raises(DeviceError, match=r"stopped after \d+ of 2000 samples") as caught:
-        rig.play(slow(), Breaks(lambda: link.put("WAVE:STOP", 1)))
-    assert "brought to 0 V" in caught.value.__notes__[0]
 
 
 def test_two_rigs_of_one_ioc(rig, ioc):

@@ -10,7 +10,7 @@ from dehyst.instruments.epics import EpicsRig
 from dehyst.virtual.bench import Extremes
 
 LOW, HIGH = -20.0, 100.0
-_IOCS = {}
+_IOCS = []
 
 
 class RemoteInstrument:
@@ -35,19 +35,13 @@ class RemoteInstrument:
 
 
 @contextmanager
-def by_channel_access(longest=65536, **options):
-    """Open an IOC over Channel Access, in time twice as fast; one process for all tests with tables of one length."""
+def by_channel_access(longest=None, **options):
+    """Open an IOC over Channel Access, in time twice as fast; one process for all tests, of waves of any length."""
     for library in ("softioc", "aioca"):
         pytest.importorskip(library, reason=f"{library} is not installed: EPICS cannot be served, or not be used")
-    if longest not in _IOCS:
-        _IOCS[longest] = IocProcess(
-            actuator={"highest": HIGH, "noise": 1e-10},
-            limits=(LOW, HIGH),
-            speed=2.0,
-            wave_points=longest,
-            record_points=longest,
-        )
-    instrument = RemoteInstrument(_IOCS[longest])
-    with EpicsRig.connect(_IOCS[longest].prefix, **options) as rig:
+    if not _IOCS:
+        _IOCS.append(IocProcess(actuator={"highest": HIGH, "noise": 1e-10}, limits=(LOW, HIGH), speed=2.0))
+    instrument = RemoteInstrument(_IOCS[0])
+    with EpicsRig.connect(_IOCS[0].prefix, **options) as rig:
         rig._device_speed = 2.0
         yield rig, instrument

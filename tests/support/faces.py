@@ -34,8 +34,7 @@ FACES = {
             initial_state state_after
         """,
         "instruments": """
-            HIGHEST_RATE AbstractRig DeviceError LinkError Reading RigError Samples SensorError
-            host_timed open_rig
+            AbstractRig DeviceError LinkError Reading RigError Samples SensorError open_rig
         """,
         "model": """
             AbstractModel Actuator DisplacementCreep Dynamics GradedSlip Identification MaxwellSlip Motion

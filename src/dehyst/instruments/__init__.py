@@ -3,10 +3,9 @@
 from dehyst._errors import DeviceError, LinkError, RigError, SensorError
 from dehyst.instruments.addresses import open_rig
 from dehyst.instruments.base import AbstractRig
-from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, StepFunction, host_timed, played_rate
+from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, StepFunction, played_rate
 
 __all__ = [
-    "HIGHEST_RATE",
     "AbstractRig",
     "DeviceError",
     "LinkError",
@@ -14,6 +13,5 @@ __all__ = [
     "RigError",
     "Samples",
     "SensorError",
-    "host_timed",
     "open_rig",
 ]

@@ -21,6 +21,7 @@ from dehyst.control import ClampWarning, VoltageLimits
 from dehyst.instruments.interrupts import by_signal, shielded
 from dehyst.instruments.output import Output, ReadbackError, VoltageNote, common_limits
 from dehyst.instruments.waves import (
+    HIGHEST_RATE,
     Listener,
     Reading,
     Samples,
@@ -28,6 +29,7 @@ from dehyst.instruments.waves import (
     arriving,
     columns_of,
     driver_errors,
+    host_timed,
     pieces,
     played_rate,
 )
@@ -211,7 +213,7 @@ class AbstractRig(ABC):
 
         `step`: called before each sample of a single axis with the displacement [m] of the reading before, or None; it
         returns the voltage to send instead, which is held to limits and slew rate. This computer then sends each
-        voltage, as in `host_timed`.
+        voltage, as the default `_wave` does.
         """
         rate, axes = self.check(excitation), self.axes if self._parts else ()
         if step is not None:
@@ -332,8 +334,10 @@ class AbstractRig(ABC):
         return np.concatenate(list(pieces(np.arange(count), self.longest)))
 
     def nearest_rate(self, sample_rate: float) -> float:
-        """Return the rate [Hz] nearest to `sample_rate` at which the device can play; by default `sample_rate`."""
-        return self._parts[0].nearest_rate(sample_rate) if self._parts else sample_rate
+        """Return the rate [Hz] nearest to `sample_rate` at which `_wave` can play; by default `sample_rate`."""
+        if self._parts:
+            return self._parts[0].nearest_rate(sample_rate)
+        return min(sample_rate, HIGHEST_RATE) if type(self)._wave is AbstractRig._wave else sample_rate
 
     @abstractmethod
     def _read(self) -> Reading:
@@ -343,13 +347,14 @@ class AbstractRig(ABC):
     def _put(self, voltage: float) -> None:
         """Send one voltage [V], at once; it is within the limits, and one small step from the last."""
 
-    @abstractmethod
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         """Play voltages (n,) [V], n <= longest, at `rate` [Hz], from the present output; yield samples as they arrive.
 
         One sample of the record for each voltage. Times continue from one call to the next. Of several axes, voltages
-        are (n, axes) and begin at one instant.
+        are (n, axes) and begin at one instant. By default this computer sends each voltage, at `HIGHEST_RATE` at most,
+        never faster than `rate` and with uneven steps, and reads after each: a record's `hold` is then "line".
         """
+        return host_timed(self, voltage, rate)
 
     @abstractmethod
     def _halt(self) -> None:
@@ -472,8 +477,10 @@ class AbstractRig(ABC):
             known = "; ".join(f"{one.axis + ': ' if self._parts else ''}{one._output.words}" for one in self.rigs)
             holds = "the device holds, or plays to its end, what it has; see to it by hand"
             said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {holds}."
-        elif any(one._output.unread for one in self.rigs):
+        elif any(math.isnan(one._output.read) for one in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
+        elif not all(one._output.reached(one.safe) for one in self.rigs):
+            said = f"{safe} V was sent{to}, and {', '.join(f'{one._output.read:.6g}' for one in self.rigs)} V is read."
         return VoltageNote(said, safe=failed is None, voltages=[one._output.likely for one in self.rigs])
 
 

@@ -5,28 +5,24 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-import warnings
-from collections.abc import Coroutine, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Coroutine, Sequence
+from dataclasses import astuple, dataclass
 from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from dehyst._errors import DeviceError, LinkError, MissingExtraError, RigError
-from dehyst._types import Array
 from dehyst._units import COUNTS, symbol_of
 from dehyst.control import VoltageLimits
 from dehyst.instruments.base import AbstractRig
-from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, host_timed
+from dehyst.instruments.waves import Reading
 
-# Seconds between two polls of a wave; reading samples takes this share of the time at most.
-_POLL, _SHARE = 0.1, 0.1
-# Seconds that the recorder may lag behind the wave's end, and sample periods without a new sample.
-_LATE, _SILENT = 1.0, 5
 # Rounding of a voltage that the IOC takes, as a share of the range.
 _ROUNDED = 1e-3
 # Most time [s] to wait for a reading of the voltage that is younger than the last command, and between two polls.
 _STALE, _POLL_READBACK = 0.5, 0.01
+# Most time [s] to wait for an answer after one was lost.
+_LOST = 2.0
 # ECA_TIMEOUT of Channel Access.
 _TIMED_OUT = 80
 # Characters of an answer that a message quotes.
@@ -66,15 +62,20 @@ class ChannelAccess:
         self.prefix, self.timeout = prefix, timeout
         self._ca: Any = aioca
 
-    def absent(self, names: Sequence[str]) -> list[str]:
-        """Return the names for which no server answers within the timeout."""
-        pvs = [self.prefix + name for name in names]
-        answers = _run(self._ca.connect(pvs, timeout=self.timeout, throw=False))
-        return [name for name, answer in zip(names, answers, strict=True) if not answer.ok]
-
-    def connected(self, *names: str) -> bool:
-        """Return whether these variables, which were used before, are connected now."""
-        return _run(self._unconnected()).isdisjoint(self.prefix + name for name in names)
+    def demand(self, names: Sequence[str]) -> None:
+        """Raise `LinkError` if no server answers for one of the names within the timeout."""
+        answers = _run(self._ca.connect([self.prefix + name for name in names], timeout=self.timeout, throw=False))
+        absent = [self.prefix + name for name, answer in zip(names, answers, strict=True) if not answer.ok]
+        if len(absent) == len(names):
+            raise LinkError(
+                f"{self.prefix}*: none of {len(absent)} process variables answered within {self.timeout:g} s, not even "
+                f"{absent[0]}; {HINT}"
+            )
+        if absent:
+            raise LinkError(
+                f"{', '.join(absent)}: no such process variable within {self.timeout:g} s; give names, with None for "
+                "those it lacks"
+            )
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
@@ -89,16 +90,6 @@ class ChannelAccess:
             except (TypeError, ValueError) as error:
                 raise LinkError(f"{self.prefix}{name}: got {repr(value)[:_QUOTED]}, need a number") from error
         return numbers
-
-    def arrays(self, *names: str, count: int) -> list[Array]:
-        """Read the first `count` numbers of each array; raise `LinkError` if an answer is late, or has fewer."""
-        columns = [np.atleast_1d(np.asarray(value)) for value in self._get(names, count=count)]
-        for name, values in zip(names, columns, strict=True):
-            if values.size < count or values.dtype.kind not in "fiu":
-                raise LinkError(
-                    f"{self.prefix}{name}: got {values.size} values of {values.dtype}, need {count} numbers"
-                )
-        return [values[:count].astype(np.float64) for values in columns]
 
     def text(self, name: str) -> str:
         """Read a text, short or long."""
@@ -123,17 +114,13 @@ class ChannelAccess:
             )
         return 1 / count if count else None
 
-    def length(self, name: str) -> int:
-        """Return the capacity of an array, in elements."""
-        return int(self._answers(self._ca.cainfo, [name])[0].count)
-
-    def put(self, name: str, value: float | Array | str) -> None:
+    def put(self, name: str, value: float | str) -> None:
         """Write a value, and wait until the IOC has processed it.
 
         Raise `LinkError` if there is no answer in time: the value may have been written, or not. Raise `DeviceError` if
         it is refused.
         """
-        long_text = isinstance(value, str) and self.length(name) > 1
+        long_text = isinstance(value, str) and self._answers(self._ca.cainfo, [name])[0].count > 1
         options = {"datatype": self._ca.DBR_CHAR_STR} if long_text else {}
 
         async def request(pvs: list[str], **more: Any) -> list[Any]:
@@ -153,12 +140,12 @@ class ChannelAccess:
             for pv, answer in zip(pvs, answers, strict=True):
                 if answer.ok:
                     continue
+                # After a lost answer, none is waited for as long again: a retreat must not take minutes.
+                waited, self.timeout = self.timeout, min(_LOST, self.timeout)
                 if pv in await self._unconnected():
-                    raise LinkError(f"{pv}: not connected for {self.timeout:g} s; {HINT}")
+                    raise LinkError(f"{pv}: not connected for {waited:g} s; {HINT}")
                 if answer.errorcode == _TIMED_OUT:
-                    raise LinkError(
-                        f"{pv}: no answer within {self.timeout:g} s, though it is connected; does its IOC hang?"
-                    )
+                    raise LinkError(f"{pv}: no answer within {waited:g} s, though it is connected; does its IOC hang?")
                 raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
             return answers
 
@@ -170,29 +157,11 @@ class ChannelAccess:
 
 
 @dataclass(frozen=True)
-class WaveNames:
-    """Names of the process variables of a wave generator and its recorder, without the prefix.
-
-    `period` is the time per sample [s]. A put to `start` resets `count` before its callback, `stop` ends the wave.
-    """
-
-    voltage: str = "WAVE:VOLTAGE"
-    period: str = "WAVE:PERIOD"
-    start: str = "WAVE:START"
-    stop: str = "WAVE:STOP"
-    busy: str = "WAVE:BUSY"
-    count: str = "REC:COUNT"
-    recorded_time: str = "REC:TIME"
-    recorded_voltage: str = "REC:VOLTAGE"
-    recorded_position: str = "REC:POSITION"
-
-
-@dataclass(frozen=True)
 class PvNames:
     """Names of process variables without the prefix; None for those that an IOC does not have.
 
     Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `error` is a text that
-    stays until an empty one overwrites it. `waves`: None for an IOC that plays none.
+    stays until an empty one overwrites it.
     """
 
     voltage: str = "VOLTAGE"
@@ -204,36 +173,22 @@ class PvNames:
     low: str | None = "LIMIT:LOW"
     high: str | None = "LIMIT:HIGH"
     slew: str | None = "SLEW"
-    waves: WaveNames | None = WaveNames()
-
-    @property
-    def all(self) -> list[str]:
-        """All names, without those that are None."""
-        waves = () if self.waves is None else astuple(self.waves)
-        return [name for name in (*astuple(replace(self, waves=None)), *waves) if name is not None]
 
 
 class EpicsRig(AbstractRig):
-    """A rig behind an IOC's process variables; made by `connect`."""
+    """A rig behind an IOC's process variables, made by `connect`; this computer times every voltage."""
 
     def __init__(
         self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
     ) -> None:
-        self._link, self._names, self._waves = link, names, names.waves
+        self._link, self._names = link, names
         identity = "" if names.identity is None else link.text(names.identity).strip()
         # A record without a unit is in um, as those of the emulator.
         self._metres = link.metres(names.position) or 1e-6
-        self._recorded_metres, longest = self._metres, None
-        if waves := self._waves:
-            self._recorded_metres = link.metres(waves.recorded_position) or self._metres
-            self._tables = [waves.recorded_time, waves.recorded_voltage, waves.recorded_position]
-            longest = min(link.length(table) for table in (waves.voltage, *self._tables))
-        self._last, self._began = 0.0, time.monotonic()
-        # The variable of the last command.
-        self._commanded = names.voltage
+        self._began = time.monotonic()
         name = f"epics://{link.prefix.removesuffix(':')}" + (f" ({identity})" if identity else "")
-        super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate, longest=longest)
-        self._clear_error()
+        super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate)
+        self._halt()
 
     @classmethod
     def connect(
@@ -247,8 +202,7 @@ class EpicsRig(AbstractRig):
     ) -> Self:
         """Connect to all variables; nothing is sent.
 
-        Raise `LinkError` if variables are missing, `RigError` if the device's limits are not an interval. Warn if all
-        variables for waves are missing: the host then times every voltage, slowly.
+        Raise `LinkError` if variables are missing, `RigError` if the device's limits are not an interval.
 
         Parameters
         ----------
@@ -263,21 +217,8 @@ class EpicsRig(AbstractRig):
             Seconds that one exchange may take.
         """
         link = ChannelAccess(f"{prefix}:" if prefix[-1:].isalnum() else prefix, timeout)
-        names = _available(link, names)
+        link.demand([name for name in astuple(names) if name is not None])
         return cls(link, names, limits=limits, slew_rate=slew_rate)
-
-    def nearest_rate(self, sample_rate: float) -> float:
-        """Set `sample_rate` [Hz], and return the rate to which the device rounds it."""
-        if self._waves is None:
-            return min(sample_rate, HIGHEST_RATE)
-        self._link.put(self._waves.period, 1 / sample_rate)
-        self._raise_error()
-        (period,) = self._link.numbers(self._waves.period)
-        if not period > 0:
-            raise DeviceError(
-                f"{self.name}: its sample period is {period:.6g} s where {sample_rate:.6g} Hz was requested"
-            )
-        return 1 / period
 
     def _read(self) -> Reading:
         names = self._names
@@ -288,15 +229,15 @@ class EpicsRig(AbstractRig):
     def _read_voltage(self) -> float:
         deadline = time.monotonic() + _STALE
         while True:
-            (_, commanded), (voltage, read) = self._link.timed(self._commanded, self._names.readback)
+            (_, commanded), (voltage, read) = self._link.timed(self._names.voltage, self._names.readback)
             if read >= commanded or time.monotonic() > deadline:
                 return voltage
             self._wait(_POLL_READBACK)
 
     def _put(self, voltage: float) -> None:
-        self._commanded = self._names.voltage
         self._link.put(self._names.voltage, voltage)
-        self._raise_error()
+        if error := "" if self._names.error is None else self._link.text(self._names.error):
+            raise DeviceError(f"{self.name}: reports: {error}")
         (taken,) = self._link.numbers(self._names.voltage)
         if not abs(taken - voltage) <= _ROUNDED * (self.limits.high - self.limits.low):
             raise DeviceError(
@@ -304,74 +245,13 @@ class EpicsRig(AbstractRig):
                 "reports, or another client sends too"
             )
 
-    def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
-        if (waves := self._waves) is None:
-            yield from host_timed(self, voltage, rate)
-            return
-        for name, value in ((waves.voltage, voltage), (waves.period, 1 / rate), (waves.start, 1)):
-            self._link.put(name, value)
-            self._raise_error()
-        got, latest, cost, shift = 0, time.monotonic(), 0.0, None
-        while got < voltage.size:
-            count, idle = self._progress(waves, got, latest, max(self._link.timeout, _SILENT / rate))
-            now = time.monotonic()
-            if count > got and (count >= voltage.size or idle or now - latest >= cost / _SHARE):
-                arrays = self._link.arrays(*self._tables, count=min(count, voltage.size))
-                times, volts, positions = (column[got:] for column in arrays)
-                latest = time.monotonic()
-                cost, got = latest - now, got + times.size
-                if shift is None:
-                    # Times of a recorder may restart with every wave.
-                    shift = 0.0 if times[0] > self._last else self._last + 1 / rate - times[0]
-                self._last = float(times[-1] + shift)
-                yield Samples(times + shift, volts, self._recorded_metres * positions)
-            elif idle and now - latest > _LATE:
-                raise DeviceError(
-                    f"{self.name}: stopped after {got} of {voltage.size} samples; did another client stop it?"
-                )
-            if got < voltage.size:
-                self._wait(_POLL)
-
-    def _progress(self, waves: WaveNames, got: int, latest: float, patience: float) -> tuple[int, bool]:
-        """Return the number of recorded samples, and whether the wave has ended."""
-        # In this order: once the end is read, the count includes all samples recorded by then.
-        if not self._link.connected(waves.busy, waves.count):
-            raise LinkError(f"{self.name}: the connection was lost after {got} samples; the IOC may continue to play")
-        busy, count = self._link.numbers(waves.busy, waves.count)
-        if not got <= count < float("inf"):
-            raise LinkError(
-                f"{self.name}: its recorder counts {count:g} after {got} samples; does another client use it?"
-            )
-        if count == got and busy and time.monotonic() - latest > patience:
-            raise LinkError(
-                f"{self.name}: no new sample for {patience:.3g} s, {got} so far, though it reports that it plays"
-            )
-        return int(count), not busy
-
     def _halt(self) -> None:
-        self._clear_error()
-        if self._waves is None:
-            return
-        self._commanded = self._waves.stop
-        self._link.put(self._commanded, 1)
-        end = time.monotonic() + self._link.timeout
-        while self._link.numbers(self._waves.busy)[0]:
-            if time.monotonic() > end:
-                raise DeviceError(f"{self.name}: still plays {self._link.timeout:g} s after the stop command")
-            self._wait(_POLL)
+        """Overwrite an earlier error, which would stay; nothing plays by itself."""
+        if self._names.error is not None and self._link.text(self._names.error):
+            self._link.put(self._names.error, "")
 
     def _close(self) -> None:
         """Leave the channels open: they belong to the process, and another rig may use them."""
-
-    def _raise_error(self) -> None:
-        error = "" if self._names.error is None else self._link.text(self._names.error)
-        if error:
-            raise DeviceError(f"{self.name}: reports: {error}")
-
-    def _clear_error(self) -> None:
-        """Overwrite an earlier error, which would stay."""
-        if self._names.error is not None and self._link.text(self._names.error):
-            self._link.put(self._names.error, "")
 
     def _device_limits(self, given: tuple[float, float] | None) -> VoltageLimits:
         """Return the device's limits: its variables, and its record's limits where they are narrower."""
@@ -388,26 +268,3 @@ class EpicsRig(AbstractRig):
             )
         slew = 0.0 if names.slew is None else link.numbers(names.slew)[0]
         return VoltageLimits(low, high, slew if slew > 0 else None)
-
-
-def _available(link: ChannelAccess, names: PvNames) -> PvNames:
-    """Return the names, without those for waves if all of these are missing; refuse any other missing name."""
-    absent = link.absent(names.all)
-    if not absent:
-        return names
-    if names.waves and set(absent) == set(astuple(names.waves)):
-        warnings.warn(
-            f"{link.prefix}{absent[0]} and all others for waves are missing: every voltage is timed by this computer, "
-            f"{HIGHEST_RATE:g} a second at most and unevenly",
-            stacklevel=3,
-        )
-        return replace(names, waves=None)
-    if len(absent) == len(names.all):
-        raise LinkError(
-            f"{link.prefix}*: none of {len(absent)} process variables answered within {link.timeout:g} s, not even "
-            f"{link.prefix}{absent[0]}; {HINT}"
-        )
-    listed = ", ".join(link.prefix + name for name in absent)
-    raise LinkError(
-        f"{listed}: no such process variable within {link.timeout:g} s; give names, with None for those it lacks"
-    )

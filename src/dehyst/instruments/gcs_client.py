@@ -18,8 +18,6 @@ IDENTITY = "*IDN?"
 # Most bytes of one line, and lines of one answer.
 _LONGEST = 1 << 16
 _MOST_LINES = 1 << 18
-# Most time of a whole answer, in timeouts, however slowly it arrives.
-_SLOWEST = 2
 # Most time [s] to find a lost link again: at first, and half of it after each failure, down to the second.
 _LOST, _LEAST = 2.0, 0.5
 # Seconds between two attempts to reconnect.
@@ -29,8 +27,8 @@ _PAUSE = 0.02
 class TcpLink:
     """A socket that carries lines to one controller, which takes one client at a time, and its answers back.
 
-    Raise `LinkError` if there is no connection. `where`: address, for messages. `timeout`: seconds without a
-    byte after which an answer is abandoned.
+    Raise `LinkError` if there is no connection. `where`: address, for messages. `timeout`: seconds
+    after which an answer that is not whole is abandoned.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 5.0) -> None:
@@ -47,7 +45,7 @@ class TcpLink:
         Raise `LinkError` if there is no answer, or an incomplete one.
         """
         self._send([*commands, query])
-        deadline = time.monotonic() + _SLOWEST * self._timeout
+        deadline = time.monotonic() + self._timeout
         lines: list[str] = []
         more = True
         while more:
@@ -147,7 +145,7 @@ class TcpLink:
                 raise LinkError(f"got {searched} bytes without a line feed: {got.removeprefix('got ')}")
             if self._socket is None:
                 raise LinkError("the connection is closed")
-            wait = min(self._timeout, deadline - time.monotonic())
+            wait = deadline - time.monotonic()
             if wait <= 0:
                 raise LinkError(f"{got}: the answer takes too long")
             try:

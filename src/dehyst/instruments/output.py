@@ -30,6 +30,8 @@ _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 _RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
 _LEAST_DELAY = 0.02
+# A voltage is reached if the reading is within this share of the range; else a retreat sends its end so many times.
+_EXACT, _SENT = 1e-4, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
@@ -69,11 +71,12 @@ class ReadbackError(DeviceError):
 
 
 class Output:
-    """What the only axis of a `rig` puts out; `unread`: whether it could not be read after the last retreat."""
+    """What the only axis of a `rig` puts out; `read`: the voltage that was read after a retreat [V], or NaN."""
 
     def __init__(self, rig: AbstractRig) -> None:
-        self._rig, self.unread = rig, False
-        self._tolerance = READBACK_TOLERANCE * (rig.limits.high - rig.limits.low)
+        self._rig, self.read = rig, math.nan
+        span = rig.limits.high - rig.limits.low
+        self._tolerance, self._exact = READBACK_TOLERANCE * span, _EXACT * span
         # Voltages of the present wave, or the last one that was sent; None before that.
         self._sent: Array | None = None
         # The last voltage since then of which it is not known whether it was taken.
@@ -99,6 +102,10 @@ class Output:
     def likely(self) -> float:
         """The likeliest voltage [V] now; NaN if nothing was sent."""
         return math.nan if self._sent is None else self.stopped(self._rig._now(), anywhere=True)[0]
+
+    def reached(self, voltage: float) -> bool:
+        """Return whether a `voltage` [V] was read after the last retreat, apart from the digits of a readback."""
+        return abs(self.read - voltage) <= self._exact
 
     @property
     def words(self) -> str:
@@ -171,14 +178,18 @@ class Output:
                 contradiction = error
             except RigError:
                 pass
-        yield from self._steps(present, end, always=True, answer=self._rig._now() - asked)
-        self.unread = False
-        try:
-            yield from self._confirmed(end, end, end, _SETTLING)
-        except ReadbackError:
-            raise
-        except RigError:
-            self.unread = True
+        answer, self.read = self._rig._now() - asked, math.nan
+        for _ in range(_SENT):
+            yield from self._steps(present, end, always=True, answer=answer)
+            present = end
+            try:
+                self.read = yield from self._confirmed(end, end, end, _SETTLING)
+            except ReadbackError:
+                raise
+            except RigError:
+                break
+            if self.reached(end):
+                break
         if contradiction is not None:
             raise contradiction
 

@@ -22,7 +22,7 @@ from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.gcs_client import GcsClient, TcpLink
 from dehyst.instruments.gcs_syntax import command
 from dehyst.instruments.output import AxisLimits, AxisSlewRates, bounds_of_axes
-from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples, host_timed
+from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples
 
 PORT = 50000
 # A recorder without a new sample for this time [s], and for this many sample periods, has stopped.
@@ -33,7 +33,7 @@ _METRES, _SECONDS = 1e-6, 1e-3
 # Seconds between two polls of the recorder: less for a short wave, so that a dead sensor is detected in time.
 _SHORTEST_POLL, _POLL, _POLLS = 0.02, 0.1, 20
 # Most numbers of one answer.
-_NUMBERS = 4000
+_NUMBERS = 2000
 # Time [s] between two readings within one tick of a clock.
 _TICK = 1e-9
 # Parameters of the public list.
@@ -218,7 +218,7 @@ class PiRig(AbstractRig):
 
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         if self.waves is None:
-            yield from host_timed(self, voltage, rate)
+            yield from super()._wave(voltage, rate)
             return
         for one in self._pi_rigs:
             one._open_loop()

@@ -92,109 +92,63 @@ def driver_errors(name: str, method: str) -> Iterator[None]:
         ) from error
 
 
-def inspected(
-    rig: AbstractRig, wave: Callable[[], Iterator[Samples]], sent: Array, *, spans: Array, after: float, patience: float
-) -> Generator[Samples, None, None]:
-    """Yield each batch of a `wave` that is not empty, admitted, and compared with the `sent` voltages after its use.
+def admitted(rig: AbstractRig, batch: Any, sent: Array, count: int, after: float) -> Samples:
+    """Return a `batch` of a driver as arrays of their own.
 
-    Raise `LinkError` if samples cannot follow the previous ones, of which the last came at `after` [s], or batches are
-    empty for longer than `patience` [s]. Raise `DeviceError` if they do not belong to the sent voltages, or some are
-    missing; each axis has a range in `spans` [V].
-    Whatever the driver raises is re-raised as `DeviceError`; its generator is closed.
+    Raise `LinkError` if it cannot follow the `count` samples before, the last of which came at `after` [s]: too many
+    for the `sent` voltages, not finite, or times that do not increase; `DeviceError` if it has other further channels.
     """
     name = rig.name
-    # A recorder may be a sample or two late.
-    steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)
-    slack = np.maximum(READBACK_TOLERANCE * spans, 2 * steepest)
     with driver_errors(name, "_wave"):
-        batches = iter(wave())
-    count, latest = 0, time.monotonic()
-    try:
-        while True:
-            with driver_errors(name, "_wave"):
-                batch = next(batches, None)
-                if batch is None:
-                    break
-                samples = admitted(name, batch, sent, count, after)
-            if not samples.time.size:
-                if time.monotonic() - latest > patience:
-                    raise LinkError(
-                        f"{name}: got empty batches for {patience:.3g} s after {count} samples, need {len(sent)}; "
-                        "check the rig's _wave, and the device's data recorder"
-                    )
-                continue
-            if set(samples.others) != set(rig.others):
-                found, need = (", ".join(others) or "none" for others in (samples.others, rig.others))
-                raise DeviceError(f"{name}: got further channels {found}, need {need}; check the rig's _wave")
-            yield samples
-            latest = time.monotonic()
-            count, after = count + samples.time.size, float(samples.time[-1])
-            differences = np.abs(samples.voltage - sent[count - samples.time.size : count]).max(axis=0)
-            if (differences > slack).any():
-                worst = int(np.argmax(differences - slack))
-                where = f"{name}, axis {rig.axes[worst]}" if len(rig.axes) > 1 else name
-                raise DeviceError(
-                    f"{where}: its output is {np.ravel(differences)[worst]:.4g} V away from what was sent; is the "
-                    "amplifier on, the servo off and the channel the right one?"
-                )
-    finally:
-        if isinstance(batches, Generator):
-            with driver_errors(name, "_wave"):
-                batches.close()
-    if count < len(sent):
-        raise DeviceError(f"{name}: recorded {count} of {len(sent)} samples; check its data recorder")
-
-
-def admitted(name: str, samples: Samples, sent: Array, count: int, after: float) -> Samples:
-    """Return samples of a driver as arrays.
-
-    Raise `LinkError` if they cannot follow the `count` samples before, the last of which came at `after` [s]: too many
-    for the `sent` voltages, not finite, or times that do not increase.
-    """
-    try:
-        columns = [plain(values, what) for values, what in zip(samples[:3], Samples._fields, strict=False)]
-    except ModelError as error:
-        raise LinkError(f"{name}: {error}; check the driver") from error
-    # Copied: a driver may fill the same buffer again.
-    times, voltage, displacement = (np.array(column, dtype=np.float64) for column in columns)
-    shapes = {times.shape + sent.shape[1:], voltage.shape, displacement.shape}
-    if len(shapes) > 1 or times.ndim != 1:
+        try:
+            columns = [plain(values, what) for values, what in zip(batch[:3], Samples._fields, strict=False)]
+        except ModelError as error:
+            raise LinkError(f"{name}: {error}; check the driver") from error
+        # Copied: a driver may fill the same buffer again.
+        times, voltage, displacement = (np.array(column, dtype=np.float64) for column in columns)
+        others = {
+            column: np.array(plain(values, column, error=LinkError), dtype=np.float64)
+            for column, values in batch.others.items()
+        }
+    if times.ndim != 1 or {times.shape + sent.shape[1:]} != {voltage.shape, displacement.shape}:
+        shapes = f"{times.shape}, {voltage.shape} and {displacement.shape}"
         raise LinkError(f"{name}: got columns of shapes {shapes}, need one length; check the link")
     if count + times.size > len(sent):
         raise LinkError(f"{name}: got {count + times.size} samples for {len(sent)} voltages; check the link")
     if not all(bool(np.isfinite(column).all()) for column in (times, voltage, displacement)):
         raise LinkError(f"{name}: got samples that are not finite; check the link and the sensor")
-    rising = np.concatenate([[after], times])
-    if (np.diff(rising) <= 0).any():
-        first = int(np.argmax(np.diff(rising) <= 0))
+    early = np.flatnonzero(np.diff(times, prepend=after) <= 0)
+    if early.size:
+        last = times[early[0] - 1] if early[0] else after
         raise LinkError(
-            f"{name}: got a sample of {rising[first + 1]:.9g} s after one of {rising[first]:.9g} s, need increasing "
-            "times; check the link and the device's clock"
+            f"{name}: got a sample of {times[early[0]]:.9g} s after one of {last:.9g} s, need increasing times; check "
+            "the link and the device's clock"
         )
-    others = {}
-    for column, values in samples.others.items():
-        others[column] = channel = np.array(plain(values, column, error=LinkError), dtype=np.float64)
+    for column, channel in others.items():
         if channel.shape != times.shape or not np.isfinite(channel).all():
             raise LinkError(f"{name}: {column}: got {channel.shape} values, need one finite number a sample")
+    if times.size and set(others) != set(rig.others):
+        found, need = (", ".join(names) or "none" for names in (others, rig.others))
+        raise DeviceError(f"{name}: got further channels {found}, need {need}; check the rig's _wave")
     return Samples(times, voltage, displacement, others)
 
 
 class SensorWatch:
-    """A check of samples as they arrive: it raises when the reading is constant while the voltage moves.
+    """A check of samples as they arrive: it raises when the sensor reads a constant while the actuator should move.
 
-    `span`: range of the voltage [V]. `name`: of the sensor, in messages.
+    `span`: range of the voltage [V] of which the voltage may cross a fifth meanwhile. `name`: name of the sensor, for
+    the message.
     """
 
     def __init__(self, span: float, name: str = "the sensor") -> None:
         self._enough, self._name = _DEAD * span, name
-        # The last reading, the range of the voltage since it is constant, and whether there was another one before.
-        self._value, self._low, self._high, self._moved = math.nan, 0.0, 0.0, False
+        # The last reading, and the range of the voltage since it is constant.
+        self._value, self._low, self._high = math.nan, 0.0, 0.0
 
     def observe(self, voltage: Array, displacement: Array) -> None:
         """Check samples (n,) [V], (n,) [m] that follow the ones before.
 
-        Raise `SensorError` if the reading has not changed while the voltage crossed a fifth of its range; the message
-        depends on whether the reading moved before.
+        Raise `SensorError` if the reading has not changed while the voltage crossed a fifth of its range.
         """
         if not displacement.size:
             return
@@ -202,19 +156,13 @@ class SensorWatch:
         low, high = np.minimum.reduceat(voltage, starts), np.maximum.reduceat(voltage, starts)
         if displacement[0] == self._value:
             low[0], high[0] = min(low[0], self._low), max(high[0], self._high)
-        else:
-            self._moved = self._moved or not math.isnan(self._value)
         stuck = np.flatnonzero(high - low > self._enough)
         if stuck.size:
             first = int(stuck[0])
-            what = f"stays at {1e6 * displacement[starts[first]]:.6g} um while the voltage goes from "
-            what += f"{low[first]:.6g} to {high[first]:.6g} V"
-            does, hint = "does not move", "is it plugged in, switched on, the right channel?"
-            if self._moved or first:
-                does = "hangs or is saturated"
-                hint = "shift its range, use less voltage (--limits), or look at its cable"
-            raise SensorError(f"{self._name} {does}: it {what}; {hint}")
-        self._moved = self._moved or starts.size > 1
+            raise SensorError(
+                f"{self._name} does not move: it stays at {1e6 * displacement[starts[first]]:.6g} um while the voltage "
+                f"goes from {low[first]:.6g} to {high[first]:.6g} V; is it plugged in, the right channel, or saturated?"
+            )
         self._value, self._low, self._high = float(displacement[-1]), float(low[-1]), float(high[-1])
 
 
@@ -227,25 +175,57 @@ class PaceWatch:
     def __init__(self, name: str, rate: float, rows: NDArray[np.intp]) -> None:
         self._name, self._rate, self._rows = name, rate, rows
         # The earliest time at which the wave can have begun, by its first samples, of which some may be late.
-        self._count, self._begin, self._first = 0, math.inf, math.nan
+        self._count, self._begin = 0, math.inf
 
     def observe(self, time: Array) -> None:
         """Check times (n,) [s] that follow the ones before; raise `DeviceError` if they are too early."""
         rows = self._rows[self._count : self._count + time.size]
-        if not self._count:
-            self._first = float(time[0])
         self._count += time.size
         due = rows / self._rate
         first = rows < _PACED_FROM
         self._begin = min(self._begin, float((time - due)[first].min(initial=math.inf)))
         early = np.flatnonzero(~first & (time - self._begin < _PACE * due))
         if early.size:
-            row, passed = int(rows[early[0]]), float(time[early[0]] - self._first)
+            row, passed = int(rows[early[0]]), float(time[early[0]] - self._begin)
             raise DeviceError(
                 f"{self._name}: plays faster than the {self._rate:.6g} Hz that were asked for: by its times, sample "
                 f"{row} came {passed:.4g} s after the first, need {row / self._rate:.4g} s; check the rig's _wave and "
                 "nearest_rate, and the device's clock"
             )
+
+
+class WaveWatch:
+    """All checks of the samples of an excitation that a `rig` plays at a `rate` [Hz], after they were listened to."""
+
+    def __init__(self, rig: AbstractRig, excitation: Excitation, rate: float) -> None:
+        self._rig, self._rate = rig, rate
+        self._spans = np.array([each.limits.high - each.limits.low for each in rig.rigs])
+        ranges = np.maximum([np.ptp(column) for column in columns_of(excitation.voltage)], _LEAST_WATCHED * self._spans)
+        names = [f"the sensor of axis {axis}" for axis in rig.axes] if len(rig.axes) > 1 else ["the sensor"]
+        self._sensors = [SensorWatch(float(span), name) for span, name in zip(ranges, names, strict=True)]
+        self._pace = PaceWatch(rig.name, rate, rig.rows(len(excitation)))
+
+    def observe(self, samples: Samples, sent: Array, steepest: Array) -> None:
+        """Check samples by their `sent` voltages (n,) or (n, axes) [V], of a wave with `steepest` steps [V] an axis.
+
+        Raise `DeviceError` or `SensorError`.
+        """
+        rig = self._rig
+        # A recorder may be a sample or two late.
+        slack = np.maximum(READBACK_TOLERANCE * self._spans, 2 * steepest)
+        differences = np.atleast_1d(np.abs(samples.voltage - sent).max(axis=0))
+        if (differences > slack).any():
+            worst = int(np.argmax(differences - slack))
+            where = f"{rig.name}, axis {rig.axes[worst]}" if len(rig.axes) > 1 else rig.name
+            raise DeviceError(
+                f"{where}: its output is {differences[worst]:.4g} V away from what was sent; is the amplifier on, the "
+                "servo off and the channel the right one?"
+            )
+        columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
+        for sensor, (voltage, displacement) in zip(self._sensors, columns, strict=True):
+            sensor.observe(voltage, displacement)
+        self._pace.observe(samples.time)
+        rig._watch_clock(float(samples.time[-1]), samples.time.size / self._rate)
 
 
 def arriving(
@@ -255,44 +235,64 @@ def arriving(
 
     `step`: as of `AbstractRig.play`. Raise `RigError` if the device, its link, its sensor or its clock fails.
     """
-    spans = np.array([one.limits.high - one.limits.low for one in rig.rigs])
-    sensors = [
-        SensorWatch(
-            max(float(np.ptp(column)), _LEAST_WATCHED * span),
-            f"the sensor of axis {one.axis}" if len(rig.axes) > 1 else "the sensor",
-        )
-        for one, column, span in zip(rig.rigs, columns_of(excitation.voltage), spans.tolist(), strict=True)
-    ]
-    pace = PaceWatch(rig.name, rate, rig.rows(len(excitation)))
-    outputs, after = [one._output for one in rig.rigs], -math.inf
+    watch, after = WaveWatch(rig, excitation, rate), -math.inf
     waves = rig._wave if step is None else partial(host_timed, rig, step=step)
-    for piece in pieces(excitation.voltage, rig.longest) if step is None else [excitation.voltage.copy()]:
-        count, rig._host_paced = 0, False
-        for output, column in zip(outputs, columns_of(piece), strict=True):
+    for sent in pieces(excitation.voltage, rig.longest) if step is None else [excitation.voltage.copy()]:
+        count, rig._host_paced, outputs = 0, False, [each._output for each in rig.rigs]
+        for output, column in zip(outputs, columns_of(sent), strict=True):
             output.plays(column, rate, rig._device_speed)
-        wave, patience = partial(waves, piece, rate), _PATIENCE + 2 * len(piece) / rate
+        steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)
         # Closed before the retreat: what a driver does at the end of a wave must not come after it.
-        with closing(inspected(rig, wave, piece, spans=spans, after=after, patience=patience)) as batches:
-            for samples in batches:
-                count += samples.time.size
+        with closing(_batches(rig, partial(waves, sent, rate), _PATIENCE + 2 * len(sent) / rate)) as batches:
+            for batch in batches:
+                samples = admitted(rig, batch, sent, count, after)
+                if not samples.time.size:
+                    continue
+                count, after = count + samples.time.size, float(samples.time[-1])
                 for output in outputs if not rig._host_paced else ():
                     output.observe(count)
                 listen(samples)
-                columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
-                for sensor, (voltage, displacement) in zip(sensors, columns, strict=True):
-                    sensor.observe(voltage, displacement)
-                pace.observe(samples.time)
-                after = float(samples.time[-1])
-                rig._watch_clock(after, samples.time.size / rate)
+                watch.observe(samples, sent[count - samples.time.size : count], steepest)
                 yield samples
+        if count < len(sent):
+            raise DeviceError(f"{rig.name}: recorded {count} of {len(sent)} samples; check its data recorder")
+
+
+def _batches(
+    rig: AbstractRig, wave: Callable[[], Iterator[Samples]], patience: float
+) -> Generator[Samples, None, None]:
+    """Yield the batches of a driver's `wave`; its generator is closed.
+
+    Raise `LinkError` if they are empty for longer than `patience` [s], `DeviceError` for whatever the driver raises.
+    """
+    with driver_errors(rig.name, "_wave"):
+        batches = iter(wave())
+    latest = time.monotonic()
+    try:
+        while True:
+            with driver_errors(rig.name, "_wave"):
+                batch = next(batches, None)
+            if batch is None:
+                return
+            yield batch
+            if len(batch[0]):
+                latest = time.monotonic()
+            elif time.monotonic() - latest > patience:
+                raise LinkError(
+                    f"{rig.name}: got empty batches for {patience:.3g} s; check the rig's _wave, and the device's data "
+                    "recorder"
+                )
+    finally:
+        if isinstance(batches, Generator):
+            with driver_errors(rig.name, "_wave"):
+                batches.close()
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
     """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
-    For the `AbstractRig._wave` of a driver without a wave table, whose `nearest_rate` returns at most `HIGHEST_RATE`:
-    slow, with uneven steps. Readings have the device's time, just after each voltage: `hold` is "line". `step`: as of
-    `AbstractRig.play`; it replaces the voltages after the first.
+    Readings have the device's time, just after each voltage. `step`: as of `AbstractRig.play`; it replaces the voltages
+    after the first.
     """
     rig._host_paced = True
     period, readings, yielded, read = 1 / rate, [], rig._now(), None
