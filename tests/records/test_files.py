@@ -57,8 +57,8 @@ def test_text_formats(tmp_path, name):
 def test_units(tmp_path, quantity, name, factor, encoding):
     if "μ" in name and encoding == "latin-1":
         encoding = "utf-8"  # only the micro sign, not the Greek letter, is in Latin-1
-    table = read_table(text(tmp_path, f"{name},x\n1.5,0\n3,0\n", encoding=encoding))
-    assert table.column(quantity) == pytest.approx([1.5 * factor, 3 * factor], rel=1e-15)
+    table = read_table(text(tmp_path, f"{name},x\n15,0\n30,0\n", encoding=encoding))
+    assert table.column(quantity) == pytest.approx([15 * factor, 30 * factor], rel=1e-15)
 
 
 TEXTS = {

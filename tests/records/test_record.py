@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst._errors import MissingExtraError, RecordError
+from dehyst._errors import FileFormatError, MissingExtraError, RecordError
 from dehyst._units import per_metre
-from dehyst.records import Record, reversals
+from dehyst.records import Record, read, reversals, write_record
 from dehyst.records.signals import gaps, resolution, turning_points, white_noise
 
 DATA = places.DATA
@@ -338,6 +338,19 @@ def test_arrays_in_another_unit_are_refused(units, displacement, words):
         Record.from_arrays(range(5), WAVE, displacement, units=units)
     with pytest.raises(RecordError, match='units "um"'):
         changed(displacement=lambda y: 1e6 * y).check_usable()
+
+
+@pytest.mark.parametrize(("column", "factor"), [("time", 1e9), ("time", 1e-6), ("voltage", 1e4), ("displacement", 1e6)])
+def test_what_no_actuator_or_instrument_has_is_refused(column, factor, tmp_path):
+    """The error says what was got and what is needed; a file of such times is refused as it is read."""
+    record = changed(**{column: lambda values: factor * values})
+    with pytest.raises(RecordError, match=f"(?s)got .*, need .*{column}"):
+        record.check_usable()
+    write_record(tmp_path / "a.csv", record)
+    if column == "time":
+        with pytest.raises(FileFormatError, match=r"got .*, need .*time"):
+            read(tmp_path / "a.csv")
+        assert len(read(tmp_path / "a.csv", "rate=1000")) == len(record)
 
 
 def test_a_dataframe_and_back(monkeypatch):

@@ -18,14 +18,14 @@ from dehyst._io import PathLike, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import axis_names
-from dehyst.records.formats.columns import GAIN, GUESS, PERIOD, QUANTITIES
+from dehyst.records.formats.columns import GAIN, GUESS, QUANTITIES
 from dehyst.records.formats.file_content import MOST, opened
 
 # Placeholder for the samples a second.
 RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
-_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER}|{PERIOD})\s*([^\W\d]*)", re.IGNORECASE)
+_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
 _SIGNS = {"point": ".", "comma": ","}
 _COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
@@ -53,8 +53,8 @@ class Scale(NamedTuple):
     def of(cls, text: str) -> Self:
         """Return the scale in a text; raise `FileFormatError` for one that cannot be used."""
         periodic, match = _PERIODIC.fullmatch(text), _FACTOR.fullmatch(text)
-        if GAIN in text or PERIOD in text:
-            need = f"a number for {GAIN if match else PERIOD}, from the data sheet"
+        if GAIN in text:
+            need = f"a number for {GAIN}, from the data sheet"
             raise FileFormatError(argument="columns", got=f"*{text}", need=need)
         number = float(periodic[2] if periodic else match[1])  # type: ignore[index]
         if not isfinite(number) or number == 0 or (periodic and number < 0):

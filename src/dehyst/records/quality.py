@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, cleaned
-from dehyst.records.formats.columns import HIGHEST_VOLTAGE, STROKES
+from dehyst.records.formats.columns import HIGHEST_VOLTAGE, STROKES, impossible
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 # Larger numbers [V, m, s] are no measurement, and computations with them overflow; nor are shorter steps [s].
 LARGEST, SHORTEST = 1e30, 1e-30
-# A stroke [m] of no piezo actuator; amplified ones reach millimetres.
-_SHORTEST_STROKE, _LONGEST_STROKE = 1e-9, 0.1
 # Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
 _LEAST_VOLTAGE = 0.01
 # Fewest events from which a loop is identified.
@@ -95,15 +93,10 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
 
 
 def other_unit(record: Record) -> str:
-    """Return an error if no piezo actuator has such a stroke, because the unit is wrong; or empty."""
-    if not record.stroke or _SHORTEST_STROKE <= record.stroke <= _LONGEST_STROKE:
-        return ""
-    large = record.stroke > _LONGEST_STROKE
-    need, unit = (f"at most {_LONGEST_STROKE:g}", "um") if large else (f"at least {_SHORTEST_STROKE:g}", "m")
-    return (
-        f"got a stroke of {record.stroke:.4g} m, need {need} m: is the displacement in {unit}? Correct its unit, or "
-        f'give units "{unit}" in Python; a rig reads metres'
-    )
+    """Return an error if no piezo actuator has such a time, voltage or stroke, because a unit is wrong; or empty."""
+    highest = max(map(abs, record.voltage_range))
+    words = impossible("time", record.sample_time) or impossible("voltage", highest)
+    return words or (impossible("displacement", record.stroke) if record.stroke else "")
 
 
 def guesses(record: Record) -> tuple[str, ...]:

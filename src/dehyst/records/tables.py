@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,18 +18,15 @@ from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.columns import (
     GAIN,
     GUESS,
-    PERIOD,
     QUANTITIES,
     Column,
+    impossible,
     is_small,
     listed,
     plausible_unit,
     shortened,
 )
-from dehyst.records.signals import turning_points
 
-# Turns of a periodic signal for each turn of the voltage, and the least part of the range that is a turn.
-_OFTEN, _SWING = 4, 0.3
 _BRANCHES = (
     "all its columns only rise: if they hold the rising and the falling branch side by side, write the falling one "
     "below the rising one in reverse order, and give rate=HZ"
@@ -73,8 +70,6 @@ def notes_on(proposal: str) -> list[str]:
     """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
-        PERIOD: f"The signal rises and falls many times while the voltage rises: replace {PERIOD} by its period, half "
-        "a wavelength for an interferometer (fringe), the pitch of a grating (grating).",
         GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
         "the sensor; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
@@ -128,18 +123,13 @@ class Table:
         clock = Column("time", np.arange(float(self.rows)) / rate, "s")
         others = [column for column in self.columns if "time" not in column.quantities]
         left = tuple(column.name for column in self.columns if "time" in column.quantities)
-        with suppress(ColumnError):
+        steps, away = np.zeros(0), 0.0
+        with suppress(FileFormatError):
             time = self.column("time")
-            steps = np.diff(time)
-            if (
-                time.size > 1
-                and np.all(steps > 0)
-                and np.abs(time - time[0] - clock.data[: time.size]).max() > 1 / rate
-            ):
-                got = (
-                    f"{rate:g} Hz, but the time of {self.source} has steps of {float(np.median(steps)):.4g} s, or gaps"
-                )
-                raise FileFormatError(argument="rate", got=got, need="the rate of that time, or none")
+            steps, away = np.diff(time), float(np.abs(time - time[0] - clock.data[: time.size]).max(initial=0.0))
+        if steps.size and steps.min() > 0 and away > 1 / rate:
+            got = f"{rate:g} Hz, but the time of {self.source} has steps of {float(np.median(steps)):.4g} s, or gaps"
+            raise FileFormatError(argument="rate", got=got, need="the rate of that time, or none")
         remarks = (f"The time is that of the rate, not of {listed(left)}.",) if left else ()
         return replace(self, columns=(clock, *others), remarks=(*self.remarks, *remarks))
 
@@ -173,6 +163,9 @@ class Table:
             )
             ends = f"{values.min():.4g} to {values.max():.4g} V"
             raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
+        step = float(np.median(np.diff(values))) if quantity == "time" and values.size > 1 else 0.0
+        if step > 0 and (words := impossible("time", step)):
+            raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {words}", change=("columns",))
         # The record shares these values.
         values.flags.writeable = False
         guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if entry.guess else ""
@@ -292,36 +285,30 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
             problems.append(error)
     if not problems:
         return found
-    proposal = _proposed(table, columns, problems, {quantity: one.column for quantity, one in found.items()})
+    proposal = _proposed(table, columns, problems, [one.column for one in found.values()])
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
-    # A quantity that no column of this file seems to be may be in a second file.
-    lacking = {one.quantity for one in problems if not one.column and f"{one.quantity}=" not in proposal} - {"time"}
     if not proposal and _side_by_side(table):
         hint = _BRANCHES
-    elif lacking and not any(column.unnamed for column in table.columns):
-        hint = f"{hint.removesuffix('.')}. If it is in a second file, join that one."
     raise ColumnsError(f"{table.source}: {faults}{f'; {hint}' if hint else ''}", proposal, problems)
 
 
-def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], known: Mapping[str, Column]) -> str:
+def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], used: Sequence[Column]) -> str:
     """Return the text of columns that may be right in the place of those with problems; empty if there are none.
 
-    `known`: the columns of other quantities. What does not follow from a name or a unit is marked as a guess.
+    `used`: the columns of other quantities. What does not follow from a name or a unit is marked as a guess.
     """
     named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
     wanted = [error.quantity for error in problems if error.quantity not in named]
-    assigned = named | _assigned(table, wanted, [*known.values(), *named.values()])
-    entries, repeats = {}, _repeats({**known, **assigned})
+    assigned = named | _assigned(table, wanted, [*used, *named.values()])
+    entries = {}
     for quantity in (error.quantity for error in problems if error.quantity in assigned):
         given = Entry.of(getattr(columns, quantity) or "")
         if "*" in given.name:
             # The factor that was given is not understood.
             return ""
-        if quantity == "displacement" and repeats and given.scale is None:
-            entries[quantity] = f"{table.label(assigned[quantity])}{GUESS}*fringe {PERIOD} nm"
-        elif text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
+        if text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
             entries[quantity] = text
     # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")
@@ -336,17 +323,6 @@ def _side_by_side(table: Table) -> bool:
     columns = [column.data for column in table.columns if not column.fault]
     rise = [one.size > 2 and bool(np.all(one[1:] >= one[:-1])) and one[-1] > one[0] for one in columns]
     return len(rise) > 2 and all(rise)
-
-
-def _repeats(assigned: Mapping[str, Column]) -> bool:
-    """Return whether the displacement's column, not in a length, rises and falls many times for each voltage branch."""
-    pair = [assigned[quantity] for quantity in ("voltage", "displacement") if quantity in assigned]
-    if len(pair) < 2 or pair[1].parts[1] in FACTORS["displacement"]:
-        return False
-    if not all(np.isfinite(column.data).all() for column in pair):
-        return False
-    turns = [turning_points(column.data, _SWING * float(np.ptp(column.data))).size for column in pair]
-    return turns[1] > _OFTEN * max(turns[0], 1)
 
 
 def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> dict[str, Column]:
@@ -410,34 +386,51 @@ _DAY = 86_400
 
 
 class _Timed(NamedTuple):
-    """A file with a time: its table, its time column with the unit, and the seconds of its samples."""
+    """A file: its name, its columns without the time, the column of the time, and the seconds of its samples."""
 
-    table: Table
-    column: Column
-    unit: str
+    source: str
+    columns: tuple[Column, ...]
+    clock: Column
     seconds: Array
+
+    @classmethod
+    def of(cls, table: Table, columns: Columns, stem: str = "") -> _Timed | None:
+        """Return a file with its time, its columns named after `stem`; None if it has no time."""
+        for name in (columns.time, None):
+            if table.fitting("time", name):
+                clock = table.select("time", name)
+                rest = tuple(_behind(stem, column) for column in table.columns if column is not clock.column)
+                unit = clock.entry.unit or clock.column.parts[1]
+                return cls(table.source, rest, replace(clock.column, unit=unit), clock.values)
+        return None
+
+
+def _behind(stem: str, column: Column) -> Column:
+    return replace(column, name=stem + column.name, group=stem + column.group)
 
 
 def joined(table: Table, other: Table, columns: Columns) -> Table:
-    """Return a table with the columns of both.
+    """Return a table with the columns of both files, sample by sample or aligned on time.
 
-    Timestamps are aligned by date and time; times without a date count as times of one clock. Where both have a time
-    and the times differ, the table has the samples of the file with the displacement, else of the first: the columns of
-    the other file are interpolated in straight lines, which would take the noise of a sensor away, and samples before
-    its first or after its last are left out. Otherwise sample belongs to sample. Names of the other follow the name of
-    its file: other/displacement_um.
+    Where both have a time and the times differ, the table has the samples of the file with the displacement, else of
+    the first: straight lines between these would take the noise of a sensor away. Samples before the first or after the
+    last of the other file are left out. Names of the other follow the name of its file: other/displacement_um.
 
     Raise `FileFormatError` if, without two times, the files differ in length; with them, if the times do not rise or do
     not overlap, or only one of the files has timestamps.
     """
-    first, second = (_timed(one, columns) for one in (table, other))
     stem = f"{other.source.rsplit('.', 1)[0]}/"
-    # If both files have a time, that of the first is kept.
-    second_time = second.column if first is not None and second is not None else None
-    added = tuple(replace(c, name=stem + c.name, group=stem + c.group) for c in other.columns if c is not second_time)
+    first, second = _Timed.of(table, columns), _Timed.of(other, columns, stem)
+    together = first is not None and second is not None
     if first is not None and second is not None:
         second = second._replace(seconds=second.seconds + _offset(first, second))
-    if first is None or second is None or _alike(first.seconds, second.seconds):
+        step = float(np.median(np.abs(np.diff(first.seconds)))) if first.seconds.size > 1 else np.inf
+        sizes = {first.seconds.size, second.seconds.size}
+        together = len(sizes) == 1 and bool(np.all(np.abs(first.seconds - second.seconds) <= _SAME * step))
+    if first is None or second is None or together:
+        added = (
+            tuple(_behind(stem, column) for column in other.columns) if second is None or not first else second.columns
+        )
         if broken := [one for one in (table, other) if all(column.fault for column in one.columns)]:
             raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
         if table.rows != other.rows:
@@ -448,40 +441,30 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     if columns.rate is not None and table.rows == other.rows:
         got = f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.seconds)):.6g} s"
         raise FileFormatError(argument="rate", got=got, need="none: the time of that file holds for both")
-    for one in (first, second):
-        if not np.all(np.diff(one.seconds) > 0):
+    for file in (first, second):
+        if not np.all(np.diff(file.seconds) > 0):
             need = f"one that rises; give rate={RATE} in its place, with this file as the first one"
-            raise FileFormatError(argument="join", got=f"a time of {one.table.source} that falls", need=need)
-    second_kept = not table.fitting("displacement", columns.displacement) and bool(
-        replace(other, columns=added).fitting("displacement", columns.displacement)
-    )
-    kept, moved = (second, first) if second_kept else (first, second)
+            raise FileFormatError(argument="join", got=f"a time of {file.source} that falls", need=need)
+    measured = [
+        replace(table, columns=own).fitting("displacement", columns.displacement)
+        for own in (table.columns, second.columns)
+    ]
+    kept, moved = (second, first) if measured[1] and not measured[0] else (first, second)
     inside, remarks = _common(kept, moved)
-    # The time of the first file, on the samples that are kept.
-    time = replace(first.column, data=kept.seconds[inside] / FACTORS["time"][first.unit])
-    kept_columns, moved_columns = (added, table.columns) if second_kept else (table.columns, added)
-    aligned = [_aligned(c, kept.seconds, inside) for c in kept_columns if c is not first.column]
-    aligned += [_aligned(c, moved.seconds, kept.seconds[inside]) for c in moved_columns if c is not first.column]
-    return replace(table, columns=(time, *aligned), remarks=(*table.remarks, *remarks))
-
-
-def _timed(table: Table, columns: Columns) -> _Timed | None:
-    """Return a table with its time; None if it has no time."""
-    for name in (columns.time, None):
-        if table.fitting("time", name):
-            one = table.select("time", name)
-            return _Timed(table, one.column, one.entry.unit or one.column.parts[1], one.values)
-    return None
+    times = kept.seconds[inside]
+    clock = replace(first.clock, data=times / FACTORS["time"][first.clock.unit])
+    aligned = [_aligned(file, column, times) for file in (kept, moved) for column in file.columns]
+    return replace(table, columns=(clock, *aligned), remarks=(*table.remarks, *remarks))
 
 
 def _offset(first: _Timed, second: _Timed) -> float:
     """Return the time [s] from the zero of the first file's clock to that of the second's."""
-    one, two = first.column.began, second.column.began
+    one, two = first.clock.began, second.clock.began
     origins = [f"times from {began[0]}" if began else "seconds from an unknown moment" for began in (one, two)]
     if origins[0] != origins[1]:
         raise FileFormatError(
-            f"join: {first.table.source} has {origins[0]} and {second.table.source} has {origins[1]}, need one clock "
-            "for both; save both with date and offset from UTC, or both in seconds from one moment"
+            f"join: {first.source} has {origins[0]} and {second.source} has {origins[1]}, need one clock for both; "
+            "save both with date and offset from UTC, or both in seconds from one moment"
         )
     if one is None or two is None:
         return 0.0
@@ -489,41 +472,32 @@ def _offset(first: _Timed, second: _Timed) -> float:
     return offset - _DAY * round(offset / _DAY) if one[0].startswith("midnight") else offset
 
 
-def _alike(first: Array, second: Array) -> bool:
-    step = float(np.median(np.abs(np.diff(first)))) if first.size > 1 else np.inf
-    return first.size == second.size and bool(np.all(np.abs(first - second) <= _SAME * step))
-
-
 def _common(kept: _Timed, moved: _Timed) -> tuple[Mask, list[str]]:
     """Return which samples of a file lie within the times of the other, and remarks on the other's."""
     times, others = kept.seconds, moved.seconds
     inside = (times >= others[0]) & (times <= others[-1])
-    if np.count_nonzero(inside) < 2:
-        got = f"times in {kept.table.source} and {moved.table.source} that do not overlap"
+    count = np.count_nonzero(inside)
+    if count < 2:
+        got = f"times in {kept.source} and {moved.source} that do not overlap"
         need = "times in common, or rate=HZ for the first"
         raise FileFormatError(argument="join", got=got, need=need)
-    near = int(np.count_nonzero((others >= times[inside][0]) & (others <= times[inside][-1])))
-    steps = np.diff(others)
-    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
-    gaps = gaps[(others[gaps + 1] > times[inside][0]) & (others[gaps] < times[inside][-1])]
-    if not gaps.size and np.count_nonzero(inside) <= _FEW * max(near, 1):
+    low, high = times[inside][[0, -1]].tolist()
+    near, steps = int(np.count_nonzero((others >= low) & (others <= high))), np.diff(others)
+    gaps = steps[(steps > _GAP * np.median(steps)) & (others[1:] > low) & (others[:-1] < high)]
+    if not gaps.size and count <= _FEW * max(near, 1):
         return inside, []
-    apart = f", and {counted(gaps.size, 'gap')} of up to {steps[gaps].max():.4g} s" if gaps.size else ""
+    apart = f", and {counted(gaps.size, 'gap')} of up to {gaps.max():.4g} s" if gaps.size else ""
     return inside, [
-        f"{moved.table.source} has {counted(near, 'sample')} for {np.count_nonzero(inside)} of {kept.table.source}"
-        f"{apart}: its columns are straight lines between them; record both equally fast."
+        f"{moved.source} has {counted(near, 'sample')} for {count} of {kept.source}{apart}: its columns are straight "
+        "lines between them; record both equally fast."
     ]
 
 
-def _aligned(column: Column, times: Array, places: Array | Mask) -> Column:
-    """Return a column of a file at places: which of its samples, or the times [s] of others.
-
-    One that has not a number for each of the file's `times` has a fault.
-    """
+def _aligned(file: _Timed, column: Column, times: Array) -> Column:
+    """Return a column of a file at other times [s]; one that has not a number for each of the file's has a fault."""
     if column.fault:
         return column
-    if column.data.size != times.size:
-        had = f"it has {counted(column.data.size, 'sample')} where its time has {times.size}, which joining needs"
-        return replace(column, data=np.empty(0), fault=f"{had}; select another column")
-    data = column.data[places] if places.dtype == bool else np.interp(places, times, column.data)
-    return replace(column, data=data)
+    if column.data.size != file.seconds.size:
+        had = f"it has {counted(column.data.size, 'sample')} where its time has {file.seconds.size}"
+        return replace(column, data=np.empty(0), fault=f"{had}, which joining needs; select another column")
+    return replace(column, data=np.interp(times, file.seconds, column.data))

@@ -69,10 +69,17 @@ QUANTITIES = {
         range=(0.0, 100.0),
     ),
 }
+# Smallest and largest of what a piezo actuator and its instruments can have, in SI units; the units that smaller and
+# larger ones may be in.
+_POSSIBLE = {
+    "time": ("samples every", "s", 1e-8, 1e4, ("s", "ns, us or ms")),
+    "voltage": ("a voltage of", "V", 0.0, 1e5, ("V", "mV")),
+    "displacement": ("a stroke of", "m", 1e-9, 0.1, ("m", "um")),
+}
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
-# Placeholders for a number: a factor, a period; and the end of a selection that is a guess: "y:um?".
-GAIN, PERIOD, GUESS = "GAIN", "PERIOD", "?"
+# The placeholder for a factor, and the end of a selection that is a guess: "y:um?".
+GAIN, GUESS = "GAIN", "?"
 # A quantity and its unit: "Time / s", "Pos/nm", "Weg in µm", "Ch1,V"; in the last brackets.
 _WRITTEN_OUT = re.compile(r"([^/]*[^/\s])(?:\s*/\s*|\s+in\s+|,\s*)([^/\s\[\]()]+)")
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]\s*", re.DOTALL)
@@ -130,6 +137,20 @@ def plausible_unit(quantity: str, data: Array) -> str:
     if quantity != "displacement" or 0.01 * _STROKE <= sizes["um"] <= 100 * _STROKE:
         return plausible[0] if plausible else ""
     return min(plausible, key=lambda unit: abs(np.log10(sizes[unit] / _STROKE)), default="")
+
+
+def impossible(quantity: str, size: float) -> str:
+    """Return an error for a size [s, V, m] that no piezo actuator or instrument has; empty if it is possible.
+
+    `size`: the usual time from sample to sample, the largest voltage, or the stroke.
+    """
+    name, unit, least, most, others = _POSSIBLE[quantity]
+    if least <= size <= most:
+        return ""
+    need, other = (f"at most {most:g}", others[1]) if size > most else (f"at least {least:g}", others[0])
+    ways = {"time": ", or give the sample rate", "displacement": f', or give units "{other}" in Python'}
+    question = f"is the {quantity} in {other}? Correct its unit{ways.get(quantity, '')}"
+    return f"got {name} {size:.4g} {unit}, need {need} {unit}: {question}"
 
 
 @dataclass(frozen=True, eq=False, slots=True)

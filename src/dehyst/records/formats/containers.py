@@ -8,9 +8,7 @@ from __future__ import annotations
 import io
 import json
 import re
-import struct
 import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -95,13 +93,10 @@ class _Declared(NamedTuple):
 
         `alone`: whether the file has no other array, whose name would be needed.
         """
-        if self.fault or not self.kind:
-            group = self.name[: self.name.rfind("/") + 1]
-            return (
-                [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign, group=group)]
-                if self.fault
-                else []
-            )
+        if self.fault:
+            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign, group=_group(self.name))]
+        if not self.kind:
+            return []
         count, what, fields = _product(self.shape), f"array '{shortened(self.name)}'", {}
         allowance.check(count * self.dtype.itemsize, what)
         allowance.take(count * len(self.dtype.names or "1"), what)
@@ -112,11 +107,12 @@ class _Declared(NamedTuple):
             fields = {name: values[name] for name in values.dtype.names}
         named = {name if alone else f"{self.name}/{name}": one for name, one in fields.items()} or {self.name: values}
         unnamed = _UNNAMED.format(self.shape) if alone and self.kind == "table" else ""
-        columns = [column for name, one in named.items() for column in _vector(name, one, self.unit)]
-        return [
-            replace(one, foreign=self.foreign, unnamed=unnamed, group=one.name[: one.name.rfind("/") + 1])
-            for one in columns
-        ]
+        columns = [column for name, one in named.items() for column in _vector(name, one, self.unit, _group(name))]
+        return [replace(column, foreign=self.foreign, unnamed=unnamed) for column in columns]
+
+
+def _group(name: str) -> str:
+    return name[: name.rfind("/") + 1]
 
 
 def _vector(name: str, values: Any, unit: str = "", group: str = "") -> list[Column]:
@@ -186,26 +182,18 @@ def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
         return restored(columns, "".join(str(one.read()) for one in texts if one.dtype.itemsize <= 4 * LONGEST))
 
 
-# A file of measurements has fewer levels of groups, names, and bytes and values of an attribute.
-_DEEPEST, _MOST_NAMES, _LONGEST_UNIT, _MOST_VALUES = 64, 100_000, 256, 16
-
-
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
     """Read the datasets of all groups, each once; those with samples elsewhere have a fault. Links are not followed."""
     import h5py
 
     arrays: list[_Declared] = []
 
-    def keep(name: str, item: Any) -> bool | None:
+    def keep(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.shape is not None and not name.startswith("#"):
             arrays.append(_dataset(name, item, allowance))
-        return len(arrays) > _MOST_NAMES or name.count("/") >= _DEEPEST or None
 
     with h5py.File(io.BytesIO(data), "r") as file:
-        if file.visititems(keep):
-            raise FileFormatError(
-                f"more than {_MOST_NAMES} datasets, or groups more than {_DEEPEST} deep; keep the record's columns only"
-            )
+        file.visititems(keep)
         return _columns_of(arrays, allowance)
 
 
@@ -244,29 +232,20 @@ def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
 
 
 def _attribute(item: Any, name: str) -> list[Any]:
-    """Return the values of an attribute; none if it is absent, or larger than any that is known."""
-    if name not in item.attrs:
-        return []
-    stated = item.attrs.get_id(name)
-    small = stated.shape is not None and _product(stated.shape) <= _MOST_VALUES
-    return list(np.ravel(item.attrs[name]).tolist()) if small and stated.dtype.itemsize <= _LONGEST_UNIT else []
+    """Return the values of an attribute; none if it is absent."""
+    return np.ravel(item.attrs[name]).tolist() if name in item.attrs else []
 
 
 def _unit(item: Any) -> str:
     """Return the unit that an attribute states; of "seconds since 1970-01-01", as netCDF has it, the first word."""
-    texts = (*_attribute(item, "unit"), *_attribute(item, "units"))
-    text = next((text for text in texts if isinstance(text, str | bytes)), "")
-    text = text if isinstance(text, str) else text.decode(errors="replace")
-    return text[:_LONGEST_UNIT].partition(" since ")[0].strip()
+    texts = [x for x in (*_attribute(item, "unit"), *_attribute(item, "units")) if isinstance(x, str | bytes)]
+    text = texts[0].decode(errors="replace") if texts and isinstance(texts[0], bytes) else str(*texts[:1])
+    return text.partition(" since ")[0].strip()
 
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-# Sizes of the header and of a tag of MAT files of version 5 [bytes], and the type of a compressed variable.
-_MAT_HEAD, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15
 _MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 _MAT_FAULTS = {"object": _OBJECT, "opaque": _OBJECT, "cell": _CELL}
-# Bytes that are unpacked at once, and structures in structures.
-_CHUNK, _DEEPEST_FIELD = 1 << 20, 8
 
 
 def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
@@ -276,11 +255,8 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
     import scipy.io
     from scipy.io.matlab import varmats_from_mat
 
-    order = {b"MI": ">", b"IM": "<"}.get(data[126:128])
-    if order:
-        _refuse_inflated(data, order, allowance)
     arrays: list[_Declared] = []
-    streams: Any = varmats_from_mat(io.BytesIO(data)) if order else [("", io.BytesIO(data))]
+    streams: Any = varmats_from_mat(io.BytesIO(data)) if data[126:128] in (b"MI", b"IM") else [("", io.BytesIO(data))]
     for _, stream in streams:
         try:
             variables = scipy.io.whosmat(stream)
@@ -300,26 +276,12 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
     return _columns_of(arrays, allowance)
 
 
-def _fields(name: str, value: Any, depth: int = 0) -> list[_Declared]:
+def _fields(name: str, value: Any) -> list[_Declared]:
     """Return the arrays in a structure, and in the structures in it, as data/t."""
-    if isinstance(value, dict) and depth <= _DEEPEST_FIELD:
-        return [array for key, field in value.items() for array in _fields(f"{name}/{key}", field, depth + 1)]
+    if isinstance(value, dict):
+        return [array for key, field in value.items() for array in _fields(f"{name}/{key}", field)]
     array = value if isinstance(value, np.ndarray) else np.empty(0)
     return [_Declared(name, array.shape, array.dtype, partial(np.asarray, array))]
-
-
-def _refuse_inflated(data: bytes, order: str, allowance: Allowance) -> None:
-    """Unpack the compressed variables piece by piece, and check their size."""
-    place, size = _MAT_HEAD, 0
-    while place + _MAT_TAG <= len(data):
-        kind, length = struct.unpack_from(f"{order}II", data, place)
-        place += _MAT_TAG
-        inflate, packed = zlib.decompressobj(), data[place : place + length] if kind == _MAT_COMPRESSED else b""
-        while packed and not inflate.eof:
-            size += len(inflate.decompress(packed, _CHUNK))
-            packed = inflate.unconsumed_tail
-            allowance.check(size, "its compressed variables")
-        place += length
 
 
 # The start of a waveform, and the part by which the clocks of a computer and of a converter differ.
@@ -340,7 +302,7 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     with TdmsFile.open(io.BytesIO(data)) as file:
         for name, channel in _channels(file).items():
             allowance.take(len(channel), f"channel '{shortened(name)}'")
-            unit = str(channel.properties.get("unit_string", ""))[:_LONGEST_UNIT].strip()
+            unit = str(channel.properties.get("unit_string", "")).strip()
             if found := _vector(name, np.asarray(channel[:]), unit, f"{channel.group_name}/"):
                 columns, waves = columns + found, {**waves, name: channel}
     # A waveform has no time channel: its sampling is a property, the same for every channel of a run.

@@ -78,38 +78,33 @@ def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]
     return first, False
 
 
-# A date and a time of day; characters of a timestamp, the search for which takes their number squared.
+# A time of day after a date or alone, its fraction, and its offset from UTC; the longest timestamp.
 _STAMP = re.compile(
-    r"(?:(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?\.\d\d?\.\d{4}|\d\d?/\d\d?/\d{4})[T, ]+)?"
-    r"(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(AM|PM|am|pm)?\s*(Z|([+-]\d\d):?(\d\d))?"
+    r"(\d{4}([-/])\d\d\2\d\d[T ])?(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|([+-]\d\d):?(\d\d))?", re.ASCII
 )
 _LONGEST = 64
 _DAY, _HOUR = 86_400, 3600
 
 
 class Moment(NamedTuple):
-    """A timestamp: its origin, its date as written, the whole seconds of this day, and the fraction of a second.
-
-    `origin`: "UTC" or "local time"; without a date "midnight" or "midnight UTC".
-    """
+    """A timestamp: its origin ("UTC", "local time", "midnight", "midnight UTC"), whole seconds, and the fraction."""
 
     origin: str
-    date: str
     seconds: int
     fraction: float
 
 
 def moment(cell: str) -> Moment:
-    """Return a timestamp: a date and the time of day, or the time of day alone; raise ValueError for any other text."""
-    match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST and cell.isascii() else None
+    """Return a timestamp: year, month, day and the time of day, or this alone; raise ValueError for any other text."""
+    match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST else None
     if match is None:
         raise ValueError(cell)
-    day, hours, minutes, whole, fraction, half, zone, ahead, more = match.groups()
+    day, _, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
     origin = " ".join(("midnight",) * (not day) + ("UTC",) * bool(zone)) or "local time"
     offset = _HOUR * int(ahead) + 60 * int(ahead[0] + more) if ahead else 0
-    hour = int(hours) % 12 + 12 * (half in ("PM", "pm")) if half else int(hours)
-    seconds = _HOUR * hour + 60 * int(minutes) + int(whole) - offset
-    return Moment(origin, day or "", seconds, float(f"0.{fraction or 0}"))
+    days = date.fromisoformat(day[:10].replace("/", "-")).toordinal() if day else 0
+    seconds = _DAY * days + _HOUR * int(hours) + 60 * int(minutes) + int(whole) - offset
+    return Moment(origin, seconds, float(f"0.{fraction or 0}"))
 
 
 def is_moment(cell: str) -> bool:
@@ -123,27 +118,23 @@ def clock_of(moments: list[Moment]) -> tuple[Array, tuple[str, int, float]]:
     """Return the times [s] of timestamps since the first one, and its origin, whole seconds and fraction.
 
     A time of day that jumps back by half a day is the next day's. Raise `ValueError` with the reason if they count from
-    different origins, or dates that change are not written as 2026-03-04.
+    different origins, or a clock without offset jumps by an hour.
     """
-    origin, day = moments[0].origin, moments[0].date
+    origin, begin, part = moments[0]
     if origins := sorted({one.origin for one in moments} - {origin}):
         raise ValueError(
             f"its times count from {origin} and from {origins[0]}; write all with date and offset from UTC"
         )
-    dates = {one.date for one in moments}
-    try:
-        days = {text: date.fromisoformat(text).toordinal() for text in dates if text}
-    except ValueError:
-        # The order of day and month does not matter to a single one, which is the origin.
-        if len(dates) > 1:
-            raise ValueError(
-                "its dates change, and day and month may be in either order; write them as 2026-03-04, or give the "
-                "sample rate in Hz"
-            ) from None
-        days, origin = {}, f"{origin} of {day}"
-    whole = np.array([_DAY * days.get(one.date, 0) + one.seconds for one in moments], dtype=np.int64)
-    fraction = np.array([one.fraction for one in moments])
-    seconds = (whole - whole[0]) + (fraction - fraction[0])
+    whole, fraction = (np.array([one[k] for one in moments]) for k in (1, 2))
+    seconds = (whole - begin) + (fraction - part)
     if origin.startswith("midnight"):
         seconds = seconds + _DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
-    return seconds, (origin, int(whole[0]), moments[0].fraction)
+    jumps = np.diff(seconds)
+    usual = float(np.median(jumps)) if jumps.size else 0.0
+    hour = np.flatnonzero(np.abs(np.abs(jumps - usual) - _HOUR) < 0.5 * min(abs(usual), _HOUR))
+    if hour.size and "UTC" not in origin:
+        raise ValueError(
+            f"its times jump by an hour between samples {hour[0]} and {hour[0] + 1}: summer time, or a pause; "
+            "write all with date and offset from UTC, or give the sample rate in Hz"
+        )
+    return seconds, (origin, begin, part)

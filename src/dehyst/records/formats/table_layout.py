@@ -21,7 +21,7 @@ _MARKS = ("#", "%")
 # Instruments write these words in the row of units for a column of counts.
 _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
 # Names above the time of the first sample and the step, in the row of units of Rigol's oscilloscopes.
-_CLOCK = ("start", "increment")
+_STEP, _CLOCK = "increment", ("start", "increment")
 # The blanks before a unit in brackets.
 _UNIT_BEHIND = re.compile(r"(?<!\s)\s+(?=[\[(])")
 # A number in a notation that Python does not read.
@@ -247,8 +247,8 @@ def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
     """Return names and units from the last one or two of these lines; None if they are no names."""
     before, last, end = lines[-2].cells if len(lines) > 1 else [], lines[-1].cells, lines[-1].number + 1
     stated = {name.lower(): cell for name, cell in zip(before, last, strict=False) if is_number(cell)}
-    clock = tuple(f"x{name}\t{stated[name]}\ts" for name in _CLOCK if name in stated)
-    if clock:
+    clock = (f"x{_STEP}\t{stated[_STEP]}\ts",) if _STEP in stated else ()
+    if not stated.keys().isdisjoint(_CLOCK):
         before, last = ["" if name.lower() in _CLOCK else name for name in before], last[: shape.width]
     names, units = shape.names(before, words=False), [*last, *[""] * (shape.width - len(last))]
     numeric = [units[k] for k in shape.numeric]

@@ -193,6 +193,7 @@ class _Table:
                 values.append(moment(cell) if is_clock else number_in(cell, self.decimal))
         except ValueError:
             kind = "timestamp" if is_clock else "number" if self.decimal == "." else "number with a decimal comma"
+            kind += ", nor a timestamp as 2026-03-04T12:00:00" * (not is_clock and cell.count(":") == 2)
             line = numbers[cells.index(cell)]
             self.faults[place] = f"line {line} holds '{shortened(cell)}', which is no {kind}; correct it"
         unread = is_clock or place in self.faults

@@ -11,12 +11,11 @@ from dehyst._units import FACTORS, symbol_of
 from dehyst.records.formats.columns import Column
 from dehyst.records.formats.table_layout import number_in
 
-# Letters of the words for the time from one sample to the next, for samples a second, and for the first sample's time.
+# Letters of the words for the time from one sample to the next, and for samples a second.
 _WORDS = {
     "step": "xinc xincr xincrement sampleinterval samplinginterval sampleperiod timestep deltat dt horizontalinterval "
     "abtastintervall abtastzeit",
     "rate": "samplerate samplingrate samplefrequency samplingfrequency abtastrate abtastfrequenz sampling",
-    "start": "xorg xorigin xzero xstart starttime horizontaloffset",
 }
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
@@ -40,20 +39,21 @@ def with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> lis
     place = next((k for k, column in enumerate(columns) if _counts(column)), None)
     named = place is None and any("time" in column.quantities for column in columns)
     stated = [
-        _stated(match, decimal) for line in lines if len(line) <= _LONGEST_LINE and (match := _STATED.fullmatch(line))
+        step
+        for line in lines
+        if len(line) <= _LONGEST_LINE and (match := _STATED.fullmatch(line)) and (step := _stated(match, decimal))
     ]
-    steps = [value for kind, value, _ in stated if kind == "step"]
+    steps = [value for value, _ in stated]
     if named or not steps:
         return columns
     rest = [column for k, column in enumerate(columns) if k != place]
     if not max(steps) - min(steps) <= _SAME * max(steps):
-        words = ", ".join(text for kind, _, text in stated if kind == "step")
+        words = ", ".join(text for _, text in stated)
         fault = f"the header states the time step by {words}, which is not one number; correct it, or give rate=HZ"
         return [Column("time", np.empty(0), "s", fault), *rest]
-    start = next((value for kind, value, _ in stated if kind == "start"), 0.0)
     counts = np.arange(float(columns[0].data.size)) if place is None else columns[place].data
     with np.errstate(all="ignore"):
-        return [Column("time", start + steps[0] * counts, "s"), *rest]
+        return [Column("time", steps[0] * counts, "s"), *rest]
 
 
 def _counts(column: Column) -> bool:
@@ -64,18 +64,17 @@ def _counts(column: Column) -> bool:
     return bool(steps.max() == 1) or not (column.quantities or symbol_of(column.parts[1]))
 
 
-def _stated(match: re.Match[str], decimal: str) -> tuple[str, float, str]:
-    """Return what a line as "XInc, 0.01, s", "# Sample interval [ms] = 2" or "dt 0,01 s" states: "step" or "start".
+def _stated(match: re.Match[str], decimal: str) -> tuple[float, str] | None:
+    """Return the step [s] that a line as "XInc, 0.01, s" or "# Sample rate [kHz] = 2" states, and its words; or None.
 
-    The value [s] is NaN if the number can be read in two ways. An empty kind is nothing that is known.
+    The step is NaN if the number can be read in two ways.
     """
     key, unit = re.sub(r"[^a-z]", "", match[1].lower()), match[4] or match[2] or ""
-    kind, hertz, seconds = _KINDS.get(key, ""), _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
+    hertz, seconds = _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
     try:
         value = number_in(match[3], decimal) if not {*match[3]} & {",", "."} - {decimal} else np.nan
     except ValueError:
         value = np.nan
-    known = value > 0 or kind == "start" or np.isnan(value)
-    if kind == "rate" and hertz and known:
-        return "step", 1 / (hertz * value), f"'{key}' of '{match[3]}'"
-    return kind if seconds and kind != "rate" and known else "", seconds * value, f"'{key}' of '{match[3]}'"
+    if value <= 0 or not (hertz if _KINDS.get(key) == "rate" else _KINDS.get(key) and seconds):
+        return None
+    return 1 / (hertz * value) if _KINDS[key] == "rate" else seconds * value, f"'{key}' of '{match[3]}'"
