@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1186,
     "cli": 542,
-    "control": 4241,
+    "control": 4230,
     "exports": 1288,
     "fleet": 312,
     "foundation": 1418,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2370,
 }
 HOUSE = {
-    "lines of Python": 39786,
+    "lines of Python": 39775,
     "files of Python": 196,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2838,

@@ -17,12 +17,15 @@ from dehyst.control.planning.wave_table import Cycle, WaveTable
 from dehyst.control.stage_compensator import StageCompensator, axes_of
 from dehyst.model import State, mechanical_response, stroke_of
 
-# Share of the error that a cycle takes away; at first, of harmonics above the tenth, where a resonance may be unknown;
-# and of these after a step was taken back.
-_GAIN, _FIRST_GAIN, _SAFE, _CAREFUL = 0.6, 0.05, 10, 0.02
-# A harmonic that falls gets so many times the gain; one that rises by this factor, so many times less. Once a step was
-# taken back, one with this share of the error that rises gets at most half of that gain from then on.
-_FASTER, _RISE, _SLOWER, _LARGE, _AT_MOST = 2.0, 1.2, 0.25, 0.3, 0.5
+# Share of the error that a cycle takes away.
+_GAIN = 0.6
+# The displacement follows a harmonic of the path if it misses less than a share of it and of those below, down to a
+# part of it; the path has them if they hold a share of its energy.
+_FOLLOWS, _BAND, _KNOWN = 0.5, 0.7, 1e-7
+# The first step elsewhere: this share of the whole error, over what a resonance could make of the step in a cycle.
+_STEP = 0.15
+# A wrong response misses the step, and by this share of the harmonic; then there is so much less gain, else more.
+_WRONG, _SLOWER, _FASTER = 0.1, 0.25, 2.0
 # Longest gap between readings, as a share of the cycle.
 _GAP = 0.05
 # The correction ends at this multiple of the resonance; harmonics of the error count that are more than so many times
@@ -58,10 +61,13 @@ class Repetition:
         for _ in range(10):
             repetition.learn(rig.play(repetition.next()))
 
-    The correction is low-passed without a delay, to just above the identified resonance, and a harmonic of the error
-    is learnt as far as it is more than noise; one that rises is taken back and learnt more slowly. A cycle counts if
-    its readings are complete, no voltage was clamped, and the sensor is believed. After one with an RMS error of more
-    than 1.2 times the least, the best cycle is played again.
+    A harmonic of the error is learnt as far as it is more than noise. The path shows up to which harmonic the
+    displacement follows. Above may be a resonance that the model does not know: the first step is so small that no
+    resonance can gain much in a cycle, and the next one is larger if the displacement changed as it should, else the
+    step is taken back. An identified resonance is expected, and the correction ends just above it.
+
+    A cycle counts if its readings are complete, no voltage was clamped, and the sensor is believed. After one with an
+    RMS error of more than 1.2 times the least, the best cycle is played again.
 
     Parameters
     ----------
@@ -127,17 +133,21 @@ class Repetition:
         self._cycle: _Cycle | None = None
         # The best cycle; after a step that is taken back it is played and measured again, and then the path alone.
         self._best: _Cycle | None = None
-        self._returned, self._careful = 0, False
-        # Error and step of the last cycle by harmonics, and the gain of each with its most.
-        self._last: tuple[Any, Any] | None = None
-        self._gains = np.full((len(self.path) // 2 + 1, len(self._loops)), _GAIN)
-        self._most = self._gains.copy()
-        # The harmonic at which the correction ends.
+        self._returned = 0
+        # Aim, displacement and step of the last cycle by harmonics, and the gain of each.
+        self._last: tuple[Any, Any, Any] | None = None
+        harmonic, axes = np.arange(len(self.path) // 2 + 1)[:, None], [loop.actuator for loop in self._loops]
+        self._gains = np.full((len(harmonic), len(axes)), _GAIN)
         seconds = len(self.path) * (self.compensator.period or 1.0)
-        rings = [loop.actuator.dynamics.frequency for loop in self._loops if loop.actuator.dynamics is not None]
-        unknown = [j for j, loop in enumerate(self._loops) if loop.actuator.dynamics is None]
-        self._gains[_SAFE:, unknown] = _FIRST_GAIN
-        self._highest = min([0.5 * len(self.path), *(_RESONANCE * hertz * seconds for hertz in rings)])
+        self._known = np.array([actuator.dynamics is not None for actuator in axes])
+        # The harmonic at which the correction ends.
+        rings = [_RESONANCE * seconds * part.dynamics.frequency for part in axes if part.dynamics is not None]
+        self._highest = min([0.5 * len(self.path), *rings])
+        # The response of the axes to what is wanted, and the one after a cycle at a resonance that nobody knows.
+        moves = [mechanical_response(part.dynamics, part.delay, harmonic[:, 0] / seconds) for part in axes]
+        previews = [loop._previews for loop in self._loops]
+        self._moves = np.where(previews, 1.0, np.column_stack(moves))
+        self._swing = 1 + 0.5 * np.pi * harmonic * ~self._known
 
     def next(self) -> Array:
         """Return the voltages (n,) or (n, axes) [V] of the next cycle; they count as sent.
@@ -210,15 +220,8 @@ class Repetition:
         tables = []
         for j, loop in enumerate(self._loops):
             wanted, measured = self.path[:, j] / loop._per_metre, best.measured[:, j] / loop._per_metre
-            error = float(np.abs(wanted - measured).max())
-            tables.append(
-                WaveTable(
-                    Cycle(best.voltage[:, j], wanted, measured, rate),
-                    error=error,
-                    tolerance=error,
-                    state=best.states[j],
-                )
-            )
+            cycle, error = Cycle(best.voltage[:, j], wanted, measured, rate), float(np.abs(wanted - measured).max())
+            tables.append(WaveTable(cycle, error=error, tolerance=error, state=best.states[j]))
         return tables[0] if isinstance(self.compensator, Compensator) else tuple(tables)
 
     def _samples(self, values: ArrayLike, what: str) -> Array:
@@ -243,53 +246,57 @@ class Repetition:
         # The median of a Rayleigh distribution, of harmonics that hold noise alone.
         floor = np.median(size[len(size) // 2 :], axis=0) / np.sqrt(np.log(2))
         noise = _ERRORS * float(floor.max()) / len(error) / np.sqrt(2)
-        rose = self._adapt(size, floor)
         best = self._best
         near = (_NEAR, 1.0, np.inf)[self._returned] * self.errors[0]
         if best is not None and cycle.rms > max(_WORSE * best.rms + noise, near):
             # The best cycle may have come before a resonance swung; a cycle without a correction excites none.
             self._returned += 1
             self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
-            self._last, self._careful = None, True
-            self._gains[_SAFE:] = np.minimum(0.5 * self._gains[_SAFE:], _CAREFUL)
+            self._last = None
+            self._gains *= _SLOWER
             return False
         if best is None or self._returned or cycle.rms < best.rms - max(_CHANGE * cycle.rms, noise):
             self._best, self._returned = cycle, 0
-        step = self._step(spectrum, size, floor, gap)
-        if self._last is not None:
-            step = np.where(rose, -self._last[1], step)
-        self._last = size, step
+        step = self._step(cycle, spectrum, floor, gap)
         by = np.fft.irfft(step, len(error), axis=0)
         self.correction = np.clip(cycle.correction + by, -self.bound, self.bound)
         return bool(by.any())
 
-    def _adapt(self, size: Array, floor: Array) -> Any:
-        """Adapt the gains by the errors (k, axes) of harmonics and their noise; return which have risen."""
+    def _step(self, cycle: _Cycle, spectrum: Any, floor: Array, gap: int) -> Any:
+        """Return what the next cycle adds to the correction, by harmonics (k, axes) of an error and their noise."""
+        aim, moved = np.fft.rfft(cycle.aim, axis=0), np.fft.rfft(cycle.measured, axis=0)
+        size, harmonic = np.abs(spectrum), np.arange(len(spectrum))[:, None]
+        follows = harmonic <= self._follows_to(aim, moved)
+        wrong = np.zeros(size.shape, dtype=bool)
         if self._last is None:
-            return np.zeros(size.shape, dtype=bool)
-        before, step = self._last
-        moved = (np.abs(step) > 0) & (np.arange(len(size)) >= _SAFE)[:, None]
-        rose = moved & (size > _RISE * before + _ABOVE_NOISE * floor)
-        fell = (size < before - 0.5 * np.abs(step)) if self._careful else ~rose
-        large = self._careful & (size > _LARGE * np.linalg.norm(size, axis=0))
-        self._most = np.where(rose & large, _AT_MOST * self._gains, self._most)
-        factor = np.where(rose, _SLOWER, np.where(fell, _FASTER, 1.0))
-        self._gains = np.minimum(factor * self._gains, self._most)
-        return rose
-
-    def _step(self, spectrum: Any, size: Array, floor: Array, gap: int) -> Any:
-        """Return what the next cycle adds to the correction, by harmonics (k, axes) of an error."""
-        samples, period = len(self.path), self.compensator.period or 1.0
-        harmonic = np.arange(len(spectrum))
+            most = _STEP * np.linalg.norm(size, axis=0) / self._swing
+            self._gains = np.minimum(self._gains, most / np.maximum(size, np.finfo(float).tiny))
+        else:
+            before, was, last = self._last
+            push, tried = self._moves * (aim - before), np.abs(last) > 0
+            off = np.abs(moved - was - push) - _ABOVE_NOISE * floor
+            wrong = tried & ~follows & (off > np.maximum(np.abs(push), _WRONG * size))
+            right = tried & (off < np.abs(push)) & (self._known | (size <= np.abs(spectrum + moved - was)))
+            self._gains = np.where(wrong, _SLOWER, np.where(right, _FASTER, 1.0)) * self._gains
+        self._gains = np.where(follows, _GAIN, np.minimum(self._gains, _GAIN))
         heard = np.clip(1 - (_ABOVE_NOISE * floor / np.maximum(size, np.finfo(float).tiny)) ** 2, 0, 1)
-        limit = max(min(self._highest, samples / (4.0 * max(gap, 1))), 1.0)
-        step = spectrum * heard * self._gains * np.clip(3 - 2 * harmonic / limit, 0, 1)[:, None]
-        for j, loop in enumerate(self._loops):
-            if not loop._previews:
-                actuator = loop.actuator
-                moves = mechanical_response(actuator.dynamics, actuator.delay, harmonic / (samples * period))
-                step[:, j] /= np.where(step[:, j] != 0, moves, 1)
+        limit = max(min(self._highest, len(self.path) / (4.0 * max(gap, 1))), 1.0)
+        step = spectrum * heard * self._gains * np.clip(3 - 2 * harmonic / limit, 0, 1)
+        step = np.where(step != 0, step / self._moves, 0)
+        if self._last is not None:
+            step = np.where(wrong, -self._last[2], step)
+        self._last = aim, moved, np.where(wrong, 0, step)
         return step
+
+    def _follows_to(self, aim: Any, moved: Any) -> Array:
+        """Return the highest harmonic (axes,) up to which the displacement follows what is aimed at."""
+        harmonic = np.arange(len(aim))
+        wanted, below = self._moves * np.fft.rfft(self.path, axis=0), np.floor(_BAND * harmonic).astype(np.intp)
+        sums = [np.cumsum(np.abs(part) ** 2, axis=0) for part in (moved - self._moves * aim, wanted)]
+        missed, there = (total - total[below] for total in sums)
+        known = there > _KNOWN * sums[1][-1]
+        failed = np.cumsum(known & (missed > _FOLLOWS**2 * there), axis=0) > 0
+        return np.asarray(np.where(known & ~failed, harmonic[:, None], 0).max(axis=0))
 
 
 def _longest_gap(there: Array) -> int:

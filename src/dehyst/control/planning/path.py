@@ -636,7 +636,11 @@ class Task:
             return ()
         gain, offset = loop._scaling_at(self.warmth[j], len(self.rows))
         rates = {name: values / gain for name, values in self.rates.items()}
-        needed = needed_slew_rate(loop.actuator, (self.moved[:, j] - offset) / gain, self.time, loop.limits, **rates)
+        target = (self.moved[:, j] - offset) / gain
+        state = state_at(loop.actuator, loop.actuator.state, float(target[0]))
+        given: dict[str, Any] = {"time": self.time, "state": state, "extrapolate": True, **rates}
+        voltage = np.clip(loop.actuator.compensate(target, **given).voltage, *loop.limits)
+        needed = float(np.abs(np.diff(voltage) / np.diff(self.time)).max())
         slewed = f"the path needs up to {needed:.4g} V/s, the slew rate allows {loop.slew_rate:.4g} V/s"
         return (slewed,) if needed > loop.slew_rate else ()
 
@@ -648,25 +652,3 @@ class Task:
         hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
         plan = replace(plans[0], warnings=(*plans[0].warnings, *hint))
         return plan if units == plan.units else plan.in_units(units)
-
-
-def needed_slew_rate(
-    actuator: Actuator,
-    displacement: Array,
-    time: Array,
-    limits: tuple[float, float],
-    *,
-    temperature: ArrayLike | None = None,
-    **rates: Array,
-) -> float:
-    """Return the slew rate [V/s] that a path (n,) [m] at `time` (n,) [s] needs within `limits` [V], n at least 2.
-
-    `temperature`, and `rates`, a velocity and an acceleration: as in `Actuator.compensate`.
-    """
-    first = displacement[:1]
-    if actuator.thermal is not None and temperature is not None:
-        first = actuator.thermal.at_reference(displacement, temperature)[:1]
-    options: dict[str, Any] = {"time": time, "temperature": temperature, **rates}
-    state = state_at(actuator, actuator.state, float(first[0]))
-    voltage = actuator.compensate(displacement, **options, state=state, extrapolate=True).voltage
-    return float(np.abs(np.diff(np.clip(voltage, *limits)) / np.diff(time)).max())
