@@ -202,7 +202,7 @@ def reading_errors(path: Path, kind: str) -> Iterator[None]:
         raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
     except Exception as error:  # every library has its own errors for broken content
         raise FileFormatError(
-            f"{path}: not a readable {kind} file ({type(error).__name__}: {error}); check that the suffix fits"
+            f"{path}: not a readable {kind} file ({type(error).__name__}: {str(error)[:300]}); check its suffix"
         ) from error
 
 

@@ -94,13 +94,15 @@ def test_a_gcs_array_has_its_names_and_its_clock(tmp_path):
     assert read_table(path).names == table.names[1:]
 
 
-def test_the_fields_of_a_structure_are_second_to_plain_arrays(tmp_path):
+def test_fields_of_a_structure_and_plain_arrays_of_one_name_are_chosen_by_the_user(tmp_path):
     import scipy.io
 
     plain = {"time_s": T, "voltage_V": V, "displacement_um": UM}
     scipy.io.savemat(tmp_path / "a.mat", {**plain, "old": {"time_s": T + 1, "voltage_V": V}})
-    assert_measured(read(tmp_path / "a.mat"))
-    assert read(tmp_path / "a.mat", "voltage=old.voltage_V").voltage == pytest.approx(V)
+    with pytest.raises(FileFormatError):
+        read(tmp_path / "a.mat")
+    assert_measured(read(tmp_path / "a.mat", "time=time_s, voltage=voltage_V"))
+    assert read(tmp_path / "a.mat", "time=time_s, voltage=old.voltage_V").voltage == pytest.approx(V)
 
 
 # Guesses

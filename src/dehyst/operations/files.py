@@ -52,7 +52,7 @@ def warmth_of(table: Table, samples: int, columns: Columns) -> Array | None:
         values = values_of(table, "temperature", columns)
         found = [Channel("temperature", "degC", "temperature", "", values)]
     else:
-        known = [column for column in table.columns if column.role == "temperature" and not column.foreign]
+        known = [column for column in table.columns if column.role == "temperature"]
         if len(known) > 1:
             raise FileFormatError(
                 f"{table.source}: {listed(tuple(column.name for column in known))} are temperatures",

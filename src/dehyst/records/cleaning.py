@@ -68,11 +68,7 @@ Stretches = list[tuple[int, int]]
 
 
 class Cleaned(NamedTuple):
-    """A record without its glitches, transients, spikes and repeated samples.
-
-    `record`: the same object if there are none. `glitches`: start and stop of each, as samples of the given record.
-    `sentences`: one for each glitch and transient, of many for some, and one on the spikes and on the repeated samples.
-    """
+    """A record without its glitches, transients, spikes and repeats; the stretches of glitches; what was done."""
 
     record: Record
     glitches: Stretches
@@ -80,10 +76,7 @@ class Cleaned(NamedTuple):
 
 
 def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
-    """Leave glitches of the voltage out, and samples that repeat; set transients aside, put lines in place of spikes.
-
-    The displacement in transients is replaced by a path that follows the voltage, unless `ringing`.
-    """
+    """Leave glitches and repeats out, put lines in place of spikes; set transients aside, as paths unless `ringing`."""
     bad = glitches(record.voltage, record.displacement)
     stray = runs(bad)
     words = [
@@ -135,10 +128,7 @@ def _shortened(sentences: list[str], rest: str) -> list[str]:
 
 
 def voltage_steps(voltage: Array) -> Stretches:
-    """Return the last sample before and the first one after each step of a voltage (n,) [V].
-
-    A step takes few samples, and is large compared with the range, the noise and neighbouring changes.
-    """
+    """Return the sample before and the one after each large and short step of a voltage (n,) [V]."""
     change, span = np.abs(np.diff(voltage)), float(np.ptp(voltage))
     noise = _SIGMAS * white_noise(voltage)
     steps = []
@@ -152,11 +142,7 @@ def voltage_steps(voltage: Array) -> Stretches:
 
 
 def transients(record: Record) -> list[tuple[int, int, int]]:
-    """Find the steps of the voltage after which the displacement rings or overshoots, in order.
-
-    Each is the last sample before the step, the first one after it, and one after the last sample that rings.
-    Transients that were already replaced are not found again.
-    """
+    """Find steps after which the displacement rings: the sample before, the one after, and one after the ring."""
     steps, counted = voltage_steps(record.voltage), signals.counting(record)
     if counted is not None:
         steps = [(start, jump) for start, jump in steps if counted[start]]
@@ -166,10 +152,7 @@ def transients(record: Record) -> list[tuple[int, int, int]]:
 
 
 def settled(record: Record, found: Sequence[tuple[int, int, int]]) -> Array:
-    """Return the displacement (n,) [m] with each transient replaced by a path that follows the voltage.
-
-    Ringing after the hysteresis does not affect it, so the path follows the voltage from one level to the other.
-    """
+    """Return the displacement (n,) [m] with a path that follows the voltage in the place of each transient."""
     v, y = record.voltage, record.displacement.copy()
     gain = float(np.ptp(record.displacement)) / max(float(np.ptp(v)), 1e-300)
 
@@ -267,10 +250,9 @@ def _excursions(values: Array, other: Array, least: float, *, ends: bool = False
 class _Signals(NamedTuple):
     """Voltage and displacement (n,), and what counts as large in them.
 
-    `least`: excursion [V] that noise, resolution or usual excursions explain. `gain`: displacement per volt, over the
-    range. `sensor`: displacement that noise or resolution of the sensor explains. `lag`: samples by which the
-    displacement may lag. `span`: range of the voltage [V]. `longest` and `widest`: samples that a long excursion
-    and others may last. `way`: 1 if `y` follows, -1 if it leads. `steep`: its gain next to a turn, over the mean.
+    `least`, `sensor`: voltage and displacement that noise explains; `gain`: displacement per volt; `lag`: most samples
+    of a lag; `span` [V]; `longest`, `widest`: samples of excursions; `way`: 1 if `y` follows, -1 if it leads; `steep`:
+    its gain next to a turn, over the mean.
     """
 
     v: Array
@@ -354,11 +336,7 @@ class _Signals(NamedTuple):
         return bool(along.max() > self.gain * allowed)
 
     def at_ends(self) -> Stretches:
-        """Return start and stop of excursions at the record's ends, by its mirror images before and after it.
-
-        They exceed all other steps of the record: a step at its end may be one that the displacement, which lags, has
-        not followed yet.
-        """
+        """Return excursions at the ends, by mirror images there, if larger than a late displacement explains."""
         size, beside = len(self.v), 4 * _NEAR
         usual = float(np.abs(np.diff(self.v[_WIDEST:-_WIDEST])).max())
         v, y = (np.pad(signal, beside, "reflect") for signal in (self.v, self.y))

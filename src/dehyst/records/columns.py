@@ -39,10 +39,7 @@ _LONGEST = 10_000
 
 
 class Scale(NamedTuple):
-    """What one unit of a column is: `factor` of `unit` for one of `per`; units are empty where none are given.
-
-    `kind`: "fringe" or "grating" for a signal that repeats itself every `factor` of `unit`; empty otherwise.
-    """
+    """`factor` of `unit` for one of `per`; `kind`: "fringe" or "grating" that repeats every `factor` of `unit`."""
 
     factor: float
     unit: str = ""
@@ -262,10 +259,7 @@ class Columns:
         return () if self.join is None else (path_of(self.join),)
 
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
-        """Raise an error for keys other than these, and for axes unless `axes`; `words`: where they have no effect.
-
-        With `axes`, the columns of voltage and displacement are those of the axes.
-        """
+        """Raise an error for keys without an effect; with `axes`, the columns are those of the axes."""
         known = [key for key in keys if not (axes and key in ("voltage", "displacement"))]
         wrong = [key for key in self.entries() if key not in (*known, *(self.axes if axes else ()))]
         if wrong:
@@ -273,10 +267,7 @@ class Columns:
             raise FileFormatError(got, argument="columns", hint=f"leave it out; known are {', '.join(known)}")
 
     def of_axes(self) -> dict[str, Columns]:
-        """Return the columns of a record of each axis by its name; raise `FileFormatError` if they are not two or more.
-
-        Each has a column for its voltage and one for its displacement, different ones.
-        """
+        """Return the columns of a record of each of two or more axes; raise `FileFormatError` if they are not that."""
 
         def refusal(got: str, need: str) -> FileFormatError:
             return FileFormatError(argument="axes", got=got, need=f'{need}, as "x=vx_V:x_um, y=vy_V:y_um"')
@@ -337,10 +328,7 @@ def text_of(entries: Mapping[str, str]) -> str:
 
 
 def columns_of_axis(text: str) -> list[str]:
-    """Return the columns of an axis, NAME, NAME:UNIT or NAME*SCALE with colons between them.
-
-    A unit belongs to the name before it.
-    """
+    """Return the columns of an axis, NAME or NAME:UNIT*SCALE with colons between them."""
     found: list[str] = []
     for part in text.split(":"):
         unit = Entry.of(part).name

@@ -41,15 +41,7 @@ _ALIKE, _JUMP = 0.01, 1.6
 
 
 def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: ArrayLike) -> Array:
-    """Return positions (n,) at the samples nearest to events, in the unit of the events, and NaN elsewhere.
-
-    Each is moved by the gain between neighbouring events times the difference of the voltages, so that what is left is
-    of second order; the mean counts where several events are nearest to one sample. `time` (n,) [s], `voltage` (n,)
-    [V], `event_time` (k,) [s], `position` (k,).
-
-    Raise `RecordError` if there are fewer than 4 events, their times do not rise or lie outside of `time`, a position
-    is not finite, or times and positions differ in number.
-    """
+    """Return positions (n,) at the samples nearest to events, moved by the gain to their voltages; NaN elsewhere."""
     when = vector(event_time, "event_time", error=RecordError)
     where = vector(position, "position", error=RecordError)
     if when.size != where.size or when.size < _FEWEST:
@@ -93,10 +85,7 @@ def thinned(record: Record) -> Record:
 def record_of_periodic(
     time: Array, voltage: Array, signal: Array, period: float, *, kind: str, name: str, unit: str = "a.u."
 ) -> Record:
-    """Return a record of events, see `counted_events`; it keeps the `signal` [unit] as a further channel of that name.
-
-    `time`, `voltage`, `signal` (n,) [s], [V]; `period` of the displacement [m].
-    """
+    """Return a record of events, see `counted_events`, with the `signal` [unit] as a further channel of that name."""
     from dehyst.records.record import Record
 
     others: Any = {f"signal [{unit}]": signal}
@@ -109,21 +98,11 @@ def record_of_periodic(
 def counted_events(
     time: Array, voltage: Array, signal: Array, period: float, kind: str = "fringe"
 ) -> tuple[Array, Array]:
-    """Count a `signal` (n,) that repeats whenever the displacement has moved by a `period`.
+    """Return times [s] and positions (k,) of a `signal` (n,) that repeats when the displacement moves by a `period`.
 
-    The count goes up while the voltage rises and down while it falls. Of a "fringe", a sine of the displacement, the
-    crossings of the middle and the extremes between them are events; of a "grating", whose profile is unknown, one edge
-    of each line. Middle and contrast follow the signal's own extremes, so that both may drift.
-
-    Returns
-    -------
-    (k,) array, (k,) array
-        Times [s], and positions in the unit of `period`, about 0 at the first crossing.
-
-    Raises
-    ------
-    RecordError
-        If the signal does not repeat, has too few samples or periods, or a count is lost, with the time.
+    The count rises and falls with the voltage. Of a "fringe", a sine of the displacement, crossings of the middle and
+    extremes between them are events; of a "grating", one edge of each line. Middle and contrast may drift. Raise
+    `RecordError` if the signal does not repeat, has too few samples or periods, or a count is lost, with the time.
     """
     choice(kind, "kind", ("fringe", "grating"), error=RecordError)
     if not number(period, "period", error=RecordError) > 0:

@@ -157,14 +157,10 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
     Of `columns` only the decimal sign and the largest size count.
     """
     path, columns = path_of(path), columns or Columns()
-    with reading_errors(path, path.suffix):
-        if path.suffix.lower() not in LOADERS and path.exists() and not path.is_fifo() and not path.is_dir():
-            raise FileFormatError(
-                f"{path}: unknown kind of file '{path.suffix}'; dehyst reads "
-                f"{' '.join(LOADERS)}{_ADVICE.get(path.suffix.lower(), '')}"
-            )
-        stream = opened(path, 1e6 * columns.max_size)
-    with stream:
+    if path.suffix.lower() not in LOADERS and path.is_file():
+        known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
+        raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
+    with reading_errors(path, path.suffix), opened(path, 1e6 * columns.max_size) as stream:
         if columns.decimal is not None and path.suffix.lower() not in ("", *_WITH_SIGNS):
             got = f"'{columns.decimal}' for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")

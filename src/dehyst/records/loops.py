@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.records.signals import noise_span, turning_points, white_noise
+from dehyst.records.signals import noise_span, turning_points, turns_of, white_noise
 
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
@@ -47,11 +47,6 @@ _LEAST, _LOUD = 0.1, 8.0
 _ROUNDING, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-3, 0.1, 4096
 
 
-def turns_of(voltage: Array) -> NDArray[np.intp]:
-    """Return the turning points of a voltage, as `dehyst.records.reversals` does."""
-    return turning_points(voltage, max(_EQUAL * float(np.ptp(voltage)), noise_span(voltage)))
-
-
 def sense(voltage: Array, displacement: Array, cycles: list[Span] | None = None) -> int:
     """Return 1 if the displacement lags in the loops, -1 if it leads by more than noise explains, 0 if it is open."""
     if cycles is None:
@@ -84,10 +79,7 @@ def leading(record: Record, cycles: list[Span]) -> str:
 
 
 def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | None:
-    """Return that the voltage jumps between branches, which are sorted by voltage; None if it does not jump.
-
-    Empty for a sawtooth, whose branches do not alternate.
-    """
+    """Return that the voltage jumps between sorted branches; None if it does not jump, empty for a sawtooth."""
     steps, stroke = np.diff(v), float(np.ptp(y))
     far = np.abs(steps) > max(_JUMP * float(np.ptp(v)), _STEPS * float(np.median(np.abs(steps))))
     ways, others, jumps = np.sign(steps[far]), np.sign(steps[~far]), np.flatnonzero(far)
@@ -141,11 +133,7 @@ def _shift(record: Record, early: int) -> str:
 
 
 def butterfly(voltage: Array, displacement: Array) -> tuple[float, float, float] | None:
-    """Return a fall and a rise [m] on the line midway between branches, and the voltage between; None without both.
-
-    On that line hysteresis, a delay, creep and a drift from branch to branch take opposite signs and cancel. An
-    actuator driven beyond its coercive field falls and rises, as a switching ferroelectric.
-    """
+    """Return a fall and a rise [m] of the line midway between branches, without hysteresis, and the voltage between."""
     span = float(np.ptp(voltage))
     points = [0, *turning_points(voltage, _WHOLE * span).tolist(), voltage.size - 1]
     edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)

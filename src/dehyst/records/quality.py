@@ -51,10 +51,7 @@ def fault_of(values: Array, column: str, unit: str) -> str:
 
 
 def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
-    """Return an error with cause and remedy if times (n,) [s] are not each above the one before; or empty.
-
-    `voltage` and `displacement` (n,) tell reversed rows from a wrong sign.
-    """
+    """Return an error with cause and remedy if times (n,) [s] are not each above the one before; or empty."""
     steps = np.diff(time)
     bad = np.flatnonzero(steps < SHORTEST)
     if not bad.size:

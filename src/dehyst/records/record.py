@@ -126,10 +126,10 @@ class Record(Plotted):
     Raises
     ------
     RecordError
-        If arrays have a wrong shape or length, have a unit, are masked or not numeric, have fewer than 2 samples, or
-        hold NaN, inf or numbers beyond 1e30; if the time does not rise; if the axes are not different names, one each;
-        if one of `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to
-        1000 degC; or if `hold` is another word, or `measured` is not one bool a sample.
+        If arrays have a wrong shape or length, are no plain numbers, have fewer than 2 samples, or hold NaN, inf or
+        numbers beyond 1e30; if the time does not rise; if the axes are not different names, one each; if one of
+        `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to 1000 degC; or
+        if `hold` is another word, or `measured` is not one bool a sample.
     """
 
     time: Array
@@ -192,15 +192,12 @@ class Record(Plotted):
     def _measured(self) -> Mask | None:
         """Return where the displacement is known, None if everywhere, and fill blank places between."""
         y = self.displacement
-        if self.measured is None:
-            known = ~np.isnan(y)
-            if self.axes or not _FEWEST_NUMBERS <= np.count_nonzero(known) < 0.5 * len(self):
-                return None
-        else:
-            known = np.array(self.measured)
-            if self.axes or known.dtype != bool or known.shape != y.shape:
-                got = f"{known.dtype} of shape {known.shape}{' for several axes' if self.axes else ''}"
-                raise self._error(f"measured: got {got}, need one axis, and a bool for each of {len(self)} samples")
+        known = ~np.isnan(y) if self.measured is None else np.array(self.measured)
+        if self.measured is None and (self.axes or not _FEWEST_NUMBERS <= np.count_nonzero(known) < 0.5 * len(self)):
+            return None
+        if self.axes or known.dtype != bool or known.shape != y.shape:
+            got = f"{known.dtype} of shape {known.shape}{' for several axes' if self.axes else ''}"
+            raise self._error(f"measured: got {got}, need one axis, and a bool for each of {len(self)} samples")
         blank = np.isnan(y) & ~known
         if blank.any() and known.any():
             keep(self, displacement=np.where(blank, np.interp(self.time, self.time[known], y[known]), y))
@@ -219,24 +216,15 @@ class Record(Plotted):
 
     def _named_axes(self) -> tuple[str, ...]:
         """Return the names of the axes; raise if they or the shapes do not fit."""
-        shapes = self.voltage.shape, self.displacement.shape
-        if self.voltage.ndim == self.displacement.ndim == 1:
-            if self.axes:
-                raise self._error(f"axes: got {self.axes!r} for one voltage, need none")
+        v, y = self.voltage.shape, self.displacement.shape
+        if len(v) == len(y) == 1 and not self.axes:
             return ()
-        if self.voltage.ndim == self.displacement.ndim and (shapes[0][1] > 1 or self.axes):
-            if shapes[0] != shapes[1] or len(self.time) != shapes[0][0]:
-                raise self._error(
-                    f"got {self.time.size} times, voltages {shapes[0]} and displacements {shapes[1]}; need one row a "
-                    "sample and one column an axis in both"
-                )
-            count = shapes[0][1]
-            return axis_names(self.axes or DEFAULT_AXES[:count], count, f"record '{self.name}'", RecordError)
-        column = "voltage" if self.voltage.ndim > 1 else "displacement"
-        raise self._error(
-            f"{column} has shape {getattr(self, column).shape}; give one dimension, try .ravel(), or one column an "
-            "axis in both voltage and displacement"
-        )
+        if len(v) != 2 or v != y or v[0] != self.time.size or (v[1] == 1 and not self.axes):
+            raise self._error(
+                f"got {self.time.size} times, voltages {v}, displacements {y} and the axes {self.axes!r}; need one "
+                "dimension, try .ravel(), or one row a sample and one column an axis in both"
+            )
+        return axis_names(self.axes or DEFAULT_AXES[: v[1]], v[1], f"record '{self.name}'", RecordError)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -460,8 +448,7 @@ def reversals(record: Record) -> NDArray[np.intp]:
     An extreme counts if the voltage then goes back by more than 2 % of its range, and than the range of its noise. It
     is the last sample of a plateau, and never an end of the record.
     """
-    values = of_one_axis(record).voltage
-    return signals.turning_points(values, max(0.02 * float(np.ptp(values)), signals.noise_span(values)))
+    return signals.turns_of(of_one_axis(record).voltage)
 
 
 def _is_frozen(raw: object) -> bool:
@@ -474,15 +461,11 @@ def _is_frozen(raw: object) -> bool:
 def further_channels(
     table: Table, used: Iterable[Column], samples: int
 ) -> tuple[list[tuple[Channel, Column]], list[str]]:
-    """Return the further channels in a table besides the `used` columns, and remarks on columns left out.
-
-    They are the temperatures and loads, and the columns that are marked to be kept. Raise `RecordError` if a requested
-    column cannot be a channel; other unsuitable columns are left out.
-    """
+    """Return the temperatures, loads and kept columns in a table besides the `used` ones, and remarks on others."""
     found: dict[str, tuple[Channel, Column]] = {}
     remarks, taken = [], {id(column) for column in used}
     for column in table.columns:
-        if id(column) in taken or not (column.kept or (column.role != "other" and not column.foreign)):
+        if id(column) in taken or not (column.kept or column.role != "other"):
             continue
         words, size = column.fault, column.data.size
         if not words and size != samples:

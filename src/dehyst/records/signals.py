@@ -51,11 +51,7 @@ def percent(error: float, stroke: float) -> float:
 
 
 def white_noise(values: Array) -> float:
-    """Estimate the standard deviation of white noise on a smooth, evenly sampled signal (n,), in its unit.
-
-    The estimate uses the median absolute difference of order 6, so that the signal itself, its corners and outliers
-    have no effect. It is 0 below 8 samples. A long signal is sampled in evenly spread stretches.
-    """
+    """Estimate the white noise on a smooth even signal (n,), by its differences of order 6; 0 below 8 samples."""
     if len(values) < _ORDER + 2:
         return 0.0
     if len(values) > _STRETCHES * _STRETCH:
@@ -67,8 +63,8 @@ def white_noise(values: Array) -> float:
 def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
     """Estimate the white noise of a displacement (n,) as `white_noise` does, or on the grid of time.
 
-    The latter counts where it is far smaller: for uneven steps, repeated samples and few samples a cycle. It uses new
-    samples only, and their distances from the cubic through two neighbours on each side, without a turn in between.
+    The latter counts where it is far smaller (uneven steps, repeated or few samples): distances of new samples from the
+    cubic through two neighbours on each side, without a turn in between.
     """
     noise, steps = white_noise(displacement), np.diff(time[:_ROWS])
     new = new_samples(voltage, displacement)
@@ -161,6 +157,11 @@ def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     return kept[turns]
 
 
+def turns_of(voltage: Array) -> NDArray[np.intp]:
+    """Return the turning points of a voltage, see `dehyst.records.reversals`."""
+    return turning_points(voltage, max(0.02 * float(np.ptp(voltage)), noise_span(voltage)))
+
+
 def gaps(time: Array) -> list[tuple[int, float]]:
     """Return the places of missing samples: index i and time[i + 1] - time[i] [s], if above 1.5 sample times."""
     steps = np.diff(time)
@@ -168,11 +169,7 @@ def gaps(time: Array) -> list[tuple[int, float]]:
 
 
 def bandwidth(signal: Array, sample_time: float, share: float) -> float:
-    """Return the frequency [Hz] above which a signal has this share of its AC energy, without noise.
-
-    The signal is taken from the line between its ends, in a Hann window. White noise as strong as the median of the
-    upper half of the spectrum is not counted. `sample_time` [s].
-    """
+    """Return the frequency [Hz] above which a signal has this share of its AC energy, without white noise."""
     from_line = (signal - np.linspace(signal[0], signal[-1], signal.size)) * np.hanning(signal.size)
     power = np.abs(np.fft.rfft(from_line)[1:]) ** 2
     # The power of noise in a line of the spectrum is distributed exponentially: its mean is the median over ln 2.

@@ -116,10 +116,7 @@ class Table:
         return self.select(quantity, wanted).values
 
     def with_rate(self, rate: float) -> Table:
-        """Return the table with the index over a rate [Hz] as its time, in the place of its columns of time.
-
-        Raise `FileFormatError` if a time that rises contradicts the rate; one that stands or falls says nothing.
-        """
+        """Return the table with the index over a rate [Hz] as its time; raise if a time that rises contradicts it."""
         clock = Column("time", np.arange(float(self.rows)) / rate, "s")
         others = [column for column in self.columns if "time" not in column.quantities]
         left = tuple(column.name for column in self.columns if "time" in column.quantities)
@@ -134,11 +131,10 @@ class Table:
         return replace(self, columns=(clock, *others), remarks=(*self.remarks, *remarks))
 
     def select(self, quantity: str, wanted: str | None = None) -> Selected:
-        """Select the column of a `quantity` of `QUANTITIES`.
+        """Select the column of a quantity, see `Columns`; without a name the one column named like the quantity.
 
-        `wanted`: as in `Columns`; without a name the one column named like the quantity. Raise `ColumnError` if there
-        are no or several such columns, units contradict or are unknown, cells are no numbers, the scale does not fit,
-        or it seems to be a monitor's voltage without a scale.
+        Raise `ColumnError` if none or several fit, units contradict or are unknown, cells are no numbers, the scale
+        does not fit, or it seems to be a monitor's voltage without a scale.
         """
         entry, fits = self._fits(quantity, wanted)
         if not entry.name and self.columns and self.columns[0].unnamed:
@@ -207,7 +203,6 @@ class Table:
     def _candidates(self, quantity: str) -> list[Column]:
         known, units = QUANTITIES[quantity], FACTORS[quantity]
         fits = [c for c in self.columns if c.words & {*known.words.split(", ")}]
-        fits = [c for c in fits if not c.foreign] or fits
         fits = [c for c in fits if c.parts[1] in units] or fits
         if quantity == "displacement" and fits and all(c.parts[0].lower() in _AXES for c in fits):
             return [c for c in self.columns if c.parts[0].lower() in _AXES and c.parts[1] in units] or fits
@@ -250,10 +245,7 @@ def _fault(quantity: str, column: Column, entry: Entry) -> tuple[str, str] | Non
 
 
 def _contradiction(quantity: str, column: Column, given: str) -> tuple[str, str] | None:
-    """Return how units of the name, the file and the user (`given`) contradict one another, and what to try; or None.
-
-    Nobody takes volts for micrometres, amperes for volts, or volts for millivolts, without a scale.
-    """
+    """Return how units of the name, the file and the user (`given`) contradict each other, and what to try; or None."""
     known, stated, name = FACTORS[quantity], column.parts[1], shortened(column.name)
     if not given and (named := column.contradiction):
         ways = [f", or give {quantity}={name}:{unit}" for unit in (named, stated) if unit in known]
@@ -272,10 +264,7 @@ def _contradiction(quantity: str, column: Column, given: str) -> tuple[str, str]
 
 
 def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[str, Selected]:
-    """Return the columns of quantities, whose `values` are known to be numbers in SI units.
-
-    Raise `ColumnsError` if some of them cannot be read: all problems, and columns that would solve them.
-    """
+    """Return the columns of quantities; raise `ColumnsError` with all problems, and columns that would solve them."""
     found: dict[str, Selected] = {}
     problems: list[ColumnError] = []
     for quantity in quantities:
@@ -295,10 +284,7 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
 
 
 def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], used: Sequence[Column]) -> str:
-    """Return the text of columns that may be right in the place of those with problems; empty if there are none.
-
-    `used`: the columns of other quantities. What does not follow from a name or a unit is marked as a guess.
-    """
+    """Return the text of columns that may be right in the place of those with problems; empty if there are none."""
     named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
     wanted = [error.quantity for error in problems if error.quantity not in named]
     assigned = named | _assigned(table, wanted, [*used, *named.values()])
@@ -326,10 +312,7 @@ def _side_by_side(table: Table) -> bool:
 
 
 def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> dict[str, Column]:
-    """Return the most likely column of each wanted quantity, of one length.
-
-    One that rises may be a time, unless it counts or has another unit, and no other quantity rises always.
-    """
+    """Return the most likely column of each wanted quantity, of one length; only a time may always rise."""
     free = [c for c in table.columns if c not in used and not c.fault and np.isfinite(c.data).any()]
     sizes = Counter(column.data.size for column in used or free)
     free = [column for column in free if column.data.size == max(sizes, key=lambda size: sizes[size])][:_MOST]
@@ -410,14 +393,11 @@ def _behind(stem: str, column: Column) -> Column:
 
 
 def joined(table: Table, other: Table, columns: Columns) -> Table:
-    """Return a table with the columns of both files, sample by sample or aligned on time.
+    """Return a table with the columns of both files, by sample or by time; names of the other after its stem.
 
-    Where both have a time and the times differ, the table has the samples of the file with the displacement, else of
-    the first: straight lines between these would take the noise of a sensor away. Samples before the first or after the
-    last of the other file are left out. Names of the other follow the name of its file: other/displacement_um.
-
-    Raise `FileFormatError` if, without two times, the files differ in length; with them, if the times do not rise or do
-    not overlap, or only one of the files has timestamps.
+    Where both have times that differ, samples are those of the file with the displacement, else of the first: straight
+    lines would take the noise of a sensor away. Samples without the other file are left out. Raise `FileFormatError` if
+    lengths differ without two times, or times do not rise, do not overlap, or have no clock in common.
     """
     stem = f"{other.source.rsplit('.', 1)[0]}/"
     first, second = _Timed.of(table, columns), _Timed.of(other, columns, stem)

@@ -60,13 +60,6 @@ def test_endless_lines(tmp_path, content):
     refused(text(tmp_path, content), r"line \d is longer than 1000000 characters")
 
 
-def test_columns_without_number(tmp_path):
-    row = ",".join("1" for _ in range(20_000))
-    refused(
-        text(tmp_path, ",".join(f"c{i}" for i in range(20_000)) + f"\n{row}\n{row}\n"), "has 20000 columns, at most"
-    )
-
-
 RUNS = [mark * 20_000 for mark in (" ", "_", "[", "(", "]", "\t", " _", "[ ", "]]", ") ")]
 
 

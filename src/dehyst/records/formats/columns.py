@@ -140,10 +140,7 @@ def plausible_unit(quantity: str, data: Array) -> str:
 
 
 def impossible(quantity: str, size: float) -> str:
-    """Return an error for a size [s, V, m] that no piezo actuator or instrument has; empty if it is possible.
-
-    `size`: the usual time from sample to sample, the largest voltage, or the stroke.
-    """
+    """Return an error for a size [s, V, m] that cannot be: of a time step, a voltage, or a stroke; or empty."""
     name, unit, least, most, others = _POSSIBLE[quantity]
     if least <= size <= most:
         return ""
@@ -158,8 +155,7 @@ class Column:
     """One named column of a file.
 
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
-    outside of the name. `fault`: why the column cannot be used, and what to try. `foreign`: whether its samples are in
-    another file, are computed, or are in a structure next to plain arrays; it is then ignored if another column fits.
+    outside of the name. `fault`: why the column cannot be used, and what to try.
     `unnamed`: if the file has no names and the name is therefore a number: the reason, and what to try. `guessed`:
     properties that the file does not state. `ends`: first and last cell in a text file. `began`: the first timestamp
     (origin, whole seconds, fraction). `kept`: whether a record keeps it as a further channel, regardless of its name.
@@ -171,7 +167,6 @@ class Column:
     data: Array
     unit: str = ""
     fault: str = ""
-    foreign: bool = False
     unnamed: str = ""
     guessed: str = ""
     ends: tuple[str, str] = ("", "")
@@ -211,10 +206,7 @@ class Column:
 
     @property
     def contradiction(self) -> str:
-        """The unit in the column's name if the file states the symbol of another one, as in a row of units; or empty.
-
-        A word is not a contradiction: LabVIEW states "Volts" for every channel.
-        """
+        """The unit in the name if the file states the symbol of another one; words such as "Volts" contradict none."""
         named, known = symbol_of(self._named[1]), FACTORS.get(quantity_of(self.unit), {})
         return named if self.unit in known and known.get(named) != known[self.unit] else ""
 
@@ -225,10 +217,7 @@ class Column:
 
     @property
     def role(self) -> str:
-        """Role as a further channel of a record, by name and unit: "temperature", "load" or "other".
-
-        A temperature has "temp" in its name, or the unit degC, °C, degF or °F; a load has "load", "force" or "kraft".
-        """
+        """Role as a further channel of a record, by name and unit: "temperature", "load" or "other"."""
         word, unit = self.parts[0].lower(), self.parts[1]
         role = quantity_of(unit)
         degrees = "degC", "°C", "degF", "°F"

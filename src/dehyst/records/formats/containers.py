@@ -77,7 +77,6 @@ class _Declared(NamedTuple):
     read: Callable[[], Any]
     unit: str = ""
     fault: str = ""
-    foreign: bool = False
 
     @property
     def kind(self) -> str:
@@ -89,12 +88,9 @@ class _Declared(NamedTuple):
         return "table" if table and self.dtype.kind in "fiu" else ""
 
     def columns(self, allowance: Allowance, alone: bool = False) -> list[Column]:
-        """Return the columns: of a table its rows, or its columns if these are longer; of a structure its fields.
-
-        `alone`: whether the file has no other array, whose name would be needed.
-        """
+        """Return the columns: rows or columns of a table, fields of a structure; `alone`: without its name."""
         if self.fault:
-            return [Column(self.name, np.empty(0), fault=self.fault, foreign=self.foreign, group=_group(self.name))]
+            return [Column(self.name, np.empty(0), fault=self.fault, group=_group(self.name))]
         if not self.kind:
             return []
         count, what, fields = _product(self.shape), f"array '{shortened(self.name)}'", {}
@@ -108,7 +104,7 @@ class _Declared(NamedTuple):
         named = {name if alone else f"{self.name}/{name}": one for name, one in fields.items()} or {self.name: values}
         unnamed = _UNNAMED.format(self.shape) if alone and self.kind == "table" else ""
         columns = [column for name, one in named.items() for column in _vector(name, one, self.unit, _group(name))]
-        return [replace(column, foreign=self.foreign, unnamed=unnamed) for column in columns]
+        return [replace(column, unnamed=unnamed) for column in columns]
 
 
 def _group(name: str) -> str:
@@ -124,10 +120,7 @@ def _vector(name: str, values: Any, unit: str = "", group: str = "") -> list[Col
 
 
 def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Column]:
-    """Read all series, and the tables with as many samples as one of them, or all if there is no series.
-
-    Raise `FileFormatError` if nothing in the file can be used.
-    """
+    """Read all series, and the tables with as many samples as one of them, or all if there is no series."""
     tables = [array for array in arrays if array.kind == "table" and not array.fault]
     alone = len(arrays) == 1
     columns = [one for array in arrays if array not in tables for one in array.columns(allowance, alone)]
@@ -174,8 +167,6 @@ def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
     """Read arrays of an NPZ archive."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
-            raise FileFormatError("its arrays are packed otherwise than by NumPy; save them with numpy.savez")
         arrays = [_npy(partial(archive.open, member), member.filename.removesuffix(".npy")) for member in members]
         columns = _columns_of(arrays, allowance)
         texts = [one for one in arrays if one.name == MEMBER and (one.dtype.kind, one.shape) == ("U", ())]
@@ -211,14 +202,11 @@ def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
     column = Column(name.rsplit("/", 1)[-1], np.empty(0), unit)
     if group and not symbol_of(column.parts[1]) and (not column.quantities or quantity_of(group) in column.quantities):
         unit = group
-    return _Declared(name, shape, item.dtype, partial(_unpacked, item, name, allowance), unit, fault, bool(fault))
+    return _Declared(name, shape, item.dtype, partial(_unpacked, item, name, allowance), unit, fault)
 
 
 def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
-    """Read a dataset after a check of its chunk size, which is in memory as a whole.
-
-    Numbers are unpacked as netCDF packs them; fill values become NaN.
-    """
+    """Read a dataset, unpacked as netCDF packs it, after a check of its chunks; fill values become NaN."""
     if dataset.chunks:
         allowance.check(_product(dataset.chunks) * dataset.dtype.itemsize, f"a chunk of dataset '{shortened(name)}'")
     values = np.asarray(dataset[()])
@@ -264,15 +252,12 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
             # SciPy lists no objects of classes that MATLAB defines in its own language, nor their names.
             variables = [("object", (1, 1), "opaque")]
         for name, shape, kind in variables:
-            declared = _Declared(name, shape, np.dtype("f8"), tuple, fault=_MAT_FAULTS.get(kind, ""), foreign=True)
+            declared = _Declared(name, shape, np.dtype("f8"), tuple, fault=_MAT_FAULTS.get(kind, ""))
             if declared.fault:
                 arrays.append(declared)
             elif kind == "struct" or (kind in _MAT_NUMBERS and declared.kind and not name.startswith("__")):
                 allowance.check(_product(shape) * np.dtype("f8").itemsize, f"variable '{shortened(name)}'")
                 arrays += _fields(name, scipy.io.loadmat(stream, variable_names=[name], simplify_cells=True)[name])
-    # Beside plain arrays, the fields of structures are ignored if these fit.
-    plain = any(array.kind == "series" and "/" not in array.name and not array.fault for array in arrays)
-    arrays = [array._replace(foreign=array.foreign or (plain and "/" in array.name)) for array in arrays]
     return _columns_of(arrays, allowance)
 
 
@@ -291,10 +276,7 @@ _STAMP = re.compile(_START.encode() + rb"(.{20})", re.DOTALL)
 
 
 def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read channels of a TDMS file; the time of a waveform follows from its properties.
-
-    Raise `FileFormatError` if its channels have clocks of their own, or it was written with pauses.
-    """
+    """Read channels of a TDMS file; the time of a waveform follows from its properties."""
     from nptdms import TdmsFile
 
     columns: list[Column] = []
@@ -327,11 +309,7 @@ def _channels(file: Any) -> dict[str, Any]:
 
 
 def _guess_of_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
-    """Return what is assumed of waveforms that were appended to; raise `FileFormatError` if that was with a pause.
-
-    nptdms keeps the last start only. The first one, and the number of samples before the last one, are those of the
-    file before the segments that state another start.
-    """
+    """Return what is assumed of waveforms that were appended to; raise if that was with a pause."""
     from nptdms import TdmsFile
 
     stamps = [(match.start(), match[1]) for match in _STAMP.finditer(data)]

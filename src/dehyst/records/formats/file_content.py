@@ -15,11 +15,7 @@ _DOUBLE = 8
 
 
 class Allowance:
-    """The memory that the numbers of a file may take, of which sizes that its headers declare are taken first.
-
-    `most`: the memory [bytes]. `stem`: name of the file without its suffix. `decimal`: the decimal sign of its text, if
-    the user states it.
-    """
+    """The memory [bytes] for the numbers of a file, of which declared sizes are taken; its stem and decimal sign."""
 
     def __init__(self, most: int, stem: str = "", decimal: str | None = None) -> None:
         self.most, self.left, self.stem, self.decimal = most, most, stem, decimal
@@ -43,11 +39,7 @@ class Allowance:
 
 
 def opened(path: Path, most: float) -> io.BufferedIOBase:
-    """Open a regular file, or read a named pipe or a process substitution once; never more than `most` bytes.
-
-    Raise `FileFormatError` for a folder, a device, a socket, an empty file, more than `most` bytes. Raise `OSError` if
-    the file cannot be opened.
-    """
+    """Open a file, or read a pipe once; raise `FileFormatError` for a folder, a device, none or too many bytes."""
     state = path.stat()
     if stat.S_ISDIR(state.st_mode):
         raise FileFormatError(f"{path}: this is a folder; give one of the files in it")

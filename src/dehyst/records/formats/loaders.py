@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from dehyst._errors import DehystError, FileFormatError, MissingExtraError
+from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.records.formats import containers
 from dehyst.records.formats.columns import TEXT, Column, shortened
 from dehyst.records.formats.file_content import Allowance
@@ -62,10 +62,7 @@ _SIGNED = re.compile(r"[-+]?\d*[.,][\d.,]*(?:[eE][-+]?\d+)?")
 
 
 def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
-    """Read the tables of a workbook; the names of several sheets are put before those of their columns.
-
-    The range that a sheet declares is not believed: programs write a wrong one.
-    """
+    """Read the tables of a workbook, whatever range its sheets declare; names of several sheets come first."""
     import openpyxl
 
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -149,19 +146,6 @@ def load(path: Path, stream: io.BufferedIOBase, allowance: Allowance) -> list[Co
             return read(stream if read is _read_text else stream.read(allowance.most), allowance)
     except FileFormatError as error:
         raise type(error)(**vars(error) | {"message": f"{path}: {error.message}"}) from error
-    except DehystError:
-        raise
     except ImportError as error:
         package = (error.name or "").partition(".")[0]
         raise MissingExtraError.of(package, "files", f"Reading {suffix} files") from error
-    except MemoryError as error:
-        raise FileFormatError(
-            f"{path}: reading it takes more memory than {allowance.most / 1e6:.4g} MB of numbers should",
-            hint="the file is damaged, or give a larger max_size=MB",
-            change=("columns",),
-        ) from error
-    except Exception as error:  # Every library has its own errors for broken content.
-        raise FileFormatError(
-            f"{path}: not a readable {suffix} file ({str(error)[:300] or type(error).__name__}); check "
-            "that the suffix fits"
-        ) from error

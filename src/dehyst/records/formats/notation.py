@@ -28,9 +28,7 @@ _SHOWN = 40
 def decimal_sign(blocks: Blocks, delimiter: str | None, commas: bool, given: str | None) -> str:
     """Return the decimal sign that the user states, else the one that the cells show; a point if no cell has one.
 
-    `blocks`: function that yields blocks of rows, each with the number of lines before it. `delimiter`: separator of
-    the cells. `commas`: whether a cell may have a comma.
-
+    `blocks` yields blocks of rows, each with the number of lines before it; `commas`: whether a cell may have a comma.
     Raise `DecimalSignError` if the cells do not show the sign, and `FileFormatError` if they show both.
     """
     if given is not None:
@@ -56,10 +54,7 @@ def decimal_sign(blocks: Blocks, delimiter: str | None, commas: bool, given: str
 
 
 def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]:
-    """Return the first cell with a sign and its place, in words, and whether a cell shows that the sign is decimal.
-
-    Between commas, a cell with a comma is in quotes.
-    """
+    """Return the first cell with a sign, in words, and whether a cell shows that the sign is decimal."""
     quoted = sign == delimiter
     # No two repeated blanks may follow one another: a search through many would take their number squared.
     quote = ' *" *' if quoted else ' *(?:" *)?' if delimiter else '"?'

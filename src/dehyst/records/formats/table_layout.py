@@ -103,12 +103,10 @@ class _Shape(NamedTuple):
 
 
 def layout_of(block: str, decimal: str | None = None) -> Layout:
-    """Find the table in the first lines of a text file; `decimal`: the decimal sign that the user states.
+    """Find the table in the first lines of a text file: what the later of these lines look like.
 
-    The table is what the later of these lines look like: the same number of cells, numbers in the same columns. It
-    begins below the last line of names above the first such line: what is between is a row with a fault. Raise
-    `FileFormatError` if the text has no lines with content, or if the line above the rows has fewer names than they
-    have cells.
+    It begins below the last line of names above the first such line: what is between is a row with a fault. Raise
+    `FileFormatError` if no line has content, or the line above the rows has fewer names than they have cells.
     """
     texts = [(k, text) for k, text in enumerate(block.split("\n")) if text.strip("; \t,")]
     plain = [text for _, text in texts if not text.lstrip().startswith(_MARKS)][:_HEAD]
@@ -150,10 +148,7 @@ def layout_of(block: str, decimal: str | None = None) -> Layout:
 
 
 def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape: _Shape) -> Layout:
-    """Return the layout of a table without names; lines above it that may be rows with a fault belong to it.
-
-    Raise `FileFormatError` if commas may be decimal signs: fewer names than cells, or a blank behind some commas only.
-    """
+    """Return the layout of a table without names; raise `FileFormatError` if commas may be decimal signs."""
     line, cells = lines[place], lines[place - 1].cells if place else []
     names = bool(cells) and all(map(_is_word, cells))
     mixed = ", " in line.text and re.search(r"\d,\d", line.text)
@@ -178,10 +173,7 @@ def _commented(line: _Line, delimiter: str | None, width: int) -> _Line:
 
 
 def _delimiter(lines: list[str], decimal: str | None) -> str | None:
-    """Return the separator that most of the later lines contain, outside of quotes; None for blanks.
-
-    Where commas are decimal signs, as the user states, a comma with a blank separates.
-    """
+    """Return the separator that most of the later lines contain, outside of quotes; None for blanks."""
     later = [re.sub(r'"[^"]*"', "", text) for text in lines[len(lines) // 2 :]]
     signs = (";", "\t", ", " if decimal == "," else ",")
     found = next((sign for sign in signs if 2 * sum(sign in text for text in later) > len(later)), None)

@@ -19,8 +19,8 @@ from dehyst.records.formats.notation import Moment, clock_of, decimal_sign, is_m
 from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in
 from dehyst.records.formats.time_steps import with_clock
 
-# Longest line [characters] and most columns of a measurement.
-_LONGEST_LINE, WIDEST = 1_000_000, 10_000
+# Longest line of a measurement [characters].
+_LONGEST_LINE = 1_000_000
 # Characters that are read at once.
 _BLOCK = 100_000
 # The most tables in a file that a message shows.
@@ -28,10 +28,7 @@ _LISTED = 20
 
 
 class _Text:
-    """A text: blocks of its lines, from the beginning as often as one likes.
-
-    `whole_lines`: whether a last line without its end is left out.
-    """
+    """A text in blocks of lines, as often as one likes; `whole_lines`: without a last line that does not end."""
 
     def __init__(self, stream: BinaryIO, encoding: str, whole_lines: bool) -> None:
         self.whole_lines = whole_lines
@@ -39,10 +36,7 @@ class _Text:
         self.lines = io.TextIOWrapper(stream, encoding)
 
     def blocks(self, skip: int = 0) -> Iterator[tuple[int, str]]:
-        """Yield blocks of whole lines from behind the first lines on, each with the number of the line before it.
-
-        Raise FileFormatError for no text, or a line that is too long for a row.
-        """
+        """Yield blocks of whole lines behind the first ones, each with the number of lines before it."""
         self.lines.seek(0)
         number = 0
         while block := self.lines.read(_BLOCK) + self.lines.readline(_LONGEST_LINE):
@@ -65,12 +59,7 @@ class _Text:
 def read_text(
     data: bytes | BinaryIO, allowance: Allowance, decimal: str | None = None, whole_lines: bool = False
 ) -> list[Column]:
-    """Read the columns of a text file; those with words have a fault, those without a name say so.
-
-    `decimal`: the decimal sign; by default from the allowance, or as the file shows. `whole_lines`: whether a last line
-    without its end is left out. Raise `FileFormatError` for no text, no rows, rows that differ in length from the
-    header, several tables, or more than allowed.
-    """
+    """Read the columns of a text file; those with words have a fault, those without a name say so."""
     stream = io.BytesIO(data) if isinstance(data, bytes) else data
     stream.seek(0)
     # Windows programs write UTF-16 as "Unicode text", instruments the micro sign in Latin-1.
@@ -110,11 +99,6 @@ class _Table:
         if len(self.names) > max(len(cells_of(layout.row, self.delimiter)), 1) and not self.names[-1]:
             self.names.pop()
         self.width = len(self.names)
-        if self.width > WIDEST:
-            raise FileFormatError(
-                f"the header has {self.width} columns, at most {WIDEST} are read; check the separator, or keep time, "
-                "voltage and displacement only"
-            )
         # Between commas, a cell with a comma is in quotes.
         comma, commas, self.lines = '"' if self.delimiter == "," else ",", False, 1
         for _, block in self.blocks():

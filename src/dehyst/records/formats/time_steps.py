@@ -31,8 +31,7 @@ _LONGEST_LINE, _SAME = 400, 1e-6
 def with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> list[Column]:
     """Return columns with the time that the `lines` above a table state, in the place of one that counts samples.
 
-    Nothing changes if they state no step with its unit, or if a column has a time with its unit. If steps contradict
-    one another, or a number can be read in two ways, the time has a fault. `decimal`: the decimal sign of the table.
+    Nothing changes without a step and its unit, or with a column of time. Steps that contradict each other are a fault.
     """
     if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
@@ -65,10 +64,7 @@ def _counts(column: Column) -> bool:
 
 
 def _stated(match: re.Match[str], decimal: str) -> tuple[float, str] | None:
-    """Return the step [s] that a line as "XInc, 0.01, s" or "# Sample rate [kHz] = 2" states, and its words; or None.
-
-    The step is NaN if the number can be read in two ways.
-    """
+    """Return the step [s] that a line states, NaN if it can be read in two ways, and its words; or None."""
     key, unit = re.sub(r"[^a-z]", "", match[1].lower()), match[4] or match[2] or ""
     hertz, seconds = _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
     try:
