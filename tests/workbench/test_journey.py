@@ -45,15 +45,10 @@ def visited(tmp_path_factory, loops):
         path = done(client, client.post(f"{base}/follow", json={"points": CORNERS, "rate": 1000, "limits": [0, 100]}))
         scan = {"kind": "triangle", "low": 3, "high": 7, "frequency": 5}
         done(client, client.post(f"{base}/follow", json={"scan": scan, "rate": 1000, "name": "scan"}))
-        exports = {
-            kind: done(client, client.post(f"{base}/export", json={"kind": kind, "scan": scan, "rate": 1000}))[0]
-            for kind in ("c", "fmu", "wave_table")
-        }
+        exports = {kind: done(client, client.post(f"{base}/export", json={"kind": kind}))[0] for kind in ("c", "fmu")}
         assessed = done(client, client.post(f"{base}/insight", json={}))[1]
-        voltage = path[1]["voltages"][0]
         answers = {
             "record": floats(client.get(f"/api/records/{record['id']}/data"), 3),
-            "voltage": floats(client.get(f"/api/voltages/{voltage['id']}/data"), 4),
             "archive": client.get("/files/exports/my-stage-c").content,
             "report": client.get("/files/reports/my-stage.html"),
         }
@@ -81,14 +76,14 @@ def test_a_model_has_a_verdict_and_a_range(visited):
 
 
 def test_a_voltage_leads_along_the_path_within_the_limits(visited):
-    folder, state, entries, answers = visited
+    folder, state, entries, _ = visited
     assert entries["path"]["status"] == "done"
     voltage = state["voltages"][0]
     assert 0 <= voltage["range_v"][0] < voltage["range_v"][1] <= 100
     assert any("home" in words for words in voltage["words"])
     table = read_table(folder / voltage["file"])
     volts = {column.name: column.data for column in table.columns}
-    assert volts["voltage_V"].size == voltage["samples"] == answers["voltage"].shape[1]
+    assert volts["voltage_V"].size == voltage["samples"] == 1000 * voltage["seconds"]
     path = volts["displacement_um"][volts["phase"] == 2]
     corners = np.array(CORNERS)
     np.testing.assert_allclose(path, np.interp(np.arange(path.size) * 1e-3, *corners.T), atol=1e-6)
@@ -96,13 +91,11 @@ def test_a_voltage_leads_along_the_path_within_the_limits(visited):
 
 def test_exports_are_made_and_a_folder_comes_as_an_archive(visited):
     folder, state, entries, answers = visited
-    assert {kind: job["status"] for kind, job in entries["exports"].items()} == dict.fromkeys(
-        ("c", "fmu", "wave_table"), "done"
-    )
+    assert {kind: job["status"] for kind, job in entries["exports"].items()} == dict.fromkeys(("c", "fmu"), "done")
     names = zipfile.ZipFile(BytesIO(answers["archive"])).namelist()
     assert {"my-stage-c/piezo.c", "my-stage-c/piezo.h"} <= set(names)
     listed = {file["path"] for file in state["files"]}
-    assert {"models/my-stage.json", "exports/my-stage.fmu", "exports/my-stage-cycle.csv", "commands.sh"} <= listed
+    assert {"models/my-stage.json", "exports/my-stage.fmu", "commands.sh"} <= listed
     assert all((folder / path).exists() for path in listed)
 
 

@@ -15,7 +15,7 @@ FOLDERS = places.SOURCES / "web", places.SOURCES / "workbench" / "page"
 HEAD = """
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { before, inked, nearest, pixels } from "./thinning.js";
+import { before, nearest, pixels, steps } from "./thinning.js";
 import { inserted, moved, removed, sampled } from "./path.js";
 globalThis.document = { getElementById: () => null, createElement: () => ({}) };
 globalThis.window = { addEventListener() {} };
@@ -66,43 +66,26 @@ def loops(samples, noise, cycles=40):
     return voltage, 10 * height * np.sin(phase - 0.2) + random.normal(0, 1, samples) * noise
 
 
-INK = """
-const ink = inked(pixels({ x: floats("x"), y: floats("y") }, frame), 400, 300, 1, 1.4);
-print([...ink.keys()].filter((at) => ink[at] > 0));
-"""
-
-
-def spread(mask):
-    """Mark the neighbours of marked pixels too."""
-    wide = np.pad(mask, 1)
-    return np.any([np.roll(wide, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)[1:-1, 1:-1]
-
-
-@pytest.mark.parametrize(("samples", "noise"), [(5_000, 0.0), (50_000, 0.0), (200_000, 0.05), (20_000, 0.3)])
-def test_a_long_path_inks_the_pixels_that_it_passes(run, samples, noise):
+@pytest.mark.parametrize(("samples", "noise"), [(5_000, 0.0), (200_000, 0.05), (20_000, 0.3)])
+def test_a_long_path_has_each_step_between_two_pixels_once(run, samples, noise):
     x, y = loops(samples, noise)
-    ink = np.zeros(120_000, dtype=bool)
-    ink[run(INK, x=x, y=y)] = True
-    px, py = 4 * x.astype("<f4").astype(float), -12.5 * (y.astype("<f4").astype(float) - 12)
-    share = np.linspace(0, 1, 200 if noise > 0.1 else 20)
-    u, v = (np.floor(column[:-1, None] + share * np.diff(column)[:, None]).astype(int).ravel() for column in (px, py))
-    inside = (u >= 0) & (u < 400) & (v >= 0) & (v < 300)
-    passed = np.zeros((300, 400), dtype=bool)
-    passed[v[inside], u[inside]] = True
-    ink = ink.reshape(300, 400)
-    assert ink.sum() > 3000
-    assert not np.any(ink & ~spread(passed))
-    assert not np.any(passed & ~spread(ink))
+    curve = 'const curve = pixels({ x: floats("x"), y: floats("y") }, frame);'
+    found = np.array(run(f"{curve} print(steps(curve, frame));", x=x, y=y))
+    columns, rows = 4 * x.astype("<f4").astype(float), -12.5 * (y.astype("<f4").astype(float) - 12)
+    pixels = np.column_stack([columns, rows]).astype(int)
+    drawn = [tuple(sorted(map(tuple, pixels[pair].tolist()))) for pair in found]
+    assert len({*drawn}) == len(drawn)
+    moved = np.flatnonzero(np.any(np.diff(pixels, axis=0), axis=1))
+    assert {*drawn} == {tuple(sorted(map(tuple, pixels[[k, k + 1]].tolist()))) for k in moved}
 
 
 def test_a_path_is_cut_at_missing_values_and_outside(run):
     run("""
-        const gap = inked({ px: [10, 50, NaN, 150, 200], py: [20, 20, 20, 20, 20] }, 400, 300, 1, 1);
-        const row = gap.subarray(20 * 400 - 400, 20 * 400).map((one, k) => one || gap[20 * 400 + k]);
-        assert.ok(row[30] && row[180] && !row[100]);
-        const far = inked({ px: [-1e7, 1e7], py: [150, 151] }, 400, 300, 1, 1);
-        assert.ok(far[150 * 400] && far[150 * 400 + 399]);
-        assert.equal(pixels({ x: [], y: [], rising: true }, frame).px.length, 0);
+        const pairs = (px, py) => steps({ px, py }, frame);
+        assert.deepEqual(pairs([10, 50, NaN, 150, 200], [20, 20, 20, 20, 20]), [[0, 1], [3, 4]]);
+        assert.deepEqual(pairs([-1e7, 1e7], [150, 151]), [[0, 1]]);
+        assert.deepEqual(pairs([-5, -9, -9, 500], [10, 20, -3, -4]), []);
+        assert.equal(pairs([], []).length + pixels({ x: [], y: [], rising: true }, frame).px.length, 0);
     """)
 
 
@@ -228,42 +211,3 @@ def test_numbers_are_written_for_people(run):
         assert.throws(() => numberFrom("0", "Goal", { above: 0 }), /Goal: got 0, need a number above 0/);
         assert.throws(() => limitsFrom("5", "5"), /not below/);
     """)
-
-
-def test_a_line_is_inked_along_its_entirelength(run):
-    ink = run("""
-        const ink = inked({ px: [10, 390], py: [20, 280] }, 400, 300, 1, 1.4);
-        const rows = [];
-        for (let column = 11; column < 390; column += 1) {
-          let best = 0;
-          let at = -1;
-          for (let row = 0; row < 300; row += 1) {
-            const cover = ink[column + 400 * row];
-            if (cover > best) [best, at] = [cover, row];
-          }
-          rows.push([best, at]);
-        }
-        print(rows);
-    """)
-    cover, rows = np.array(ink).T
-    assert cover.min() > 200
-    middle = 20 + (np.arange(11, 390) + 0.5 - 10) * 260 / 380
-    assert np.abs(rows + 0.5 - middle).max() <= 1
-
-
-def test_a_million_samples_are_inked_in_a_frame(run):
-    x, y = loops(1_000_000, 0.02, cycles=300)
-    best = run(
-        """
-        const [x, y] = [floats("x"), floats("y")];
-        const times = Array.from({ length: 8 }, () => {
-          const began = performance.now();
-          inked(pixels({ x, y }, frame), 400, 300, 1, 1.4);
-          return performance.now() - began;
-        });
-        print(Math.min(...times));
-        """,
-        x=x,
-        y=y,
-    )
-    assert best < 150

@@ -52,13 +52,13 @@ def before_and_after(fit: Fit) -> Part:
     shown = _shown(fit)
     if not shown:
         return ""
-    trace = next((trace for trace in shown if trace.role == "validation"), shown[0])
+    trace = next((trace for trace in shown if trace.role == "validation"), shown[0]).settled
     stroke = pictures.stroke_of(fit)
     (off,), slope = pictures.off_line([trace])
     before, after = (number(100 * largest(error) / stroke) for error in (off, trace.residual))
     caption = (
-        f"Distance of this record from the best straight scale factor, {number(slope * 1e6)} µm/V, and from the "
-        f"model: up to {before} % of the stroke before, {after} % after. "
+        f"Distance of this record, from its second turning point on, from the best straight scale factor, "
+        f"{number(slope * 1e6)} µm/V, and from the model: up to {before} % of the stroke before, {after} % after. "
         "Drag over a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
     )
     return Charts("Before and after", caption, [pictures.before_and_after(trace, stroke)], wide=True)
@@ -285,8 +285,7 @@ def determined(found: Insight) -> list[Part]:
     return [
         f"<h2>What to record next</h2>\n<pre><code>{commands}</code></pre>" if commands else "",
         f"<h2>What the turning points determine</h2>\n<p>The turning points of the records determine "
-        f"{directions.determined} of {directions.of} directions of {escape(directions.subject)}, with the spring and "
-        "each record's constant free.</p>",
+        f"{directions.determined} of {directions.of} combinations of stiffnesses of {escape(directions.subject)}.</p>",
     ]
 
 

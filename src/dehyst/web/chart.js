@@ -2,12 +2,12 @@
 import { make, h } from "./dom.js";
 import { bindGestures } from "./gestures.js";
 import { digits, extent, short, ticks, written } from "./numbers.js";
-import { nearest, paintCurve, pixels } from "./thinning.js";
+import { nearest, pixels, steps } from "./thinning.js";
 
 const MARGIN = { left: 48, right: 16, top: 10, bottom: 40 };
 const TITLE = 32; // pixels for the title of an upright axis, and the gap beside its numbers
 const REACH = 40; // pixels from the pointer to a sample that is read out
-const MANY = 3000; // vertices from which on a curve is inked pixel by pixel
+const MANY = 3000; // vertices from which on a curve is drawn step by step
 
 // What a chart shows:
 //     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
@@ -266,12 +266,15 @@ function drawLine(chart, pen, one) {
   pen.strokeStyle = chart.colour(one.colour);
   pen.lineWidth = one.width ?? 1.4;
   pen.globalAlpha = one.opacity ?? 1;
+  pen.lineJoin = "round";
+  pen.setLineDash(one.dash ?? []);
+  pen.beginPath();
   if (px.length > MANY && !one.dash) {
-    paintCurve(pen, curve, chart.area, chart.scale);
+    for (const [from, to] of steps(curve, chart.frame())) {
+      pen.moveTo(px[from], py[from]);
+      pen.lineTo(px[to], py[to]);
+    }
   } else {
-    pen.lineJoin = "round";
-    pen.setLineDash(one.dash ?? []);
-    pen.beginPath();
     let down = false;
     for (let i = 0; i < px.length; i += 1) {
       const there = Number.isFinite(px[i] + py[i]);
@@ -279,9 +282,9 @@ function drawLine(chart, pen, one) {
       else if (there) pen.moveTo(px[i], py[i]);
       down = there;
     }
-    pen.stroke();
-    pen.setLineDash([]);
   }
+  pen.stroke();
+  pen.setLineDash([]);
   pen.globalAlpha = 1;
 }
 

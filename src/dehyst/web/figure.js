@@ -14,8 +14,8 @@ export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "
 export class Figure {
   // `views` are [name, title] pairs; `choose` is called with the name of the view that the person chose. `more` stands
   // behind the title.
-  constructor({ title, label = title, views = [], choose = () => {}, tall = false, help = true, keys = KEYS, more }) {
-    Object.assign(this, { title, views, choose, more, keys, help, hidden: new Set(), view: views[0]?.[0] });
+  constructor({ title, label = title, views = [], choose = () => {}, tall = false, keys = KEYS, more }) {
+    Object.assign(this, { title, views, choose, more, keys, hidden: new Set(), view: views[0]?.[0] });
     this.holder = make(h("div", { class: tall ? "chart tall" : "chart" }));
     this.chart = new Chart(this.holder, {
       label: `${label}. ${KEYS}`,
@@ -24,6 +24,7 @@ export class Figure {
       },
       moved: () => this.write(),
     });
+    this.chart.top.title = keys;
     this.output = make(h("output.readout", { "aria-live": "off" }));
     this.element = make(h("figure.figure"));
     this.write();
@@ -55,7 +56,6 @@ export class Figure {
       return h("button", { type: "button", class: "view", "aria-pressed": pressed, onclick }, text);
     };
     const views = this.views.map(view);
-    const help = () => [h("summary", "How to move in this picture"), h("p", this.keys)];
     fill(
       this.element,
       h("div.figure-head",
@@ -66,7 +66,7 @@ export class Figure {
       ),
       h("ul.legend", spec && this.legend(spec)),
       this.holder,
-      h("div.figure-foot", this.output, this.help && h("details.keys", help())),
+      this.output,
     );
   }
 

@@ -47,7 +47,7 @@ export function removed(points, index) {
 export function plan(compensator, wanted) {
   compensator.reset();
   const metres = Float64Array.from(wanted, (y) => MICRO * y);
-  const way = compensator.lead(metres[0]);
+  compensator.lead(metres[0]);
   const { voltage, displacement, clamped } = compensator.trajectory(metres);
   const reached = Float32Array.from(displacement, (y) => y / MICRO);
   const count = (code) => clamped.reduce((sum, one) => sum + (one === code), 0);
@@ -58,7 +58,6 @@ export function plan(compensator, wanted) {
     missed: largestDifference(reached, wanted),
     clamps: { limited: count(1), slewed: count(2) },
     steepest: compensator.period ? largestDifference(voltage.subarray(1), voltage) / compensator.period : NaN,
-    way: way * compensator.period, // seconds from the model's start to the first sample, within the slew rate
   };
 }
 

@@ -16,8 +16,8 @@ export class PathFigures {
     this.views = [["line", "One line"], ["all", "All"]];
     const { views } = this;
     this.path = new Figure({ title: "Displacement", keys: HANDLE_HELP, views, choose: () => this.draw(this.last) });
-    this.error = new Figure({ title: "Error", help: false });
-    this.voltage = new Figure({ title: "Voltage", help: false });
+    this.error = new Figure({ title: "Error" });
+    this.voltage = new Figure({ title: "Voltage" });
     this.handles = new PointHandles(this.path.chart, edited);
     const all = [this.path, this.error, this.voltage];
     this.element = make(h("div.figures.steady", all.map((one) => one.element)));
@@ -72,15 +72,15 @@ export class PathFigures {
 export const NO_PROMISE =
   "There is no promise: by the last check this model is not true any more. Update it, or identify again.";
 
-// What to expect of a plan: a light and a sentence, then facts. `stroke` and `band` in um.
-export function judged(planned, { stroke, band, light, speed, apart }) {
+// What to expect of a plan: a light and a sentence, then facts. `band` in um.
+export function judged(planned, { largest_percent: share, band, light, speed, apart }) {
   const { voltage, steepest, missed, clamps } = planned;
   const cut = [
     clamps.limited && `${whole(clamps.limited)} samples are clamped`,
     clamps.slewed && `${whole(clamps.slewed)} samples are slewed`,
   ].filter(Boolean);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
-  const within = band ? `: expect it within ${length(band)} (${percent((100 * band) / stroke)} of the stroke)` : "";
+  const within = band ? `: expect it within ${length(band)} (${percent(share)} of the stroke)` : "";
   return {
     light: cut.length ? "red" : light,
     first: cut.length

@@ -16,7 +16,7 @@ export function drawCharts(root, { columns, charts }) {
   const decoded = columns.map(column);
   for (const place of root.querySelectorAll("[data-chart]")) {
     const { title, role, label, ...spec } = charts[place.dataset.chart];
-    const figure = new Figure({ title, label, help: false, more: role && h("span.role", role) });
+    const figure = new Figure({ title, label, more: role && h("span.role", role) });
     const decode = (one) => COLUMNS.filter((name) => name in one).map((name) => [name, decoded[one[name]]]);
     spec.series = spec.series.map((one) => ({ ...one, ...Object.fromEntries(decode(one)) }));
     place.replaceChildren(figure.element);

@@ -59,64 +59,24 @@ export function nearest({ x, y, rising }, { x0, kx, y0, ky }, at, reach) {
   return found < 0 ? null : { index: found, away: best };
 }
 
-// Long curves are inked here: the browser's path machinery takes seconds for 1e5 vertices without a graphics card.
-const [NEAR, SHORT] = [0.75, 3]; // pixels: shorter steps are joined, or left out between pixels that are inked
-
-// Ink a curve, cut where it is not finite, on columns x rows pixels, `scale` of them for one of the frame: 0 to 255 for
-// each, the coverage by a line `width` wide.
-export function inked({ px, py }, columns, rows, scale, width) {
-  const ink = new Uint8Array(columns * rows);
-  const half = Math.max(0.5, 0.5 * scale * width);
-  let [x0, y0, before] = [NaN, NaN, false];
-  for (let i = 0; i < px.length; i += 1) {
-    const x1 = px[i] * scale;
-    const y1 = py[i] * scale;
-    const level = Math.abs(x1 - x0);
-    const upright = Math.abs(y1 - y0);
-    if (level + upright < NEAR) continue;
-    const full = ink[(y1 | 0) * columns + (x1 | 0)] === 255;
-    // A short step between two pixels that are inked changes nothing.
-    if (level + upright > SHORT || !full || !before) {
-      if (level >= upright) inkStep(ink, x0, y0, x1, y1, columns, rows, 1, columns, half);
-      else if (upright > level) inkStep(ink, y0, x0, y1, x1, rows, columns, columns, 1, half);
+// The steps of a curve in view, as pairs of vertices, each pair of pixels once: a million samples show no more. Steps
+// within a pixel are joined; a curve is cut where it is not finite.
+export function steps({ px, py }, { width, height }) {
+  const [seen, found] = [new Set(), []];
+  const [columns, cells] = [Math.ceil(width), Math.ceil(width) * Math.ceil(height)];
+  const cellOf = (x, y) => (x >= 0 && x < width && y >= 0 && y < height ? (y | 0) * columns + (x | 0) : -1);
+  const beyond = (some, other, most) => (some < 0 && other < 0) || (some > most && other > most);
+  let [from, cell] = [0, px.length ? cellOf(px[0], py[0]) : -1];
+  for (let to = 1; to < px.length; to += 1) {
+    const next = cellOf(px[to], py[to]);
+    if (next === cell && next >= 0) continue;
+    const hidden = beyond(px[from], px[to], width) || beyond(py[from], py[to], height);
+    const key = cell < 0 || next < 0 ? -1 : Math.min(cell, next) * cells + Math.max(cell, next);
+    if (!hidden && !seen.has(key) && Number.isFinite(px[from] + py[from] + px[to] + py[to])) {
+      found.push([from, to]);
+      if (key >= 0) seen.add(key);
     }
-    x0 = x1;
-    y0 = y1;
-    before = full;
+    [from, cell] = [to, next];
   }
-  return ink;
-}
-
-// One step, with its longer axis as u: pixel (u, v) is at u * stepU + v * stepV.
-function inkStep(ink, u0, v0, u1, v1, us, vs, stepU, stepV, half) {
-  const slope = u1 === u0 ? 0 : (v1 - v0) / (u1 - u0);
-  const reach = half * Math.sqrt(1 + slope * slope) + 0.5;
-  const [low, high] = u0 < u1 ? [u0, u1] : [u1, u0];
-  const last = Math.min(Math.floor(high), us - 1);
-  for (let u = Math.max(Math.floor(low), 0); u <= last; u += 1) {
-    const middle = Math.min(Math.max(u + 0.5, low), high);
-    const centre = v0 + slope * (middle - u0);
-    const to = Math.min(Math.floor(centre + reach - 0.5), vs - 1);
-    for (let v = Math.max(Math.floor(centre - reach + 0.5), 0); v <= to; v += 1) {
-      const cover = Math.min(255, 255 * (reach - Math.abs(v + 0.5 - centre)));
-      const at = u * stepU + v * stepV;
-      if (ink[at] < cover) ink[at] = cover;
-    }
-  }
-}
-
-let plane = null; // a canvas on which the inked pixels get their colour
-
-// Draw a curve on a canvas whose origin is the area's corner, in the colour of its pen.
-export function paintCurve(pen, curve, area, scale) {
-  const [columns, rows] = [area.width, area.height].map((size) => Math.ceil(size * scale));
-  const cover = inked(curve, columns, rows, scale, pen.lineWidth);
-  if (plane?.width !== columns || plane?.height !== rows) plane = new OffscreenCanvas(columns, rows);
-  const picture = new ImageData(columns, rows);
-  const words = new Uint32Array(picture.data.buffer);
-  const [red, green, blue] = [1, 3, 5].map((at) => Number.parseInt(pen.strokeStyle.slice(at, at + 2), 16));
-  const colour = (blue << 16) | (green << 8) | red;
-  for (let i = 0; i < words.length; i += 1) if (cover[i]) words[i] = (cover[i] << 24) | colour;
-  plane.getContext("2d").putImageData(picture, 0, 0);
-  pen.drawImage(plane, 0, 0, columns / scale, rows / scale);
+  return found;
 }

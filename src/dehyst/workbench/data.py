@@ -1,4 +1,4 @@
-"""Data for the page: columns of records and voltages, paths of points and scans, WebAssembly."""
+"""Data for the page: columns of records, paths of points and scans, WebAssembly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dehyst.operations.axes import AxesModel
 from dehyst.operations.command import context_of, given_in, words_of
 from dehyst.operations.files import AS_FOUND, Columns, clock_of
 from dehyst.operations.run import Run
-from dehyst.records import read, read_table, table_of, write_columns
+from dehyst.records import read, table_of, write_columns
 from dehyst.records.tables import ColumnsError
 from dehyst.waveforms.scans import scan_of
 
@@ -155,15 +155,6 @@ def record_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
     """Return time [s], voltage [V] and displacement [um] in a record's file, or of one `axis` in it."""
     record = read(file, Columns(voltage=f"v{axis}_V", displacement=f"{axis}_m") if axis else None)
     return record.time - record.time[0], record.voltage, record.displacement * _MICRO
-
-
-def voltage_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
-    """Return time [s], voltage [V], wanted and expected displacement [um] of an `axis` in an output of `compensate`."""
-    columns = {column.name: column.data for column in read_table(file).columns}
-    voltage = columns[f"v{axis}_V" if axis else "voltage_V"]
-    time = columns.get("time_s", np.arange(voltage.size, dtype=np.float64))
-    wanted = columns[f"{axis}_um" if axis else "displacement_um"]
-    return time, voltage, wanted, columns.get(f"{axis}_expected_um" if axis else "expected_um", wanted)
 
 
 def packed(columns: tuple[Array, ...]) -> bytes:

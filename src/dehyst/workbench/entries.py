@@ -10,7 +10,6 @@ from typing import Any
 from dehyst.model import slew_rate_of_records, voltages_of
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.run import Run
-from dehyst.workbench.data import voltage_columns
 from dehyst.workbench.jobs import Finished
 
 _MICRO = 1e6
@@ -203,8 +202,8 @@ class VoltageEntry:
     largest_um: list[float | None] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
 
-    def fill(self, result: Mapping[str, Any], file: Path) -> None:
-        """Fill in the result of `compensate`."""
+    def fill(self, result: Mapping[str, Any], rate: float) -> None:
+        """Fill in the result of `compensate`, for a path of `rate` samples a second."""
         several = isinstance(result["lowest_V"], Mapping)
 
         def each(name: str) -> list[Any]:
@@ -217,5 +216,4 @@ class VoltageEntry:
         if max(each("homing_samples")):
             seconds = max(homing or 0.0 for homing in each("homing_s"))
             self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
-        time_ = voltage_columns(file, self.axes[0] if several else "")[0]
-        self.samples, self.seconds = time_.size, float(time_[-1] - time_[0]) if time_.size else 0.0
+        self.samples, self.seconds = int(result["samples"]), result["samples"] / rate

@@ -36,7 +36,7 @@ def _reading() -> Form:
     for name in columns:
         label, units = _COLUMNS[name.partition("_")[0]]
         found[name] = {"label": label, "column": True}
-        found[f"{name}_unit"] = {"label": "Unit", "choices": [("", "as named"), *((unit, unit) for unit in units)]}
+        found[f"{name}_unit"] = {"label": "Unit", "choices": [("", "by name"), *((unit, unit) for unit in units)]}
     names = {f"name_{k}": {"label": f"Name of axis {k}"} for k in range(1, len(AXES) + 1)}
     return {**found, **names, **PLAIN}
 
@@ -49,8 +49,8 @@ FORMS: dict[str, Form] = {
         "high": {"label": "Highest voltage", "unit": "V", "value": "100"},
         "slew": _SLEW,
         "frequency": {
-            **{"label": "Speed of large loops", "unit": "cycles/s", "placeholder": "four minutes"},
-            **{"optional": True, "above": 0, "hint": "near the speed of use"},
+            **{"label": "Frequency", "unit": "Hz", "placeholder": "automatic", "optional": True, "above": 0},
+            "hint": "of the large loops, near that of use; automatic: four minutes in all",
         },
     },
     "reading": _reading(),
@@ -83,7 +83,6 @@ EXPORTS = {
     "c": ("C99", "Sources, numbers and a test for firmware; the same code as Python runs.", ""),
     "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 2.0).", ".fmu"),
     "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
-    "wave_table": ("Wave table", "One steady cycle of the scan of the Path step, for a generator (CSV).", ".csv"),
 }
 # Units of scans as they are shown, options of several numbers with their hints, and first values.
 _UNITS = {"um": "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", "share": ""}

@@ -9,7 +9,7 @@ import shutil
 import stat
 import tempfile
 import zipfile
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -33,7 +33,6 @@ from dehyst.workbench.data import (
     path_points,
     record_columns,
     scan_columns,
-    voltage_columns,
     wasm,
 )
 from dehyst.workbench.folder import Folder
@@ -244,7 +243,6 @@ class Workbench:
                 "/api/records/{key}/data": self.record_data,
                 "/api/models/{key}/wasm": self.wasm,
                 "/api/scan": self.scan,
-                "/api/voltages/{key}/data": self.voltage_data,
                 "/files/{path:path}": self.file,
             },
             "POST": {
@@ -330,8 +328,13 @@ class Workbench:
     async def record_data(self, request: Request) -> Any:
         """Return the columns of a record, or of an axis of it."""
         entry = self.session.record(request.path_params["key"])
-        axis = _axis(request, entry.axes)
-        return await self._columns(lambda file: record_columns(file, axis), entry.file)
+        axis = request.query_params.get("axis", entry.axes[0] if entry.axes else "")
+        if axis not in (entry.axes or [""]):
+            raise RequestError(f"axis: got {axis[:40]!r}, need {', '.join(entry.axes) or 'none'}")
+        if not entry.file:
+            raise RequestError("it has no samples yet; wait until it is read")
+        columns = await asyncio.to_thread(record_columns, self.session.folder.path / entry.file, axis)
+        return Response(packed(columns), media_type="application/octet-stream")
 
     async def identify(self, request: Request) -> Any:
         """Start an identification."""
@@ -369,12 +372,6 @@ class Workbench:
         columns = await asyncio.to_thread(scan_columns, of, of.pop("rate", None))
         return Response(packed(columns), media_type="application/octet-stream")
 
-    async def voltage_data(self, request: Request) -> Any:
-        """Return the columns of a voltage, or of an axis of it."""
-        entry = self.session.voltage(request.path_params["key"])
-        axis = _axis(request, entry.axes)
-        return await self._columns(lambda file: voltage_columns(file, axis), entry.file)
-
     async def points(self, request: Request) -> Any:
         """Return the points of a path in a file."""
         entry = self.session.model(request.path_params["key"], ready=True)
@@ -397,17 +394,3 @@ class Workbench:
         if path.suffix == ".html" and not relative.startswith(places.UPLOADS):
             return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": _SANDBOX})
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
-
-    async def _columns(self, columns: Callable[[Path], Any], file: str) -> Response:
-        if not file:
-            raise RequestError("it has no samples yet; wait until it is read")
-        packing = asyncio.to_thread(lambda: packed(columns(self.session.folder.path / file)))
-        return Response(await packing, media_type="application/octet-stream")
-
-
-def _axis(request: Request, axes: Sequence[str]) -> str:
-    """Return the axis that a request names, by default the first of several; empty for the only one."""
-    axis = request.query_params.get("axis", axes[0] if axes else "")
-    if axis not in (axes or [""]):
-        raise RequestError(f"axis: got {axis[:40]!r}, need {', '.join(axes) or 'none'}")
-    return axis

@@ -18,7 +18,7 @@ from dehyst._io import finite
 from dehyst._version import __version__
 from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
-from dehyst.workbench.data import limits_of, written_path
+from dehyst.workbench.data import limits_of, number_of, written_path
 from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry, verdict_of, worst
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import EXPORTS
@@ -307,28 +307,22 @@ class WorkbenchSession:
         steps = self._path_steps(model, request, file)
         entry = VoltageEntry(self._id("v"), Path(file).stem, file, model.id)
 
-        async def done(finished: Finished) -> None:
+        def done(finished: Finished) -> None:
             if finished.result is not None:
-                await asyncio.to_thread(entry.fill, finished.result, self.folder.path / file)
+                entry.fill(finished.result, number_of(request.get("rate"), "rate"))
                 self.voltages[entry.id] = entry
 
         return self.jobs.start("compensate", entry.id, steps, done)
 
     def export(self, key: str, request: Mapping[str, Any]) -> str:
-        """Export a model as a `kind`: c, fmu, wasm or wave_table; return the job."""
+        """Export a model as a `kind`: c, fmu or wasm; return the job."""
         model, kind = self.model(key, ready=True), str(request.get("kind", ""))
-        name = Path(model.file).stem
-        if kind == "wave_table":
-            table = self.folder.new(places.EXPORTS, f"{name}-cycle", ".csv")
-            file = self.folder.new(places.VOLTAGES, f"{name}-cycle", ".csv")
-            steps = self._path_steps(model, request, file, table=table)
-        elif kind in EXPORTS:
-            suffix = EXPORTS[kind][-1]
-            target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
-            steps = [Step("export", {"model": model.file, "directory": target})]
-        else:
+        if kind not in EXPORTS:
             raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
-        return self.jobs.start("export", model.id, steps, lambda _: None)
+        name, suffix = Path(model.file).stem, EXPORTS[kind][-1]
+        target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
+        step = Step("export", {"model": model.file, "directory": target})
+        return self.jobs.start("export", model.id, [step], lambda _: None)
 
     def cancel(self, job: str) -> None:
         """End a job without a result."""
@@ -351,18 +345,16 @@ class WorkbenchSession:
         self._save()
         self.folder.close()
 
-    def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str, **more: str) -> list[Step]:
+    def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str) -> list[Step]:
         """Return the operations that compute a voltage: of points, or of the path of a scan."""
         before: list[Step] = []
-        given: dict[str, Any] = {"model": model.file, "output": file, **more}
+        given: dict[str, Any] = {"model": model.file, "output": file}
         if "points" in request:
             given["trajectory"] = self.folder.new(places.PATHS, Path(file).stem, ".csv")
             written_path(self.folder.path / given["trajectory"], request["points"], request.get("rate"))
         elif isinstance(request.get("scan"), Mapping):
             scan = {name: value for name, value in request["scan"].items() if value not in (None, "")}
             axis = scan.pop("axis", "x")
-            if "table" in more and "cycles" in scan:
-                given["cycles"] = scan.pop("cycles")
             given["trajectory"] = self.folder.new(places.PATHS, f"{Path(file).stem}-scan", ".csv")
             before = [Step("scan", {**scan, "sample_rate": request.get("rate"), "output": given["trajectory"]})]
             given |= {"columns": "displacement=y_um"} if axis == "y" else {}

@@ -8,7 +8,7 @@ import * as server from "./server.js";
 import { fileLink, jobCards } from "./verdict.js";
 
 const form = new Form("excite", DECLARED.forms.excite);
-const figure = new Figure({ title: "Voltage to play", help: false });
+const figure = new Figure({ title: "Voltage to play" });
 
 async function write() {
   const limits = limitsFrom(form.values.low, form.values.high);
@@ -20,8 +20,8 @@ export function exciteCard({ excitations, records }) {
   const last = excitations.at(-1);
   const content = [
     h("p",
-      "One run shows all that an identification needs: large loops, small loops, three speeds and two holds. Play it, " +
-        "and record time, voltage and displacement; the first samples show the start.",
+      "One run shows all that an identification needs: large loops, small loops, three speeds and two holds. Begin to " +
+        "record time, voltage and displacement before you play it.",
     ),
     form.row(Object.keys(form.fields)),
     server.button("Write the excitation", "excite", write, { class: last ? "" : "main" }),

@@ -3,9 +3,7 @@ import { DECLARED } from "./declared.js";
 import { h, table } from "./dom.js";
 import { card } from "./forms.js";
 import { bytes } from "./numbers.js";
-import { currentRequest } from "./path_step.js";
-import { announce, button, chosenModel, openJobs, problem, session, workOn } from "./server.js";
-import { openStep } from "./steps.js";
+import { announce, button, openJobs, problem, session, workOn } from "./server.js";
 import { fileLink, jobCards, modelChoice } from "./verdict.js";
 
 export function exportView({ files, log }, model) {
@@ -25,7 +23,8 @@ function exportsOf(model) {
   const kinds = Object.entries(DECLARED.exports).filter(([kind]) => kind === "c" || !model.coupling);
   const cards = kinds.map(([kind, [title, text]]) => {
     const about = { class: "main", "aria-label": `Export ${title}` };
-    const act = button("Export", `export ${kind}`, () => exportAs(kind), about);
+    const work = () => workOn(model.id, "export", { kind }, "The export has begun.");
+    const act = button("Export", `export ${kind}`, work, about);
     return h("li.card", h("h3", title), h("p", text), problem(`export ${kind}`), act);
   });
   return h("div#export-body", { key: "body" },
@@ -33,19 +32,6 @@ function exportsOf(model) {
     h("ul.kinds", cards, h("li.card", modelLinks(model))),
     h("ul#export-jobs.cards", jobCards(openJobs("export", model.id))),
   );
-}
-
-async function exportAs(kind) {
-  const body = { kind };
-  if (kind === "wave_table") {
-    const request = currentRequest();
-    if (!request.scan) {
-      openStep("path", { focus: true });
-      throw new Error("A wave table is one cycle of a scan: choose a scan in the Path step first.");
-    }
-    Object.assign(body, request);
-  }
-  await workOn(chosenModel().id, "export", body, "The export has begun.");
 }
 
 function modelLinks({ file, report }) {

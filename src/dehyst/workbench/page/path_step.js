@@ -2,7 +2,7 @@
 import { DECLARED } from "./declared.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
-import { COLOURS, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
+import { COLOURS, MICROMETRES, SECONDS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
 import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { plan, sampled } from "./path.js";
@@ -24,7 +24,6 @@ const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) :
 export function pathView(state, model) {
   if (!model) return null;
   adopt(model);
-  if (model.coupling) drawWritten(namesOf(model), state.voltages.filter((one) => one.model === model.id).at(-1));
   const { said } = view;
   const more = said?.remarks?.length > 0 && fold("What the records of the model did not show", list(said.remarks));
   return h("div.split", { key: "path-body" },
@@ -94,7 +93,7 @@ function pointsField() {
   return h("div.field", { key: "points" },
     h("label", { for: "points" }, "Points: time (s) and displacement (\u00b5m)"),
     h("textarea", { ...about, value, onchange: typed }),
-    h("small.hint", "Drag the points in the picture, or type or paste here."),
+    h("small.hint", "Drag a point in the picture; a double click adds or removes one. Or type or paste here."),
   );
 }
 
@@ -131,8 +130,11 @@ function firstPoints() {
 // Begin with suggestions for a model that was not chosen before.
 function adopt(model) {
   if (view.model === model.id) return;
-  Object.assign(view, { model: model.id, file: null, written: null });
-  if (model.coupling) view.source = "file";
+  Object.assign(view, { model: model.id, file: null });
+  if (model.coupling) {
+    view.source = "file";
+    figures.show(["path"]);
+  }
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
   form.values.slew = "";
@@ -198,7 +200,7 @@ function planAxes(model) {
   const paths = chosenPaths();
   figures.handles.set([], model.range_um);
   const column = (k, at) => Float64Array.from(paths[k], (point) => point[at]);
-  const series = curves(names, (k) => column(k, 0), (k) => column(k, 1));
+  const series = names.map((name, k) => curve(name, COLOURS[k % COLOURS.length], column(k, 0), column(k, 1)));
   const spoken = `Wanted displacement of ${names.join(", ")} over time.`;
   figures.path.set({ x: SECONDS, y: MICROMETRES, series }, { spoken });
   const [light] = lightOf(model.verdict);
@@ -214,19 +216,6 @@ function planAxes(model) {
   };
 }
 
-const curves = (names, x, y) => names.map((name, k) => curve(name, COLOURS[k % COLOURS.length], x(k), y(k)));
-
-// Of several axes, the voltages that were written last, if there are some.
-async function drawWritten(names, written) {
-  figures.show(written ? ["path", "voltage"] : ["path"]);
-  if (!written || written.id === view.written) return;
-  view.written = written.id;
-  const columns = await Promise.all(names.map((name) => server.voltageColumns(written, name)));
-  const series = curves(names, (k) => columns[k].time, (k) => columns[k].voltage);
-  const spoken = `Voltage of ${names.join(", ")} over time.`;
-  if (view.written === written.id) figures.voltage.set({ x: SECONDS, y: VOLTS, series }, { spoken });
-}
-
 // Without a plan there is no verdict either: that of the path before is not this one's.
 function cannotPlan(why) {
   const before = view.last ? " The pictures show the path before." : "";
@@ -235,14 +224,14 @@ function cannotPlan(why) {
   redraw();
 }
 
-function described({ slew_v_per_s: recorded, verdict: known }, { planned, reach, band }) {
+function described({ slew_v_per_s: recorded, verdict: known }, { planned, band }) {
   const { steepest, clamps } = planned;
   const light = band ? lightOf(known)[0] : "amber";
   let speed = "";
   if (recorded && steepest > recorded * 1.001) {
     speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
-  const said = judged(planned, { stroke: reach[1] - reach[0], band, light, speed, apart: known.apart });
+  const said = judged(planned, { ...known, band, light, speed });
   return { ...said, remarks: known.remarks };
 }
 
@@ -253,7 +242,7 @@ function choices() {
 }
 
 // The path as the server takes it.
-export function currentRequest() {
+function currentRequest() {
   const model = chosenModel();
   if (model.coupling) {
     const paths = chosenPaths();

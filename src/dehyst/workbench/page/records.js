@@ -8,15 +8,13 @@ import { bytes, duration, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
 import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
-import { checkBy } from "./trust.js";
 
 const { announce, button, problem, readyRecords, redraw, session } = server;
 // What stands on the page already.
-const [drop, journey, file, example] = ["drop", "journey", "file", "example"].map(byId);
+const [drop, file, example] = ["drop", "file", "example"].map(byId);
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
-const lately = new Map(); // status of each record as last seen
-const uploads = new Set();
+let uploads = 0; // files that are being sent
 // A record that arrives when there is a model waits until the person says what it is for.
 const isOpenQuestion = ({ id }) =>
   !roles.has(id) && session.state.models.length > 0 &&
@@ -31,14 +29,12 @@ export function recordsView({ records }) {
   const first = open.find((one) => one.status === "refused" && one.file_columns?.length)?.id;
   const cards = [...open, ...readyRecords()].map((one) => recordCard(one, one.id === first));
   figure.draw(readyRecords());
-  scrollToRefused(records);
   drop.classList.toggle("small", records.length > 0);
   return [
     exciteCard(session.state),
     drop,
     problem("upload"),
-    h("ul#uploads.uploads", [...uploads].map(uploadRow)),
-    records.length === 0 && journey,
+    uploads > 0 && h("p#uploads", { role: "status" }, "Sending\u2026"),
     records.length > 0 &&
       h("div#records-body.split", { key: "body" },
         h("div.side",
@@ -52,6 +48,8 @@ export function recordsView({ records }) {
 
 export function sendAll(files) {
   openStep("records");
+  // A file that is refused comes first in the list.
+  window.scrollTo({ top: 0, behavior: "instant" });
   server.complain("upload", "");
   for (const file of files) send(file);
 }
@@ -67,9 +65,8 @@ example.onclick = () =>
 
 async function send(file) {
   const { name, size } = file;
-  const one = { key: `${name} ${performance.now()}`, name, size };
   const limit = session.state.upload_limit;
-  uploads.add(one);
+  uploads += 1;
   redraw();
   try {
     if (limit && size > limit) throw new Error(`it has ${bytes(size)}, and at most ${bytes(limit)} can be read`);
@@ -78,26 +75,8 @@ async function send(file) {
   } catch (error) {
     server.complain("upload", `${name} was not sent: ${error.message}`);
   }
-  uploads.delete(one);
+  uploads -= 1;
   redraw();
-}
-
-const uploadRow = ({ key, name, size }) =>
-  h("li", { key },
-    h("span", `${name}, ${bytes(size)}: is being sent`),
-    h("progress", { "aria-label": `Upload of ${name}` }),
-  );
-
-// A file that was refused is brought into view once.
-function scrollToRefused(records) {
-  // One that is read at once is refused when it is first seen; those of an earlier visit are not scrolled to.
-  const visited = lately.size > 0;
-  for (const { id, status } of records) {
-    if (status === "refused" && (lately.has(id) ? lately.get(id) !== "refused" : visited)) {
-      setTimeout(() => document.getElementById(`record-${id}`)?.scrollIntoView({ block: "nearest" }));
-    }
-    lately.set(id, status);
-  }
 }
 
 function recordCard(record, first) {
@@ -159,13 +138,12 @@ function readyCard(record) {
 }
 
 function checkButton({ id, name }) {
-  const check = () => {
+  const check = async () => {
     roles.set(id, "none");
-    checkBy(id);
+    await server.workOn(server.chosenModel().id, "check", { record: id }, "The check has begun.");
     openStep("model", { focus: true });
   };
-  const about = { type: "button", class: "quiet", "aria-label": `Check the model by ${name}`, onclick: check };
-  return h("button", about, "Check the model");
+  return button("Check the model", `records ${id}`, check, { class: "quiet", "aria-label": `Check the model by ${name}` });
 }
 
 // The form that starts an identification.

@@ -64,9 +64,6 @@ function getColumns(path, names, version = "") {
 export const recordColumns = ({ id }, version, axis) =>
   getColumns(`/api/records/${id}/data?axis=${encodeURIComponent(axis)}`, ["time", "voltage", "displacement"], version);
 
-export const voltageColumns = ({ id }, axis) =>
-  getColumns(`/api/voltages/${id}/data?axis=${encodeURIComponent(axis)}`, ["time", "voltage", "wanted", "expected"]);
-
 export const scanColumns = (scan) =>
   getColumns(`/api/scan?of=${encodeURIComponent(JSON.stringify(scan))}`, ["time", "wanted"]);
 

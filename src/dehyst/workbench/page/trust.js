@@ -15,8 +15,7 @@ export function assessment({ id, insight }) {
   }
   return card("What do the records leave open?", { id: "assess", key: "assess" },
     h("p",
-      "The assessment shows what the records leave open of a path, what to record next, and which numbers of the " +
-        "model the records determine. It takes seconds to minutes.",
+      "The assessment shows which loops no record tests, and what to record next. It takes seconds to minutes.",
     ),
     !jobs.some(runs) && button("Assess the model", "assess", assess, { class: "main" }),
     h("ul.cards", jobCards(jobs)),
@@ -27,11 +26,6 @@ export function assessment({ id, insight }) {
 const runs = ({ status }) => status === "running";
 
 const checking = new Form("check", DECLARED.forms.check);
-
-// Choose the record of the next check.
-export const checkBy = (id) => {
-  checking.values.record = id;
-};
 
 // Whether a model still holds, by a record that it was not identified from; and its update by that record.
 export function checkCard(model) {
