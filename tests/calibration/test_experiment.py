@@ -9,7 +9,7 @@ from calibration_listener import Heard
 
 from dehyst import Actuator, DehystError, FileFormatError, Record, RecordError, read
 from dehyst.calibration import Plan, calibrate
-from dehyst.calibration.experiment import _unsteady
+from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.plan import Excitations, steps
 from dehyst.calibration.session import ProgressListener, Session
 from dehyst.control import VoltageLimits
@@ -104,34 +104,21 @@ def test_two_calibrations_into_one_folder_are_refused(tmp_path):
     Session(tmp_path, rig, ProgressListener()).close()
 
 
-@pytest.mark.parametrize(("gain", "offset", "degrees", "count"), [(1, 0, 0, 0), (1.01, 0, 0, 1), (1, 0.01, 1, 2)])
-def test_a_rig_that_warms_or_drifts_is_remarked(gain, offset, degrees, count):
-    homing = Excitations((VoltageLimits(0, 200),), 100.0).homing()
-    y = PlayActuator().play(homing.voltage)
-    others = [{"temperature_C": 20 + k * degrees * np.linspace(0, 1, y.size)} for k in (0, 1)]
-    first = Record(homing.time, homing.voltage, y, others=others[0])
-    second = Record(
-        homing.time, homing.voltage, gain * (y - y.mean()) + y.mean() + offset * np.ptp(y), others=others[1]
-    )
-    assert len([*_unsteady([first, second], homing, np.arange(y.size))]) == count
-
-
 @pytest.mark.parametrize(
-    ("change", "error", "count"), [(0.01, 0.002, 1), (-0.01, 0.002, 1), (0.004, 0.002, 0), (0.0019, 1e-5, 0)]
+    ("degrees", "changes", "count"),
+    [
+        (0.4, [], 0),
+        (0.6, [], 1),
+        (0, [("gain", 0.01, 0.002, 1e-7)], 1),
+        (0, [("gain", -0.01, 0.002, 1e-7), ("drift", 1e-7, 1e-9, 1e-7)], 2),
+        (0, [("gain", 0.004, 0.002, 1e-7), ("offset", 1e-7, 1e-9, 1e-9), ("width", 0.5, 0.01, 1e-7)], 0),
+    ],
 )
-def test_a_rig_that_warms_slowly_is_remarked_where_its_gain_is_sure(change, error, count):
-    homing = Excitations((VoltageLimits(0, 200),), 100.0).homing()
-    record = Record(homing.time, homing.voltage, PlayActuator().play(homing.voltage))
-    checked = SimpleNamespace(changes=[Change("width", 0.5, 0.01, 1e-6, 0.0), Change("gain", change, error, 1e-6, 0.0)])
-    assert len([*_unsteady([record, record], homing, np.arange(len(homing)), [checked])]) == count
-
-
-def test_a_noisy_rig_that_does_not_warm_is_not_remarked():
-    homing, rng = Excitations((VoltageLimits(0, 200),), 100.0).homing(), np.random.default_rng(3)
-    y = PlayActuator().play(homing.voltage)
-    for _ in range(20):
-        noisy = [Record(homing.time, homing.voltage, y + rng.normal(0, 0.01 * np.ptp(y), y.size)) for _ in range(2)]
-        assert not [*_unsteady(noisy, homing, np.arange(y.size))]
+def test_a_rig_that_warms_or_drifts_for_sure_is_remarked(degrees, changes, count):
+    time = np.linspace(0, 1, 50)
+    warm = [Record(time, time, time, others={"temperature_C": 20 + k * degrees * time}) for k in (0, 1)]
+    changed = [found for found in (Change(*change, 1e-8) for change in changes) if found.counts]
+    assert len([*_remarks(warm, [SimpleNamespace(changed=changed, stroke=1e-5)])]) == count
 
 
 def test_it_goes_on_after_an_interrupt(tmp_path):

@@ -46,7 +46,7 @@ class Card:
     def __init__(self, ranges, internal=True):
         self.ranges, self.internal = ranges, internal
         self.limits = (GAIN * min(ranges), GAIN * max(ranges))
-        self.now, self.output, self.amplifies, self.unplugged = 0.0, 0.0, True, False
+        self.now, self.output, self.amplifies = 0.0, 0.0, True
         self.log, self.tasks, self.clockless, self.broken = Extremes(0.0, 0.0), [], False, ""
         self.regeneration = []
 
@@ -67,7 +67,7 @@ class Card:
 
     def seen(self, channel):
         if channel == "Dev1/ai0":
-            return 1.5 if self.unplugged else 1e-7 * GAIN * self.output * self.amplifies / SCALE
+            return 1e-7 * GAIN * self.output * self.amplifies / SCALE
         if channel == "Dev1/ai1":
             return self.output * self.amplifies
         return self.output

@@ -74,7 +74,6 @@ STEPS = st.one_of(
     st.tuples(st.just("set"), st.floats(allow_nan=True, allow_infinity=True) | st.floats(-60, 260)),
     st.tuples(st.just("wave"), st.lists(st.floats(-60, 260), min_size=1, max_size=8)),
     st.tuples(st.just("servo"), st.booleans()),
-    st.tuples(st.just("move"), st.floats(-1e-4, 1e-4)),
     st.tuples(st.just("stop"), st.just(None)),
     st.tuples(st.just("wait"), st.floats(0, 2)),
 )
@@ -93,8 +92,6 @@ def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
                 bench.start(value, 3)
             elif what == "servo":
                 bench.axis.servo = value
-            elif what == "move":
-                bench.axis.move(value)
             elif what == "stop":
                 bench.stop()
             else:
@@ -127,9 +124,8 @@ def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
     for passed in (0.1, 0.2, 0.3):
         hand.time = passed
         assert bench.axis.voltage == pytest.approx(100 * passed)
-        assert bench.axis.moving
     hand.time = 0.5001
-    assert (bench.axis.voltage, bench.axis.moving) == (50, False)
+    assert bench.axis.voltage == 50
     bench.start([50, 100, 100, 100], divider=round(0.2 / PERIOD))
     hand.wait(1.0)
     np.testing.assert_allclose(bench.samples()[1], [50, 70, 90, 100])
@@ -177,8 +173,6 @@ def test_a_wave_that_is_stopped_leaves_its_voltage(hand):
 
 def test_open_loop_and_closed_loop_do_not_mix(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand)
-    with pytest.raises(DeviceError, match=r"move: .* servo off"):
-        bench.axis.move(1e-6)
     bench.axis.servo = True
     for asked in (lambda: bench.axis.set_voltage(1), lambda: bench.start([0, 1])):
         with pytest.raises(DeviceError, match="the servo"):
@@ -187,23 +181,6 @@ def test_open_loop_and_closed_loop_do_not_mix(hand):
     bench.start(np.zeros(100))
     with pytest.raises(DeviceError, match="wave is being"):
         bench.axis.set_voltage(1)
-    with pytest.raises(DeviceError, match="servo: a wave"):
-        bench.axis.servo = True
-
-
-@pytest.mark.parametrize("kind", TRUTHS)
-def test_the_servo_reaches_its_target_and_holds_it_against_creep(kind, hand):
-    bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=1e-10)
-    bench.axis.servo = True
-    for share in (0.3, 0.7, 0.45):
-        target = share * bench.axis.stroke
-        bench.axis.move(target)
-        assert bench.axis.moving
-        hand.wait(1.0)
-        assert bench.axis.displacement() == pytest.approx(target, abs=2e-3 * bench.axis.stroke)
-        assert bench.axis.arrived
-        hand.wait(600)
-        assert bench.axis.displacement() == pytest.approx(target, abs=2e-3 * bench.axis.stroke)
 
 
 def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dehyst._io import PathLike
 from dehyst._version import __version__
@@ -21,13 +20,11 @@ from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
 from dehyst.records import Record
 from dehyst.trust import Insight, Recheck, check, insight
-from dehyst.waveforms import Excitation
 
 # The model, next to the folder of records: of one axis, and of several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
-# Temperature [K], and displacement and stroke as a share of the stroke, from whose change on it is remarked, if the
-# change exceeds so many of its standard errors.
-_WARMS, _DRIFTS, _SURE = 0.5, 2e-3, 3.0
+# A change of the temperature [K], and changes in the check of the last record, that are remarked.
+_WARMS, _DRIFTS = 0.5, {"gain", "offset", "drift"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +162,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         compensated=TrackedPath.of(modelled, after, rows),
         checked=checked,
         goal=plan.goal,
-        remarks=(*modelled.warnings, *_unsteady(session.sequence, planner.homing, rows, checked)),
+        remarks=(*modelled.warnings, *_remarks(session.sequence, checked)),
         instrument={
             "rig": rig.identity,
             **({"axes": list(rig.axes)} if several else {"axis": rig.axis}),
@@ -192,31 +189,14 @@ def _identified(
     return fit, insight(fit.actuator, training, limits=(rig.limits.low, rig.limits.high))
 
 
-def _unsteady(
-    records: Sequence[Record], homing: Excitation, rows: NDArray[np.intp], checked: Sequence[Recheck] = ()
-) -> Iterator[str]:
-    """Remark a rig that warms or drifts: by its temperature, and by the last loops of the two homings, which are alike.
-
-    `rows`: sample of the excitation of each sample of the last two records, which begin with the `homing`. `checked`:
-    of each axis, the last record compared with the model of the first ones.
-    """
+def _remarks(records: Sequence[Record], checked: Sequence[Recheck]) -> Iterator[str]:
+    """Remark a rig that warms or drifts: by its temperature, and by what the check of the last record found."""
     warmth = [record.temperature for record in records if record.temperature is not None]
     if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))
         yield f"The rig warmed or cooled during the calibration, from {low:.2f} to {high:.2f} degC in all."
-    last = (rows > len(homing) // 2) & (rows < len(homing))
-    for k, axis in enumerate(records[-1].axes or ("",)):
-        first, second = (record.axis(k).displacement[last] for record in records[-2:])
-        stroke, of = float(np.ptp(first)), f" of axis {axis}" if axis else ""
-        (gain, moved), covariance = np.polyfit(first - first.mean(), second - first.mean(), 1, cov=True)
-        scatter, spread = np.sqrt(covariance.diagonal())
-        if abs(moved) > max(_DRIFTS * stroke, _SURE * spread):
-            part = 100 * moved / stroke
-            yield f"The displacement{of} drifted by {part:+.2g} % of the stroke from one path to the next."
-        if abs(gain - 1) > max(_DRIFTS, _SURE * scatter):
-            part = 100 * (gain - 1)
-            yield f"The stroke{of} changed by {part:+.2g} % from one path to the next: does the rig warm?"
-        slow = [change for change in (checked[k].changes if checked else ()) if change.name == "gain"]
-        if any(abs(change.value) > max(_DRIFTS, _SURE * change.error) for change in slow):
-            part = 100 * slow[0].value
-            yield f"The stroke{of} changed by {part:+.2g} % since the first records: does the rig warm slowly?"
+    for axis, recheck in zip(records[-1].axes or ("",), checked, strict=True):
+        for change in recheck.changed:
+            if set(change.parts) <= _DRIFTS:
+                where = f"Axis {axis}, since" if axis else "Since"
+                yield f"{where} the first records: {change.sentence(recheck.stroke)}"

@@ -19,20 +19,17 @@ from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
 # Share of every actuator's range that a path of several axes uses, and turning points by which an axis begins later
 # than the axis before.
 _USED, _LATER = 0.96, 3
-# Part of a record whose mean is its last temperature; standard errors from which on a drift of it counts.
-_LAST, _SURE = 0.05, 3.0
 
 
 class SeenTemperature(NamedTuple):
-    """The temperature that a rig measured along a record, which goes on as it drifted.
+    """The temperature that a rig measured in the second half of a record, which goes on as it drifted.
 
-    `last`: at its end [degC]. `drift` [K/s]: 0 if it is within the noise. `seconds`: duration of the record,
-    for which the drift goes on.
+    `last`: at its end [degC]. `drift` [K/s] goes on for the `seconds` of the record.
     """
 
     last: float
-    drift: float = 0.0
-    seconds: float = 0.0
+    drift: float
+    seconds: float
 
     @classmethod
     def of(cls, record: Record) -> SeenTemperature | None:
@@ -40,11 +37,9 @@ class SeenTemperature(NamedTuple):
         values, time = record.temperature, record.time - record.time[-1]
         if values is None:
             return None
-        (slope, level), covariance = np.polyfit(time, values, 1, cov="unscaled")
-        scatter = rms(values - level - slope * time)
-        drift = float(slope) if abs(slope) > _SURE * scatter * float(np.sqrt(covariance[0, 0])) else 0.0
-        late = slice(-max(1, round(_LAST * len(record))), None)
-        return cls(float(np.mean(values[late] - drift * time[late])), drift, -float(time[0]))
+        late = slice(len(record) // 2, None)
+        slope, level = np.polyfit(time[late], values[late], 1)
+        return cls(float(level), float(slope), -float(time[0]))
 
     def after(self, seconds: ArrayLike) -> Array:
         """Return the temperatures [degC] to expect some `seconds` (n,) [s] after the record."""

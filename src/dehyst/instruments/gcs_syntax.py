@@ -49,19 +49,14 @@ def command(word: str, *arguments: object) -> str:
 
 
 def volts(value: float, low: float = -math.inf, high: float = math.inf) -> str:
-    """Return a voltage as text: to 1 uV, but with all its digits where rounding would leave `low` to `high` [V].
+    """Return a voltage as text: to 1 uV, or the limit `low` or `high` [V] that rounding would leave, with all digits.
 
     Raise `RigError` if it is not a number within `low` and `high`.
     """
     if not low <= value <= high or not math.isfinite(value):
         raise RigError(f"{value} V is not within {low:.6g} to {high:.6g} V; nothing was sent")
-    text = f"{value:.{_DECIMALS}f}"
-    if not low <= float(text) <= high:
-        # The shortest text that reads back as the same number, without an exponent.
-        exact = repr(value)
-        text = exact if "e" not in exact else f"{value:.{max(0, 17 - math.floor(math.log10(abs(value))))}f}"
-    text = text.rstrip("0").rstrip(".") if "." in text else text
-    return "0" if text in {"-0", ""} else text
+    # The shortest text that reads back as the same number, without an exponent and a minus before 0.
+    return np.format_float_positional(min(max(round(value, _DECIMALS), low), high) + 0.0, trim="-")
 
 
 def wave_points(table: int, points: Sequence[str], longest: int = _LINE) -> Iterator[str]:

@@ -36,8 +36,6 @@ class FakeInstrument:
         Its time [s], see `wait`.
     playing : bool
         Whether it plays a wave, which its owner sets.
-    unplugged : bool
-        Whether the sensor's cable is pulled: it then reads a constant.
     log : object
         Extremes of all voltages: `lowest`, `highest`, `largest_step` [V], and `refused`.
     """
@@ -45,7 +43,7 @@ class FakeInstrument:
     def __init__(self, limits: tuple[float, float] = (LOW, HIGH), gain: float = 1e-7) -> None:
         self.gain = gain
         self.limits, self.sent, self.now = limits, [0.0], 0.0
-        self.log, self.unplugged, self.playing = Extremes(0.0, 0.0), False, False
+        self.log, self.playing = Extremes(0.0, 0.0), False
 
     @property
     def voltage(self) -> float:
@@ -62,7 +60,7 @@ class FakeInstrument:
 
     def displacement(self, voltage: Array) -> Array:
         """Return what the sensor reads [m] at each `voltage` [V]."""
-        return np.full_like(voltage, 3e-6) if self.unplugged else self.gain * np.asarray(voltage)
+        return self.gain * np.asarray(voltage)
 
     def wait(self, seconds: float) -> None:
         """Let `seconds` pass: for the rig's ``_wait``, so that a test takes no time."""

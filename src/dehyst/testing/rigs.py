@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from dehyst._errors import DeviceError, RecordError, RigError, SensorError
+from dehyst._errors import RigError
 from dehyst._types import Array
-from dehyst.control import ClampWarning
-from dehyst.instruments import AbstractRig, Reading, Samples
+from dehyst.instruments import AbstractRig, Samples
 from dehyst.testing.instrument import HIGH, LOW, FakeInstrument
 from dehyst.waveforms import Excitation
 
@@ -26,13 +25,6 @@ Bench: TypeAlias = Callable[..., tuple[AbstractRig, Any]]
 _TICK, _RATE, _STEP, _LONGEST = 0.01, 1000.0, 1.0, 4096
 # Tolerance of displacements, as a share of the largest: noise, creep, and a recorder that is two samples late.
 _GAIN_ERROR = 0.05
-# Readbacks that are wrong: the voltage that is read of the one that is put out [V].
-_READBACKS: dict[str, Callable[[float], float]] = {
-    "stuck at 0 V": lambda _: 0.0,
-    "50 V too high": lambda voltage: voltage + 50.0,
-    "of the wrong sign": lambda voltage: -voltage,
-    "no number": lambda _: np.nan,
-}
 # Tolerance on a fake instrument, which has none of these: half of the last digit of a sensor of 9 bits.
 _DIGIT = 1e-3
 
@@ -88,11 +80,8 @@ def _interrupted() -> None:
     os.kill(os.getpid(), signal.SIGINT)
 
 
-def _raising(kind: type[BaseException], *about: object) -> Callable[[], None]:
-    def do() -> None:
-        raise kind(*about)
-
-    return do
+def _failing() -> None:
+    raise ValueError("the disk is full")
 
 
 class RigContract:
@@ -119,25 +108,14 @@ class RigContract:
         with ExitStack() as stack:
             yield opened
 
-    def test_limits_are_never_wider_than_the_devices(self, bench: Bench) -> None:
-        rig, instrument = bench(limits=(-500.0, 500.0), slew_rate=1e3)
-        assert (rig.limits.low, rig.limits.high) == pytest.approx(instrument.limits)
-        assert LOW <= rig.limits.low < rig.limits.high <= HIGH
-        assert rig.limits.slew_rate == rig.slew_rate <= 1e3
-
-    def test_limits_are_never_wider_than_the_users(self, bench: Bench) -> None:
+    def test_limits_are_those_of_device_and_user(self, bench: Bench) -> None:
+        for slew_rate, limits in ((None, None), (1e3, (-500.0, 500.0))):
+            rig, instrument = bench(limits=limits, slew_rate=slew_rate)
+            assert (rig.limits.low, rig.limits.high) == pytest.approx(instrument.limits)
+            assert LOW <= rig.limits.low < rig.limits.high <= HIGH
+            assert 0 < rig.slew_rate < np.inf and rig.slew_rate <= (slew_rate or np.inf)
         rig, _ = bench(limits=(-5.0, 40.0), slew_rate=1.0)
         assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (-5.0, 40.0, 1.0)
-        assert rig.safe == 0.0
-
-    def test_a_rig_that_nobody_limits_keeps_to_the_device_and_to_some_slew_rate(self, bench: Bench) -> None:
-        rig, instrument = bench()
-        assert (rig.limits.low, rig.limits.high) == pytest.approx(instrument.limits)
-        assert 0 < rig.slew_rate < np.inf
-
-    def test_limits_that_leave_nothing_are_refused(self, bench: Bench) -> None:
-        with pytest.raises(RigError, match="limits: got 200 to 300"):
-            bench(limits=(200.0, 300.0))
 
     def test_nothing_is_sent_by_opening_nor_by_reading(self, bench: Bench, candidate: RigCandidate) -> None:
         rig, instrument = bench()
@@ -163,26 +141,6 @@ class RigContract:
             assert after.time - before.time >= (abs(target - before.voltage) / rig.slew_rate - _TICK) * 0.999
         assert instrument.log.largest_step <= rig.slew_rate * max(self._waits) + 2 * candidate.volts
         assert (instrument.log.lowest, instrument.log.highest) == pytest.approx((-10.0, 61.0), abs=candidate.volts)
-
-    @pytest.mark.parametrize(("asked", "sent"), [(150.0, 50.0), (-30.0, -5.0), (1e300, 50.0)])
-    def test_a_voltage_beyond_the_limits_is_clamped_and_reported(
-        self, bench: Bench, candidate: RigCandidate, asked: float, sent: float
-    ) -> None:
-        rig, instrument = bench(limits=(-5.0, 50.0))
-        with pytest.warns(ClampWarning, match=f"was requested and {sent:g} V sent: -5 to 50 V is allowed"):
-            assert rig.set_voltage(asked) == sent
-        assert _standing(instrument, sent, candidate)
-        assert instrument.log.lowest >= -5.0 - candidate.volts
-        assert instrument.log.highest <= 50.0 + candidate.volts
-        assert instrument.log.refused == 0
-
-    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, "50", None, [50.0]])
-    def test_what_is_not_a_voltage_is_refused_with_nothing_sent(self, bench: Bench, bad: Any) -> None:
-        rig, instrument = bench()
-        before = _put_out(instrument)
-        with pytest.raises(RecordError, match="finite number"):
-            rig.set_voltage(bad)
-        assert _put_out(instrument) == before
 
     def test_a_sample_for_each_voltage(self, bench: Bench, candidate: RigCandidate) -> None:
         rig, instrument = bench()
@@ -237,30 +195,6 @@ class RigContract:
             assert abs(last.time - first.time - passed) <= slack
             assert abs(record.time[-1] - record.time[0] - passed) <= slack
 
-    def test_a_record_begins_by_a_ramp_to_its_first_voltage(self, bench: Bench, candidate: RigCandidate) -> None:
-        rig, instrument = bench(slew_rate=600.0)
-        rig.play(excitation(rig, 70, 90, 80))
-        assert instrument.log.largest_step <= max(rig.slew_rate * max(self._waits), _STEP) + 2 * candidate.volts
-        assert _standing(instrument, 80.0, candidate)
-
-    @pytest.mark.parametrize("corners", [(0, 50.1, 0), (0, -5.1, 0), (60, 55)])
-    def test_an_excitation_beyond_the_limits_is_refused_with_nothing_sent(
-        self, bench: Bench, corners: tuple[float, ...]
-    ) -> None:
-        rig, instrument = bench(limits=(-5.0, 50.0))
-        before = _put_out(instrument)
-        with pytest.raises(RecordError, match="may have -5 to 50"):
-            rig.play(excitation(rig, *corners))
-        assert _put_out(instrument) == before
-
-    def test_an_excitation_that_is_too_steep_is_refused_with_nothing_sent(self, bench: Bench) -> None:
-        rig, instrument = bench(slew_rate=100.0)
-        rate = rig.nearest_rate(_RATE)
-        before = _put_out(instrument)
-        with pytest.raises(RecordError, match=f"may have {rig.slew_rate:.6g} V/s"):
-            rig.play(Excitation("steep", 1.01 * rig.slew_rate / rate * np.array([0.0, 1.0, 0.0]), rate))
-        assert _put_out(instrument) == before
-
     @pytest.mark.parametrize("longest", [2, 17, 100])
     def test_a_long_record_is_cut_into_pieces_that_join(
         self, bench: Bench, candidate: RigCandidate, longest: int
@@ -288,16 +222,7 @@ class RigContract:
         assert np.all(np.diff(times) > 0)
         assert rig.read().time >= times[-1]
 
-    @pytest.mark.parametrize(
-        ("stop", "kind"),
-        [
-            (_raising(ValueError, "the disk is full"), ValueError),
-            (_raising(KeyboardInterrupt), KeyboardInterrupt),
-            (_interrupted, KeyboardInterrupt),
-            (_raising(SystemExit, 143), SystemExit),
-        ],
-        ids=["error", "raised Ctrl-C", "Ctrl-C", "exit"],
-    )
+    @pytest.mark.parametrize(("stop", "kind"), [(_failing, ValueError), (_interrupted, KeyboardInterrupt)])
     def test_what_listening_raises_stops_the_wave(
         self, bench: Bench, candidate: RigCandidate, stop: Callable[[], None], kind: type[BaseException]
     ) -> None:
@@ -321,80 +246,13 @@ class RigContract:
         # Another record can be made at once.
         assert len(rig.play(excitation(rig, 0, 30, 0))) > 2
 
-    @pytest.mark.parametrize("wrong", _READBACKS.values(), ids=_READBACKS)
-    @pytest.mark.parametrize("stopped", ["ramp", "wave"])
-    def test_a_wrong_readback_makes_no_jump(
-        self, bench: Bench, candidate: RigCandidate, stopped: str, wrong: Callable[[float], float]
-    ) -> None:
-        """A ramp, or a wave that is interrupted, ends by a retreat from what was sent, and no note denies the fault."""
-        rig, instrument = bench(slew_rate=200.0)
-        read, put, sent = rig._read, rig._put, [0.0]
-
-        def reading() -> Reading:
-            return (honest := read())._replace(voltage=wrong(honest.voltage))
-
-        def putting(voltage: float) -> None:
-            sent.append(voltage)
-            put(voltage)
-
-        def listen(samples: Samples) -> None:
-            if samples.voltage[-1] > 35.0:
-                vars(rig).update(_read=reading, _read_voltage=lambda: reading().voltage)
-                sent[:] = [float(samples.voltage[-1])]
-                raise ValueError
-
-        vars(rig)["_put"] = putting
-        with pytest.raises((RigError, ValueError)) as caught:
-            if stopped == "wave":
-                rig.play(excitation(rig, 0, 60), listen)
-            rig.set_voltage(40.0)
-            vars(rig).update(_read=reading, _read_voltage=lambda: reading().voltage)
-            rig.set_voltage(60.0)
-        (note,) = caught.value.__notes__
-        assert note.startswith("0 V was sent")
-        assert _standing(instrument, sent[-1], candidate) and sent[-1] == 0.0
-        # A wave in real time goes on until it is stopped.
-        slack = 2 * candidate.volts + (20.0 if candidate.real_time and stopped == "wave" else 0.0)
-        assert np.abs(np.diff(sent)).max() <= rig.slew_rate * max(self._waits) + slack
-        assert instrument.log.largest_step <= max(rig.slew_rate * max(self._waits), _STEP) + slack
-
-    def test_an_unplugged_sensor_is_reported_and_the_voltage_brought_back(
-        self, bench: Bench, candidate: RigCandidate
-    ) -> None:
-        rig, instrument = bench(slew_rate=300.0, longest=100)
-        instrument.unplugged = True
-        heard: list[Samples] = []
-        with pytest.raises(SensorError, match="not move:") as caught:
-            rig.play(excitation(rig, 0, 80, 0, step=_fine_step(rig)), heard.append)
-        assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
-        assert _standing(instrument, 0.0, candidate)
-        assert sum(lot.time.size for lot in heard) > 0
-        # It came soon: not much more than a fifth of the range had been seen. A wave in real time plays on until then.
-        assert max((lot.voltage.max() for lot in heard[:-1]), default=0.0) <= 60.0
-        assert instrument.log.highest <= (60.0 if not candidate.real_time else 80.0)
-
-    @pytest.mark.parametrize("voltage", [LOW, -3.0, 0.0, 1e-3, 55.5, HIGH])
+    @pytest.mark.parametrize("voltage", [LOW, 0.0, 55.5, HIGH])
     def test_a_retreat_from_any_voltage(self, bench: Bench, candidate: RigCandidate, voltage: float) -> None:
         rig, instrument = bench(slew_rate=2000.0)
         rig.set_voltage(voltage)
         assert rig.retreat() == 0.0
         assert _standing(instrument, 0.0, candidate)
         assert instrument.log.largest_step <= rig.slew_rate * max(self._waits) + 2 * candidate.volts
-
-    def test_safe_is_the_voltage_nearest_to_zero(self, bench: Bench, candidate: RigCandidate) -> None:
-        rig, instrument = bench(limits=(0.5, 60.0))
-        assert rig.safe == 0.5
-        rig.set_voltage(40.0)
-        assert rig.retreat() == 0.5
-        assert _standing(instrument, 0.5, candidate)
-
-    def test_a_device_that_stands_beyond_the_limits_is_left_alone(self, bench: Bench) -> None:
-        rig, instrument = bench(limits=(30.0, 60.0))
-        before = _put_out(instrument)
-        with pytest.raises(DeviceError, match="stands at 0 V, but 30 to 60 V is allowed") as caught:
-            rig.set_voltage(40.0)
-        assert "could not be brought to 30 V" in caught.value.__notes__[0]
-        assert _put_out(instrument) == before
 
     def test_closed_is_closed(self, bench: Bench, candidate: RigCandidate) -> None:
         rig, instrument = bench()

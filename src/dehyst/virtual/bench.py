@@ -1,4 +1,4 @@
-"""The virtual bench behind every emulator: amplifiers, wave generators, servos, sensors and a recorder, without I/O."""
+"""The virtual bench behind every emulator: amplifiers, wave generators, sensors and a recorder, without I/O."""
 
 from __future__ import annotations
 
@@ -19,12 +19,6 @@ from dehyst.virtual.stage import VirtualStage
 
 # Share of a servo period that a jump of the voltage takes. A ramp is played in parts of this share of the range.
 _JUMP, _PART = 1e-3, 0.01
-# Period of the servo [s], its time constant [s], and the most updates after a pause.
-_UPDATE_PERIOD, _TIME_CONSTANT, _MOST_UPDATES = 1e-3, 0.02, 400
-# The servo corrects this share of its error at once: no actuator's loop is twice as steep as its end points' line.
-_CORRECTION = 0.5
-# Share of the stroke within which a move has arrived.
-_ARRIVED = 1e-3
 # Share of a servo period by which a voltage may be late: what was put out just after a sample belongs to it.
 _LATE = 0.1
 
@@ -54,11 +48,12 @@ class Extremes:
 
 
 class BenchAxis:
-    """One axis of a `VirtualBench`: amplifier, wave generator, servo and sensor. Its time is the bench's time.
+    """One axis of a `VirtualBench`: amplifier, wave generator and sensor. Its time is the bench's time.
 
     `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: present output, and target voltage
     [V]. `log`: extremes of the output so far. `stroke`: stroke of the actuator [m]. `sensor_range`: lowest and highest
-    displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is constant.
+    displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is constant. `servo`:
+    a closed loop holds the voltage, and no other is taken.
     `stalled`: the wave generator plays nothing more, and does not end. `played`: number of samples of the present or
     last wave that were put out so far.
     """
@@ -75,16 +70,14 @@ class BenchAxis:
     ) -> None:
         self._stage, self._index, self._limits, self._servo_period = stage, index, limits, servo_period
         self.limits, self.stroke = (limits.low, limits.high), float(stage.strokes[index])
-        self._gain = self.stroke / float(stage.highest[index])
         self.voltage = self.target = limits.nearest(0.0)
         self.log = Extremes(self.voltage, self.voltage)
         # Time of the present state, and of the last voltage that was put out [s].
         self._at = self._put_at = -servo_period
         stage.drive(index, np.array([0.0, self.voltage]), [-2 * servo_period, -servo_period])
         self.sensor_range = None if sensor_range is None else interval(sensor_range)
-        self._deviation, self._sensor = noise, Sensor(noise, seed)
-        self.unplugged = self.stalled = False
-        self._servo, self._wanted, self._error = False, 0.0, 0.0
+        self._sensor = Sensor(noise, seed)
+        self.unplugged = self.stalled = self.servo = False
         self._wave, self.played, self._first, self._period = np.zeros(0), 0, 0.0, servo_period
 
     @property
@@ -96,31 +89,6 @@ class BenchAxis:
     def playing(self) -> bool:
         """Whether a wave is being played."""
         return self.played < self._wave.size
-
-    @property
-    def moving(self) -> bool:
-        """Whether the output is moving, or the servo is off its target."""
-        return self.playing or self.voltage != self.target or not self.arrived
-
-    @property
-    def arrived(self) -> bool:
-        """Whether the servo, if it is on, is at its target."""
-        return not self._servo or self._error <= max(_ARRIVED * self.stroke, 5 * self._deviation)
-
-    @property
-    def servo(self) -> bool:
-        """Whether the loop is closed; closing it holds the displacement that the sensor reads."""
-        return self._servo
-
-    @servo.setter
-    def servo(self, on: bool) -> None:
-        if on == self._servo:
-            return
-        if on and self.playing:
-            raise DeviceError("servo: a wave is being played, which needs the servo off; stop it first")
-        self._servo, self.target = on, self.voltage
-        if on:
-            self._wanted, self._error = self.displacement(), 0.0
 
     def displacement(self) -> float:
         """Return the sensor's reading [m]: at present, or while a wave is played, at its last sample."""
@@ -139,22 +107,9 @@ class BenchAxis:
             self._put_out(np.array([self.target]), np.array([self._at]))
         return True
 
-    def move(self, target: float) -> None:
-        """Move to a displacement [m] of the sensor, and hold it against creep. `target` [m].
-
-        Raise `DeviceError` if the servo is off, or the target is not a number.
-        """
-        if not self._servo or not math.isfinite(target):
-            raise DeviceError(
-                f"move: got {target} m with the servo {'on' if self._servo else 'off'}; need a number, and the servo on"
-            )
-        self._wanted, self._error = float(target), math.inf
-
     def stop(self) -> None:
-        """Stop the wave, or the moving output; the voltage stays. A servo holds the present displacement."""
+        """Stop the wave, or the moving output; the voltage stays."""
         self._wave, self.target = self._wave[: self.played], self.voltage
-        if self._servo:
-            self._wanted = self.displacement()
 
     def sensed(self, displacement: Array) -> Array:
         """Return the sensor's reading (n,) [m] of displacements: `displacement` (n,) [m]."""
@@ -187,7 +142,7 @@ class BenchAxis:
         return np.asarray(self._first + self._period * np.arange(first, stop), dtype=np.float64)
 
     def advance(self, now: float) -> None:
-        """Continue until `now` [s]: play the due samples of the wave, or hold the servo, or let the actuator creep."""
+        """Continue until `now` [s]: play the due samples of the wave, or let the actuator creep."""
         if self.playing and not self.stalled:
             # Rounding must not lose a sample that is due now.
             due = min(self._wave.size, math.floor((now - self._first) / self._period + 1e-6) + 1)
@@ -196,9 +151,6 @@ class BenchAxis:
                 self.played = due
         if self.playing or now <= self._at:
             return
-        if self._servo:
-            self._hold(now)
-            return
         if self.voltage != self.target:
             self._ramp(now)
         if now > self._at:
@@ -206,7 +158,7 @@ class BenchAxis:
             self._at = now
 
     def _demand_open(self, what: str) -> None:
-        if self._servo:
+        if self.servo:
             raise DeviceError(f"{what}: the servo is on, need it off")
         if self.playing:
             raise DeviceError(f"{what}: a wave is being played; stop it first")
@@ -259,19 +211,6 @@ class BenchAxis:
         path[-1] = end
         self._put_out(path, begin + part * (until - begin))
         self.target = target
-
-    def _hold(self, now: float) -> None:
-        """Integrate the servo's error: in longer periods after a pause, so that an idle hour costs little."""
-        begin, span = self._at, now - self._at
-        updates = min(_MOST_UPDATES, max(1, math.ceil(span / _UPDATE_PERIOD)))
-        period = span / updates
-        gain = _CORRECTION * -math.expm1(-period / _TIME_CONSTANT) / self._gain
-        most = self._limits.largest_step(period)
-        for update in range(1, updates + 1):
-            error = self._wanted - self.displacement()
-            voltage = self.voltage + min(max(gain * error, -most), most)
-            self._put_out(np.array([self._limits.nearest(voltage)]), np.array([begin + update * period]))
-            self._error = abs(error)
 
 
 class VirtualBench:
@@ -388,7 +327,7 @@ class VirtualBench:
         self.advance()
 
     def stop(self) -> None:
-        """Stop the waves and the moving outputs of all axes; the voltages stay. Servos hold the displacements."""
+        """Stop the waves and the moving outputs of all axes; the voltages stay."""
         self.advance()
         for axis in self.axes:
             axis.stop()

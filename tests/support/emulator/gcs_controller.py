@@ -25,8 +25,6 @@ _TABLES, _LONGEST_SEGMENT, _MOST = 4, 4096, 10**6
 # What a recorder table records, by the number of its option.
 _NOTHING, _POSITION, _VOLTAGE = 0, 2, 16
 _RECORDED = {_NOTHING: "Nothing is recorded", _POSITION: "Current Position of axis", _VOLTAGE: "Voltage of output chn"}
-# A target at an end of the range is allowed although micrometres are rounded [m].
-_ROUNDED = 1e-12
 
 _Words: TypeAlias = Sequence[str]
 _Limits: TypeAlias = tuple[float, float]
@@ -39,9 +37,6 @@ class GcsError(IntEnum):
     SYNTAX = 1
     UNKNOWN_COMMAND = 2
     TOO_LONG = 3
-    SERVO_OFF = 5
-    POSITION = 7
-    STOPPED = 10
     AXIS = 15
     PARAMETER_RANGE = 17
     PARAMETER_COUNT = 24
@@ -107,14 +102,14 @@ def _groups(words: _Words, size: int, most: int) -> list[_Words]:
 
 
 class ControllerAxis:
-    """One axis: its name, its `bench`, the limits [V] it `reported`, its `target` [m], and its wave generator.
+    """One axis: its name, its `bench`, the limits [V] it `reported`, and its wave generator.
 
     `table`: the generator's wave table (0: none). `cycles`, `divider`, `interpolation`: its other settings. `monitor`:
     function that returns the voltage that is read [V] of the one that is put out.
     """
 
     def __init__(self, name: str, bench: BenchAxis, reported: _Limits) -> None:
-        self.name, self.bench, self.reported, self.target = name, bench, reported, 0.0
+        self.name, self.bench, self.reported = name, bench, reported
         self.table, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
         self.monitor: Callable[[float], float] = float
 
@@ -143,14 +138,12 @@ class Controller:
         self.records = dict(enumerate(kinds, 1))
         self.record_divider, self.stride = 1, 1
         self.record_period = instrument.servo_period
-        # The read-only parameters by number: value, type and name.
+        # The read-only parameters by number: servo update time [s], and points of a wave and of the recorder.
         self.parameters = {
-            0x0E000200: (_numeral(instrument.servo_period), "FLOAT", "Servo Update Time (s)"),
-            0x13000004: (str(instrument.wave_points), "INT", "Max Wave Points"),
-            0x16000200: (str(instrument.record_points * count), "INT", "Data Recorder Max Points"),
+            0x0E000200: _numeral(instrument.servo_period),
+            0x13000004: str(instrument.wave_points),
+            0x16000200: str(instrument.record_points * count),
         }
-        if instrument.slew_rate is not None:
-            self.parameters[0x07000201] = (_numeral(instrument.slew_rate), "FLOAT", "Open-Loop Slew Rate (V/s)")
 
     def answer(self, line: str) -> str | None:
         """Return the answer to a `line`: one line or several, or None; a command that fails latches its error."""
@@ -175,16 +168,6 @@ class Controller:
             # All lines but the last end with a space.
             return None if lines is None else " \n".join(lines) + "\n"
         return None
-
-    def single(self, byte: int) -> str | None:
-        """Return the answer to a command of one `byte`: #5 moving, #7 ready, #9 playing, #24 stop."""
-        self.instrument.advance()
-        if byte in (5, 9):
-            states = (axis.bench.moving if byte == 5 else axis.bench.playing for axis in self.axes)
-            return f"{sum(state << number for number, state in enumerate(states)):X}\n"
-        if byte == 24:
-            _stop(self, [])
-        return "\xb1\n" if byte == 7 else None
 
     @property
     def recorded(self) -> int:
@@ -217,23 +200,7 @@ def _set_voltage(axis: ControllerAxis, voltage: float) -> None:
 def _set_servo(axis: ControllerAxis, on: float) -> None:
     _demand(on in (0, 1), GcsError.PARAMETER_RANGE)
     _demand(not axis.bench.playing, GcsError.WAVE_RUNNING)
-    if bool(on) != axis.bench.servo:
-        axis.bench.servo = bool(on)
-        axis.target = axis.bench.displacement()
-
-
-def _move(axis: ControllerAxis, target: float) -> None:
-    _demand(axis.bench.servo, GcsError.SERVO_OFF)
-    _demand(-_ROUNDED <= target <= axis.bench.stroke + _ROUNDED, GcsError.POSITION)
-    axis.bench.move(target)
-    axis.target = target
-
-
-def _stop(controller: Controller, words: _Words) -> None:
-    for axis in controller.chosen(words):
-        axis.bench.stop()
-        axis.target = axis.bench.displacement()
-    controller.error = GcsError.STOPPED
+    axis.bench.servo = bool(on)
 
 
 def _name_axes(controller: Controller, words: _Words) -> list[str]:
@@ -251,22 +218,12 @@ def _read_parameters(controller: Controller, words: _Words) -> list[str]:
     _demand(all(item == "1" for item in words[::2]), GcsError.PARAMETER_RANGE)
     numbers = [_whole(word) for word in words[1::2]] or list(controller.parameters)
     _demand(all(number in controller.parameters for number in numbers), GcsError.UNKNOWN_PARAMETER)
-    return [f"1 0x{number:08X}={controller.parameters[number][0]}" for number in numbers]
-
-
-def _list_parameters(controller: Controller, _: _Words) -> list[str]:
-    """Answer HPA?: number, command level, items, type, group and name of each parameter."""
-    rows = controller.parameters.items()
-    return [*(f"0x{number:08X}=0\t1\t{kind}\tdevice\t{name}" for number, (_, kind, name) in rows), "end of help"]
+    return [f"1 0x{number:08X}={controller.parameters[number]}" for number in numbers]
 
 
 def _list_commands(_controller: Controller, _: _Words) -> list[str]:
     return [
         "The following commands are valid:",
-        "#5 Request motion status",
-        "#7 Request controller ready status",
-        "#9 Get wave generator status",
-        "#24 Stop all motion",
         *(f"{word} {COMMANDS[word].words}" for word in sorted(COMMANDS)),
         "end of help",
     ]
@@ -504,15 +461,11 @@ COMMANDS: dict[str, GcsCommand] = {
     "ERR?": GcsCommand("Get error number", _take_error),
     "HDR?": GcsCommand("Get help for data recording", _recorder_help),
     "HLP?": GcsCommand("Get list of commands", _list_commands),
-    "HPA?": GcsCommand("Get list of parameters", _list_parameters),
-    "MOV": _to_axes("Set target position {axis position}", lambda axis, value: _move(axis, 1e-6 * value)),
     "POS?": _of_axes("Get real position", lambda axis: 1e6 * axis.bench.displacement()),
     "RTR": GcsCommand("Set record table rate {divider}", _slow_recorder, (1, 1)),
     "SAI?": GcsCommand("Get list of axes {[ALL]}", _name_axes, (0, None)),
     "SPA?": GcsCommand("Get parameters {[item parameter]}", _read_parameters, (0, None)),
-    "STP": GcsCommand("Stop all axes", _stop, (0, None)),
     "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
-    "SVA?": _of_axes("Get open-loop value", lambda axis: axis.bench.target),
     "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
     "SVO?": _of_axes("Get servo mode", lambda axis: int(axis.bench.servo)),
     "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),

@@ -18,8 +18,8 @@ from emulator.gcs_controller import Controller
 PORT = 50000
 # Seconds between updates of the instrument, and until a client that takes no answers is disconnected.
 _TICK, _PATIENCE = 0.02, 10.0
-# Bytes of the longest line, and commands of one byte.
-_LONGEST_LINE, _SINGLE = 65536, frozenset((5, 7, 9, 24))
+# Bytes of the longest line.
+_LONGEST_LINE = 65536
 
 
 class Server:
@@ -128,22 +128,17 @@ class Server:
 
     def _answer(self, command: bytes) -> bytes:
         with self.lock:
-            single = len(command) == 1 and command[0] in _SINGLE
-            text = command.decode("latin-1")
-            answer = self.controller.single(command[0]) if single else self.controller.answer(text)
+            answer = self.controller.answer(command.decode("latin-1"))
         return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
 
 
 async def _command(reader: asyncio.StreamReader) -> bytes:
-    """Read a command: one byte, or a line. A line that is too long is cut, so that the controller refuses it."""
-    first = await reader.readexactly(1)
-    if first[0] in _SINGLE or first == b"\n":
-        return first
+    """Read a line. One that is too long is cut, so that the controller refuses it."""
     overlong = False
     while True:
         try:
             line = await reader.readuntil(b"\n")
-            return b"\0" * (_LONGEST_LINE + 1) if overlong else first + line
+            return b"\0" * (_LONGEST_LINE + 1) if overlong else line
         except asyncio.LimitOverrunError as error:
             overlong = True
             await reader.readexactly(error.consumed)
