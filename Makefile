@@ -53,7 +53,6 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/strangers.py --jobs 2
-	$(BIN)/python benchmarks/transients.py
 	$(BIN)/python benchmarks/creep.py
 	$(BIN)/python benchmarks/coupled_axes.py
 	$(BIN)/python benchmarks/paper.py

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from model_figures import parameters_of, promised, speeds
 from virtual_trials import TRIALS, TrackingTrial
 
 import dehyst
@@ -29,7 +28,7 @@ from dehyst import Actuator
 from dehyst.identification import prepare
 from dehyst.model import AbstractModel, Motion, simulated
 from dehyst.operations import demo
-from dehyst.trust.comparison import OURS, ModelScore, Played, scored
+from dehyst.trust.comparison import OURS, Played, scored
 from dehyst_rivals import RIVALS, linear_ratio
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "measured" / "p885"
@@ -104,8 +103,8 @@ def compared_on(trial: TrackingTrial, name: str, identification: Any, seeds: int
         return kept[0]
 
     records = list(trial.records())
-    (row,), stroke = scored(records, [Played(prepare(record)) for record in trial.held_out()], {name: fit}, print)
-    found = figures(row, kept, records, trial.held_out(), stroke)
+    (row,), _ = scored(records, [Played(prepare(record)) for record in trial.held_out()], {name: fit}, print)
+    found = row.as_dict() | {"tracking": {}}
     for seed in range(FIRST_SEED, FIRST_SEED + seeds) if kept else ():
         try:
             error = trial.track(kept[0], seed)
@@ -119,30 +118,13 @@ def compared_on(trial: TrackingTrial, name: str, identification: Any, seeds: int
     return found
 
 
-def figures(row: ModelScore, kept: list[AbstractModel], training: Any, held_out: Any, stroke: float) -> dict:
-    """Return a model's row with its coefficients, its promise and its speed, if it could be scored."""
-    found = row.as_dict() | {"parameters": None, "promised_percent": None, "tracking": {}}
-    found |= {"simulate_ns": None, "compensate_ns": None}
-    if kept:
-        found["parameters"] = parameters_of(kept[0])
-    if row.scores:
-        found["promised_percent"] = promised(kept[0], row.worst("training"), training, held_out, stroke)
-        found["simulate_ns"], found["compensate_ns"] = speeds(kept[0], training[0])
-    return found
-
-
 def on_measured(folder: Path, name: str, identification: Any) -> dict:
     """Train on the samples before a hold, simulate them again and predict the samples after it."""
     major, ramps = p885(folder)
     lead = float(ramps.time[SPLIT] - ramps.time[0])
-    training, kept = [major, replace(ramps[:SPLIT], name="first ramps")], []
-
-    def fit(records: Any) -> AbstractModel:
-        kept.append(identification(records))
-        return kept[0]
-
-    (row,), stroke = scored(training, [Played(prepare(ramps), lead=lead)], {name: fit}, print)
-    return figures(row, kept, training, [ramps], stroke) | {"stroke_m": stroke}
+    training = [major, replace(ramps[:SPLIT], name="first ramps")]
+    (row,), stroke = scored(training, [Played(prepare(ramps), lead=lead)], {name: identification}, print)
+    return row.as_dict() | {"stroke_m": stroke}
 
 
 def show(title: str, errors: list[dict]) -> None:

@@ -48,7 +48,10 @@ _Row = dict[str, Any]
 class FleetTable(NamedTuple):
     """A table that was written: its `path`, and how many records it has.
 
-    `records`: rows. `computed`: rows of this run; the others were there already. `refused`: rows with a reason.
+    `records`: rows. `computed`: rows of this run; the others were there already. `refused`: rows with a reason. The
+    columns: record, promise_percent [% of the stroke], stroke_um, loop_width_um (at the middle of the voltages),
+    lag_ms, creep_percent (after a sudden rise, of the rise), noise_nm, reason (empty if the model may be used), model
+    (JSON, for `dehyst.Actuator.from_dict`). A number that is not known is null.
     """
 
     path: Path
@@ -77,9 +80,7 @@ def identify_fleet(
         A folder, in which each file that `dehyst.read` opens is a record, or files. The name of a record is its path
         within the folder, or as it is given.
     output : path
-        The table, .parquet. Columns: record, promise_percent [% of the stroke], stroke_um, loop_width_um (at the
-        middle of the voltages), lag_ms, creep_percent (after a sudden rise, of the rise), noise_nm, reason (empty if
-        the model may be used), model (JSON, for `dehyst.Actuator.from_dict`). What is not known is null.
+        The table, .parquet; `FleetTable` describes its columns.
     scheduler : str, optional
         Address of a Dask scheduler, as "tcp://host:8786", whose workers see the same files. By default the run has a
         process for each processor.
@@ -115,13 +116,9 @@ def identify_fleet(
     rows = {row["record"]: row for row in ([] if again else _rows_of(target))}
     missing = {name: path for name, path in paths.items() if name not in rows}
     if missing:
-        total = counted(len(rows) + len(missing), "record")
-        report(f"{len(rows)} of {total}")
-        with _writing(target, rows) as keep, _connected(scheduler) as client:
+        with _writing(target, rows, len(missing), report) as keep, _connected(scheduler) as client:
             for row in _computed(client, missing, read):
                 keep(row)
-                report(f"{len(rows)} of {total}")
-        report("")
     refused = sum(bool(row["reason"]) for row in rows.values())
     return FleetTable(target, len(rows), len(missing), refused)
 
@@ -235,25 +232,28 @@ def _rows_of(path: Path) -> list[_Row]:
 
 
 @contextmanager
-def _writing(path: Path, rows: dict[str, _Row]) -> Iterator[Callable[[_Row], None]]:
-    """Yield a function that keeps a row; the table is written now and then, and at the end in any case."""
+def _writing(path: Path, rows: dict[str, _Row], more: int, report: Progress) -> Iterator[Callable[[_Row], None]]:
+    """Yield a function that keeps a row, of `more`; the table is written now and then, and at the end in any case."""
     library("pyarrow.parquet", "A fleet", "fleet")
-    written, took = time.monotonic(), 0.0
+    written, duration, total = time.monotonic(), 0.0, counted(len(rows) + more, "record")
+    report(f"{len(rows)} of {total}")
 
     def write() -> None:
-        nonlocal written, took
+        nonlocal written, duration
         began = time.monotonic()
         _write(path, [rows[name] for name in sorted(rows)])
         written = time.monotonic()
-        took = written - began
+        duration = written - began
 
     def keep(row: _Row) -> None:
         rows[row["record"]] = row
-        if time.monotonic() - written > max(_OFTEN, _SELDOM * took):
+        report(f"{len(rows)} of {total}")
+        if time.monotonic() - written > max(_OFTEN, _SELDOM * duration):
             write()
 
     try:
         yield keep
+        report("")
     except KeyboardInterrupt as stop:
         stop.add_note("what was computed is in the table; the same command continues it")
         raise
