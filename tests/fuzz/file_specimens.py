@@ -73,7 +73,7 @@ def _hdf5(path: Path) -> None:
 
 
 def _mat(path: Path) -> None:
-    beside = {"note": "text", "image": np.eye(3), "cell": np.array(["a", 1], dtype=object), "run": {"time_s": T}}
+    beside = {"note": "text", "image": np.eye(3), "cell": np.array(["a", 1], dtype=object), "run": {"ticks": T}}
     scipy.io.savemat(path / "plain.mat", {**COLUMNS, **beside})
     scipy.io.savemat(path / "packed.mat", {**COLUMNS, **beside}, do_compression=True)
     scipy.io.savemat(path / "struct.mat", {"data": {"run": COLUMNS, "gain": 3.0}})

@@ -23,7 +23,7 @@ from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import Entry, columns_of_axis
 from dehyst.records.files import record_of
-from dehyst.records.formats.columns import GUESS, QUANTITIES, listed, plausible_unit
+from dehyst.records.formats.column import GUESS, QUANTITIES, listed, plausible_unit
 from dehyst.records.tables import ColumnError
 
 

@@ -18,7 +18,7 @@ from dehyst.operations.command import Parsed, option
 from dehyst.operations.run import MODELS, Run
 from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, TEXT_KEYS, VOLTAGE
-from dehyst.records.formats.columns import listed
+from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
 from dehyst.records.tables import chosen
 

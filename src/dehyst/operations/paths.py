@@ -18,7 +18,7 @@ from dehyst.operations.axes import AxesModel
 from dehyst.operations.files import Columns, warmth_of
 from dehyst.operations.start import Limits
 from dehyst.records import Table
-from dehyst.records.formats.columns import listed
+from dehyst.records.formats.column import listed
 
 TEMPERATURE = "Temperature [degC], for a model that depends on it; default: a column temperature_C, or the reference."
 # Part of the reachable range by which a path may lie outside without a remark.

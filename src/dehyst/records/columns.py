@@ -18,7 +18,7 @@ from dehyst._io import PathLike, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import axis_names
-from dehyst.records.formats.columns import GAIN, GUESS, QUANTITIES
+from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
 from dehyst.records.formats.file_content import MOST, opened
 
 # Placeholder for the samples a second.

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import floor, isnan, log10
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,11 @@ from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomical
 from dehyst._types import Array
 from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
-from dehyst.records.formats.columns import TEXT, Column, listed
+from dehyst.records.formats.column import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.file_content import Allowance, opened
 from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.record import Record, columns_of, further_channels
-from dehyst.records.signals import largest
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju", ".parquet"), "; save it as CSV or .xlsx") | {
@@ -230,29 +230,26 @@ def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None
         raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
     yield "\n".join([*head, delimiter.join(columns), ""])
-    line, safe = delimiter.join([f"%.{digits}g"] * len(arrays)) + "\n", [_safe(array, digits) for array in arrays]
-    for i in range(0, arrays[0].size, _BLOCK):
-        block = [(array[i : i + _BLOCK], *ends) for array, ends in zip(arrays, safe, strict=True)]
-        if digits is None or any(((part < low) | (part > high)).any() for part, low, high in block):
-            texts = (_texts(*each, digits) for each in block)
+    if digits is None:
+        for i in range(0, arrays[0].size, _BLOCK):
+            texts = (["" if isnan(x) else repr(x) for x in array[i : i + _BLOCK].tolist()] for array in arrays)
             yield "".join(f"{delimiter.join(row)}\n" for row in zip(*texts, strict=True))
-        else:
-            yield line * block[0][0].size % tuple(np.column_stack([part for part, *_ in block]).ravel().tolist())
+        return
+    line, arrays = delimiter.join([f"%.{digits}g"] * len(arrays)) + "\n", [_inside(array, digits) for array in arrays]
+    for i in range(0, arrays[0].size, _BLOCK):
+        block = np.column_stack([array[i : i + _BLOCK] for array in arrays])
+        yield line * len(block) % tuple(block.ravel().tolist())
 
 
-def _safe(values: Array, digits: int | None) -> tuple[float, float]:
-    """Return the range in which rounding leads no number beyond the range of the values (n,)."""
+def _inside(values: Array, digits: int) -> Array:
+    """Return values (n,) of which rounding to `digits` leads none beyond their range: a limit stays kept."""
     known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    lowest, highest = (float(f"{end:.{digits or 17}g}") for end in (low, high))
-    unit = largest(known) * 10.0 ** (1 - (digits or 17))
-    return low + unit * (lowest < low), high - unit * (highest > high)
-
-
-def _texts(values: Array, low: float, high: float, digits: int | None) -> list[str]:
-    """Return the texts of numbers (n,), rounded to `digits` from `low` to `high`; without `digits` empty for NaN."""
-    found = (("%r " if digits is None else f"%.{digits}g ") * values.size % tuple(values.tolist())).split()
-    # A voltage at a limit stays within it.
-    for i in np.flatnonzero(~((low <= values) & (values <= high))).tolist():
-        found[i] = "" if digits is None and np.isnan(values[i]) else repr(float(values[i]))
-    return found
+    if not known.size:
+        return values
+    ends = []
+    for end, way in ((float(known.min()), 1.0), (float(known.max()), -1.0)):
+        rounded = float(f"{end:.{digits}g}")
+        if way * rounded < way * end:
+            rounded = float(f"{rounded + way * 10.0 ** (floor(log10(abs(end))) + 1 - digits):.{digits}g}")
+        ends.append(rounded)
+    return np.clip(values, *ends) if ends[0] <= ends[1] else values

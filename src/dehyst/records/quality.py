@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, cleaned
-from dehyst.records.formats.columns import HIGHEST_VOLTAGE, STROKES, impossible
+from dehyst.records.formats.column import HIGHEST_VOLTAGE, STROKES, impossible
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:

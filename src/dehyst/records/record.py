@@ -20,7 +20,7 @@ from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
 from dehyst._views import html, tables
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
-from dehyst.records.formats.columns import Column
+from dehyst.records.formats.column import Column
 from dehyst.records.tables import Table
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._io import PathLike, path_of, settle, settle_folder, to_json, unwritten
-from dehyst.records.formats.columns import Column
+from dehyst.records.formats.column import Column
 from dehyst.records.formats.containers import LINE, LONGEST
 from dehyst.records.record import Channel
 

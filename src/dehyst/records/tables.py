@@ -15,7 +15,7 @@ from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._units import FACTORS, in_si, quantity_of
 from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
-from dehyst.records.formats.columns import (
+from dehyst.records.formats.column import (
     GAIN,
     GUESS,
     QUANTITIES,

@@ -11,7 +11,6 @@ import time as clock
 import numpy as np
 import places
 import pytest
-from command_line import DEHYST
 
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
@@ -130,23 +129,6 @@ def test_a_pipe_that_never_ends(tmp_path):
 def test_devices_are_refused(tmp_path, device):
     (tmp_path / "a.csv").symlink_to(device)
     refused(tmp_path / "a.csv", r"a\.csv: this is a device, need a file or a pipe")
-
-
-def test_the_command_line_takes_pipes_and_limits(tmp_path):
-    path = text(tmp_path, f"{HEAD}\n{BODY}")
-    with path.open("rb") as stream:
-        command = [*DEHYST, "compare", "/dev/stdin", "--columns", "max_size=0.001"]
-        done = subprocess.run(
-            ["sh", "-c", 'cat | "$0" "$@"', *command],
-            stdin=stream,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "the 1000 bytes" in done.stderr
 
 
 # Numbers

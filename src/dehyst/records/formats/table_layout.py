@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from dehyst._errors import FileFormatError
 from dehyst._units import symbol_of
-from dehyst.records.formats.columns import shortened
+from dehyst.records.formats.column import shortened
 from dehyst.records.formats.notation import is_moment
 
 # Lines that are looked at: an oscilloscope writes some 30 lines above its table.
@@ -136,15 +136,15 @@ def layout_of(block: str, decimal: str | None = None) -> Layout:
     heading = next(filter(None, (_heading(named[:i], shape) for i in range(len(named), 0, -1))), None)
     if heading is None:
         return _without_names(lines, place, delimiter, shape)
-    over = [line for line in lines[begin:place] if line.number < heading.end and line.text not in heading.texts]
+    over = [line for line in lines[begin:place] if line.number < heading.first and line.text not in heading.header]
     if faulty := [line for line in over if shape.is_row(line.cells)]:
         raise FileFormatError(f"line {faulty[0].number + 1} holds numbers above the names; correct or remove it")
-    rest = [line.number for line in lines if line.number >= heading.end]
+    rest = [line.number for line in lines if line.number >= heading.first]
     # A row that looks like a comment: #N/A,1,2.
-    rest += [c.number for c in comments if c.number >= heading.end and not is_comment(c.cells, shape.width, delimiter)]
-    first, written = min(rest), block.split("\n")
-    above = (*written[:first], *heading.clock)
-    return Layout(first, delimiter, heading.names, heading.units, written[first].strip(), heading.texts, above)
+    marked = [line.number for line in comments if not is_comment(line.cells, shape.width, delimiter)]
+    first, written = min(rest + [number for number in marked if number >= heading.first]), block.split("\n")
+    above = (*written[:first], *heading.above)
+    return heading._replace(first=first, delimiter=delimiter, row=written[first].strip(), above=above)
 
 
 def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape: _Shape) -> Layout:
@@ -225,18 +225,8 @@ def _are_names(row: list[str]) -> bool:
     return all(row) and all(map(_is_word, row)) and len(set(row)) == len(row) and any(map(symbol_of, ends))
 
 
-class _Heading(NamedTuple):
-    """Names and units of columns, the number of lines up to their end, their texts, and the time that they state."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    end: int
-    texts: tuple[str, ...] = ()
-    clock: tuple[str, ...] = ()
-
-
-def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
-    """Return names and units from the last one or two of these lines; None if they are no names."""
+def _heading(lines: list[_Line], shape: _Shape) -> Layout | None:
+    """Return names, units and the step from the last one or two of these lines; None if they are no names."""
     before, last, end = lines[-2].cells if len(lines) > 1 else [], lines[-1].cells, lines[-1].number + 1
     stated = {name.lower(): cell for name, cell in zip(before, last, strict=False) if is_number(cell)}
     clock = (f"x{_STEP}\t{stated[_STEP]}\ts",) if _STEP in stated else ()
@@ -252,6 +242,6 @@ def _heading(lines: list[_Line], shape: _Shape) -> _Heading | None:
     )
     if are_units and names and all(names[k] for k in shape.numeric):
         stated_units = tuple(cell.strip("[]() ") for cell in units[: shape.width])
-        return _Heading(names, stated_units, end, tuple(line.text for line in lines[-2:]), clock)
+        return Layout(end, None, names, stated_units, "", tuple(line.text for line in lines[-2:]), clock)
     names = shape.names(last)
-    return _Heading(names, (), end, (lines[-1].text,)) if names else None
+    return Layout(end, None, names, header=(lines[-1].text,)) if names else None
