@@ -1,7 +1,6 @@
 """Commands with several axes: records with axes in --columns, and models of several axes."""
 
 import json
-import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -324,16 +323,6 @@ def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
         run("simulate", folder / f"{name}.json", folder / "stage-v.csv", "-o", folder / f"{name}-y.csv")
     assert (folder / "stage-v.csv").read_bytes() == (folder / "scaled-v.csv").read_bytes()
     assert (folder / "stage-y.csv").read_bytes() == (folder / "scaled-y.csv").read_bytes()
-
-
-def test_the_columns_that_a_message_proposes_are_taken(folder):
-    write_columns(folder / "cn.csv", {"first": np.linspace(4.0, 8.0, 50), "second": np.linspace(9.0, 6.0, 50)})
-    words = ["compensate", folder / "stage.json", folder / "cn.csv", "-o", folder / "cn-v.csv", "--no-home"]
-    proposed = re.search('--columns "(.*?)"', run(*words, status=2))
-    run(*words, "--columns", proposed[1])
-    moved = read_table(folder / "cn-v.csv").column("displacement", "y_um")
-    assert np.allclose(moved, 1e-6 * np.linspace(9.0, 6.0, 50), rtol=0, atol=1e-15)
-    assert "x=NAME" in run(*words, "--columns", "x=first, y=second", status=2)
 
 
 def test_a_key_is_no_axis_and_a_bound_is_given_once(folder):

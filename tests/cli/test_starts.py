@@ -124,7 +124,7 @@ def test_a_record_is_a_start(folder, model):
     write_record(folder / "first.csv", dehyst.Record(time[:480], voltage[:480], y[:480]))
     write_columns(folder / "next.csv", {"time_s": time[479:], "voltage_V": voltage[479:]})
     status, out, _ = run("simulate", model, "next.csv", "-o", "s.csv", "--start", "first.csv", cwd=folder)
-    assert status == 0 and "end of first.csv" in out
+    assert status == 0 and "start: first.csv" in out
     came = column(folder, "s.csv", "expected_um")
     assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
 
@@ -166,7 +166,6 @@ def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
         assert got["start"]["name"] == "history.csv"
         share = got["start"]["largest_difference_percent"] / got["start"]["model_error_percent"]
         assert (share > 1) == open_
-    assert "after history.csv" in run(*given, cwd=folder)[1]
     # A model that creeps needs to know when.
     given = ("simulate", "creep.json", "next.csv", "-o", "s.csv", "--start", "history.csv")
     status, _, err = run(*given, cwd=folder)
@@ -245,6 +244,6 @@ def test_the_answer_comes_first_and_the_rest_by_verbose(folder):
     words = ("compensate", "tested.json", "path.csv", "-o", "v.csv", "--plot", "p.html")
     (status, brief, remarks), (_, whole, _) = (run(*words, *more, cwd=folder) for more in ((), ("--verbose",)))
     assert status == 0 and brief.startswith("Expect this path ") and whole.startswith(brief.splitlines()[0])
-    assert "slew rate" not in brief and "slew rate: not limited" in whole and len(remarks.splitlines()) <= 1
+    assert len(brief.splitlines()) == 5 and len(remarks.splitlines()) <= 1
     assert (folder / "p.html").read_text().count("data-chart=") == 3
     assert run(*words, cwd=folder, keep=True)[0] == 2

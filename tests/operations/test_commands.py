@@ -13,39 +13,48 @@ from command_line import commands, sample_words
 
 from dehyst.cli.command import run_command
 from dehyst.operations import registry
-from dehyst.operations.axes import limits_of, numbers_of
+from dehyst.operations.axes import AxisNumber, limits_of, of_axes
 from dehyst.operations.command import (
     HOUSE,
     INPUT,
-    OUTPUT,
-    PAGE,
     OperationError,
+    argument,
     beside,
     command,
     context_of,
+    flag,
+    integer,
     number,
     option,
+    output,
+    page,
+    pair,
     words_of,
 )
 from dehyst.operations.paths import Zero
 from dehyst.operations.run import Result, Run, perform
 from dehyst.operations.start import Start
 
+_BESIDE = beside("names")
+
 
 @command("sample")
-@click.argument("file", type=INPUT)
-@option("-o", "--output", type=OUTPUT)
-@option("--size", type=int, default=2, help="How large.")
-@option("--pair", type=(float, float))
-@option("--names", multiple=True)
-@option("--others", type=INPUT, multiple=True)
-@option("--fast", is_flag=True)
-@option("--home/--no-home", default=None)
-@number("--deep", only=beside("names"))
-@option("--report", type=PAGE)
-def sample(run, **values):
+def sample(
+    run,
+    file=argument(),
+    output=output("", required=False),
+    size=integer("How large.", default=2),
+    pair=pair(""),
+    names=option("", multiple=True),
+    others=option("", INPUT, multiple=True),
+    fast=flag(""),
+    home=option("", words="--home/--no-home", default=None),
+    deep=number("", _BESIDE),
+    report=page(),
+):
     """Show what an operation is."""
-    return Result(json.loads(json.dumps(values, default=str)), [run.command], good=values["size"] < 5)
+    values = {key: value for key, value in locals().items() if key != "run"}
+    return Result(json.loads(json.dumps(values, default=str)), [run.command], good=size < 5)
 
 
 @pytest.fixture(autouse=True)
@@ -114,11 +123,13 @@ def test_a_text_that_is_no_value_is_refused_with_what_is_needed(kind, wrong):
 
 
 def test_axes_have_values_of_their_own_and_in_common():
-    assert limits_of("xy", [("0", 100), ("x=-5", 120)]) == [(-5, 120), (0, 100)]
-    assert numbers_of("xy", ["none", "y=5"], "slew_rate") == [float("inf"), 5]
-    for wrong in (["z=1"], ["1", "2"]):
+    kind = AxisNumber("V/S", none=True)
+    assert [kind.convert(text, None, None) for text in ("none", "y=5")] == [("", float("inf")), ("y", 5)]
+    assert limits_of("xy", [(("", 0), 100), (("x", -5), 120)]) == [(-5, 120), (0, 100)]
+    assert of_axes("xy", [("", 1), ("y", 5)], "slew_rate") == [1, 5]
+    for wrong in ([("z", 1)], [("", 1), ("", 2)]):
         with pytest.raises(ValueError, match="need"):
-            numbers_of("xy", wrong, "slew_rate")
+            of_axes("xy", wrong, "slew_rate")
 
 
 COMMANDS = dict(commands())

@@ -7,7 +7,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -53,12 +53,6 @@ class TerminalRun(Run):
         with suppress(OSError):
             os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
 
-    def watch(self) -> AbstractContextManager[Any]:
-        """Show the steps of a calibration."""
-        from dehyst.cli.progress import Progress
-
-        return Progress()
-
 
 def run_command(ctx: click.Context) -> None:
     """Run the operation of a command; print its result or its error, and exit with its status."""
@@ -84,11 +78,8 @@ def run_command(ctx: click.Context) -> None:
     if as_json:
         echo_json(result.as_dict())
     else:
-        for line in (result.more or result.lines) if details else result.lines:
+        for line in result.printed(details=bool(details)):
             echo(line)
-        if result.more and not details:
-            echo()
-            echo("Add --verbose for all that was found.")
         sys.stdout.flush()
     for warning in (*result.warnings, *(result.remarks if details else ())):
         note(warning)

@@ -29,7 +29,7 @@ class Commands(click.Group):
     def __init__(self, name: str, **extra: Any) -> None:
         super().__init__(name, **extra)
         self.journey: dict[str, dict[str, str]] = {
-            heading: {name: entry.words for name, entry in entries.items()} for heading, entries in JOURNEY.items()
+            heading: {name: words for name, (_, words) in entries.items()} for heading, entries in JOURNEY.items()
         }
         for own, (_, heading, words) in _OWN.items():
             self.journey[heading][own] = words

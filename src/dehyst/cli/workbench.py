@@ -12,18 +12,22 @@ from pathlib import Path
 
 import click
 
-from dehyst.operations.command import command, number, option
+from dehyst.operations.command import argument, command, integer, number, option
 from dehyst.operations.run import Result, Run
 from dehyst.workbench import serve
 from dehyst.workbench.serving import Door
 
+_FOLDER = click.Path(path_type=Path)
+
 
 @command("workbench", returns=False)
-@click.argument("folder", type=click.Path(path_type=Path), default="dehyst-workbench")
-@option("--port", type=int, help="0: any that is free; default: 8754, or any.")
-@option("--browser/--no-browser", default=True, help="Open the page.")
-@number("--max-size", default=500.0, help="Largest file to receive [MB].")
-def workbench(run: Run, folder: Path, port: int | None, browser: bool, max_size: float) -> Result:
+def workbench(
+    run: Run,
+    folder: Path = argument(_FOLDER, required=False, default="dehyst-workbench"),
+    port: int | None = integer("0: any that is free; default: 8754, or any."),
+    browser: bool = option("Open the page.", words="--browser/--no-browser", default=True),
+    max_size: float = number("Largest file to receive [MB].", default=500.0),
+) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
     Everything is kept in FOLDER, with a script of the commands that would do the same. The page is served to this

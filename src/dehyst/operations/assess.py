@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import click
-
-from dehyst._errors import ModelError
+from dehyst._errors import FileFormatError
+from dehyst._io import unwritten, write_atomically
 from dehyst.control import PathPlan, plan_path
-from dehyst.model import needs_time
-from dehyst.operations.axes import AxesModel, AxisText, is_stage
-from dehyst.operations.check_log import append_checks, read_log
-from dehyst.operations.command import (
-    CONTINUED,
-    INPUT,
-    NUMBER,
-    Only,
-    Parsed,
-    Values,
-    command,
-    number,
-    option,
-    output,
-    page,
-)
-from dehyst.operations.files import RECORD, Columns, clock_of, columns_option
-from dehyst.operations.paths import Zero, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.axes import AxesModel, AxisNumbers, of_one_axis, slew_option
+from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, number, option, output, page, pair
+from dehyst.operations.files import COLUMNS, RECORD, Columns, clock_of
+from dehyst.operations.paths import ZERO, Zero, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.operations.start import Start, starts_of
-from dehyst.records import read_table
+from dehyst.operations.start import START, Start, starts_of
+from dehyst.records import percent, read_table
 from dehyst.report import write_insight
 from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
@@ -39,39 +27,24 @@ from dehyst.trust import update as update_one
 from dehyst.trust.changes import NOUNS
 
 
-def _single(given: Values) -> bool:
-    return not is_stage(given["model"])
-
-
-_of_one = Only(_single, "with a model of several axes")
-_of_path = Only(lambda given: _single(given) and "trajectory" in given, "without --trajectory, on a model of one axis")
+def _of_path(given: Values) -> str:
+    return of_one_axis(given) or ("" if "trajectory" in given else "without --trajectory")
 
 
 @command("insight", details=True)
-@click.argument("model", type=INPUT)
-@click.argument("records", type=INPUT, nargs=-1, required=True)
-@option(
-    "--trajectory", type=INPUT, only=_of_one, help="Show the promise of the path in this file, as compensate plans it."
-)
-@option("--zero", type=Parsed(Zero), only=_of_path, help="Zero of the trajectory, as in compensate.")
-@option("--start", type=Parsed(Start), only=_of_path, help="State before the trajectory, as in compensate.")
-@option(
-    "--limits", type=(NUMBER, NUMBER), metavar="LOW HIGH", help="Voltages allowed [V]; default: those of the model."
-)
-@option("--slew-rate", type=AxisText("V/S|none", none=True), only=_of_path, help="Of the trajectory, as in compensate.")
-@page()
-@columns_option
 def insight(
     run: Run,
-    model: Path,
-    records: tuple[Path, ...],
-    trajectory: Path | None,
-    zero: Zero | None,
-    start: Start | None,
-    limits: tuple[float, float] | None,
-    slew_rate: str | None,
-    report: Path | None,
-    columns: Columns,
+    model: Path = argument(),
+    records: tuple[Path, ...] = argument(nargs=-1),
+    trajectory: Path | None = option(
+        "Show the promise of the path in this file, as compensate plans it.", INPUT, of_one_axis
+    ),
+    zero: Zero | None = option("Zero of the trajectory, as in compensate.", ZERO, _of_path),
+    start: Start | None = option("State before the trajectory, as in compensate.", START, _of_path),
+    limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
+    slew_rate: AxisNumbers = slew_option("Of the trajectory, as in compensate.", _of_path),
+    report: Path | None = page(),
+    columns: Columns = COLUMNS,
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
@@ -85,11 +58,13 @@ def insight(
     if known.stage is not None:
         whole = insight_one(known.stage, training, **asked)
         assessed: Insight | StageInsight = whole
-        found, fields, head = whole.insights, whole.as_dict(), list(whole.lines())
+        found, head = whole.insights, list(whole.lines())
     else:
-        plan = None if trajectory is None else _planned(run, known, trajectory, columns, limits, slew_rate, zero, start)
-        alone = insight_one(known.actuators[0], training, plan=plan, **asked)
-        assessed, found, fields, head = alone, (alone,), alone.as_dict(), []
+        plan = None
+        if trajectory is not None:
+            plan = _planned(run, known, trajectory, columns, limits, known.slews(slew_rate)[0].bound, zero, start)
+        assessed = insight_one(known.actuators[0], training, plan=plan, **asked)
+        found, head = (assessed,), []
     if report is not None:
         run.progress("drawing the page")
         write_insight(report, assessed, command=run.command)
@@ -100,7 +75,7 @@ def insight(
         return [*head, *(line for own in each for line in own), *files(Report=report)]
 
     good = not any(part.warnings() for part in found)
-    return Result(fields, lines(full=False), lines(full=True), good=good)
+    return Result(assessed.as_dict(), lines(full=False), lines(full=True), good=good)
 
 
 def _planned(
@@ -109,7 +84,7 @@ def _planned(
     trajectory: Path,
     columns: Columns,
     limits: tuple[float, float] | None,
-    slew_rate: str | None,
+    slew_rate: float | None,
     zero: Zero | None,
     start: Start | None,
 ) -> PathPlan:
@@ -120,54 +95,49 @@ def _planned(
     own, clock = (name if name in table.names else None for name in (columns.displacement, columns.time))
     path = table.column("displacement", columns.wanted or own)
     time = clock_of(table, Columns(time=clock)).get("time_s")
-    if needs_time(actuator) and time is None:
-        raise ModelError(
-            argument=str(trajectory), got="no time column", need="one: this model depends on time", hint="add time_s"
-        )
     begins, remarks = starts_of(known, start, [limits], columns)
     path = path + zero_of_path(actuator, limits, zero, begins[0])
     warmth = temperature_of(known, None, columns, table, path.size, remark=run.note)
-    rows = path[:, None]
-    for remark in [*remarks, *reach_remarks(actuator, known.targets(rows).T[0], limits, zero, warmth)]:
+    for remark in [*remarks, *reach_remarks(actuator, path, limits, zero, warmth)]:
         run.note(remark)
-    (slew,) = known.slews([] if slew_rate is None else [slew_rate])
-    return known.planned(plan_path, rows, [limits], [slew.bound], time=time, temperature=warmth, start=begins)[0]
+    rows = path[:, None]
+    return known.planned(plan_path, rows, [limits], [slew_rate], time=time, temperature=warmth, start=begins)[0]
 
 
 @command("check")
-@click.argument("model", type=INPUT)
-@click.argument("record", type=INPUT)
-@number("--goal", help="Largest error [% of the stroke] of a model that is still true; default: the model's, or 1.")
-@option("--log", type=CONTINUED, help="Append the check to this table (CSV), one row an axis; --force begins it anew.")
-@columns_option
-def check(run: Run, model: Path, record: Path, goal: float | None, log: Path | None, columns: Columns) -> Result:
+def check(
+    run: Run,
+    model: Path = argument(),
+    record: Path = argument(),
+    goal: float | None = number(
+        "Largest error [% of the stroke] of a model that is still true; default: the model's, or 1."
+    ),
+    log: Path | None = option(
+        "Append the check to this table (CSV), one row an axis; --force begins it anew.", CONTINUED
+    ),
+    columns: Columns = COLUMNS,
+) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.
 
     The status is 0 if the model is still true, 1 if not.
     """
-    before = None if log is None else read_log(log, again=run.force)
+    before = b"" if log is None else _read_log(log, again=run.force)
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on a record")
     measured = known.record(run, record, columns)
-    if known.stage is None:
-        found = [check_one(known.actuators[0], measured, goal=goal)]
-        coupling, good = None, found[0].good
-    else:
-        stage = check_one(known.stage, measured, goal=goal)
-        found, coupling, good = [*stage.rechecks], stage.as_dict(), stage.good
-    if log is not None and before is not None:
-        append_checks(log, before, dict(zip(known.axes, found, strict=True)))
-    lines: list[str] = []
-    warnings: list[str] = []
-    for axis, recheck in zip(known.axes, found, strict=True):
-        warnings += [f"{axis}: {recheck.mismatch}" if axis else recheck.mismatch] if recheck.mismatch else []
-        lines += [f"Axis {axis}", *_check_lines(recheck), ""] if axis else _check_lines(recheck)
-    if coupling is None:
-        return Result(found[0].as_dict(), [*lines, *files(Log=log)], warnings=warnings, good=good)
-    lines.append("Coupling: changed" if coupling["changes"] else "Coupling: as in the model")
-    lines += [*(f"  - {sentence}" for sentence in coupling["changes"]), *files(Log=log)]
-    fields = {**coupling, "axes": known.by_axis([recheck.as_dict() for recheck in found])}
-    return Result(fields, lines, warnings=warnings, good=good)
+    whole: Any = check_one(known.stage or known.actuators[0], measured, goal=goal)
+    found: Sequence[Recheck] = [whole] if known.stage is None else whole.rechecks
+    if log is not None:
+        _append_checks(log, before, dict(zip(known.axes, found, strict=True)))
+    warnings = known.prefixed([recheck.mismatch] if recheck.mismatch else [] for recheck in found)
+    lines, fields = [*_check_lines(found[0])], whole.as_dict()
+    if known.stage is not None:
+        each = zip(known.axes, found, strict=True)
+        lines = [line for axis, recheck in each for line in (f"Axis {axis}", *_check_lines(recheck), "")]
+        lines.append("Coupling: changed" if fields["changes"] else "Coupling: as in the model")
+        lines += [f"  - {sentence}" for sentence in fields["changes"]]
+        fields |= {"axes": known.by_axis([recheck.as_dict() for recheck in found])}
+    return Result(fields, [*lines, *files(Log=log)], warnings=warnings, good=whole.good)
 
 
 def _check_lines(recheck: Recheck) -> Iterator[str]:
@@ -190,13 +160,48 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
         yield from (f"  - {remark}" for remark in recheck.remarks)
 
 
+_LOGGED = "date,record,model,axis,standing,error_percent,rms_percent,goal_percent,promised_percent,promise_kept,changes"
+
+
+def _read_log(path: Path, *, again: bool) -> bytes:
+    """Return a table of checks, or the header of one that begins; raise `FileFormatError` if it is another table."""
+    try:
+        before = (path.read_bytes() if path.exists() and not again else b"") or _LOGGED.encode()
+    except OSError as error:
+        raise unwritten(path, error) from error
+    if before.split(b"\n")[0].rstrip() != _LOGGED.encode():
+        words = f"has other columns than a table of checks, {_LOGGED}"
+        raise FileFormatError(f"{path}: {words}; give another name with --log")
+    return before
+
+
+def _append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> None:
+    """Write a table of checks with another row for the check of each axis."""
+    stream, now = io.StringIO(), f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    csv.writer(stream, lineterminator="\n").writerows(_row(now, axis, check) for axis, check in checks.items())
+    write_atomically(path, before.rstrip(b"\n") + b"\n" + stream.getvalue().encode())
+
+
+def _row(now: str, axis: str, check: Recheck) -> list[str]:
+    """Return a check by column; a number that is not known is empty."""
+    errors = [f"{percent(part, check.stroke):.4g}" for part in (check.without_noise, check.rms)]
+    promised = ["", ""]
+    if check.promise is not None:
+        promised = [f"{percent(check.promise.largest, check.stroke):.4g}", "yes" if check.kept else "no"]
+    changes = (f"{new.name} {'-' if new.value < 0 else '+'}{new.amount(check.stroke)}" for new in check.changed)
+    known = [now, check.record, check.model, axis, check.standing.value]
+    return [*known, *errors, f"{check.goal:.4g}", *promised, "; ".join(changes)]
+
+
 @command("update")
-@click.argument("model", type=INPUT)
-@click.argument("record", type=INPUT)
-@output("Write the new model here (JSON).")
-@number("--goal", help="Largest error allowed [% of the stroke]; default: the model's, or 1.")
-@columns_option
-def update(run: Run, model: Path, record: Path, output: Path, goal: float | None, columns: Columns) -> Result:
+def update(
+    run: Run,
+    model: Path = argument(),
+    record: Path = argument(),
+    output: Path = output("Write the new model here (JSON)."),
+    goal: float | None = number("Largest error allowed [% of the stroke]; default: the model's, or 1."),
+    columns: Columns = COLUMNS,
+) -> Result:
     """Update a MODEL from a new RECORD of its actuator, even of a single loop, and report what has changed.
 
     If no updated model predicts the record better, the output is the old model; a record on which it does not keep its
@@ -206,19 +211,12 @@ def update(run: Run, model: Path, record: Path, output: Path, goal: float | None
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on a record")
     measured = known.record(run, record, columns)
-    coupling: tuple[str, ...] = ()
-    if known.stage is None:
-        found = update_one(known.actuators[0], measured, goal=goal)
-        found.actuator.save(output)
-        fields, updates, good = found.as_dict(), [found], found.good
-    else:
-        stage = update_one(known.stage, measured, goal=goal)
-        stage.stage.save(output)
-        fields, updates, good = stage.as_dict(), [*stage.updates], stage.good
-        coupling = stage.coupling_changes
-    lines = known.prefixed(_update_lines(update) for update in updates)
-    lines += files(Model=output)
-    return Result({**fields, "output": str(output)}, lines, warnings=coupling, good=good)
+    found: Any = update_one(known.stage or known.actuators[0], measured, goal=goal)
+    (found.actuator if known.stage is None else found.stage).save(output)
+    updates = [found] if known.stage is None else found.updates
+    coupling = () if known.stage is None else found.coupling_changes
+    lines = [*known.prefixed(map(_update_lines, updates)), *files(Model=output)]
+    return Result({**found.as_dict(), "output": str(output)}, lines, warnings=coupling, good=found.good)
 
 
 def _update_lines(update: Update) -> Iterator[str]:

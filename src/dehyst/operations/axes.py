@@ -13,22 +13,25 @@ import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
-from dehyst._units import quantity_of
 from dehyst.control import Compensator, PathPlan, StageCompensator
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
-from dehyst.operations.command import NUMBER, Decorator, option
+from dehyst.operations.command import NUMBER, Condition, Values, option
 from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, implausible, is_model, read_model, values_of
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import Entry, columns_of_axis
 from dehyst.records.files import record_of
-from dehyst.records.formats.column import GUESS, QUANTITIES, listed, plausible_unit
 from dehyst.records.tables import ColumnError
 
+Limits = tuple[float, float] | None
+# Numbers, and limits, of an axis, or of all axes, "".
+AxisNumbers = Sequence[tuple[str, float]]
+AxisLimits = Sequence[tuple[tuple[str, float], float]]
 
-class AxisText(click.ParamType):  # type: ignore[type-arg]
-    """A text [AXIS=]NUMBER, of one axis or of all; with `none` also [AXIS=]none."""
+
+class AxisNumber(click.ParamType):  # type: ignore[type-arg]
+    """A number [AXIS=]NUMBER of an axis, or of all axes, "", if none is named; `none`: "none" is infinite."""
 
     def __init__(self, name: str, *, none: bool = False) -> None:
         self.name, self.none = name, none
@@ -38,25 +41,21 @@ class AxisText(click.ParamType):  # type: ignore[type-arg]
         return self.name
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the text, if its number can be read."""
-        number = value.rpartition("=")[2]
-        try:
-            _ = (self.none and number == "none") or float(number)
-        except ValueError:
-            self.fail(f"got {value!r}, need a number{' or none' if self.none else ''}", param, ctx)
-        return value
+        """Return the axis and its number."""
+        if isinstance(value, tuple):
+            return value
+        axis, _, text = value.rpartition("=")
+        return axis, math.inf if self.none and text == "none" else NUMBER.convert(text, param, ctx)
 
 
-def limits_option(text: str, **settings: Any) -> Decorator:
-    """Return the option for the limits of all axes or of one."""
-    pair = AxisText("[AXIS=]LOW"), NUMBER
-    return option("--limits", type=pair, multiple=True, metavar="[AXIS=]LOW HIGH", help=text, **settings)
+def limits_option(text: str, *only: Condition) -> Any:
+    """Return the declaration of an option for the limits of all axes or of one."""
+    return option(text, (AxisNumber("[AXIS=]LOW"), NUMBER), *only, multiple=True, metavar="[AXIS=]LOW HIGH")
 
 
-def slew_option(text: str, **settings: Any) -> Decorator:
-    """Return the option for the slew rates of all axes or of one."""
-    rate = AxisText("[AXIS=]V/S|none", none=True)
-    return option("--slew-rate", type=rate, multiple=True, help=text, **settings)
+def slew_option(text: str, *only: Condition) -> Any:
+    """Return the declaration of an option for the slew rates of all axes or of one."""
+    return option(text, AxisNumber("[AXIS=]V/S|none", none=True), *only, multiple=True)
 
 
 class PathSlew(NamedTuple):
@@ -69,17 +68,11 @@ class PathSlew(NamedTuple):
     origin: str
 
     @property
-    def asked(self) -> float | None:
-        """The slew rate that is asked for: infinite for none, None by default."""
-        return None if self.origin == "default" else math.inf if self.bound is None else self.bound
-
-    @property
-    def words(self) -> str:
-        """The slew rate and its origin as text."""
-        if self.bound is not None:
-            kept = ", which the model keeps; --slew-rate takes another" if self.origin == "model" else ""
-            return f"slew rate: at most {self.bound:.4g} V/s{kept}"
-        return f"slew rate: not limited{' (--slew-rate V/S limits it)' if self.origin == 'default' else ''}"
+    def words(self) -> list[str]:
+        """A line on a slew rate that the model keeps."""
+        if self.origin != "model":
+            return []
+        return [f"slew rate: at most {self.bound:.4g} V/s, which the model keeps; --slew-rate takes another"]
 
     def fields(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -103,21 +96,19 @@ def of_axes(axes: Sequence[str], given: Iterable[tuple[str, Any]], name: str) ->
     return [found.get(axis, found.get("")) for axis in axes]
 
 
-def limits_of(axes: Sequence[str], given: Iterable[tuple[str, float]]) -> list[tuple[float, float] | None]:
-    """Return the limits [V] of each axis from texts [AXIS=]LOW and numbers HIGH."""
-    parts = ((low.rpartition("="), high) for low, high in given)
-    return of_axes(axes, ((axis, (float(low), high)) for (axis, _, low), high in parts), "limits")
-
-
-def numbers_of(axes: Sequence[str], given: Iterable[str], name: str) -> list[float | None]:
-    """Return the number of each axis from texts [AXIS=]NUMBER; infinite for none."""
-    parts = (text.rpartition("=") for text in given)
-    return of_axes(axes, ((axis, math.inf if text == "none" else float(text)) for axis, _, text in parts), name)
+def limits_of(axes: Sequence[str], given: AxisLimits) -> list[Limits]:
+    """Return the limits [V] of each axis from pairs of an axis and a number, each with the upper limit."""
+    return of_axes(axes, ((axis, (low, high)) for (axis, low), high in given), "limits")
 
 
 def is_stage(path: Path) -> bool:
     """Return whether a file is a model of several axes, by its format alone."""
     return is_model(path, "dehyst-stage")
+
+
+def of_one_axis(given: Values) -> str:
+    """Return why an option has no effect on a model of several axes; empty for a model of one axis."""
+    return "with a model of several axes" if is_stage(given["model"]) else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,15 +134,15 @@ class AxesModel:
         if not is_stage(path):
             return cls(None, (read_model(run, path),), ("",))
         stage = Stage.load(path)
-        for axis, actuator in zip(stage.axes, stage.actuators, strict=True):
-            for sentence in implausible(actuator):
-                run.note(f"{path}: {axis}: {sentence}")
-        return cls(stage, stage.actuators, stage.axes)
+        known = cls(stage, stage.actuators, stage.axes)
+        for sentence in known.prefixed(map(implausible, stage.actuators)):
+            run.note(f"{path}: {sentence}")
+        return known
 
-    def slews(self, given: Iterable[str]) -> list[PathSlew]:
+    def slews(self, given: AxisNumbers) -> list[PathSlew]:
         """Return the slew rate of each axis: the given one, the one that its model keeps, or none."""
         found = []
-        for actuator, rate in zip(self.actuators, numbers_of(self.axes, given, "slew_rate"), strict=True):
+        for actuator, rate in zip(self.actuators, of_axes(self.axes, given, "slew_rate"), strict=True):
             known = actuator.identification
             kept = None if known is None else known.allowed_slew_rate
             if rate is not None:
@@ -164,7 +155,7 @@ class AxesModel:
         self,
         plan: Callable[..., PathPlan],
         rows: Array,
-        limits: Sequence[tuple[float, float] | None],
+        limits: Sequence[Limits],
         slew_rates: Sequence[float | None],
         **options: Any,
     ) -> list[PathPlan]:
@@ -189,16 +180,9 @@ class AxesModel:
         pairs = zip(self.axes, sentences, strict=True)
         return [f"{axis}: {sentence}" if axis else sentence for axis, own in pairs for sentence in own]
 
-    def targets(self, displacement: Array, temperature: float | Array | None = None) -> Array:
-        """Return the displacement (n, axes) [m] of each actuator for a displacement of the axes.
-
-        `temperature` (n,) or a number [degC]: of the displacement; the result is at the reference of each actuator.
-        """
-        moved = displacement if self.stage is None else apply(self.stage.decoupling, displacement)
-        if temperature is None:
-            return moved
-        pairs = zip([actuator.thermal for actuator in self.actuators], moved.T, strict=True)
-        return np.column_stack([thermal.at_reference(y, temperature) if thermal else y for thermal, y in pairs])
+    def targets(self, displacement: Array) -> Array:
+        """Return the displacement (n, axes) [m] of each actuator for a displacement of the axes."""
+        return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
 
     def moved(self, targets: Array) -> Array:
         """Return the displacement (n, axes) of the axes for a displacement of each actuator."""
@@ -221,7 +205,10 @@ class AxesModel:
     def record(self, run: Run, path: Path, columns: Columns) -> Record:
         """Read a record: by the given columns, else by those of the model's own records, else by the usual names."""
         if self.stage is not None:
-            return read(path, self._of_records(columns))
+            if not columns.axes and not self.stage.recorded_columns:
+                words = "the model does not name its columns"
+                raise FileFormatError(words, argument="axes", hint="give those of each axis")
+            return read(path, columns if columns.axes else replace(columns, axes=self._recorded()))
         known = self.actuators[0].identification
         if columns != AS_FOUND or known is None or not known.columns:
             return read(path, columns)
@@ -234,16 +221,6 @@ class AxesModel:
             f"{path.name}: read by the columns of the model's own records, {known.columns}; --columns takes others"
         )
         return record_of(table, kept, path.stem)
-
-    def _of_records(self, columns: Columns) -> Columns:
-        """Return the columns of records: with those of each axis that were given, or else of the model's records."""
-        if self.stage is None or columns.axes:
-            return columns
-        if not self.stage.recorded_columns:
-            raise FileFormatError(
-                "the model does not name its columns", argument="axes", hint="give those of each axis"
-            )
-        return replace(columns, axes=self._recorded())
 
     def _recorded(self) -> dict[str, str]:
         """Return the columns of the records of a stage by axis; none if it does not name them."""
@@ -288,30 +265,10 @@ class AxesModel:
             if len(set(own)) < len(own):
                 got = ", ".join(f"{axis}={name}" for axis, name in names.items())
                 raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
-        else:
-            self._demand_named(table, quantity, names)
         middle = self.moved(np.array([[0.5 * sum(actuator.reach) for actuator in self.actuators]]))[0]
-        return np.column_stack(
-            [
-                np.full(table.rows, middle[j])
-                if names[axis] == MIDDLE
-                else self.column(table, quantity, axis, names[axis])
-                for j, axis in enumerate(self.axes)
-            ]
-        )
 
-    def _demand_named(self, table: Table, quantity: str, names: Mapping[str, str]) -> None:
-        """Raise an error that proposes columns if a table lacks one of these columns of the axes."""
-        missing = [axis for axis in self.axes if not table.fitting(quantity, names[axis])]
-        if not missing:
-            return
-        fits = [*dict.fromkeys(column.name for column in table.columns if quantity_of(column.parts[1]) == quantity)]
-        clocks = {*QUANTITIES["time"].words.split(", ")}
-        bare = [column for column in table.columns if not column.parts[1] and not column.words & clocks]
-        fits += [f"{column.name}:{unit}{GUESS}" for column in bare if (unit := plausible_unit(quantity, column.data))]
-        fits += [f"NAME:{'V' if quantity == 'voltage' else 'um'}"] * len(self.axes)
-        proposal = ", ".join(f"{axis}={fit}" for axis, fit in zip(self.axes, fits, strict=False))
-        raise FileFormatError(
-            f"{table.source}: no column '{names[missing[0]]}' for the {quantity} of the axis {missing[0]}",
-            hint=f'the file holds {listed(table.names)}. Name the column of each axis, as --columns "{proposal}"',
-        )
+        def values(axis: str, place: float) -> Array:
+            rests = names[axis] == MIDDLE
+            return np.full(table.rows, place) if rests else self.column(table, quantity, axis, names[axis])
+
+        return np.column_stack([*map(values, self.axes, middle.tolist())])

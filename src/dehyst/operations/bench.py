@@ -1,29 +1,78 @@
-"""`calibrate`: the whole experiment on an instrument."""
+"""`calibrate`: the whole experiment on an instrument, and the progress of what runs on one."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-import click
+import numpy as np
 
 from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_own_folder
+from dehyst._types import Array
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.plan import read_voltage, steps
+from dehyst.calibration.session import ProgressListener
 from dehyst.identification import Fit
-from dehyst.instruments import AbstractRig, open_rig
-from dehyst.operations.axes import limits_of, limits_option, numbers_of, slew_option
-from dehyst.operations.command import CONTINUED, INPUT, Only, Values, command, number, option, output
+from dehyst.instruments import AbstractRig, Samples, open_rig
+from dehyst.operations.axes import AxisLimits, AxisNumbers, limits_of, limits_option, of_axes, slew_option
+from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, flag, number, option, output
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_report
 
 REPORT = "report.html"
+_ANEW = "give another -o to measure anew"
+
+
+class Steps(ProgressListener):
+    """A listener of a calibration, for a with-statement: a note where a step begins and ends, progress in between."""
+
+    def __init__(self, run: Run) -> None:
+        self._run, self._name, self._seconds = run, "", 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._end("done in" if kind is None else "failed after")
+
+    def step(self, name: str, seconds: float = 0.0) -> None:
+        """End the present step and begin another; it plays for `seconds` [s], 0 if it computes."""
+        self._end("done in")
+        self._name, self._seconds, self._began = name, seconds, time.monotonic()
+        self._count, self._largest, self._first = 0, 0.0, 0.0
+        self._run.note(f"{name}: begins" + (f", {seconds:.1f} s" if seconds else ""))
+
+    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
+        """Show received samples; `expected` (n,) [m], NaN where none is, and the `stroke` [m] give their error."""
+        self._first = self._first if self._count else float(samples.time[0])
+        self._count += samples.time.size
+        if expected is not None and stroke:
+            error = 100 * np.abs(samples.displacement - expected) / stroke
+            self._largest = max(self._largest, float(np.max(error, initial=0.0, where=np.isfinite(error))))
+        played = float(samples.time[-1]) - self._first
+        self._run.progress(f"{self._name}: {played:.0f} of {self._seconds:.0f} s, {self._told()}")
+
+    def message(self, text: str) -> None:
+        """Show the present activity of the step."""
+        self._run.progress(f"{self._name}: {text}")
+
+    def _told(self) -> str:
+        off = f", off the path by at most {self._largest:.3f} % of the stroke" if self._largest else ""
+        return f"{self._count} samples{off}" if self._count else ""
+
+    def _end(self, how: str) -> None:
+        if self._name:
+            self._run.progress("")
+            words = [f"{time.monotonic() - self._began:.1f} s", self._told()]
+            self._run.note(f"{self._name}: {how} {', '.join(filter(None, words))}")
+        self._name = ""
 
 
 def _names(given: Values) -> list[str] | None:
@@ -34,30 +83,28 @@ def _names(given: Values) -> list[str] | None:
     return last.split(",") if given["rig"].lower().startswith("pi://") and "," in last else None
 
 
-_single = Only(lambda given: _names(given) is None, "with several axes")
+def _single(given: Values) -> str:
+    return "" if _names(given) is None else "with several axes"
 
 
 @command("calibrate")
-@click.argument("rig")
-@output("Folder: new, empty, or an earlier calibration's, which goes on.", CONTINUED, default="dehyst-calibration")
-@option("--axes", help="Calibrate these axes of one body together, as 1,2,3; default: one axis.")
-@limits_option("Range of the voltage [V]; default: the device's.")
-@slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s.")
-@number("--frequency", help="Cycles per second [Hz] of the slowest loops; default: 0.1, and 1 for several axes.")
-@option("--protocol", type=INPUT, multiple=True, only=_single, help="Record these voltages of dehyst excite instead.")
-@number("--goal", default=1.0, help="Largest error [% of the stroke] of a good calibration, on every axis.")
-@option("--dry-run", is_flag=True, help="Print what would be sent, and send nothing.")
 def calibrate(
     run: Run,
-    rig: str,
-    output: Path,
-    axes: str | None,
-    limits: Sequence[tuple[str, float]],
-    slew_rate: Sequence[str],
-    frequency: float | None,
-    protocol: tuple[Path, ...],
-    goal: float,
-    dry_run: bool,
+    rig: str = argument(None),
+    output: Path = output(
+        "Folder: new, empty, or an earlier calibration's, which goes on.", CONTINUED, default="dehyst-calibration"
+    ),
+    axes: str | None = option("Calibrate these axes of one body together, as 1,2,3; default: one axis."),
+    limits: AxisLimits = limits_option("Range of the voltage [V]; default: the device's."),
+    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s."),
+    frequency: float | None = number(
+        "Cycles per second [Hz] of the slowest loops; default: 0.1, and 1 for several axes."
+    ),
+    protocol: tuple[Path, ...] = option(
+        "Record these voltages of dehyst excite instead.", INPUT, _single, multiple=True
+    ),
+    goal: float = number("Largest error [% of the stroke] of a good calibration, on every axis.", default=1.0),
+    dry_run: bool = flag("Print what would be sent, and send nothing."),
 ) -> Result:
     """Home, excite, record, identify, compensate and measure the actuator on RIG.
 
@@ -68,19 +115,15 @@ def calibrate(
     """
     names = _names({"rig": rig, "axes": axes})
     every = names or [""]
-    allowed, rates = limits_of(every, limits), numbers_of(every, slew_rate, "slew_rate")
-    steepest = [None if rate is None or rate == math.inf else rate for rate in rates]
-    played = tuple(map(read_voltage, protocol))
-    plan = Plan(protocol=played, frequency=frequency, goal=goal)
+    allowed, rates = limits_of(every, limits), of_axes(every, slew_rate, "slew_rate")
+    steepest = [None if rate == math.inf else rate for rate in rates]
+    plan = Plan(protocol=tuple(map(read_voltage, protocol)), frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():
         demand_own_folder(output, "records", "", force=run.force)
     # A rig of one axis need not know lists.
     several = len(every) > 1
-    bounds, steep = allowed if several else allowed[0], steepest if several else steepest[0]
-    with (
-        _left(output),
-        open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument,
-    ):
+    bounds, steep = (allowed, steepest) if several else (allowed[0], steepest[0])
+    with _left(output), open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument:
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
         for part, wanted, rate in zip(instrument.rigs, allowed, rates, strict=True):
@@ -90,16 +133,12 @@ def calibrate(
         if dry_run:
             return _planned(instrument, plan)
         calibration = _calibrated(run, instrument, output, plan)
-    kept = calibration.kept
-    warnings = []
-    if kept:
-        warnings.append(f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}; {_ANEW}")
+    warnings: Sequence[str] = calibration.warnings()
+    if kept := calibration.kept:
+        played = f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}; {_ANEW}"
+        warnings = [played, *warnings]
     fields = {**calibration.as_dict(), "output": str(output)}
-    warnings += calibration.warnings()
     return Result(fields, [*_lines(calibration, output)], warnings=warnings, good=calibration.good)
-
-
-_ANEW = "give another -o to measure anew"
 
 
 @contextmanager
@@ -151,10 +190,10 @@ def _step_lines(planned: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
-    if len(rig.axes) > 1:
-        for line in _step_lines([step.as_dict(rig) for step in steps(rig, plan)]):
-            run.note(line)
-    with run.watch() as watcher:
+    """Return the calibration of a rig, with its report."""
+    for line in _step_lines([step.as_dict(rig) for step in steps(rig, plan)]) if len(rig.axes) > 1 else ():
+        run.note(line)
+    with Steps(run) as watcher:
         calibration = run_calibration(rig, output, plan=plan, watcher=watcher)
         watcher.step("report")
         followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
@@ -164,20 +203,15 @@ def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibra
 
 
 def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
-    fit, several = calibration.fit, bool(calibration.compensated.axes)
-    if isinstance(fit, Fit):
-        yield fit.outcome.value
-        for error in fit.errors:
-            errors = f"largest {error.largest_percent:6.3f} %  RMS {error.rms_percent:6.3f} % of the stroke"
-            yield f"  {error.record:12s} {error.role:12s} {errors}"
-    else:
-        yield from fit.summary().split("\n")
-    what = "of all axes together, in % of the stroke of each" if several else "of nine reversals, in % of the stroke"
+    """Yield the verdict of the fit, the errors along a path, and where the files are."""
+    fit, axes = calibration.fit, calibration.compensated.axes
+    yield from fit.summary().split("\n") if not isinstance(fit, Fit) else [fit.summary().split("\n")[0]]
+    what = "of all axes together, in % of the stroke of each" if axes else "of nine reversals, in % of the stroke"
     yield f"Measured along a path {what}:"
     for name, path in (("nominal", calibration.nominal), ("compensated", calibration.compensated)):
-        for axis, tracked in zip(path.axes or ("",), path.each, strict=True):
+        for axis, tracked in zip(axes or ("",), path.each, strict=True):
             word = f"axis {axis:6s} " if axis else ""
             yield f"  {name:12s} {word}largest {tracked.largest_percent:6.3f} %  RMS {tracked.rms_percent:6.3f} %"
-    for axis, recheck in zip(path.axes or ("",), calibration.checked, strict=True):
+    for axis, recheck in zip(axes or ("",), calibration.checked, strict=True):
         yield f"axis {axis}: {recheck.sentence}" if axis else recheck.sentence
-    yield f"{'stage' if several else 'model'}.json, report.html and records: {output}"
+    yield f"{'stage' if axes else 'model'}.json, report.html and records: {output}"

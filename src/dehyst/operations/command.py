@@ -1,4 +1,4 @@
-"""Operations as commands of click: roles of paths, kinds of values, and options that are refused without an effect.
+"""Operations as commands of click: each parameter of a function declares its argument or option as its default.
 
 The function of a command gets a run and the values of its parameters, and returns a result. The command line and the
 workbench give words, which click reads; see `perform`.
@@ -6,10 +6,10 @@ workbench give words, which click reads; see `perform`.
 
 from __future__ import annotations
 
+import inspect
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -22,9 +22,10 @@ from dehyst._errors import DehystError
 from dehyst.operations import registry
 
 Values = Mapping[str, Any]
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-# A larger number is none.
-_HUGE = 1e300
+# Returns from the given values, without defaults, why an option has no effect; empty if it has one.
+Condition = Callable[[Values], str]
+# Returns the parameter of this name.
+Declaration = Callable[[str], click.Parameter]
 # Options of the command line, which are not given to the function.
 HOUSE = {"force": "--force", "details": "--verbose", "as_json": "--json"}
 
@@ -72,10 +73,10 @@ class _Number(click.types.FloatParamType):
         # Click leaves unknown options to numbers, which may be negative.
         if isinstance(value, str) and value.startswith("--"):
             raise click.NoSuchOption(value.partition("=")[0], ctx=ctx)
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
             self.fail(f"got {value}, need a finite number", param, ctx)
-        return number
+        return found
 
 
 NUMBER = _Number()
@@ -101,39 +102,63 @@ class Parsed(click.ParamType):  # type: ignore[type-arg]
             self.fail(str(error), param, ctx)
 
 
-@dataclass(frozen=True)
-class Only:
-    """A condition on the given values; if it does not hold, the option has no effect and is refused.
-
-    `words` follow "has no effect": "without --trajectory". Only given values count, not defaults.
-    """
-
-    holds: Callable[[Values], bool]
-    words: str
-
-
-def beside(name: str) -> Only:
+def beside(name: str) -> Condition:
     """Return the condition that another option is given."""
-    return Only(lambda given: given.get(name) not in (None, ()), f"without --{name}")
+    return lambda given: "" if given.get(name) not in (None, ()) else f"without --{name}"
 
 
 class ConditionalOption(click.Option):
     """An option that has an effect only under conditions."""
 
-    def __init__(self, *names: Any, only: Only | tuple[Only, ...] = (), **settings: Any) -> None:
+    def __init__(self, *names: Any, only: Sequence[Condition] = (), **settings: Any) -> None:
         super().__init__(*names, **settings)
-        self.conditions = (only,) if isinstance(only, Only) else only
+        self.conditions = only
 
 
-option = partial(click.option, cls=ConditionalOption)
-number = partial(option, type=NUMBER)
-integer = partial(option, type=int)
-page = partial(option, "--report", type=PAGE, help="Write a self-contained HTML page here.")
+def argument(kind: Any = INPUT, **settings: Any) -> Any:
+    """Return the declaration of an argument of a command."""
+    return lambda name: click.Argument([name], type=kind, **{"required": True, **settings})
 
 
-def output(text: str, role: FilePath = OUTPUT, **settings: Any) -> Decorator:
-    """Return the option for an output, by default a file that is needed."""
-    return option("-o", "--output", type=role, help=text, **{"required": not settings, **settings})
+def option(text: str, kind: Any = None, *only: Condition, words: str = "", **settings: Any) -> Any:
+    """Return the declaration of an option; `only`: its conditions, `words`: its names if they are not its own name."""
+
+    def declared(name: str) -> click.Option:
+        names = [name, *(words.split() or [f"--{name.replace('_', '-')}"])]
+        return ConditionalOption(names, help=text, type=kind, only=only, **settings)
+
+    return declared
+
+
+def number(text: str, *only: Condition, **settings: Any) -> Any:
+    """Return the declaration of an option for a finite number."""
+    return option(text, NUMBER, *only, **settings)
+
+
+def integer(text: str, *only: Condition, **settings: Any) -> Any:
+    """Return the declaration of an option for a count."""
+    return option(text, int, *only, **settings)
+
+
+def pair(text: str) -> Any:
+    """Return the declaration of an option for two numbers, the lower one first."""
+    return option(text, (NUMBER, NUMBER), metavar="LOW HIGH")
+
+
+def flag(text: str, *only: Condition, **settings: Any) -> Any:
+    """Return the declaration of an option without a value."""
+    return option(text, None, *only, **{"is_flag": True, "default": False, **settings})
+
+
+def output(text: str, role: FilePath = OUTPUT, *only: Condition, **settings: Any) -> Any:
+    """Return the declaration of the option for an output, by default a file that is needed."""
+    needed = not only and not settings
+    return option(text, role, *only, words="-o --output", **{"required": needed, **settings})
+
+
+def page(*only: Condition) -> Any:
+    """Return the declaration of the option for a page."""
+    return option("Write a self-contained HTML page here.", PAGE, *only)
 
 
 class OperationCommand(click.Command):
@@ -147,20 +172,15 @@ class OperationCommand(click.Command):
         context = {"show_default": True, "ignore_unknown_options": numbers}
         super().__init__(name, context_settings=context, **settings)
         self.short_help = " ".join((self.help or "").partition("\n\n")[0].split())
+        roles = {each.type.role for each in self.params if isinstance(each.type, FilePath)}
         shown = {
-            "force": ("Replace files that exist.", self.writes),
+            "force": ("Replace files that exist.", bool(roles - {Role.INPUT})),
             "details": ("Print all that was found.", details),
             "as_json": ("Print JSON for a program.", returns),
         }
         self.params += [
             click.Option([HOUSE[own], own], is_flag=True, help=text) for own, (text, has) in shown.items() if has
         ]
-
-    @property
-    def writes(self) -> bool:
-        """Whether the operation writes files."""
-        roles = {parameter.type.role for parameter in self.params if isinstance(parameter.type, FilePath)}
-        return bool(roles & {Role.OUTPUT, Role.FOLDER, Role.CONTINUED})
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words; an option that takes files takes all names up to the next option."""
@@ -179,13 +199,27 @@ class OperationCommand(click.Command):
         return ctx.obj(ctx)
 
 
-class Kinds(click.Group):
-    """A command with a command for each kind."""
+def command(
+    name: str, more: Mapping[str, Declaration] | None = None, group: click.Group | None = None, **settings: Any
+) -> Callable[[Callable[..., Any]], OperationCommand]:
+    """Return a decorator that makes a command of a function, whose defaults declare its parameters.
 
-    command_class = OperationCommand
+    `more`: further parameters by name, of a function that takes any. `group`: that of which the command is a kind.
+    """
+
+    def made(function: Callable[..., Any]) -> OperationCommand:
+        given = inspect.signature(function).parameters.items()
+        declared = {key: each.default for key, each in given if each.default is not each.empty} | {**(more or {})}
+        params = [declaration(key) for key, declaration in declared.items()]
+        found = OperationCommand(name, callback=function, params=params, help=inspect.getdoc(function), **settings)
+        if group is not None:
+            group.add_command(found)
+        return found
+
+    return made
 
 
-command = partial(click.command, cls=OperationCommand)
+kinds = partial(click.Group, no_args_is_help=True)
 
 
 def argument_of(error: click.UsageError) -> str:
@@ -250,10 +284,7 @@ def words_of(name: str, values: dict[str, Any]) -> list[str]:
         parameter = known[key]
         several = parameter.nargs == -1 or (isinstance(parameter, click.Option) and parameter.multiple)
         for each in value if several else [value]:
-            parts = each if isinstance(each, list | tuple) else [each]
-            if any(isinstance(part, int | float) and not abs(part) < _HUGE for part in parts):
-                raise OperationError(argument=key, got="a number that is not finite", need="a finite number")
-            texts = [*map(str, parts)]
+            texts = [*map(str, each if isinstance(each, list | tuple) else [each])]
             texts = [",".join(texts)] if parameter.nargs == 1 else texts
             if isinstance(parameter, click.Option) and parameter.is_flag:
                 options += parameter.opts if each else parameter.secondary_opts

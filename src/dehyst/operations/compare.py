@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
-
 from dehyst._errors import IdentifyError
-from dehyst.operations.command import INPUT, command, option, page
-from dehyst.operations.files import RECORD, Columns, columns_option
+from dehyst.operations.command import INPUT, argument, command, option, page
+from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import read
 from dehyst.report import write_comparison
@@ -20,18 +18,15 @@ from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
 
 
 @command("compare", details=True)
-@click.argument("records", type=INPUT, nargs=-1, required=True)
-@option("--validate", type=INPUT, multiple=True, help="Held-out records; default: the last quarter of each record.")
-@option("--only", multiple=True, help="Compare only this model; may be repeated; default: all.")
-@page()
-@columns_option
 def compare(
     run: Run,
-    records: tuple[Path, ...],
-    validate: tuple[Path, ...],
-    only: tuple[str, ...],
-    report: Path | None,
-    columns: Columns,
+    records: tuple[Path, ...] = argument(nargs=-1),
+    validate: tuple[Path, ...] = option(
+        "Held-out records; default: the last quarter of each record.", INPUT, multiple=True
+    ),
+    only: tuple[str, ...] = option("Compare only this model; may be repeated; default: all.", multiple=True),
+    report: Path | None = page(),
+    columns: Columns = COLUMNS,
 ) -> Result:
     """Compare dehyst's model with a table of two branches, a straight line and models of plug-ins, fitted to RECORDS.
 

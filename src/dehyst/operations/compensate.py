@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import click
 import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError, RecordError, of_part
+from dehyst._io import write_atomically
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._views.html import escape
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
 from dehyst.control.planning.homing import present_voltage
 from dehyst.control.planning.path import MOST_ROWS
@@ -20,21 +21,22 @@ from dehyst.model import Actuator, unusable, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
     AxesModel,
-    AxisText,
+    AxisLimits,
+    AxisNumber,
+    AxisNumbers,
+    Limits,
     PathSlew,
-    is_stage,
     limits_of,
     limits_option,
-    numbers_of,
+    of_axes,
+    of_one_axis,
     slew_option,
 )
 from dehyst.operations.command import (
-    INPUT,
     OUTPUT,
     PAGE,
-    Only,
-    Parsed,
     Values,
+    argument,
     beside,
     command,
     integer,
@@ -42,9 +44,10 @@ from dehyst.operations.command import (
     option,
     output,
 )
-from dehyst.operations.files import PATH, TEXT_KEYS, Columns, clock_of, columns_option, scan_declared, write_table
+from dehyst.operations.files import COLUMNS, PATH, TEXT_KEYS, Columns, clock_of, scan_declared, write_table
 from dehyst.operations.paths import (
     TEMPERATURE,
+    ZERO,
     Zero,
     coverage_remarks,
     reach_remarks,
@@ -52,9 +55,8 @@ from dehyst.operations.paths import (
     temperature_of,
     zero_of_path,
 )
-from dehyst.operations.pictures import draw_plans
 from dehyst.operations.run import Result, Run, files
-from dehyst.operations.start import Limits, Start
+from dehyst.operations.start import START, Start
 from dehyst.operations.waves import refuse_cycles
 from dehyst.records import read_table, table_of
 from dehyst.waveforms import Scan, ScanPath
@@ -64,11 +66,11 @@ from dehyst.waveforms.scans import scan_of
 _CLAMPED = "CLAMPED"
 # Part of the reachable range by which a row of a scan's file may differ from the scan.
 _WRITTEN = 1e-9
+_PRESENT = AxisNumber("[AXIS=]V")
 
 
-@dataclass(frozen=True, eq=False)
-class _AxisRequest:
-    """The request for the actuator of an axis; `start` is None if it is unknown."""
+class _Request(NamedTuple):
+    """The request for the actuator of an axis; `start` is None if it is unknown, `present` [V] if it is not given."""
 
     actuator: Actuator
     limits: Limits
@@ -86,61 +88,46 @@ class _AxisRequest:
         """Range of the voltage [V] before the path: the limits, or the present voltage."""
         return self.limits if self.present is None else (self.present, self.present)
 
-    @property
-    def allowed(self) -> tuple[float, float]:
-        """The effective limits [V]."""
-        return self.limits or voltages_of(self.actuator)
+
+def _of_scan(given: Values) -> str:
+    scans = not of_one_axis(given) and scan_declared(given["trajectory"]) is not None
+    return "" if scans else "without the path of a dehyst scan, for a model of one axis"
 
 
-def _is_scan(given: Values) -> bool:
-    return not is_stage(given["model"]) and scan_declared(given["trajectory"]) is not None
+def _homes(given: Values) -> str:
+    return "" if given.get("start") is None and given.get("home") is not False else "without a homing"
 
 
-_of_scan = Only(_is_scan, "without the path of a dehyst scan, for a model of one axis")
-_of_table = beside("table")
-_homes = Only(lambda given: given.get("start") is None and given.get("home") is not False, "without a homing")
-_without_table = Only(lambda given: "table" not in given, "with --table, which is at the reference temperature")
+def _without_table(given: Values) -> str:
+    return "with --table, which is at the reference temperature" if "table" in given else ""
 
 
 @command("compensate", details=True)
-@click.argument("model", type=INPUT)
-@click.argument("trajectory", type=INPUT)
-@output("Write time, displacement and voltage here (CSV).")
-@limits_option("Allowed voltages [V], of all axes or of one; default: those of the records.")
-@slew_option("Largest slew rate [V/s]; default: what the model keeps, or none: the path's own speed.")
-@option("--zero", type=Parsed(Zero), help="Zero of the path [um], or place of the reach; default: the sensor's zero.")
-@option("--start", type=Parsed(Start), help="State before the path, or FILE: what was played before; default: unknown.")
-@option("--home/--no-home", default=None, help="Home before the path; default: if the start is unknown and matters.")
-@number("--home-within", only=_homes, help="Longest duration of the homing [s]; default: as long as needed.")
-@option(
-    "--present", type=AxisText("[AXIS=]V"), multiple=True, help="Present voltage [V]; default: that of --start, or 0."
-)
-@option("--on-time/--late", default=None, help="Lead the path by the model's delay; default: if the actuator lags.")
-@number("--temperature", only=_without_table, help=TEMPERATURE)
-@option("--table", type=OUTPUT, only=_of_scan, help="Write the steady cycle of a scan here (CSV), a wave table.")
-@integer("--cycles", default=1, only=_of_table, help="Steady cycles in the output.")
-@integer("--start-up", only=_of_table, help="Cycles before the steady ones; default: from the tolerance.")
-@option("--plot", type=PAGE, help="Draw the path, its voltage and the error to expect here (HTML).")
-@columns_option
 def compensate(
     run: Run,
-    model: Path,
-    trajectory: Path,
-    output: Path,
-    limits: Sequence[tuple[str, float]],
-    slew_rate: Sequence[str],
-    zero: Zero | None,
-    start: Start | None,
-    home: bool | None,
-    home_within: float | None,
-    present: Sequence[str],
-    on_time: bool | None,
-    temperature: float | None,
-    table: Path | None,
-    cycles: int,
-    start_up: int | None,
-    plot: Path | None,
-    columns: Columns,
+    model: Path = argument(),
+    trajectory: Path = argument(),
+    output: Path = output("Write time, displacement and voltage here (CSV)."),
+    limits: AxisLimits = limits_option("Allowed voltages [V], of all axes or of one; default: those of the records."),
+    slew_rate: AxisNumbers = slew_option(
+        "Largest slew rate [V/s]; default: what the model keeps, or none: the path's own speed."
+    ),
+    zero: Zero | None = option("Zero of the path [um], or place of the reach; default: the sensor's zero.", ZERO),
+    start: Start | None = option("State before the path, or FILE: what was played before; default: unknown.", START),
+    home: bool | None = option(
+        "Home before the path; default: if the start is unknown and matters.", words="--home/--no-home", default=None
+    ),
+    home_within: float | None = number("Longest duration of the homing [s]; default: as long as needed.", _homes),
+    present: AxisNumbers = option("Present voltage [V]; default: that of --start, or 0.", _PRESENT, multiple=True),
+    on_time: bool | None = option(
+        "Lead the path by the model's delay; default: if the actuator lags.", words="--on-time/--late", default=None
+    ),
+    temperature: float | None = number(TEMPERATURE, _without_table),
+    table: Path | None = option("Write the steady cycle of a scan here (CSV), a wave table.", OUTPUT, _of_scan),
+    cycles: int = integer("Steady cycles in the output.", beside("table"), default=1),
+    start_up: int | None = integer("Cycles before the steady ones; default: from the tolerance.", beside("table")),
+    plot: Path | None = option("Draw the path, its voltage and the error to expect here (HTML).", PAGE),
+    columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
@@ -154,66 +141,62 @@ def compensate(
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
-    axes, remarks = _axes_of(known, limits, slew_rate, start, present, columns)
+    axes, remarks = _requests(known, limits, slew_rate, start, present, columns)
     places = np.array([zero_of_path(axis.actuator, axis.limits, zero, axis.start, axis.present) for axis in axes])
     places = known.moved(places[None])[0] if zero is not None and zero.name else places
     if zero is not None:
         words = "the path is counted from {:.6g} um of the sensor, and written in um of the sensor"
         remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
-    declared = None if known.stage is not None else scan_declared(trajectory)
     task = _Task(run, known, axes, zero, remarks, plot)
+    how: dict[str, Any] = {"home": home, "home_within": home_within}
+    declared = None if known.stage is not None else scan_declared(trajectory)
     if declared is None:
         read = table_of(trajectory, columns)
         known.demand(columns, PATH, "on a path")
         wanted = known.values(read, "displacement", columns)
         wanted = wanted if zero is None else wanted + places
-        warmth = temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)
-        how = {"home": home, "home_within": home_within, "on_time": on_time, "temperature": warmth}
+        how |= {"temperature": temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)}
         clock = clock_of(read, columns)
         # Its arrays are large.
         del read
         try:
-            return task.follow(wanted, clock, output, **how)
+            return task.follow(wanted, clock, output, on_time=on_time, **how)
         except ModelError as error:
             if error.change or error.argument not in ("", "displacement"):
                 raise
             raise of_part(error, trajectory.name) from error
     made, axis, period = _declared_scan(trajectory, declared, columns, float(places[0]))
-    if len(made.axes) > 1 and not columns.displacement:
-        others = " and ".join(other for other in made.axes if other != axis)
-        remarks.append(
-            f"the scan has the axes {', '.join(made.axes)}, the model one: {axis} is followed, {others} is not; "
-            f"--columns displacement={others.split()[0]}_um takes another"
-        )
+    others = [f"{other}_um" for other in made.axes if other != axis]
+    if others and not columns.displacement:
+        remarks.append(f"of the scan, {axis}_um is followed; --columns displacement={others[0]} takes another axis")
     if table is not None:
         refuse_cycles(made, cycles)
-        return task.tabulate(period, cycles, (output, table), home=home, home_within=home_within, cycles=start_up)
+        return task.tabulate(period, cycles, (output, table), cycles=start_up, **how)
     path = period.repeated(declared["cycles"])
     remarks += made.warnings
-    how = {"home": home, "home_within": home_within, "on_time": on_time}
-    how |= {"temperature": temperature_of(known, temperature, columns, remark=remarks.append)}
+    how |= {"temperature": temperature_of(known, temperature, columns, remark=remarks.append), "on_time": on_time}
     how |= {"velocity": path.velocity, "acceleration": path.acceleration}
     return task.follow(path.displacement[:, None], {"time_s": path.time}, output, **how)
 
 
-def _axes_of(
+def _requests(
     known: AxesModel,
-    limits: Sequence[tuple[str, float]],
-    slew_rate: Sequence[str],
+    limits: AxisLimits,
+    slew_rate: AxisNumbers,
     start: Start | None,
-    present: Sequence[str],
+    present: AxisNumbers,
     columns: Columns,
-) -> tuple[list[_AxisRequest], list[str]]:
+) -> tuple[list[_Request], list[str]]:
     """Return the request for each axis, and remarks on the start."""
     bounds, slews = limits_of(known.axes, limits), known.slews(slew_rate)
     begins, remarks = starts.starts_of(known, start, bounds, columns)
-    volts, axes = numbers_of(known.axes, present, "present"), []
+    volts, axes = of_axes(known.axes, present, "present"), []
     for actuator, allowed, slew, begin, given in zip(known.actuators, bounds, slews, begins, volts, strict=True):
         # Beside the given voltage of another axis, that of an unknown start is the default.
         assumed = given is not None or (begin is None and present)
         now = present_voltage(VoltageLimits(*(allowed or voltages_of(actuator))), given) if assumed else None
         stands = begin if begin is None or now is None else begin.standing_at(actuator, now)
-        axes.append(_AxisRequest(actuator, allowed, slew, stands, now))
+        axes.append(_Request(actuator, allowed, slew, stands, now))
     remarks += known.prefixed(coverage_remarks(request.actuator, request.limits) for request in axes)
     return axes, remarks
 
@@ -253,7 +236,7 @@ class _Task:
 
     run: Run
     known: AxesModel
-    axes: Sequence[_AxisRequest]
+    axes: Sequence[_Request]
     zero: Zero | None
     remarks: list[str]
     plot: Path | None
@@ -286,14 +269,10 @@ class _Task:
             raise
         rows, rate, cycle, plan = table.rows(repeats), table.sample_rate, table.cycle, table.plan
         if plan is None or rows > MOST_ROWS:
-            raise RecordError(
-                argument="output",
-                got=f"{rows} rows at {rate:g} Hz",
-                need=f"at most {MOST_ROWS:g} rows",
-                hint="try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands",
-            )
+            got, need = f"{rows} rows at {rate:g} Hz", f"at most {MOST_ROWS:g} rows"
+            hint = "try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands"
+            raise RecordError(argument="output", got=got, need=need, hint=hint)
         played = table.played(repeats)
-        self.run.note(f"{plan.seconds or 0.0:.4g} s before the scan, {table.cycles + repeats} cycles: {rows} rows")
         self.run.progress(f"writing {rows} rows")
         write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
         write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
@@ -313,7 +292,7 @@ class _Task:
             f"{counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
         )
         good = told.good and table.settled and not plan.clamped.any()
-        return replace(told, fields=fields, lines=[*told.lines, line], more=[*told.more, line], good=good)
+        return replace(told, fields=fields, lines=[*told.lines, line], good=good)
 
     def told(self, plans: Sequence[PathPlan], samples: int, output: Path, urgent: list[str]) -> Result:
         """Return what is printed of the plans of all axes, in a file of `samples` rows: what to expect, and to do."""
@@ -325,41 +304,36 @@ class _Task:
         said = known.prefixed(plan.warnings for plan in plans)
         urgent += [sentence for sentence in said if _CLAMPED in sentence]
         others = [*self.remarks, *(sentence for sentence in said if _CLAMPED not in sentence)]
-        spans = [(float(plan.voltage.min()), float(plan.voltage.max())) for plan in plans]
         fields = {
             "samples": samples,
             "clamped": known.by_axis(int(plan.clamped.sum()) for plan in plans),
             "missed_um": known.by_axis(float(plan.missed) * 1e6 for plan in plans),
-            "lowest_V": known.by_axis(low for low, _ in spans),
-            "highest_V": known.by_axis(high for _, high in spans),
-            "limits_V": known.by_axis(list(request.allowed) for request in self.axes),
+            "lowest_V": known.by_axis(float(plan.voltage.min()) for plan in plans),
+            "highest_V": known.by_axis(float(plan.voltage.max()) for plan in plans),
+            "limits_V": known.by_axis(list(request.limits or voltages_of(request.actuator)) for request in self.axes),
             **known.merged([request.slew.fields() for request in self.axes]),
             **known.merged([starts.path_start_fields(plan) for plan in plans]),
-            "promise": known.by_axis(None if plan.promise is None else plan.promise.as_dict() for plan in plans),
+            "promise": known.by_axis(plan.promise and plan.promise.as_dict() for plan in plans),
             "warnings": [*urgent, *others],
             "state": known.by_axis(plan.state.as_dict() for plan in plans),
             "output": str(output),
         }
         if self.plot is not None:
             self.run.progress("drawing the path")
-            draw_plans(self.plot, known.axes, plans, command=self.run.command)
-        words = known.prefixed(
-            [f"{low:.6g} to {high:.6g} V {starts.begin_words(request.actuator, plan, request.place)}"]
-            for (request, plan), (low, high) in zip(each, spans, strict=True)
-        )
-        expected = known.prefixed([] if plan.promise is None else [plan.promise.sentence] for plan in plans)
-        written = [f"{counted(samples, 'sample')}, {', '.join(words)}: {output}", *files(Picture=self.plot)]
-        left = [*map(starts.open_start, plans)]
-        kept = ([request.slew.words] if request.slew.origin == "model" else [] for request in self.axes)
-        matters = (
-            lines if plan.homing is None and plan.error.matters else [] for plan, lines in zip(plans, left, strict=True)
-        )
-        lines = [*expected, *known.prefixed(matters), *written, *known.prefixed(kept)]
-        slews = known.prefixed([request.slew.words] for request in self.axes)
-        more = [*expected, *written, *slews, *known.prefixed(left)]
+            _draw(self.plot, known.axes, plans, command=self.run.command)
+        spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
+        begins = (starts.begin_words(request.actuator, plan, request.place) for request, plan in each)
+        words = known.prefixed([f"{span} {begin}"] for span, begin in zip(spans, begins, strict=True))
+        lines = [
+            *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
+            *known.prefixed(map(starts.open_start, plans)),
+            f"{counted(samples, 'sample')}, {', '.join(words)}: {output}",
+            *files(Picture=self.plot),
+            *known.prefixed(request.slew.words for request in self.axes),
+        ]
         usable = not any(unusable(request.actuator, plan.promise) for request, plan in each)
         good = usable and all(plan.followed and plan.certified for plan in plans)
-        return Result(fields, lines, more, [*urgent, *others[:1]], others[1:], good)
+        return Result(fields, lines, warnings=[*urgent, *others[:1]], remarks=others[1:], good=good)
 
 
 def _written(known: AxesModel, plans: Sequence[PathPlan], time: Mapping[str, Array]) -> dict[str, Array]:
@@ -373,3 +347,33 @@ def _written(known: AxesModel, plans: Sequence[PathPlan], time: Mapping[str, Arr
 
 def _path_columns(part: Any) -> dict[str, Array]:
     return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
+
+
+def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
+    """Write a self-contained HTML page with the plan of each axis."""
+    from dehyst.report import pictures
+    from dehyst.report.charts import Axis, Chart, Series
+    from dehyst.report.html import Charts, Part, document, reproduction, words
+
+    def voltage(plan: PathPlan) -> Chart:
+        """Return the voltage along the path, without what comes before it, and its clamped samples."""
+        volts, clamped = plan.voltage[plan.first :], plan.clamped[plan.first :]
+        axis, x = Axis("sample"), np.arange(volts.size, dtype=np.float64)
+        if plan.time is not None:
+            axis, x = Axis("time", "s"), plan.time[plan.first :] - plan.time[plan.first]
+        series = [Series("voltage", x, volts, "measured")]
+        if clamped.any():
+            series.append(Series("clamped", x[clamped], volts[clamped], "simulated", "points", width=3))
+        return Chart("Voltage", axis, Axis("voltage", "V"), series)
+
+    def parts() -> Iterator[Part]:
+        yield "<h1>A planned path</h1>"
+        for axis, plan in zip(axes, plans, strict=True):
+            yield axis and f"<h2>Axis {escape(axis)}</h2>"
+            yield "" if plan.promise is None else f"<p>{words(plan.promise.sentence)}</p>"
+            charts = [pictures.planned_path(plan), voltage(plan)]
+            charts += [] if plan.promise is None else [pictures.error_band(plan)]
+            yield Charts("", f"After {plan.seconds or 0.0:.4g} s that lead to the path.", charts, wide=True)
+        yield reproduction(command)
+
+    write_atomically(path, document("A planned path", parts()))

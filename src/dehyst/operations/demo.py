@@ -116,9 +116,13 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
 
 
 @command("demo")
-@output("Folder: new, empty, or an earlier demo's; any other with --force.", CONTINUED, default="dehyst-demo")
-@option("--report/--no-report", default=True, help="Draw the report.")
-def demo(run: Run, output: Path, report: bool) -> Result:
+def demo(
+    run: Run,
+    output: Path = output(
+        "Folder: new, empty, or an earlier demo's; any other with --force.", CONTINUED, default="dehyst-demo"
+    ),
+    report: bool = option("Draw the report.", words="--report/--no-report", default=True),
+) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator."""
     demand_own_folder(output, *OWN, force=run.force)
     result = journey(run.progress)

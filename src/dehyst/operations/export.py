@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,75 +12,79 @@ import click
 
 from dehyst.control import Compensator, PossibleStart, StageCompensator
 from dehyst.control.planning.start import model_error
+from dehyst.control.stage_compensator import axes_of
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import TARGETS, target_of
 from dehyst.exports.targets import export as write
-from dehyst.model import Actuator
-from dehyst.operations.axes import AxesModel, is_stage, limits_of, limits_option, slew_option
-from dehyst.operations.command import FOLDER, INPUT, Only, Parsed, Values, command, number, option
+from dehyst.operations.axes import (
+    AxesModel,
+    AxisLimits,
+    AxisNumbers,
+    is_stage,
+    limits_of,
+    limits_option,
+    of_one_axis,
+    slew_option,
+)
+from dehyst.operations.command import FOLDER, Condition, Values, argument, command, flag, option
+from dehyst.operations.command import number as number_option
 from dehyst.operations.files import AS_FOUND
 from dehyst.operations.paths import coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
-from dehyst.operations.start import Start, start_words, starts_of
+from dehyst.operations.start import START, Start, start_words, starts_of
 
 # Share of the limits' range by which a start may lie outside without a warning.
 _NEAR = 0.01
 
 
-def _of(option: str) -> Only:
+def _of(option: str) -> Condition:
     """Return the condition that the target supports an option."""
     takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
 
-    def supports(given: Values) -> bool:
+    def supports(given: Values) -> str:
         suffix = "" if is_stage(given["model"]) else given["directory"].suffix
-        return option in TARGETS.get(suffix, TARGETS[""]).options
+        return "" if option in TARGETS.get(suffix, TARGETS[""]).options else f"on anything but {takers}"
 
-    return Only(supports, f"on anything but {takers}")
-
-
-_of_loop = Only(lambda given: given.get("kind") != "actuator", "on an FMU of the actuator")
-_of_one = Only(lambda given: not is_stage(given["model"]), "with a model of several axes")
+    return supports
 
 
-_of_preview = (_of_one, _of("preview"), _of_loop)
+def _of_loop(given: Values) -> str:
+    return "on an FMU of the actuator" if given.get("kind") == "actuator" else ""
 
 
 @command("export")
-@click.argument("model", type=INPUT)
-@click.argument("directory", type=FOLDER)
-@option(
-    "--number",
-    type=click.Choice(["double", "float"]),
-    default="double",
-    only=(_of_one, _of("number")),
-    help="double: the same bits as Python. float: for a processor without doubles.",
-)
-@limits_option("Voltages allowed [V], of all axes or of one; default: those of the records.", only=_of_loop)
-@slew_option("Largest slew rate [V/s], with --period; default: what the model keeps, or not limited.", only=_of_loop)
-@number("--period", help="Time between steps [s]; a model that depends on time needs it.")
-@option("--preview", is_flag=True, only=_of_preview, help="Compensate delay and inertia, of displacements in advance.")
-@option("--name", only=_of("name"), help="Prefix of files and functions; default: piezo, or stage for several axes.")
-@option(
-    "--kind",
-    type=click.Choice(["compensator", "actuator"]),
-    default="compensator",
-    only=_of("kind"),
-    help="Kind of FMU: compensator (displacement to voltage), or virtual actuator.",
-)
-@option("--start", type=Parsed(Start), default="top", help="Initial state of the memory, as in compensate.")
 def export(
     run: Run,
-    model: Path,
-    directory: Path,
-    number: Literal["double", "float"],
-    limits: Sequence[tuple[str, float]],
-    slew_rate: Sequence[str],
-    period: float | None,
-    preview: bool,
-    name: str | None,
-    kind: str,
-    start: Start,
+    model: Path = argument(),
+    directory: Path = argument(FOLDER),
+    number: Literal["double", "float"] = option(
+        "double: the same bits as Python. float: for a processor without doubles.",
+        click.Choice(["double", "float"]),
+        of_one_axis,
+        _of("number"),
+        default="double",
+    ),
+    limits: AxisLimits = limits_option(
+        "Voltages allowed [V], of all axes or of one; default: those of the records.", _of_loop
+    ),
+    slew_rate: AxisNumbers = slew_option(
+        "Largest slew rate [V/s], with --period; default: what the model keeps, or not limited.", _of_loop
+    ),
+    period: float | None = number_option("Time between steps [s]; a model that depends on time needs it."),
+    preview: bool = flag(
+        "Compensate delay and inertia, of displacements in advance.", of_one_axis, _of("preview"), _of_loop
+    ),
+    name: str | None = option(
+        "Prefix of files and functions; default: piezo, or stage for several axes.", None, _of("name")
+    ),
+    kind: str = option(
+        "Kind of FMU: compensator (displacement to voltage), or virtual actuator.",
+        click.Choice(["compensator", "actuator"]),
+        _of("kind"),
+        default="compensator",
+    ),
+    start: Start = option("Initial state of the memory, as in compensate.", START, default="top"),
 ) -> Result:
     """Write the compensator of a MODEL as C into a DIRECTORY: sources, numbers, a README, and a trace for `make check`.
 
@@ -89,70 +93,54 @@ def export(
     If the name ends in .fmu, write the compensator or its actuator as an FMU for co-simulation (FMI 2.0). If the name
     ends in .wasm, write the compensator as WebAssembly, with the JavaScript module that calls it.
     """
-    target = target_of(directory, coupled=is_stage(model))
+    target, loop = target_of(directory, coupled=is_stage(model)), kind != "actuator"
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
     bounds: list[Any] = limits_of(known.axes, limits)
     begins, remarks = starts_of(known, start, bounds, AS_FOUND)
-    states = [state for state in begins if state is not None]
-    remarks += known.prefixed(map(_open_start, known.actuators, states))
-    if kind == "actuator":
-        bounds = [ANY_VOLTAGE]
-    slews = known.slews(slew_rate)
-    rates = [slew.bound for slew in slews]
-    options: dict[str, Any] = {"period": period}
+    states, slews = [state for state in begins if state is not None], known.slews(slew_rate)
     compensator: Compensator | StageCompensator
     if known.stage is not None:
-        options |= {"limits": bounds, "slew_rate": rates, "states": [state.state for state in states]}
-        compensator = StageCompensator(known.stage, **options)
-        loops = compensator.compensators
+        given: dict[str, Any] = {"slew_rate": [slew.bound for slew in slews], "states": [at.state for at in states]}
+        compensator = StageCompensator(known.stage, limits=bounds, period=period, **given)
     else:
-        options |= {"state": states[0].state, "preview": preview}
-        compensator = Compensator(known.actuators[0], bounds[0], rates[0], **options)
-        loops = (compensator,)
-        remarks += [] if kind == "actuator" else _limit_warnings(compensator, states[0])
-    if kind != "actuator":
+        allowed = bounds[0] if loop else ANY_VOLTAGE
+        given = {"period": period, "state": states[0].state, "preview": preview}
+        compensator = Compensator(known.actuators[0], allowed, slews[0].bound, **given)
+    loops = axes_of(compensator)
+    if loop:
         remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
-    source = replace(known.actuators[0], state=states[0].state) if kind == "actuator" else compensator
+    remarks += known.prefixed(map(_start_remarks, loops, states))
+    source = compensator if loop else replace(known.actuators[0], state=states[0].state)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        write(source, directory, number, name=name, period=period if kind == "actuator" else None)
+        write(source, directory, number, name=name, period=None if loop else period)
     remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    begin = [ExportedStart.of(loop) for loop in loops]
+    begin, words = [*map(ExportedStart.of, loops)], []
+    for at, part, state, slew in zip(begin, loops, states, slews, strict=True):
+        way = f"; to bring the actuator there, {at.way}" if loop else ""
+        memory = f"memory begins at {at.words} {start_words(part.actuator, state, part.state)}{way}"
+        words.append([memory, *(slew.words if loop else [])])
+    written = target.files(directory) if target.files is not None else sorted(directory.iterdir())
     begun = [{"begins": {"displacement_m": at.displacement, "voltage_V": at.voltage, "way": at.way}} for at in begin]
-    words = []
-    for at, loop, actuator, state in zip(begin, loops, known.actuators, states, strict=True):
-        way = "" if kind == "actuator" else f"; to bring the actuator there, {at.way}"
-        words.append([f"memory begins at {at.words} {start_words(actuator, state, loop.state)}{way}"])
-    files = target.files(directory) if target.files is not None else sorted(directory.iterdir())
-    fields = {"path": str(directory), "kind": kind, "files": list(map(str, files)), **known.merged(begun)}
-    if kind != "actuator":
-        fields |= known.merged([slew.fields() for slew in slews])
-        words = [[*own, slew.words] for own, slew in zip(words, slews, strict=True)]
-    line = f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in files)}"
-    lines = [line, *known.prefixed(words)]
-    return Result({**fields, "warnings": remarks}, lines, warnings=remarks)
+    fields = {"path": str(directory), "kind": kind, "files": list(map(str, written)), **known.merged(begun)}
+    fields |= known.merged([slew.fields() for slew in slews]) if loop else {}
+    line = f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in written)}"
+    return Result({**fields, "warnings": remarks}, [line, *known.prefixed(words)], warnings=remarks)
 
 
-def _open_start(actuator: Actuator, start: PossibleStart) -> list[str]:
-    """Warn if the voltages before leave the start uncertain by more than the model's error."""
-    places = [actuator.displacement(state) for state in start.states]
-    width = max(places) - min(places)
-    if width <= model_error(actuator):
-        return []
-    return [
-        f"{start.name}: these voltages leave the displacement at the start open by {1e6 * width:.3g} um: memory begins "
-        "in the middle; home the actuator first"
-    ]
-
-
-def _limit_warnings(compensator: Compensator, start: PossibleStart) -> list[str]:
-    """Warn of a start state clearly outside the limits."""
-    (low, high), present = compensator.limits, compensator.actuator.voltage(start.state)
-    if low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
-        return []
-    return [
-        f"the start state needs {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory begins at the "
-        "nearest limit; choose another state with --start"
-    ]
+def _start_remarks(compensator: Compensator, start: PossibleStart) -> Iterator[str]:
+    """Yield warnings of a start that is clearly outside the limits, or open by more than the model's error."""
+    actuator, (low, high) = compensator.actuator, compensator.limits
+    places, present = [actuator.displacement(state) for state in start.states], actuator.voltage(start.state)
+    if not low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
+        yield (
+            f"the start state needs {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory begins at "
+            "the nearest limit; choose another state with --start"
+        )
+    if (width := max(places) - min(places)) > model_error(actuator):
+        yield (
+            f"{start.name}: these voltages leave the displacement at the start open by {1e6 * width:.3g} um: memory "
+            "begins in the middle; home the actuator first"
+        )

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from dehyst.model import Actuator
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "TEXT_KEYS", "VOLTAGE", "Columns"]
-columns_option = option("--columns", type=Parsed(Columns), default=AS_FOUND, help=Columns.about)
+AS_COLUMNS = Parsed(Columns)
+COLUMNS: Any = option(Columns.about, AS_COLUMNS, default=AS_FOUND)
 # Place of an axis that stays in the middle of its range.
 MIDDLE = "middle"
 

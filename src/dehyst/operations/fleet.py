@@ -5,21 +5,25 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import click
-
 from dehyst.fleet import identify_fleet
-from dehyst.operations.command import CONTINUED, INPUT, command, option, output
-from dehyst.operations.files import RECORD, Columns, columns_option
+from dehyst.operations.command import CONTINUED, argument, command, option, output
+from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.records import read
 
 
 @command("fleet")
-@click.argument("records", type=INPUT, nargs=-1, required=True)
-@output("Write the table here (.parquet), or continue it; with --force all rows are computed again.", CONTINUED)
-@option("--scheduler", help="Address of a Dask scheduler, as tcp://host:8786; default: a process for each processor.")
-@columns_option
-def fleet(run: Run, records: tuple[Path, ...], output: Path, scheduler: str | None, columns: Columns) -> Result:
+def fleet(
+    run: Run,
+    records: tuple[Path, ...] = argument(nargs=-1),
+    output: Path = output(
+        "Write the table here (.parquet), or continue it; with --force all rows are computed again.", CONTINUED
+    ),
+    scheduler: str | None = option(
+        "Address of a Dask scheduler, as tcp://host:8786; default: a process for each processor."
+    ),
+    columns: Columns = COLUMNS,
+) -> Result:
     """Identify each of RECORDS, a folder or files, and write one table with one row a record.
 
     A file from which no model is identified is a row too, with the reason. The same command continues a run that was

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from dehyst._errors import ModelError, RecordError, RigError
@@ -18,10 +17,20 @@ from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
 from dehyst.model import stroke_of, voltages_of
-from dehyst.operations.axes import AxesModel, PathSlew, limits_of, limits_option, slew_option
-from dehyst.operations.command import FOLDER, INPUT, Parsed, command, integer, option, output
-from dehyst.operations.files import PATH, Columns, clock_of, columns_option, write_table
-from dehyst.operations.paths import Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.axes import (
+    AxesModel,
+    AxisLimits,
+    AxisNumbers,
+    Limits,
+    PathSlew,
+    limits_of,
+    limits_option,
+    slew_option,
+)
+from dehyst.operations.bench import Steps
+from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, integer, option, output
+from dehyst.operations.files import COLUMNS, PATH, Columns, clock_of, write_table
+from dehyst.operations.paths import ZERO, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import demand_disk_space, percent, table_of
 from dehyst.report.html import document, words
@@ -34,30 +43,21 @@ _MOST = 20
 
 
 @command("follow")
-@click.argument("rig")
-@option("--model", type=INPUT, required=True, help="The model (JSON) of one axis or several.")
-@option("--path", type=INPUT, required=True, help="A file with times and a displacement, or the path of dehyst scan.")
-@output("Folder for the record, its picture, and voltages.csv, the learnt cycle.", FOLDER, default="dehyst-follow")
-@integer("--repeat", help="How often the path is followed; default: once, with --learn until the error stays.")
-@option("--learn", is_flag=True, help="Correct each repetition by the error of the one before.")
-@option("--feedback", is_flag=True, help="Correct each sample by the reading before, of one axis, at 200 Hz at most.")
-@limits_option("Range of the voltage [V]; default: that of the model and the device.")
-@slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's.")
-@option("--zero", type=Parsed(Zero), help="Zero of the path, as of dehyst compensate.")
-@columns_option
 def follow(
     run: Run,
-    rig: str,
-    model: Path,
-    path: Path,
-    output: Path,
-    repeat: int | None,
-    learn: bool,
-    feedback: bool,
-    limits: Sequence[tuple[str, float]],
-    slew_rate: Sequence[str],
-    zero: Zero | None,
-    columns: Columns,
+    rig: str = argument(None),
+    model: Path = option("The model (JSON) of one axis or several.", INPUT, required=True),
+    path: Path = option("A file with times and a displacement, or the path of dehyst scan.", INPUT, required=True),
+    output: Path = output(
+        "Folder for the record, its picture, and voltages.csv, the learnt cycle.", FOLDER, default="dehyst-follow"
+    ),
+    repeat: int | None = integer("How often the path is followed; default: once, with --learn until the error stays."),
+    learn: bool = flag("Correct each repetition by the error of the one before."),
+    feedback: bool = flag("Correct each sample by the reading before, of one axis, at 200 Hz at most."),
+    limits: AxisLimits = limits_option("Range of the voltage [V]; default: that of the model and the device."),
+    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's."),
+    zero: Zero | None = option("Zero of the path, as of dehyst compensate.", ZERO),
+    columns: Columns = COLUMNS,
 ) -> Result:
     """Follow a path on RIG after a homing, measure the error, and compare it with the promise.
 
@@ -69,7 +69,6 @@ def follow(
     if repeat is not None and repeat < 1:
         raise RecordError(argument="repeat", got=repeat, need="1 or more")
     known = AxesModel.read(run, model)
-    known.demand(columns, PATH, "on a path")
     if feedback and known.stage is not None:
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")
     wanted, warmth, rate = _path_of(run, known, path, columns)
@@ -96,9 +95,9 @@ def follow(
         paths = [output / f"record{name and f'-{name}'}.csv" for name in known.axes]
         for file in paths if run.force else ():
             file.unlink(missing_ok=True)
-        with run.watch() as watcher:
-            model_, told = known.stage or known.actuators[0], {"listener": watcher, "say": run.say}
-            followed = FollowedPath(instrument, model_, bounds, played, wanted, size, warmth, **told)
+        with Steps(run) as watcher:
+            part = known.stage or known.actuators[0]
+            followed = FollowedPath(instrument, part, bounds, played, wanted, size, warmth, watcher, run.say)
             lessons = repeat or _MOST if learn else 0
             followed.follow(paths, repeat=1 if learn else repeat or 1, lessons=lessons, feedback=feedback)
     for remark in followed.remarks:
@@ -122,7 +121,7 @@ def _placed(
     known: AxesModel,
     rig: AbstractRig,
     wanted: Array,
-    allowed: Sequence[tuple[float, float] | None],
+    allowed: Sequence[Limits],
     slews: Sequence[PathSlew],
     zero: Zero | None,
     warmth: float | Array | None,
@@ -131,22 +130,19 @@ def _placed(
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
         raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give its model")
-    zeros = np.array(
-        [
-            zero_of_path(actuator, (part.limits.low, part.limits.high), zero)
-            for part, actuator in zip(rig.rigs, known.actuators, strict=True)
-        ]
-    )
+    device = [(part.limits.low, part.limits.high) for part in rig.rigs]
+    zeros = np.array([zero_of_path(*each, zero) for each in zip(known.actuators, device, strict=True)])
     wanted = wanted + (known.moved(zeros[None])[0] if zero is not None and zero.name else zeros)
-    targets, bounds, remarks = known.targets(wanted).T, [], []
-    for part, actuator, target, limit, slew in zip(rig.rigs, known.actuators, targets, allowed, slews, strict=True):
+    bounds, remarks = [], []
+    for part, actuator, target, limit, slew in zip(
+        rig.rigs, known.actuators, known.targets(wanted).T, allowed, slews, strict=True
+    ):
         low, high = voltages_of(actuator)
-        # Refused in micrometres here; the library's refusal would be in metres.
-        reach_remarks(actuator, target, (low, high), zero, warmth)
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
         bounds.append(used)
-        remarks.append(bounds_remarks(limit, slew.asked, used, "device and model allow no more"))
-        remarks[-1] += [] if slew.origin == "default" else [PathSlew(used.slew_rate, "option").words]
+        rate = np.inf if slew.origin == "none" else slew.bound
+        remarks.append(bounds_remarks(limit, rate, used, "device and model allow no more"))
+        # A path that is far outside is refused in micrometres here, in metres by the library.
         remarks[-1] += reach_remarks(actuator, target, (used.low, used.high), zero, warmth)
     for sentence in known.prefixed(remarks):
         run.note(sentence)

@@ -18,9 +18,21 @@ from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
 from dehyst.identification.results import write_traces
 from dehyst.model import Actuator, Stage, with_identification
-from dehyst.operations.command import INPUT, OUTPUT, Only, Parsed, Values, beside, command, number, option, output, page
-from dehyst.operations.files import AS_FOUND, RECORD, Columns, columns_option
-from dehyst.operations.paths import Zero
+from dehyst.operations.command import (
+    INPUT,
+    OUTPUT,
+    Values,
+    argument,
+    beside,
+    command,
+    flag,
+    number,
+    option,
+    output,
+    page,
+)
+from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns
+from dehyst.operations.paths import ZERO, Zero
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, read
 from dehyst.report import write_report
@@ -30,46 +42,40 @@ from dehyst.trust import insight
 _REMARKS = 2
 
 
-def _several(given: Values) -> bool:
-    return len(given.get("records", ())) + len(given.get("validate", ())) > 1
+def _of_several(given: Values) -> str:
+    return "" if len(given.get("records", ())) + len(given.get("validate", ())) > 1 else "on one record"
 
 
-_of_several = Only(_several, "on one record")
+# Arguments of `dehyst.identify`.
+_SETTINGS = {
+    "structure": option(
+        "auto: parts chosen by held-out time. maxwell_slip: slip elements and a spring, as in Yeh's paper.",
+        click.Choice(["auto", "maxwell_slip"]),
+        default="auto",
+    ),
+    "goal": number("Largest error [% of the stroke] with which the model is ready for use.", default=1.0),
+    "sensor_lag": number("Time constant of the sensor's own filter [s], 0 if it has none; default: unknown."),
+    "lag_of": option("Whose the lag of the records is, if known.", click.Choice(["actuator", "sensor"])),
+    "delay": number("Time [s] by which the displacement lags the voltage; default: estimated from the records."),
+    "drift": option("Remove a drift of each record, logarithmic in time.", words="--drift/--no-drift", default=True),
+    "shared_datum": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
+}
 
 
-@command("identify", details=True)
-@click.argument("records", type=INPUT, nargs=-1, required=True)
-@output("Write the model here (JSON).", required=False)
-@option("--validate", type=INPUT, multiple=True, help="Held-out records, which are only simulated.")
-@page()
-@option("--traces", type=OUTPUT, help="Write measured and simulated displacement of all records here (.npz).")
-@option(
-    "--structure",
-    type=click.Choice(["auto", "maxwell_slip"]),
-    default="auto",
-    help="auto: parts chosen by held-out time. maxwell_slip: slip elements and a spring, as in Yeh's paper.",
-)
-@number("--goal", default=1.0, help="Largest error [% of the stroke] with which the model is ready for use.")
-@number("--sensor-lag", help="Time constant of the sensor's own filter [s], 0 if it has none; default: unknown.")
-@option("--lag-of", type=click.Choice(["actuator", "sensor"]), help="Whose the lag of the records is, if known.")
-@option("--zero", type=Parsed(Zero), help="Zero of the displacement, in the first record; default: the sensor's zero.")
-@number("--time-limit", help="End the search for a structure after this time [s], and complete the best model so far.")
-@number("--slew-rate", only=beside("output"), help="Largest slew rate [V/s] of later paths; the model keeps it.")
-@number("--delay", help="Time [s] by which the displacement lags the voltage; default: estimated from the records.")
-@option("--drift/--no-drift", default=True, help="Remove a drift of each record, logarithmic in time.")
-@option("--shared-zero", "shared_datum", is_flag=True, only=_of_several, help="The sensor kept its zero throughout.")
-@columns_option
+@command("identify", _SETTINGS, details=True)
 def identify(
     run: Run,
-    records: tuple[Path, ...],
-    output: Path | None,
-    validate: tuple[Path, ...],
-    report: Path | None,
-    traces: Path | None,
-    zero: Zero | None,
-    time_limit: float | None,
-    slew_rate: float | None,
-    columns: Columns,
+    records: tuple[Path, ...] = argument(nargs=-1),
+    output: Path | None = output("Write the model here (JSON).", required=False),
+    validate: tuple[Path, ...] = option("Held-out records, which are only simulated.", INPUT, multiple=True),
+    report: Path | None = page(),
+    traces: Path | None = option("Write measured and simulated displacement of all records here (.npz).", OUTPUT),
+    zero: Zero | None = option("Zero of the displacement, in the first record; default: the sensor's zero.", ZERO),
+    time_limit: float | None = number(
+        "End the search for a structure after this time [s], and complete the best model so far."
+    ),
+    slew_rate: float | None = number("Largest slew rate [V/s] of later paths; the model keeps it.", beside("output")),
+    columns: Columns = COLUMNS,
     **settings: Any,
 ) -> Result:
     """Identify an actuator from RECORDS of voltage and displacement; with axes in --columns, several coupled actuators.

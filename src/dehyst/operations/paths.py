@@ -1,4 +1,4 @@
-"""A path: its zero, its slew rate, its temperature, and whether it can be reached."""
+"""A path: its zero, its limits, its temperature, and whether it can be reached."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, demand_thermal, evaluator_of, tested_temperatures
-from dehyst.operations.axes import AxesModel
+from dehyst.operations.axes import AxesModel, Limits
+from dehyst.operations.command import Parsed
 from dehyst.operations.files import Columns, warmth_of
-from dehyst.operations.start import Limits
 from dehyst.records import Table
 from dehyst.records.formats.column import listed
 
@@ -48,15 +48,17 @@ class Zero:
         return cls("", number)
 
 
+ZERO = Parsed(Zero)
+
+
 def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits, who: str) -> list[str]:
     """Return remarks if narrower limits [V] or a lower slew rate [V/s] than given are used, because of `who`."""
     remarks = []
     if limits is not None and limits != (used.low, used.high):
         remarks.append(f"limits: {limits[0]:.6g} to {limits[1]:.6g} V was given, {used.words} is used, as {who}")
     if slew_rate is not None and used.slew_rate is not None and used.slew_rate < slew_rate:
-        none = slew_rate == np.inf
-        given, why = ("none", "a rig has one always") if none else (f"{slew_rate:.6g} V/s", who)
-        remarks.append(f"slew rate: {given} was given, {used.slew_rate:.6g} V/s is used, as {why}")
+        given = "none" if slew_rate == np.inf else f"{slew_rate:.6g} V/s"
+        remarks.append(f"slew rate: {given} was given, {used.slew_rate:.6g} V/s is used, as {who}")
     return remarks
 
 
@@ -118,20 +120,14 @@ def zero_of_path(
     compensator = Compensator(actuator, limits)
     low, high = compensator.reach
     if zero.name == "first":
-        rest = min(max(present or 0.0, compensator.limits[0]), compensator.limits[1])
+        rest = float(np.clip(present or 0.0, *compensator.limits))
         begin = start or PossibleStart.unknown(actuator, rest, compensator.limits)
         return evaluator_of(actuator).displacement(begin.state, of_mass=False)
     return low if zero.name == "bottom" else 0.5 * (low + high)
 
 
 def reach_remarks(
-    actuator: Actuator,
-    wanted: Array,
-    limits: Limits,
-    zero: Zero | None,
-    temperature: float | Array | None = None,
-    *,
-    refuse: bool = True,
+    actuator: Actuator, wanted: Array, limits: Limits, zero: Zero | None, temperature: float | Array | None = None
 ) -> list[str]:
     """Return remarks on a path (n,) [m] outside of the reachable range, or in another unit, and what to try.
 
@@ -149,39 +145,20 @@ def reach_remarks(
         lows, highs = (actuator.thermal.warmed(ends, temperature) for ends in (lows, highs))
         words = dict.fromkeys(f"{end:.4g}" for end in (np.min(temperature), np.max(temperature)))
         degrees = f" at {' to '.join(words)} degC"
-    low, high = float(lows.max()), float(highs.min())
-    least, most = float(wanted.min()), float(wanted.max())
-    advice = _zero_advice((least, most), (low, high), zero)
-    if refuse and compensator._strays(cold):
-        raise ModelError(
-            f"got {1e6 * least:.6g} to {1e6 * most:.6g} um, the model reaches {1e6 * low:.4g} to {1e6 * high:.4g} um"
-            f"{degrees}, from the sensor's zero in its records",
-            argument="displacement",
-            hint=f"check the numbers and their unit{advice and f', or {advice}'}",
-        )
-    from_zero = wanted if zero is None else wanted - least
-    if hint := unit_hint("um", (1e6 * low, 1e6 * high), 1e6 * from_zero):
-        return [*hint]
-    margin = _ROUNDING * (high - low)
+    low, high, least, most = (1e6 * float(end) for end in (lows.max(), highs.min(), wanted.min(), wanted.max()))
+    reached = f"the model reaches {low:.4g} to {high:.4g} um{degrees}, from the sensor's zero in its records"
+    fits = most - least <= high - low
+    advice = "choose another --zero" if fits else "choose a smaller path"
+    if fits and zero is None:
+        advice = f"--zero {0.5 * (low + high - least - most):.4g} puts it into the middle"
+    if compensator._strays(cold):
+        hint = f"check the numbers and their unit{f', or {advice}' if fits else ''}"
+        raise ModelError(f"got {least:.6g} to {most:.6g} um, {reached}", argument="displacement", hint=hint)
+    from_zero = 1e6 * wanted - (0.0 if zero is None else least)
+    if hints := unit_hint("um", (low, high), from_zero):
+        return [*hints]
+    margin = _ROUNDING * 1e-6 * (high - low)
     if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
         return []
-    another = (
-        "choose another --zero, or none" if zero is not None and most - least <= high - low else "choose a smaller path"
-    )
     volts = "{:.5g} to {:.5g} V".format(*compensator.limits)
-    return [
-        f"the path covers {1e6 * least:.6g} to {1e6 * most:.6g} um, the model reaches {1e6 * low:.4g} to "
-        f"{1e6 * high:.4g} um with {volts}{degrees}, from the sensor's zero in its records; {advice or another}"
-    ]
-
-
-def _zero_advice(path: tuple[float, float], reach: tuple[float, float], zero: Zero | None) -> str:
-    """Return a hint on the zero that brings a path into the reachable range; empty if there is none."""
-    (low, high), (least, most) = reach, path
-    if zero is not None or most - least > high - low:
-        return ""
-    if least >= 0 and most <= high - low:
-        return "--zero bottom counts the path from the bottom of this range"
-    if max(-least, most) <= 0.5 * (high - low):
-        return "--zero mean counts the path from the middle of this range"
-    return f"--zero {0.5 * (low + high - least - most) * 1e6:.4g} puts the path into the middle of this range"
+    return [f"the path covers {least:.6g} to {most:.6g} um, with {volts} {reached}; {advice}"]

@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,12 +46,6 @@ class Run:
 
     def say(self, line: object) -> None:
         """Report a line of the result at once."""
-
-    def watch(self) -> AbstractContextManager[Any]:
-        """Return the progress display of a calibration."""
-        from dehyst.calibration.session import ProgressListener
-
-        return nullcontext(ProgressListener())
 
     @contextmanager
     def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
@@ -127,6 +121,12 @@ class Result:
         """Return JSON values."""
         return dict(self.fields)
 
+    def printed(self, *, details: bool) -> list[str]:
+        """Return the lines to print, with all `details` or with a line that says how to get them."""
+        if details or not (self.more or self.remarks):
+            return [*((details and self.more) or self.lines)]
+        return [*self.lines, "", "Add --verbose for all that was found."]
+
 
 def perform(ctx: click.Context, run: Run) -> Result:
     """Run the operation of a command with the values in its context.
@@ -140,8 +140,8 @@ def perform(ctx: click.Context, run: Run) -> Result:
     run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))
     for parameter in ctx.command.params:
         conditions = getattr(parameter, "conditions", ()) if parameter.name in given else ()
-        if broken := [each for each in conditions if not each.holds(given)]:
-            raise OperationError(f"has no effect {broken[0].words}", argument=parameter.name, hint="leave it out")
+        for why in filter(None, (condition(given) for condition in conditions)):
+            raise OperationError(f"has no effect {why}", argument=parameter.name, hint="leave it out")
     outputs = list(paths_in(ctx, Role.OUTPUT))
     folders = list(paths_in(ctx, Role.FOLDER))
     if run.force and not outputs and not folders and not any(paths_in(ctx, Role.CONTINUED)):

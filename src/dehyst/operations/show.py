@@ -8,15 +8,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._io import format_of
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.operations.command import INPUT, OUTPUT, Only, Parsed, command, option, output, page
-from dehyst.operations.files import AS_FOUND, RECORD, Columns, is_model
+from dehyst.operations.command import OUTPUT, Values, argument, command, option, output, page
+from dehyst.operations.files import AS_COLUMNS, AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
@@ -25,16 +24,21 @@ from dehyst.records.files import record_of
 _GUESSED = "guessed, verify"
 _SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
 _MOST, _WIDTH, _HEIGHT = 40, 60, 16
-_of_record = Only(lambda given: not is_model(given["file"]), "with a model")
+
+
+def _of_record(given: Values) -> str:
+    return "with a model" if is_model(given["file"]) else ""
 
 
 @command("show")
-@click.argument("file", type=INPUT)
-@output("Write the record here, in s, V and um (.csv) or m (.npz).", only=_of_record)
-@page(only=_of_record)
-@option("--columns", type=Parsed(Columns), default=AS_FOUND, only=_of_record, help=Columns.about)
-@option("--save", type=OUTPUT, only=_of_record, help="Write the columns here as text, for --columns @FILE.")
-def show(run: Run, file: Path, output: Path | None, report: Path | None, columns: Columns, save: Path | None) -> Result:
+def show(
+    run: Run,
+    file: Path = argument(),
+    output: Path | None = output("Write the record here, in s, V and um (.csv) or m (.npz).", OUTPUT, _of_record),
+    report: Path | None = page(_of_record),
+    columns: Columns = option(Columns.about, AS_COLUMNS, _of_record, default=AS_FOUND),
+    save: Path | None = option("Write the columns here as text, for --columns @FILE.", OUTPUT, _of_record),
+) -> Result:
     """Print how a FILE is understood: columns, units, sample rate, cycles and problems; and draw its loop.
 
     The status is 2 if the file is not a record; the message then suggests columns. For a model, its parts are printed.

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from dehyst._errors import FileFormatError
@@ -16,31 +15,24 @@ from dehyst.control import PathPlan, outside_identified, plan_voltage
 from dehyst.model import voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.command import INPUT, Parsed, command, number, option, output
-from dehyst.operations.files import VOLTAGE, Columns, clock_of, columns_option, write_table
+from dehyst.operations.command import argument, command, flag, number, option, output
+from dehyst.operations.files import COLUMNS, VOLTAGE, Columns, clock_of, write_table
 from dehyst.operations.paths import TEMPERATURE, temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
-from dehyst.operations.start import Start
+from dehyst.operations.start import START, Start
 from dehyst.records import table_of
 
 
 @command("simulate")
-@click.argument("model", type=INPUT)
-@click.argument("voltage", type=INPUT)
-@output("Write time, voltage and displacement here (CSV).")
-@option("--lag", is_flag=True, help="Delay the displacement by the delay found at identification.")
-@option("--start", type=Parsed(Start), help="State before the first sample, as in compensate; default: unknown.")
-@number("--temperature", help=TEMPERATURE)
-@columns_option
 def simulate(
     run: Run,
-    model: Path,
-    voltage: Path,
-    output: Path,
-    lag: bool,
-    start: Start | None,
-    temperature: float | None,
-    columns: Columns,
+    model: Path = argument(),
+    voltage: Path = argument(),
+    output: Path = output("Write time, voltage and displacement here (CSV)."),
+    lag: bool = flag("Delay the displacement by the delay found at identification."),
+    start: Start | None = option("State before the first sample, as in compensate; default: unknown.", START),
+    temperature: float | None = number(TEMPERATURE),
+    columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.
 
@@ -83,13 +75,9 @@ def simulate(
         "output": str(output),
     }
     pairs = zip(known.actuators, paths, strict=True)
-    begins_words = ([starts.start_words(actuator, path.start, path.start.state)] for actuator, path in pairs)
-    words = ", ".join(known.prefixed(begins_words))
-    lines = [
-        f"{counted(len(volts), 'sample')} {words}: {output}",
-        *known.prefixed(map(starts.open_start, paths)),
-    ]
-    return Result(fields, lines, warnings=warnings, good=not far)
+    words = known.prefixed([starts.start_words(actuator, path.start, path.start.state)] for actuator, path in pairs)
+    lines = [f"{counted(len(volts), 'sample')} {', '.join(words)}: {output}"]
+    return Result(fields, [*lines, *known.prefixed(map(starts.open_start, paths))], warnings=warnings, good=not far)
 
 
 def _displacements(

@@ -17,19 +17,18 @@ from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
 from dehyst.model.states import state_after_loops
-from dehyst.operations.axes import AxesModel
+from dehyst.operations.axes import AxesModel, Limits
+from dehyst.operations.command import Parsed
 from dehyst.operations.files import Columns
-from dehyst.records import Record, Table, read_table
+from dehyst.records import Record, read_table
 from dehyst.trust import start_of
 
 _COMPUTED = (
     "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
     "give a record for more"
 )
-_MEASURED = ("voltage", "displacement")
 # Before the file of a record whose beginning, not whose end, is the start.
 _AS = "as:"
-Limits = tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,9 @@ class Start:
         return () if self.path is None else (self.path,)
 
 
+START = Parsed(Start)
+
+
 def starts_of(
     model: AxesModel, start: Start | None, limits: Sequence[Limits], columns: Columns, *, rests: bool = True
 ) -> tuple[list[PossibleStart | None], list[str]]:
@@ -88,47 +90,38 @@ def _starts_in(
     """Return the start of each axis from a file. Displacements written by dehyst count for nothing: not measured."""
     table, name = read_table(path, columns), path.name
     own = {f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes} <= set(table.names)
-    known = {quantity: _columns_of(model, table, quantity, columns, own=own) for quantity in _MEASURED}
 
-    def values(quantity: str) -> list[Array]:
-        pairs = known[quantity].items()
-        if model.stage is None:
-            return [table.column(quantity, name) for _, name in pairs]
-        return [model.column(table, quantity, axis, name or "") for axis, name in pairs]
+    def names(quantity: str) -> dict[str, str | None]:
+        """Return the column of each axis; dehyst's own file is in V and um, whatever the records were in."""
+        if model.stage is not None:
+            named = model.named(table, quantity, columns, record=True)
+            return {axis: model.name(quantity, axis) if own else named[axis] for axis in model.axes}
+        # Given columns are those of the path; this file may have others.
+        given = None if own else getattr(columns, quantity)
+        return {"": given if given is not None and table.fitting(quantity, given) == 1 else None}
 
-    measured = not own and all(table.fitting("displacement", column) == 1 for column in known["displacement"].values())
+    def values(quantity: str) -> Iterator[Array]:
+        for axis, column in names(quantity).items():
+            yield model.column(table, quantity, axis, column or "") if axis else table.column(quantity, column)
+
+    measured = not own and all(table.fitting("displacement", column) == 1 for column in names("displacement").values())
     if start.began and not measured:
         raise ModelError(
             argument="start",
             got=f"{_AS}{name}, without a measured displacement",
             need="a record with one: it determines the state in which the record began",
         )
-    timed = measured or any(map(needs_time, model.actuators))
-    time = table.column("time") if timed else None
-    targets = model.targets(np.column_stack(values("displacement"))).T if measured else [None] * len(model.axes)
+    time = table.column("time") if measured or any(map(needs_time, model.actuators)) else None
+    moved = model.targets(np.column_stack([*values("displacement")])).T if measured else [None] * len(model.axes)
     remarks, starts = (f"{name}: {_COMPUTED}",) if own else (), []
-    for actuator, voltage, moved, allowed in zip(model.actuators, values("voltage"), targets, limits, strict=True):
-        if time is not None and moved is not None:
-            found = start_of(actuator, Record(time, voltage, moved, name), began=start.began, limits=allowed)
+    for actuator, voltage, target, allowed in zip(model.actuators, values("voltage"), moved, limits, strict=True):
+        if time is not None and target is not None:
+            found = start_of(actuator, Record(time, voltage, target, name), began=start.began, limits=allowed)
         else:
             found = PossibleStart.after(actuator, voltage, time=time, limits=allowed or actuator.limits, name=name)
         found = found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found
         starts.append(replace(found, remarks=(*found.remarks, *remarks)))
     return starts
-
-
-def _columns_of(model: AxesModel, table: Table, quantity: str, columns: Columns, *, own: bool) -> dict[str, str | None]:
-    """Return the column of each axis in the file of a start; None: the usual one.
-
-    Given columns are those of the path; the file of the start may have others. `own`: dehyst wrote the file, in V and
-    um whatever the records were in.
-    """
-    if model.stage is not None:
-        named = model.named(table, quantity, columns, record=True)
-        return {axis: model.name(quantity, axis) if own else named[axis] for axis in model.axes}
-    name = getattr(columns, quantity)
-    has = not own and (name is None or table.fitting(quantity, name) == 1)
-    return dict.fromkeys(model.axes, name if has else None)
 
 
 def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:
@@ -147,16 +140,7 @@ def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
     """Describe the state before the first sample, in brackets; by default the state of the start."""
     volts = actuator.voltage(start.within(actuator, None) if state is None else state)
-    words = {
-        "relaxed": "from rest, relaxed at 0 V, then moved to " if round(volts, 6) else "from rest, relaxed, at ",
-        "homed": "homed, at ",
-        "unknown": "from the middle of the possible starts, at ",
-        "top": "coming from the top, ",
-        "bottom": "coming from the bottom, ",
-    }
-    began = start.name.startswith(_AS)
-    other = f"as {start.name.removeprefix(_AS)} began" if began else f"as at the end of {start.name}"
-    return f"({words.get(start.name, f'{other}, at ')}{volts:.4g} V)"
+    return f"(start: {start.name}, at {volts:.4g} V)"
 
 
 def begin_words(actuator: Actuator, path: PathPlan, limits: Limits) -> str:
@@ -168,18 +152,13 @@ def begin_words(actuator: Actuator, path: PathPlan, limits: Limits) -> str:
 
 
 def open_start(path: PathPlan) -> list[str]:
-    """Return a line on what a start that is not known leaves open along a path; no line if it is known."""
+    """Return a line on what a start that is not known leaves open along a path, if that matters and no homing comes."""
     error = path.left_open
-    if error is None:
+    if error is None or path.homing is not None or not error.matters:
         return []
     largest, first = (f"{error.percent(length):.2g} %" for length in (error.largest, error.first))
-    if path.homing is not None:
-        return [f"unknown start: after the homing it leaves {largest} of the stroke open"]
-    unknown = path.start.name == "unknown"
-    words = "unknown start: it leaves" if unknown else f"start after {path.start.name}: these voltages leave"
-    remedy = "give --start or --home" if unknown else "give --home instead of --start"
-    more = f", {first} at the first sample: {remedy}" if error.matters else ""
-    return [f"{words} {largest} of the stroke open{more}"]
+    remedy = "give --start" if path.start.name == "unknown" else "home the actuator first"
+    return [f"the start leaves {largest} of the stroke open, {first} at the first sample: {remedy}"]
 
 
 def path_start_fields(path: PathPlan) -> dict[str, Any]:
@@ -200,18 +179,11 @@ def before_path(
 
     `stands`: whether it is known where the actuator stands; otherwise it stands at 0 V.
     """
-    first, (low, high) = float(path.voltage[0]), voltages_of(actuator)
-    if path.first and path.homing is None:
-        yield (
-            f"the first {counted(path.first, 'sample')} lead from {first:.6g} V to the first one of the path within "
-            "the slew rate: play the whole file"
-        )
+    first = float(path.voltage[0])
     present = actuator.voltage(path.start.within(actuator, limits)) if stands else 0.0
-    if abs(first - present) > 0.01 * max(abs(value) for value in (present, low, high)):
+    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
         within = "slowly" if slew is None else "within the slew rate"
-        origin, hint = (
-            ("that of the start, ", "") if stands else ("", "; --present V, the voltage now, puts the way into it")
-        )
+        origin, hint = ("that of the start, ", "") if stands else ("", "; --present V puts the way into the file")
         yield (
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
             f"ramp there {within} before you play the file{hint}"

@@ -13,7 +13,22 @@ from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.path import MOST_ROWS
 from dehyst.model import legs, speeds_of, temperatures_to_record, words_of
-from dehyst.operations.command import INPUT, NUMBER, Kinds, Parsed, beside, integer, number, option, output
+from dehyst.operations.command import (
+    INPUT,
+    NUMBER,
+    Declaration,
+    Parsed,
+    argument,
+    beside,
+    command,
+    flag,
+    integer,
+    kinds,
+    number,
+    option,
+    output,
+    pair,
+)
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
@@ -27,157 +42,138 @@ _WHY = (
     "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
     "the loops; best is the rate at which the actuator will be used."
 )
-# Options of every excitation, the last one first.
-_DRIVEN = (
-    number("--slew-rate", help="Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning."),
-    option("--limits", type=(NUMBER, NUMBER), metavar="LOW HIGH", help="Voltages allowed [V]; others are refused."),
-    number("--present", help="Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
-    number("--base", default=0.0, help="Voltage [V] at which a protocol starts and ends."),
-    number("--sample-rate", help="Samples per second [Hz]; default: 400 samples a cycle."),
-    number("--frequency", help="Cycles per second [Hz]; default: the slowest that takes two minutes, or four in all."),
-    output("Write time and voltage here (CSV)."),
+_BEFORE = "Before recording, play one cycle on all axes, so that the record begins within the loops."
+# Options of every excitation.
+_DRIVEN: dict[str, Declaration] = {
+    "output": output("Write time and voltage here (CSV)."),
+    "frequency": number("Cycles per second [Hz]; default: the slowest that takes two minutes, or four in all."),
+    "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle."),
+    "base": number("Voltage [V] at which a protocol starts and ends.", default=0.0),
+    "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
+    "limits": pair("Voltages allowed [V]; others are refused."),
+    "slew_rate": number("Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning."),
+}
+_VOLTAGE, _VOLTAGES = {"highest": argument(NUMBER)}, {"highest": argument(NUMBER, nargs=-1)}
+_TEMPERATURES = {"temperatures": pair("Range in use [degC], to say where to record.")}
+_MAJORS = {"majors": integer("Number of cycles up to the highest voltage before the tops.", default=2)}
+
+excite = kinds(
+    "excite", help="Write the voltage of an excitation, to play and record; each KIND has a help of its own."
 )
-_temperatures = option(
-    "--temperatures", type=(NUMBER, NUMBER), metavar="LOW HIGH", help="Range in use [degC], to say where to record."
+scan = kinds(
+    "scan",
+    help="Write the path of a scan: time and displacement of each axis; compensate computes its voltages.\n\n"
+    "KIND: triangle or steps of one axis; raster of two. Each has a help of its own.",
 )
-_majors = integer("--majors", default=2, help="Number of cycles up to the highest voltage before the tops.")
 
 
-def _driven(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of every excitation."""
-    for each in _DRIVEN:
-        function = each(function)
-    return function
+def _add_excitation(
+    kind: str, text: str, protocol: Callable[..., Excitation], longest: float = _LONGEST, **options: Any
+) -> None:
+    """Add the command of a kind of excitation, with the `options` of its protocol."""
+
+    def written(run: Run, output: Path, **given: Any) -> Result:
+        (name,) = {"highest", "peaks"} & {*given}
+        return _excited(protocol, given.pop(name), output=output, longest=longest, **given)
+
+    written.__doc__ = text
+    command(kind, {**options, **_DRIVEN, **_TEMPERATURES}, excite)(written)
 
 
-@click.group("excite", cls=Kinds)
-def excite() -> None:
-    """Write the voltage of an excitation, to play and record; each KIND has a help of its own."""
+_add_excitation(
+    "recommended",
+    "Write all that identification needs, in one run of three minutes.\n\n"
+    "Major loops up to HIGHEST [V], falling tops, random turns at three speeds, and two holds.",
+    standard.recommended,
+    _RECOMMENDED,
+    **_VOLTAGE,
+)
+_add_excitation(
+    "raised-cosine",
+    "Write cycles from the base to each of the PEAKS [V] and back.",
+    standard.raised_cosine,
+    peaks=argument(NUMBER, nargs=-1),
+    cycles=integer("Number of cycles to each of the peaks.", default=1),
+)
+_add_excitation(
+    "descending-tops",
+    "Write cycles to tops that fall from HIGHEST [V] in equal steps; they determine all stiffnesses that loops can.",
+    standard.descending_tops,
+    **_VOLTAGE,
+    steps=integer("Number of tops; the first top is highest.", default=10),
+    **_MAJORS,
+)
+_add_excitation(
+    "staircase",
+    "Write a staircase up to HIGHEST [V] and down again, whose holds show creep.",
+    standard.staircase,
+    **_VOLTAGE,
+    hold=number("Time at each voltage [s].", default=60.0),
+    steps=integer("Number of steps up, and down.", default=5),
+    back=flag("Let one step back follow each two steps: inner loops at all levels."),
+)
 
 
-@excite.command("recommended")
-@click.argument("highest", type=NUMBER)
-@_driven
-@_temperatures
-def recommended(run: Run, highest: float, **options: Any) -> Result:
-    """Write all that identification needs, in one run of three minutes.
-
-    Major loops up to HIGHEST [V], falling tops, random turns at three speeds, and two holds.
-    """
-    return _excited(standard.recommended, [highest], longest=_RECOMMENDED, **options)
-
-
-@excite.command("raised-cosine")
-@click.argument("peaks", type=NUMBER, nargs=-1, required=True)
-@_driven
-@integer("--cycles", default=1, help="Number of cycles to each of the peaks.")
-@_temperatures
-def raised_cosine(run: Run, peaks: tuple[float, ...], cycles: int, **options: Any) -> Result:
-    """Write cycles from the base to each of the PEAKS [V] and back."""
-    return _excited(standard.raised_cosine, peaks, peaks, cycles=cycles, **options)
-
-
-@excite.command("descending-tops")
-@click.argument("highest", type=NUMBER)
-@_driven
-@integer("--steps", default=10, help="Number of tops; the first top is highest.")
-@_majors
-@_temperatures
-def descending_tops(run: Run, highest: float, **options: Any) -> Result:
-    """Write cycles to tops that fall from HIGHEST [V] in equal steps; they determine all stiffnesses that loops can."""
-    return _excited(standard.descending_tops, [highest], **options)
-
-
-@excite.command("staircase")
-@click.argument("highest", type=NUMBER)
-@_driven
-@number("--hold", default=60.0, help="Time at each voltage [s].")
-@integer("--steps", default=5, help="Number of steps up, and down.")
-@option("--back", is_flag=True, help="Let one step back follow each two steps: inner loops at all levels.")
-@_temperatures
-def staircase(run: Run, highest: float, **options: Any) -> Result:
-    """Write a staircase up to HIGHEST [V] and down again, whose holds show creep."""
-    return _excited(standard.staircase, [highest], **options)
-
-
-@excite.command("stage")
-@click.argument("highest", type=NUMBER, nargs=-1, required=True)
-@_driven
-@option("--axes", help="Names of the axes, as x,y.")
-@integer("--steps", default=10, help="Number of falling tops of each axis alone.")
-@_majors
-@integer("--cycles", default=12, help="Cycles of the first axis when all move together; 0: none.")
-@_temperatures
-def stage(run: Run, highest: tuple[float, ...], axes: str | None, **options: Any) -> Result:
+@command("stage", {**_VOLTAGES, **_DRIVEN, **_MAJORS, **_TEMPERATURES}, excite)
+def stage(
+    run: Run,
+    highest: tuple[float, ...] = argument(NUMBER, nargs=-1),
+    axes: str | None = option("Names of the axes, as x,y."),
+    steps: int = integer("Number of falling tops of each axis alone.", default=10),
+    cycles: int = integer("Cycles of the first axis when all move together; 0: none.", default=12),
+    **given: Any,
+) -> Result:
     """Move several axes to their HIGHEST [V]: one axis after the other, then all together."""
     if len(highest) < 2:
         raise RecordError(argument="highest", got=f"{len(highest)} for a stage", need="one for each of several axes")
     names, longest = None if axes is None else axes.split(","), _LONGEST * (len(highest) + 1)
-    return _excited(stage_excitation, highest, highest, longest=longest, advice=(), axes=names, **options)
+    given |= {"steps": steps, "cycles": cycles, "axes": names}
+    return _excited(stage_excitation, highest, longest=longest, **given)
 
 
-@excite.command("homing")
-@click.argument("highest", type=NUMBER, required=False)
-@_driven
-@option("--model", type=INPUT, help="Model to home by the shortest certified waveform, instead of HIGHEST.")
-@number("--hold", only=beside("model"), help="Time at either limit [s] with creep; default: as long as needed.")
+@command("homing", _DRIVEN, excite)
 def homing(
-    run: Run, highest: float | None, model: Path | None, hold: float | None, output: Path, **options: Any
+    run: Run,
+    highest: float | None = argument(NUMBER, required=False),
+    model: Path | None = option("Model to home by the shortest certified waveform, instead of HIGHEST.", INPUT),
+    hold: float | None = number("Time at either limit [s] with creep; default: as long as needed.", beside("model")),
+    **given: Any,
 ) -> Result:
     """Home by a way up to HIGHEST [V] and back, or with --model the shortest way to a known state."""
     if (highest is None) == (model is None):
         raise ModelError(argument="highest", need="either a highest voltage or --model")
-    if model is None:
-        return _excited(standard.homing, [highest], output=output, **options)
-    return _home(run, model, output, hold, **options)
+    return _excited(standard.homing, highest, **given) if model is None else _home(run, model, hold=hold, **given)
 
 
 def _excited(
     protocol: Callable[..., Excitation],
-    volts: Sequence[Any],
-    *given: Any,
+    highest: Any,
     output: Path,
     frequency: float | None,
-    slew_rate: float | None,
-    base: float,
-    present: float | None,
-    limits: tuple[float, float] | None,
-    sample_rate: float | None,
     temperatures: tuple[float, float] | None = None,
     longest: float = _LONGEST,
-    advice: tuple[str, ...] = (_WHY,),
     **options: Any,
 ) -> Result:
-    """Write an excitation to voltages; `given`: arguments of its protocol if they are not the only voltage.
+    """Write an excitation to one or several highest voltages [V].
 
     Without a `frequency`, it takes at most the `longest` time [s], if it can, and the advice is given.
     """
-    if limits is None and (highest := max(volts)) > 0:
-        limits = -highest, highest
-    sampled: dict[str, Any] = {"sample_rate": sample_rate, "base": base, "present": present, "limits": limits}
+    sampled = {name: options.pop(name) for name in ("sample_rate", "base", "present", "limits", "slew_rate")}
+    if sampled["limits"] is None and (top := np.max(highest)) > 0:
+        sampled["limits"] = -float(top), float(top)
 
     def make(hertz: float) -> Excitation:
-        return protocol(*(given or volts), drive=Sampling(hertz, slew_rate=slew_rate, **sampled), **options)
+        return protocol(highest, drive=Sampling(hertz, **sampled), **options)
 
-    warmth = temperatures_to_record(None, temperatures)
+    degrees = temperatures_to_record(None, temperatures)
     if frequency is not None:
-        return _written(make(frequency), output, temperatures=warmth)
-    found, hertz = _slow_enough(make, longest)
-    return _written(found, output, f"{hertz:g} Hz by default", advice, temperatures=warmth)
-
-
-def _fastest(excitation: Excitation) -> float:
-    """Return the largest abs(dv/dt) [V/s] of an excitation."""
-    return excitation.sample_rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
-
-
-def _slow_enough(make: Callable[[float], Excitation], longest: float) -> tuple[Excitation, float]:
-    """Return the slowest excitation that is short enough; if there is none, one hardly longer than the fastest."""
-    possible = [(make(frequency), frequency) for frequency in _FREQUENCIES]
-    # With a warning the slew rate lengthens legs.
+        return _written(make(frequency), output, temperatures=degrees)
+    # The slowest one that is short enough, or one hardly longer than the fastest; with a warning, legs are lengthened.
+    possible = [(make(hertz), hertz) for hertz in _FREQUENCIES]
     possible = [each for each in possible if not each[0].warnings] or possible
     most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
-    return next(each for each in possible if each[0].duration <= most)
+    found, hertz = next(each for each in possible if each[0].duration <= most)
+    return _written(found, output, f"{hertz:g} Hz by default", (_WHY,), temperatures=degrees)
 
 
 def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float | None, **sampled: Any) -> Result:
@@ -185,18 +181,16 @@ def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: fl
     actuator = read_model(run, model)
     sampled["limits"] = sampled["limits"] or actuator.limits
     if sampled["limits"] is not None and not sampled["base"]:
-        low, high = sampled["limits"]
-        sampled["base"] = min(max(0.0, low), high)
-    drive = Sampling(_HOMING if frequency is None else frequency, **sampled)
+        sampled["base"] = float(np.clip(0.0, *sampled["limits"]))
+    drive = Sampling(frequency or _HOMING, **sampled)
     ends = {"present": drive.start, "end": drive.base}
     way = shortest_homing(actuator, limits=drive.limits, **ends, drive=drive, hold=hold)
-    remarks = way.remarks
     if len(way.turns) < 2:
         words = "homing: the state is already known; nothing to play, nothing written"
-        return Result({"kind": "homing", "samples": 0, "warnings": list(remarks)}, [words], warnings=remarks)
+        return Result({"kind": "homing", "samples": 0, "warnings": list(way.remarks)}, [words], warnings=way.remarks)
     certificate = "certified" if way.certified else "NOT certified"
     remark = f"{certificate}: the displacement is known to {way.spread * 1e6:.3g} um after it"
-    return _written(way.played, output, remark, warnings=remarks, good=way.certified)
+    return _written(way.played, output, remark, warnings=way.remarks, good=way.certified)
 
 
 def _written(
@@ -210,18 +204,19 @@ def _written(
 ) -> Result:
     """Write an excitation of one axis or several."""
     names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
+    rate, (low, high) = excitation.sample_rate, excitation.voltage_range
     voltages = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
     write_table(output, {"time_s": excitation.time, **voltages})
-    low, high = excitation.voltage_range
     first, last = (excitation.voltage[k].tolist() for k in (0, -1))
+    steepest = rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
     fields = {
         "kind": excitation.name,
         "samples": len(excitation),
         "seconds": excitation.duration,
-        "sample_rate_Hz": excitation.sample_rate,
+        "sample_rate_Hz": rate,
         "lowest_V": low,
         "highest_V": high,
-        "slew_rate_V_per_s": _fastest(excitation),
+        "slew_rate_V_per_s": steepest,
         "first_V": first,
         "last_V": last,
         **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
@@ -230,18 +225,13 @@ def _written(
         "warnings": [*warnings, *excitation.warnings],
         "output": str(output),
     }
-    size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {excitation.sample_rate:.6g} Hz"
-    what = f"{low:.6g} to {high:.6g} V"
+    size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {rate:.6g} Hz"
     if excitation.axes:
-        parts = (f"{name} {(stop - begin) / excitation.sample_rate:.4g} s" for name, begin, stop in excitation.parts)
-        what, advice = (
-            ", ".join(parts),
-            ("Before recording, play one cycle on all axes, so that the record begins within the loops.",),
-        )
+        what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
+        advice = (_BEFORE,)
     else:
-        time, voltage = excitation.time, excitation.voltage
-        branches = speeds_of(time, voltage, legs(voltage, high - low))
-        what += f", from {first:.6g} to {last:.6g} V, at {_fastest(excitation):.4g} V/s at most"
+        branches = speeds_of(excitation.time, excitation.voltage, legs(excitation.voltage, high - low))
+        what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
         what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
     if temperatures:
@@ -271,14 +261,6 @@ class Numbers(tuple[float, ...]):
         return cls(map(float, text.split(",")))
 
 
-@click.group("scan", cls=Kinds)
-def scan() -> None:
-    """Write the path of a scan: time and displacement of each axis; compensate computes its voltages.
-
-    KIND: triangle or steps of one axis; raster of two. Each has a help of its own.
-    """
-
-
 def _add_scan(kind: str, text: str) -> None:
     """Add the command of a kind of scan, with the options that it takes."""
 
@@ -287,23 +269,19 @@ def _add_scan(kind: str, text: str) -> None:
         return _scanned(kind, given, output, sample_rate, cycles)
 
     written.__doc__ = text
-    options = [
-        output("Write time and displacement here (CSV)."),
-        number("--sample-rate", help="Samples per second [Hz]; default: from the scan."),
-        integer("--cycles", default=1, help="Cycles of the scan."),
-    ]
+    options: dict[str, Declaration] = {
+        "output": output("Write time and displacement here (CSV)."),
+        "sample_rate": number("Samples per second [Hz]; default: from the scan."),
+        "cycles": integer("Cycles of the scan.", default=1),
+    }
+    values: dict[Any, Any] = {"numbers": Parsed(Numbers), float: NUMBER}
     for name in SCANS[kind].takes:
         own, choices = OPTIONS[name], OPTIONS[name].kind
         default = own.default or (choices[0] if isinstance(choices, tuple) else "")
         words = f"{own.help}{f' [{own.unit}]' if own.unit else ''}{default and f'; default: {default}'}."
-        kinds: dict[Any, Any] = {"numbers": Parsed(Numbers), float: NUMBER}
-        of = click.Choice(choices) if isinstance(choices, tuple) else kinds.get(choices, choices)
-        flag = f"--{name.replace('_', '-')}"
-        options.append(option(flag, type=of, required=name in SCANS[kind].needs, help=words))
-    function: Callable[..., Any] = written
-    for each in reversed(options):
-        function = each(function)
-    scan.command(kind)(function)
+        of = click.Choice(choices) if isinstance(choices, tuple) else values.get(choices, choices)
+        options[name] = option(words, of, required=name in SCANS[kind].needs)
+    command(kind, options, scan)(written)
 
 
 _add_scan("triangle", "A path up and down between two displacements.")
