@@ -6,7 +6,8 @@ import warnings
 
 import numpy as np
 import pytest
-from fake_gcs import IDENTITY, WAVES, FakeController
+from emulator import Controller
+from fake_gcs import WAVES, FakeController
 from faulty_link import PipeLink, QuickRig
 
 from dehyst.instruments import DeviceError, LinkError, RigError
@@ -25,8 +26,9 @@ def triangle(low=0.0, high=80.0, count=401, rate=1000.0):
 
 
 def test_it_says_what_it_is():
-    rig = quick(FakeController(), limits=(-5.0, 500.0), slew_rate=2000.0)
-    assert rig.name == f"{IDENTITY} at pipe:1"
+    controller = FakeController()
+    rig = quick(controller, limits=(-5.0, 500.0), slew_rate=2000.0)
+    assert rig.name == f"{controller.identity} at pipe:1"
     assert (rig.limits.low, rig.limits.high, rig.slew_rate, rig.axis, rig.longest) == (-5.0, 120.0, 2000.0, "1", 4096)
 
 
@@ -163,7 +165,7 @@ def test_the_users_limits_serve_where_the_controller_tells_none():
 def test_narrower_limits_than_told_are_an_error_of_the_device():
     controller = FakeController(limits=(-20.0, 60.0), told={"VMA?": ["1=120"]})
     rig = quick(controller)
-    with pytest.raises(DeviceError, match=r"error 7: .*SVA 1") as caught:
+    with pytest.raises(DeviceError, match=r"error 302: .*SVA 1") as caught:
         rig.set_voltage(100.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
     assert controller.bench.axis.voltage == 0.0
@@ -200,7 +202,8 @@ def test_a_recorder_that_stands_still_is_found_out(playing, error, why):
 def test_another_rate_than_asked_for_is_an_error_of_the_device():
     controller = FakeController()
     controller.told["DRR?"] = lambda a: [
-        line.replace("# SAMPLE_TIME = 0.001", "# SAMPLE_TIME = 0.002") for line in controller.on_drr_asked(*a)
+        line.rstrip().replace("# SAMPLE_TIME = 0.001", "# SAMPLE_TIME = 0.002")
+        for line in Controller.answer(controller, " ".join(["DRR?", *a])).splitlines()
     ]
     with pytest.raises(DeviceError, match=r"records every 0\.002 s, need 0\.001 s"):
         quick(controller).play(triangle())
@@ -231,7 +234,7 @@ def test_a_retreat_needs_no_answer_but_that_the_wave_has_stopped(spoilt, answer)
 def test_a_latched_error_is_said_with_its_number():
     controller = FakeController()
     rig = quick(controller)
-    controller.error = 333
+    controller.told["ERR?"] = ["333"]
     with pytest.raises(DeviceError, match="error 333: its hardware"):
         rig.set_voltage(3.0)
 

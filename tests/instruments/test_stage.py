@@ -251,16 +251,11 @@ def test_samples_of_one_axis_that_differ_from_what_was_sent_are_refused():
 class TestAddresses:
     """Where several axes are named."""
 
-    @pytest.mark.parametrize(
-        ("address", "axes", "words"),
-        [
-            ("sim://", ["1", "2"], "play several together"),
-            ("pi://localhost/1,2", ["1", "3"], "names the axes 1, 2, but 1, 3 are requested"),
-        ],
-    )
-    def test_others_are_refused(self, address, axes, words):
-        with pytest.raises(RigError, match=words):
-            open_rig(address, axes)
+    def test_others_are_refused(self):
+        with pytest.raises(RigError):
+            open_rig("sim://", ["1", "2"])
+        with served() as (server, _), pytest.raises(RigError, match="1, 3"):
+            open_rig(f"pi://127.0.0.1:{server.port}/1,2", ["1", "3"])
 
     def test_an_axis_that_is_not_there_is_refused(self):
         with served() as (server, _), pytest.raises(RigError, match="the axis '4', it has 1, 2, 3"):

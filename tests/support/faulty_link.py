@@ -3,8 +3,6 @@
 import random
 import time
 
-from fake_gcs import text_of
-
 from dehyst.instruments.gcs_client import TcpLink
 from dehyst.instruments.pi import PiRig
 
@@ -93,8 +91,7 @@ class _Pipe:
             raise BrokenPipeError("closed")
         *lines, self.half = (self.half + data).split(b"\n")
         for line in lines:
-            said = self.controller.answer(line.decode("ascii"))
-            reply = self.meddle((said if isinstance(said, str) else text_of(said)).encode())
+            reply = self.meddle((self.controller.answer(line.decode("ascii")) or "").encode())
             if reply is None:
                 self.closed = True
                 return
@@ -133,7 +130,7 @@ class QuickRig(PiRig):
         super().__init__(link, **options)
 
     def _now(self):
-        return self._controller.clock.now
+        return self._controller.clock.time
 
     def _wait(self, seconds):
-        self._controller.clock.now += seconds
+        self._controller.clock.wait(seconds)

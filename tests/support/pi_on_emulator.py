@@ -3,8 +3,8 @@
 from contextlib import contextmanager
 
 from emulator import Controller, Server
-from fake_gcs import Clock
 from faulty_link import PipeLink, QuickRig
+from hand_clock import Hand
 
 from dehyst.instruments.pi import PiRig
 from dehyst.virtual import PlayActuator, VirtualBench
@@ -41,7 +41,7 @@ def _instrument(longest, **options):
 @contextmanager
 def by_pipe(longest=65536, **options):
     """Open a PI controller in this process, in a time of its own."""
-    clock = Clock()
+    clock = Hand()
     instrument = _instrument(longest, clock=clock)
     controller = Controller(instrument)
     controller.clock = clock

@@ -42,44 +42,42 @@ def open_rig(
     """
     options: _Options = {"limits": limits, "slew_rate": slew_rate}
     word, separator, rest = address.partition("://")
-    forms = f"{', '.join(form for form, _ in SCHEMES.values())} or path/to/my_rig.py:make"
-    if separator:
-        if word.lower() not in SCHEMES:
-            raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {forms}")
-        if word.lower() == "pi":
-            options["axes"] = axes
-        elif axes is not None:
-            raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'][0]}")
-        _, opened = SCHEMES[word.lower()]
-        return _checked(opened(rest, options), limits, slew_rate)
-    path, separator, name = address.rpartition(":")
-    if not (separator and path.endswith(".py") and name.isidentifier()):
-        raise RigError(f"{address!r}: is not the address of a rig; need {forms}")
-    rig = _checked(_custom(Path(path), name, options), limits, slew_rate)
-    if axes is not None and tuple(axes) != rig.axes:
-        rig.close()
-        raise RigError(f"{address}: has the axes {', '.join(rig.axes)}, but {', '.join(axes)} were requested")
-    return rig
-
-
-def _checked(rig: AbstractRig, limits: AxisLimits, slew_rate: AxisSlewRates) -> AbstractRig:
-    """Return the rig if the limits of its axes lie within the requested ones; raises RigError."""
+    kind = SCHEMES.get(word.lower())
+    if separator and kind is None:
+        raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {_forms()}")
+    if separator and axes is not None and kind != SCHEMES["pi"]:
+        raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'][0]}")
+    rig = _custom(address, options) if kind is None else kind[1](rest, axes, options)
     if getattr(rig, "axes", None) is None:
         raise RigError(f"{type(rig).__name__}: its __init__ does not call super().__init__(name, limits, ...)")
-    for one, (bounds, rate) in zip(rig.rigs, bounds_of_axes(limits, slew_rate, len(rig.axes)), strict=True):
-        low, high = bounds or (one.limits.low, one.limits.high)
-        steepest = rate or one.slew_rate
-        if low <= one.limits.low and one.limits.high <= high and one.slew_rate <= steepest:
-            continue
+    try:
+        if axes is not None and tuple(axes) != rig.axes:
+            raise RigError(f"{address}: has the axes {', '.join(rig.axes)}, but {', '.join(axes)} were requested")
+        _demand_limits(rig, limits, slew_rate)
+    except RigError:
         rig.close()
-        raise RigError(
-            f"{one.name}: allows {one.limits.words} and {one.slew_rate:.6g} V/s, but {low:g} to {high:g} V and "
-            f"{steepest:.6g} V/s were requested; pass limits and slew_rate on to AbstractRig"
-        )
+        raise
     return rig
 
 
-def _pi(rest: str, options: _Options) -> AbstractRig:
+def _forms() -> str:
+    return f"{', '.join(form for form, _ in SCHEMES.values())} or path/to/my_rig.py:make"
+
+
+def _demand_limits(rig: AbstractRig, limits: AxisLimits, slew_rate: AxisSlewRates) -> None:
+    """Raise RigError unless the limits of each axis lie within the requested ones."""
+    asked = bounds_of_axes(limits, slew_rate, len(rig.axes))
+    for part, (bounds, rate) in zip(rig.rigs, asked, strict=True):
+        low, high = bounds or (part.limits.low, part.limits.high)
+        steepest = rate or part.slew_rate
+        if not (low <= part.limits.low and part.limits.high <= high and part.slew_rate <= steepest):
+            raise RigError(
+                f"{part.name}: allows {part.limits.words} and {part.slew_rate:.6g} V/s, but {low:g} to {high:g} V and "
+                f"{steepest:.6g} V/s were requested; pass limits and slew_rate on to AbstractRig"
+            )
+
+
+def _pi(rest: str, axes: Sequence[str] | None, options: _Options) -> AbstractRig:
     from dehyst.instruments.pi import PORT, PiRig
 
     try:
@@ -87,16 +85,14 @@ def _pi(rest: str, options: _Options) -> AbstractRig:
         host, port = parts.hostname, parts.port
     except ValueError as error:
         raise RigError(f"pi://{rest}: is not the address of a rig ({error}); need pi://host:port") from error
-    path, axes = parts.path.strip("/"), options.pop("axes")
+    path = parts.path.strip("/")
     if not host or parts.query or parts.fragment or "/" in path:
         raise RigError(f"pi://{rest}: need pi://host:port, or pi://host:port/axis")
-    named = [name for name in path.split(",") if name]
-    if axes is not None and named and list(axes) != named:
-        raise RigError(f"pi://{rest}: names the axes {', '.join(named)}, but {', '.join(axes)} are requested; give one")
-    return PiRig.connect(host, PORT if port is None else port, axis=list(axes or named) or None, **options)
+    named = [name for name in path.split(",") if name] or list(axes or ())
+    return PiRig.connect(host, PORT if port is None else port, axis=named or None, **options)
 
 
-def _epics(prefix: str, options: _Options) -> AbstractRig:
+def _epics(prefix: str, _: Sequence[str] | None, options: _Options) -> AbstractRig:
     from dehyst.instruments.epics import EpicsRig
 
     if not prefix:
@@ -104,7 +100,7 @@ def _epics(prefix: str, options: _Options) -> AbstractRig:
     return EpicsRig.connect(prefix, **options)
 
 
-def _sim(name: str, options: _Options) -> AbstractRig:
+def _sim(name: str, _: Sequence[str] | None, options: _Options) -> AbstractRig:
     from dehyst.instruments.simulated import SimulatedRig
     from dehyst.virtual import PlayActuator
 
@@ -113,16 +109,20 @@ def _sim(name: str, options: _Options) -> AbstractRig:
     return SimulatedRig(PlayActuator(), **options)
 
 
-# How each kind of address is written, and the function of the rest after ``://`` and of the options that opens it.
-SCHEMES: dict[str, tuple[str, Callable[[str, _Options], AbstractRig]]] = {
+# How each kind of address is written, and the function that opens it, of the rest after ``://``, the axes and options.
+SCHEMES: dict[str, tuple[str, Callable[[str, Sequence[str] | None, _Options], AbstractRig]]] = {
     "pi": ("pi://host:port[/axis or /1,2,3]", _pi),
     "epics": ("epics://PREFIX", _epics),
     "sim": ("sim://", _sim),
 }
 
 
-def _custom(path: Path, name: str, options: _Options) -> AbstractRig:
-    """Run a user's file, and call its function `name`."""
+def _custom(address: str, options: _Options) -> AbstractRig:
+    """Run a user's file, and call its function."""
+    place, separator, name = address.rpartition(":")
+    if not (separator and place.endswith(".py") and name.isidentifier()):
+        raise RigError(f"{address!r}: is not the address of a rig; need {_forms()}")
+    path = Path(place)
     if not path.is_file():
         raise RigError(f"{path}: the file does not exist; need one with a function that makes a rig")
     # As Python does for a script: modules in the same folder can be imported.

@@ -29,7 +29,7 @@ _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 # Batches by which the place in a wave is known.
 _RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
-_LEAST_DELAY = 0.02
+_LEAST_DELAY = 0.05
 # A voltage is reached if the reading is within this share of the range; else a retreat sends its end so many times.
 _EXACT, _SENT = 1e-4, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
