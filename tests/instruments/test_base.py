@@ -182,53 +182,25 @@ def with_nan(column):
 
 
 SPOILT = {
-    "time is NaN": (at(2, with_nan("time")), LinkError, "got samples that are not finite; check the link and the sens"),
-    "voltage is NaN": (at(2, with_nan("voltage")), LinkError, "not finite"),
-    "displacement is NaN": (at(2, with_nan("displacement")), LinkError, "not finite"),
-    "a column is short": (
-        at(2, lambda s: s._replace(voltage=s.voltage[1:])),
-        LinkError,
-        r"got columns of shapes .*need one length",
-    ),
-    "no column": (at(2, lambda s: s._replace(voltage=np.float64(3))), LinkError, "got columns of shapes"),
-    "too many": (
-        lambda n, s: [s, s._replace(time=s.time + 0.01)] if n == 10 else [s],
-        LinkError,
-        "got 102 samples for 101 voltages; check the link",
-    ),
-    "a lot comes twice": (
-        lambda n, s: [s, s] if n == 3 else [s],
-        LinkError,
-        r"got a sample of .* s after one of .* s, need increasing times",
-    ),
-    "time stands still": (
-        at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))),
-        LinkError,
-        "increasing times",
-    ),
-    "time falls back": (
-        at(4, lambda s: s._replace(time=s.time - 1)),
-        LinkError,
-        "need increasing times; check the link",
-    ),
-    "a lot is missing": (
-        lambda n, s: [] if n == 10 else [s],
-        DeviceError,
-        "recorded 100 of 101 samples; check its data recorder",
-    ),
-    "nothing comes": (lambda n, s: [], DeviceError, "recorded 0 of 101 samples"),
-    "the output stays": (
-        lambda n, s: [s._replace(voltage=np.zeros_like(s.voltage))],
-        DeviceError,
-        r"its output is .* V away from what was sent; is the amplifier on, the servo off",
-    ),
+    **{f"{column} is NaN": (at(2, with_nan(column)), LinkError) for column in ("time", "voltage", "displacement")},
+    "a column is short": (at(2, lambda s: s._replace(voltage=s.voltage[1:])), LinkError),
+    "no column": (at(2, lambda s: s._replace(voltage=np.float64(3))), LinkError),
+    "too many": (lambda n, s: [s, s._replace(time=s.time + 0.01)] if n == 10 else [s], LinkError),
+    "a lot comes twice": (lambda n, s: [s, s] if n == 3 else [s], LinkError),
+    "time stands still": (at(2, lambda s: s._replace(time=np.full_like(s.time, s.time[0]))), LinkError),
+    "time falls back": (at(4, lambda s: s._replace(time=s.time - 1)), LinkError),
+    "a lot is missing": (lambda n, s: [] if n == 10 else [s], DeviceError),
+    "nothing comes": (lambda n, s: [], DeviceError),
+    "the output stays": (lambda n, s: [s._replace(voltage=np.zeros_like(s.voltage))], DeviceError),
+    "a channel that nobody named": (at(2, lambda s: s._replace(others={"load_N": s.time})), DeviceError),
+    "a channel is short": (at(2, lambda s: s._replace(others={"load_N": s.time[1:]})), LinkError),
 }
 
 
-@pytest.mark.parametrize(("spoil", "kind", "message"), SPOILT.values(), ids=SPOILT)
-def test_what_comes_is_looked_at(spoil, kind, message):
+@pytest.mark.parametrize(("spoil", "kind"), SPOILT.values(), ids=SPOILT)
+def test_what_comes_is_looked_at(spoil, kind):
     rig, heard = spoiled(spoil), []
-    with pytest.raises(kind, match=message) as caught:
+    with pytest.raises(kind) as caught:
         rig.play(UP, heard.append)
     (note,) = caught.value.__notes__
     assert note == BROUGHT and note.safe
@@ -588,21 +560,6 @@ def test_a_readback_with_an_error_may_be_beyond_the_limits():
     with pytest.raises(DeviceError) as caught:
         rig.set_voltage(30.0)
     assert caught.value.got == "a reading of -6 V"
-
-
-def test_a_buffer_that_a_driver_fills_again_changes_no_record():
-    rig = FakeRig()
-    wave = rig._wave
-
-    def buffered(voltage, rate):
-        for samples in wave(voltage, rate):
-            yield samples
-            samples.voltage[:] = samples.displacement[:] = samples.time[:] = 7.0
-
-    rig._wave = buffered
-    record = rig.play(UP)
-    assert np.array_equal(record.voltage, UP.voltage)
-    assert np.all(np.diff(record.time) > 0)
 
 
 def test_a_wave_of_empty_batches_ends(monkeypatch):

@@ -40,7 +40,7 @@ HOUSE = {
     "files of Python": 192,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2740,
-    "lines of tests": 38167,
+    "lines of tests": 38035,
     "lines of benchmarks": 4958,
     "words of docs": 27790,
     "public names": 112,

@@ -81,18 +81,12 @@ def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(cont
         ("WTR 1 0 1", 17),
         ("WSL 1 9", 17),
         ("x" * 70000, 3),
+        *(("SPA? 1 0x99", 54), ("DRR? 1 5", 77), ("VOL? 3", 15), ("WAV? 1 2", 17), ("CSV? 1", 24)),
     ],
 )
 def test_what_cannot_be_done_is_refused_by_number_and_nothing_put_out(controller, line, error):
     assert error_after(controller, line) == error
     assert controller.instrument.axis.log.highest == controller.instrument.axis.log.lowest == 0
-
-
-@pytest.mark.parametrize(
-    ("query", "error"), [("SPA? 1 0x99", 54), ("DRR? 1 5", 77), ("VOL? 3", 15), ("WAV? 1 2", 17), ("CSV? 1", 24)]
-)
-def test_a_query_that_cannot_be_answered_is_refused(controller, query, error):
-    assert error_after(controller, query) == error
 
 
 def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, hand):
@@ -112,31 +106,13 @@ def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, ha
     hand.wait(1)
     assert controller.answer("WGO?") == "1=0\n"
     header, rows = controller.answer("DRR? 1 200 1 2").split("# END_HEADER \n")
-    assert header.splitlines() == [
-        "# REM Recorded by an emulated controller of dehyst ",
-        "# VERSION = 1 ",
-        "# TYPE = 1 ",
-        "# SEPARATOR = 32 ",
-        "# DIM = 2 ",
-        "# SAMPLE_TIME = 0.001 ",
-        "# NDATA = 200 ",
-        "# NAME0 = Current Position of axis1 ",
-        "# NAME1 = Voltage of output chn1 ",
-    ]
+    assert {"# DIM = 2 ", "# SAMPLE_TIME = 0.001 ", "# NDATA = 200 "} <= set(header.splitlines())
     table = np.array([line.split() for line in rows.splitlines()], dtype=float)
     np.testing.assert_array_equal(table[:, 1], values)
     _, _, displacement = controller.instrument.samples()
     np.testing.assert_allclose(table[:, 0], displacement * 1e6, rtol=1e-11)
     some = controller.answer("DRR? 11 5 2").split("# END_HEADER \n")[1]
     np.testing.assert_array_equal(np.array(some.split(), dtype=float), values[10:15])
-
-
-def test_a_table_too_long_for_the_generator_is_refused_and_stays_as_it_was(hand):
-    controller = made(hand, wave_points=10)
-    assert wave(controller, *range(8)) == 0
-    assert error_after(controller, "WAV 1 & PNT 1 3 1 2 3") == 67
-    assert controller.answer("WAV? 1") == "1 1=8\n"
-    assert error_after(controller, "WSL 1 1", "WGC 1 2", "WGO 1 1") == 67
 
 
 NAMES = st.sampled_from([*sorted(COMMANDS), "", "FOO", "PNT"])
@@ -178,12 +154,6 @@ class TestSeveralAxes:
         assert error_after(controller, "SVA 1 10 7 20") == 15
         assert error_after(controller, "SVA 1 10 2 x") == 25
         assert controller.answer("VOL? 1") == "1=0\n"
-
-    def test_generators_of_different_rates_are_refused(self, controller):
-        for number in (1, 2):
-            assert error_after(controller, f"WAV {number} X PNT 1 2 0 10") == 0
-        assert error_after(controller, "WSL 1 1 2 2", "WGC 1 1 2 1", "WTR 1 4 0 2 5 0", "WGO 1 1 2 1") == 17
-        assert controller.answer("WGO?") == "1=0 \n2=0 \n3=0\n"
 
     def test_a_wave_beyond_the_limits_of_its_axis_is_refused(self, controller, stage):
         assert error_after(controller, "WAV 1 X PNT 1 2 0 140") == 0
