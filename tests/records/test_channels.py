@@ -25,7 +25,7 @@ def shown(record):
 
 ALL = {
     "temperature_C": ("temperature", "degC", "temperature"),
-    "load_N": ("load", "N", "load"),
+    "load_N": ("load", "N", "other"),
     "humidity [%]": ("humidity", "%", "other"),
 }
 
@@ -42,7 +42,7 @@ def test_arrays_and_operations_keep_them():
     several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
     for record in (RECORD, Record.from_arrays(T, V, Y * 1e6, units="um", others=OTHERS), several, several.axis("y")):
         assert_all(record)
-    assert [channel.role for channel in RECORD.channels] == ["drive", "displacement", "temperature", "load", "other"]
+    assert [channel.role for channel in RECORD.channels] == ["drive", "displacement", "temperature", "other", "other"]
     assert repr(RECORD).endswith("um, temperature, load, humidity>")
     assert repr(several).endswith("axes x, y, temperature, load, humidity>")
     assert "20 to 21.19 degC" in RECORD._repr_html_()
@@ -61,11 +61,10 @@ def test_arrays_and_operations_keep_them():
         ("temperature_F", 32 + 1.8 * TEMPERATURE, "temperature", TEMPERATURE),
         ("Room [°F]", 32 + 1.8 * TEMPERATURE, "Room", TEMPERATURE),
         ("Room (°C)", TEMPERATURE, "Room", TEMPERATURE),
-        ("Force_mN", LOAD * 1e3, "Force", LOAD),
-        ("load_kN", LOAD / 1e3, "load", LOAD),
-        # What is no temperature or load is kept as it is.
+        # What is no temperature is kept as it is.
         ("charge_C", V, "charge", V),
         ("order_N", V, "order", V),
+        ("Force [mN]", LOAD, "Force", LOAD),
         ("flow [l/min]", V, "flow", V),
         ("monitor_mV", V, "monitor", V),
     ],
@@ -74,8 +73,8 @@ def test_units_are_those_of_the_quantity(column, values, name, expected):
     (channel,) = Record(T, V, Y, others={column: values}).others
     assert channel.name == name
     assert channel.values == pytest.approx(expected, rel=1e-12)
-    assert channel.unit == {"temperature": "degC", "load": "N"}.get(channel.role, channel.unit)
-    assert channel.role != "other" or channel.column == column
+    assert channel.unit == {"temperature": "degC"}.get(channel.role, channel.unit)
+    assert channel.role != "other" or channel.column == column.replace(" [mN]", "_mN")
 
 
 @pytest.mark.parametrize(
@@ -126,12 +125,12 @@ def test_record_files_keep_all(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_temperatures_and_loads_are_found_in_files_of_others(suffix, tmp_path):
+def test_temperatures_are_found_in_files_of_others(suffix, tmp_path):
     columns = {**FILE, "Temperature [K]": TEMPERATURE + 273.15, "load_N": LOAD, "spare_V": V, "order_N": V}
     path = tmp_path / f"a{suffix}"
     write_columns(path, columns) if suffix == ".csv" else np.savez(path, **columns)
     record = read(path)
-    assert {channel.role for channel in record.others} == {"temperature", "load"}
+    assert {channel.role for channel in record.others} == {"temperature"}
     assert record.temperature == pytest.approx(TEMPERATURE)
 
 

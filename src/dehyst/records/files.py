@@ -38,8 +38,8 @@ _BLOCK = 1 << 14
 def read(path: PathLike, columns: Columns | str | None = None, *, name: str | None = None) -> Record:
     """Read a record from a file; its suffix determines the format.
 
-    Temperatures and loads in further columns, as temperature_C or "Force [mN]", become the record's `others`;
-    unsuitable columns are left out with a remark.
+    Temperatures in further columns, as temperature_C, become the record's `others`; unsuitable ones are left out with
+    a remark.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def write_record(path: PathLike, record: Record) -> None:
     CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
     displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
     Guesses from reading (``record.meta["guesses"]``), a `hold` other than "line", and the names of channels other than
-    temperatures and loads, are kept in a comment above the table or in an additional array; cells of the displacement
+    temperatures are kept in a comment above the table or in an additional array; cells of the displacement
     are blank (NaN) where it is not measured. An existing file is replaced. The new file is a
     measurement, not an output: no command replaces it without --force.
 
@@ -252,4 +252,4 @@ def _inside(values: Array, digits: int) -> Array:
         if way * rounded < way * end:
             rounded = float(f"{rounded + way * 10.0 ** (floor(log10(abs(end))) + 1 - digits):.{digits}g}")
         ends.append(rounded)
-    return np.clip(values, *ends) if ends[0] <= ends[1] else values
+    return np.clip(values, ends[0], ends[1]) if ends[0] <= ends[1] else values

@@ -43,9 +43,9 @@ class Channel(NamedTuple):
     name : str
         "voltage" and "displacement" for one axis; "vx" and "x" for several, by the names of the axes.
     unit : str
-        Unit of `values`: "V" or "m"; "degC" for a temperature, "N" for a load, any text for another quantity.
+        Unit of `values`: "V" or "m"; "degC" for a temperature, any text for another quantity.
     role : str
-        "drive" is sent to the actuator, "displacement" is its answer; others are "temperature", "load" and "other".
+        "drive" is sent to the actuator, "displacement" is its answer; others are "temperature" and "other".
     axis : str
         Name of the axis; empty if there is only one axis, or the channel belongs to no axis.
     values : (n,) array
@@ -53,13 +53,13 @@ class Channel(NamedTuple):
 
     name: str
     unit: str
-    role: Literal["drive", "displacement", "temperature", "load", "other"]
+    role: Literal["drive", "displacement", "temperature", "other"]
     axis: str
     values: Array
 
     @classmethod
     def of(cls, column: Column) -> Channel:
-        """Return a further channel of a record, in degC or newtons if it is a temperature or a load."""
+        """Return a further channel of a record, in degC if it is a temperature."""
         (name, unit), role, values = column.parts, column.role, column.data
         if role != "other":
             values, unit = in_si(values, unit), SI[role]
@@ -68,7 +68,7 @@ class Channel(NamedTuple):
 
     @property
     def column(self) -> str:
-        """The name of its column in a file, with the unit: "temperature_C", "load_N" or "humidity [%]"."""
+        """The name of its column in a file, with the unit: "temperature_C" or "humidity [%]"."""
         if self.role == "temperature" and "temp" in self.name.lower():
             return f"{self.name}_C"
         return f"{self.name}_{self.unit}" if re.fullmatch(r"[^\W_]+", self.unit) else f"{self.name} [{self.unit}]"
@@ -77,7 +77,7 @@ class Channel(NamedTuple):
     def fault(self) -> str:
         """Why this cannot be a further channel of a record; empty if it can."""
         if not self.name or not self.unit or set(self.column) & set(',;\t\n"') or escaped(self.column) != self.column:
-            return f"got {self.column!r}, need a name with its unit, as 'temperature_C', 'load_N' or 'humidity [%]'"
+            return f"got {self.column!r}, need a name with its unit, as 'temperature_C' or 'humidity [%]'"
         if words := quality.fault_of(self.values, self.name, self.unit):
             return words
         bad = np.flatnonzero((self.values < COLDEST) | (self.values > HOTTEST))
@@ -112,9 +112,8 @@ class Record(Plotted):
     axes : sequence of str
         Names of the axes, one for each column; default: x, y, z. Empty for a record of one axis.
     others : mapping of str to (n,) array_like
-        Further measured quantities, by name with unit: ``{"temperature_C": ..., "load_N": ..., "humidity [%]": ...}``.
-        Temperatures (also in K and degF) are kept in degC, loads (also in mN or kN) in newtons, others unchanged;
-        kept as a tuple of `Channel`.
+        Further measured quantities, by name with unit: ``{"temperature_C": ..., "humidity [%]": ...}``.
+        Temperatures (also in K and degF) are kept in degC, others unchanged; kept as a tuple of `Channel`.
     hold : {"line", "sample"}
         What the voltage does between samples. "line": it moves in straight lines, and the displacement is read at the
         same instant. "sample": it is held until the next sample, and the displacement is read at the end of that time.
@@ -461,7 +460,7 @@ def _is_frozen(raw: object) -> bool:
 def further_channels(
     table: Table, used: Iterable[Column], samples: int
 ) -> tuple[list[tuple[Channel, Column]], list[str]]:
-    """Return the temperatures, loads and kept columns in a table besides the `used` ones, and remarks on others."""
+    """Return the temperatures and kept columns in a table besides the `used` ones, and remarks on others."""
     found: dict[str, tuple[Channel, Column]] = {}
     remarks, taken = [], {id(column) for column in used}
     for column in table.columns:

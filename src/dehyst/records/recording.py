@@ -41,7 +41,7 @@ class Recording:
     about : mapping, optional
         Written above the samples, as JSON in a comment; see `about_of`.
     others : sequence of str
-        Names of further channels, as "temperature_C" and "load_N"; each block of samples holds them in a mapping
+        Names of further channels, as "temperature_C" and "humidity [%]"; each block of samples holds them in a mapping
         ``samples.others``.
 
     Attributes

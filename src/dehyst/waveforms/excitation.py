@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError, RecordError
+from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import interval, keep, number, vector
+from dehyst._validation import Numbers, interval, keep
 
 _MOST_SAMPLES = 50_000_000
 # No actuator or amplifier goes beyond, and within them nothing overflows.
 _MOST_VOLTS = 1e6
-_LEAST, _MOST = 1e-12, 1e12
 
 
 def refuse_long(samples: int, rate: float) -> None:
@@ -31,29 +29,10 @@ def refuse_long(samples: int, rate: float) -> None:
         )
 
 
-def voltages(values: ArrayLike, what: str) -> Array:
-    """Return `values` as a copy of finite voltages (n,) [V]; raise RecordError for anything else."""
-    try:
-        array = vector(values, what)
-    except ModelError as error:
-        raise RecordError(f"{error}; give voltages in V") from error
-    if (largest := np.abs(array).max(initial=0.0)) > _MOST_VOLTS:
-        need = f"{_MOST_VOLTS:g} V at most"
-        raise RecordError(argument=what, got=f"{largest:g} V", need=need, hint="check the unit")
-    return array
-
-
-def volts(value: object, what: str) -> float:
-    """Return `value` as a finite voltage [V]; raise RecordError for anything else."""
-    return float(voltages([number(value, what, error=RecordError)], what)[0])
-
-
-def positive(value: object, what: str) -> float:
-    """Return `value` as a number from 1e-12 to 1e12; raise RecordError for anything else."""
-    result = number(value, what, error=RecordError)
-    if not _LEAST <= result <= _MOST:
-        raise RecordError(argument=what, got=f"{result:g}", need=f"a number above 0, {_LEAST:g} to {_MOST:g}")
-    return result
+# Checks of voltages [V] that are given, of one, and of a positive number.
+voltages = Numbers(1, least=-_MOST_VOLTS, most=_MOST_VOLTS, hint="give voltages in V", error=RecordError)
+volts = replace(voltages, dimensions=0)
+positive = Numbers(least=1e-12, most=1e12, error=RecordError)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

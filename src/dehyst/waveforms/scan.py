@@ -14,7 +14,7 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import choice, count, keep, number, vector
+from dehyst._validation import Numbers, choice, count, keep, vector
 from dehyst.waveforms.excitation import positive, refuse_long
 
 # Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
@@ -23,17 +23,13 @@ CYCLE_SAMPLES, LEG_SAMPLES = 400, 4
 FASTEST, HARDEST = 1.875, 10 / sqrt(3)
 # A limit may be exceeded by this share, so that a motion that meets it exactly passes.
 SLACK = 1e-9
-# Largest displacement [m] and whole number.
-_MOST_METRES, _MOST_WHOLE = 1.0, 10**7
+# Largest whole number.
+_MOST_WHOLE = 10**7
 
 
-def length(value: object, what: str) -> float:
-    """Return `value` as a displacement [m]; raise RecordError for anything else."""
-    metres = number(value, what, error=RecordError)
-    if abs(metres) > _MOST_METRES:
-        got, need = f"{metres * 1e6:g} um", f"{_MOST_METRES * 1e6:g} um at most"
-        raise RecordError(argument=what, got=got, need=need, hint="check its unit")
-    return metres
+# Checks of a displacement [m], and of a part of a whole.
+length = Numbers(least=-1.0, most=1.0, hint="check its unit", error=RecordError)
+share = Numbers(least=1e-12, most=1.0, error=RecordError)
 
 
 def between(low: object, high: object, names: tuple[str, str] = ("low", "high")) -> tuple[float, float]:
@@ -43,14 +39,6 @@ def between(low: object, high: object, names: tuple[str, str] = ("low", "high"))
         got = f"{bottom * 1e6:.6g} and {top * 1e6:.6g} um"
         raise RecordError(argument=", ".join(names), got=got, need="the lower one first")
     return bottom, top
-
-
-def share(value: object, what: str) -> float:
-    """Return `value` as a share above 0 and up to 1; raise RecordError for anything else."""
-    result = positive(value, what)
-    if result > 1:
-        raise RecordError(argument=what, got=f"{result:g}", need="a share above 0 and up to 1")
-    return result
 
 
 def whole(value: object, what: str, least: int = 1) -> int:
@@ -295,8 +283,7 @@ class Scan(ABC):
     """A path for each axis (`axes`: their names), whose fields are its options.
 
     Fields of most scans: `frequency`: periods per second [Hz]. `speed` [m/s], `acceleration` [m/s^2]: largest allowed
-    values of any axis. `rounding`: turns of constant acceleration ("parabola"), or of an acceleration without jumps and
-    twice as high ("cosine"). `sample_rate` [Hz]: by default 400 samples per cycle. The number of samples of a period is
+    values of any axis. `sample_rate` [Hz]: by default 400 samples per cycle. The number of samples of a period is
     rounded up, so a scan is never faster than requested. It raises `RecordError`, with a remedy, if a number is
     impossible or the limits cannot be kept.
     """

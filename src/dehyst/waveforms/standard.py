@@ -240,7 +240,7 @@ def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 
 
 
 def _top(highest: object, drive: Sampling) -> float:
-    top = volts(highest, "highest")
+    top: float = volts(highest, "highest")
     if top <= drive.base:
         raise RecordError(argument="highest", got=f"{top:g} V", need=f"a voltage above the base {drive.base:g} V")
     return top

@@ -217,14 +217,10 @@ class Column:
 
     @property
     def role(self) -> str:
-        """Role as a further channel of a record, by name and unit: "temperature", "load" or "other"."""
+        """Role as a further channel of a record: "temperature", by the name and the unit, or "other"."""
         word, unit = self.parts[0].lower(), self.parts[1]
-        role = quantity_of(unit)
-        degrees = "degC", "°C", "degF", "°F"
-        parts, units = {"temperature": (("temp",), degrees), "load": (("load", "force", "kraft"), ())}.get(
-            role, ((), ())
-        )
-        return role if unit in units or any(part in word for part in parts) else "other"
+        known = unit in ("degC", "°C", "degF", "°F") or "temp" in word
+        return "temperature" if known and quantity_of(unit) == "temperature" else "other"
 
     @property
     def quantities(self) -> set[str]:
