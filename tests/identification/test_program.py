@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from dehyst import Thermal
 from dehyst.identification import Structure, search
-from dehyst.identification.program import _neighbours, with_folds
+from dehyst.identification.program import _alike, with_folds
 from dehyst.identification.regressors import Rows, epochs
 from dehyst.model import turned
 
@@ -132,7 +132,7 @@ def test_the_conditions_of_karush_kuhn_and_tucker_hold(name, smoothing):
     """Of the sum of squares, written out: no gradient along what is free, none downwards along what is at its bound."""
     program = replace(noisy(name), smoothing=smoothing, floor=0.7 * wide.SLOPE)
     (columns, free), x = program.columns, program.solved().unknowns
-    gradient = columns.T @ (columns @ x - program.target) + len(program) * program.regularization() @ x
+    gradient = columns.T @ (columns @ x - program.target) + len(program) * program.regularization @ x
     size = np.linalg.norm(columns, axis=0) * np.linalg.norm(program.target)
     bound = (x == 0) & (np.arange(x.size) >= free)
     assert bound.any() and x[free:].min() >= 0
@@ -205,9 +205,8 @@ def test_no_branch_falls(monkeypatch):
     """Voltages of a graded actuator of which a branch would fall: no record has them, but noise can come close."""
     plant, program = known("graded")
     true = plant.solution(program)
-    wrong = program.static @ np.concatenate(
-        [(true.stiffness * [1.0, 3.0, 0.1])[plant.grid.movable].ravel(), np.full(true.slopes.size, 0.15 * wide.SLOPE)]
-    )
+    elements = (true.stiffness * [1.0, 3.0, 0.1])[plant.grid.movable].ravel()
+    wrong = program.scale * program.static(np.concatenate([elements, np.full(true.slopes.size, 0.15 * wide.SLOPE)]))
     program = replace(program, rows=replace(program.rows, voltage=wrong))
     found = program.solved()
     monkeypatch.setattr("dehyst.identification.program._ADDED", 0)
@@ -240,7 +239,7 @@ def test_differences_of_neighbours_by_hand():
     own, rng = grid(), np.random.default_rng(5)
     rho = own.breakaway[own.movable]
     kappa, slopes, drive = rng.random((rho.size, 3)), rng.random(4), rng.random(5)
-    found = _neighbours(own) @ np.concatenate([kappa.ravel(), slopes, drive])
+    unknowns = np.concatenate([kappa.ravel(), slopes, drive])
     width = np.diff(rho, prepend=0.0)
     density = kappa / width[:, None]
     expected = [r * np.sqrt(3) * (b - a) for r, row in zip(rho, kappa, strict=True) for a, b in pairwise(row)]
@@ -248,7 +247,7 @@ def test_differences_of_neighbours_by_hand():
         rho[i] * width[i + 1] * (density[i + 1, m] - density[i, m]) for i in range(rho.size - 1) for m in range(3)
     ]
     expected += (STROKE / 4 * np.diff(slopes, 2)).tolist() + (VOLTS / 6 * np.diff(drive, 2)).tolist()
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+    assert unknowns @ _alike(own) @ unknowns == pytest.approx(np.square(expected).sum(), rel=1e-9)
 
 
 @pytest.mark.parametrize("spacing", [1.0, 2.0])
@@ -256,4 +255,4 @@ def test_even_densities_and_straight_slopes_are_smooth(spacing):
     own = grid(spacing=spacing)
     even = np.repeat(3 * np.diff(own.breakaway[own.movable], prepend=0.0), own.segments)
     straight = np.concatenate([even, 2 + 0.5 * np.arange(4), 1 - 0.1 * np.arange(5)])
-    np.testing.assert_allclose(_neighbours(own) @ straight, 0, atol=1e-12)
+    np.testing.assert_allclose(_alike(own) @ straight, 0, atol=1e-12)

@@ -137,7 +137,7 @@ def test_the_zero_of_a_sensor_is_found(shift, tolerance):
     three = plain_records.loops(
         PLANT, plain_records.THREE_LOOPS, noise=NOISE, name="three", datum=shift * STROKE, seed=3
     )
-    frame = search.with_datums(wide.frame([tops(), three]))
+    frame = search.with_datums(wide.frame([tops(), three]), lambda _: None)
     datum = frame.motion.datum
     assert datum[frame.widest] == 0
     assert datum[1] - datum[0] == pytest.approx(shift * STROKE, abs=tolerance * STROKE)

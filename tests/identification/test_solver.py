@@ -25,7 +25,7 @@ class Program(NamedTuple):
 
     @property
     def sums(self):
-        return NormalEquations.of_rows(self.rows, self.target, self.free)
+        return NormalEquations.none(self.rows.shape[1], self.free).with_rows(self.rows, self.target).whole
 
     def least(self, start=None):
         return self.sums.minimum((self.matrix, self.lower), start)
@@ -214,7 +214,7 @@ def test_degenerate_programs_end(seed):
 
 def test_sums_of_fewer_rows_are_differences():
     program = random(1, 1, 6)
-    part = NormalEquations.of_rows(program.rows[:20], program.target[:20], 1)
+    part = NormalEquations.none(program.rows.shape[1], 1).with_rows(program.rows[:20], program.target[:20]).whole
     rest = program._replace(rows=program.rows[20:], target=program.target[20:])
     none = np.zeros((0, 7)), NONE
     np.testing.assert_allclose((program.sums - part).minimum(none)[0], rest.least()[0], rtol=1e-9, atol=1e-12)
@@ -224,7 +224,7 @@ def test_sums_of_fewer_rows_are_differences():
 def test_a_column_whose_rows_left_gets_nothing():
     program = random(2, 1, 5)
     program.rows[20:, 3] = 0.0
-    part = NormalEquations.of_rows(program.rows[:20], program.target[:20], 1)
+    part = NormalEquations.none(program.rows.shape[1], 1).with_rows(program.rows[:20], program.target[:20]).whole
     x, found = (program.sums - part).minimum((np.zeros((0, 6)), NONE))
     assert x[3] == 0
     assert not found.moving[3]

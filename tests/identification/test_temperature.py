@@ -95,6 +95,12 @@ def test_what_records_do_not_show_is_left_out_and_said():
         assert fit.actuator.thermal is None
 
 
+def test_an_effect_that_the_time_limit_leaves_out_is_said():
+    fit = dehyst.identify([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)], time_limit=1e-3)
+    assert fit.actuator.thermal is None
+    assert "the search ended before it" in " ".join(fit.promise.reasons)
+
+
 def test_an_effect_that_is_not_there_is_not_found():
     none = [at(first, first + 1, seed, gain=0.0) for seed, first in ((1, 15), (2, 30), (3, 44))]
     assert temperatures_of(none)[0] is not None

@@ -1,4 +1,4 @@
-"""Checks of a model: its slopes, its elements, the patterns of its residuals, and the causes of these."""
+"""Checks of a model: the patterns of its residuals, and the causes of these."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.identification.results import Check, Trace, Verdict, may_creep
-from dehyst.model import Actuator, Slopes
 from dehyst.records import rms, turning_points, white_noise
 
 _OF_STROKE, _A_DECADE = "% of the stroke", "% a decade"
@@ -42,54 +41,21 @@ _PERIODIC, _FEWEST_PERIODS = 0.5, 6
 _NEIGHBOURS, _APART = 20, 0.15
 
 
-def model_checks(actuator: Actuator, traces: Sequence[Trace], stroke: float, floor: float = 0.0) -> tuple[Check, ...]:
-    """Test the slopes and the elements of a model, and the residuals of its training records.
+def residual_checks(traces: Sequence[Trace], stroke: float) -> tuple[Check, ...]:
+    """Test the residuals of training records.
 
-    Residuals of a model that follows its records do not differ between rising and falling branches, along the stroke,
-    or in time.
+    Those of a model that follows its records do not differ between rising and falling branches, along the stroke, or in
+    time.
 
-    `traces`: as in `Fit`. `stroke`: range of the widest training loop [m]. `floor`: least slope of a branch that the
-    fit allowed [V/m]; 0: none.
+    `traces`: as in `Fit`. `stroke`: range of the widest training loop [m].
 
     Returns
     -------
     tuple of Check
-        Rising branches, Sliding elements, Width, Middle line, No drift.
+        Width, Middle line, No drift.
     """
     training = [trace for trace in traces if trace.role == "training"]
-    slopes, elements = _rising(actuator, floor), _sliding(actuator, training)
-    return slopes, elements, *_patterns(training, stroke), _no_drift(training, stroke)
-
-
-def _rising(actuator: Actuator, floor: float) -> Check:
-    """Return the least slope of an outermost branch; it is not known where the fit imposed it."""
-    slopes = Slopes.of(actuator.slip, actuator.spring)
-    least = np.minimum(slopes.rising, slopes.falling)
-    k = int(np.argmin(least))
-    imposed = bool(least[k] <= 1.01 * floor)
-    value, allowed = 1e-6 * float(least[k]), 1e-6 * floor if floor else None
-    sentence = f"The least slope of an outermost branch is {value:.3g} V/um, at {slopes.displacement[k] * 1e6:.4g} um."
-    if imposed:
-        sentence += " It is the least slope that the fit allows; the records may show a smaller one."
-    verdict = Verdict.UNKNOWN if imposed else Verdict.HOLDS
-    return Check("Rising branches", verdict, value, allowed, "V/um", sentence)
-
-
-def _sliding(actuator: Actuator, training: Sequence[Trace]) -> Check:
-    """Return the share of the elements that slide in both directions in the widest motion."""
-    name, unit, needed = "Sliding elements", "% of elements", 2 * actuator.slip.breakaway[actuator.slip.friction > 0]
-    if not needed.size:
-        return Check(name, Verdict.HOLDS, None, None, unit, "No element has stiffness.")
-    widest = max(float(np.ptp(trace.simulated)) for trace in training)
-    slides = int(np.count_nonzero(needed <= widest * (1 + 1e-3)))
-    sentence = (
-        f"{slides} of the {needed.size} elements with stiffness slide in both directions in the widest motion, "
-        f"{widest * 1e6:.4g} um."
-    )
-    if slides < needed.size:
-        sentence += f" All slide in one of {needed.max() * 1e6:.4g} um: record a wider loop."
-    verdict = Verdict.HOLDS if slides == needed.size else Verdict.FAILS
-    return Check(name, verdict, 100 * slides / needed.size, None, unit, sentence)
+    return *_patterns(training, stroke), _no_drift(training, stroke)
 
 
 def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
@@ -230,11 +196,7 @@ class RemainingError:
         return self.rms * float(np.sqrt(self.noise + self.vibration))
 
     def sentence(self, stroke: float) -> str:
-        """Return the record and its `causes`; lengths are parts of `stroke` [m]."""
-        return f"{self.record}: of the remaining error's power, {self.causes(stroke)}"
-
-    def causes(self, stroke: float) -> str:
-        """Return the shares as text, with lengths as parts of `stroke` [m], and a remedy for the largest share."""
+        """Return record and shares as text, lengths as parts of `stroke` [m], and a remedy for the largest share."""
         shares = {name: float(getattr(self, name)) for name in _CAUSES}
         largest_first = sorted(shares, key=lambda name: -shares[name])
         parts = [f"{100 * shares[name]:.0f} % {_CAUSES[name][0]}" for name in largest_first if shares[name]]
@@ -242,7 +204,8 @@ class RemainingError:
         if self.vibration:
             size = 100 * self.vibration_amplitude / stroke
             line = f" The vibration has {self.frequency:.3g} Hz and {size:.2g} % of the stroke."
-        return f"{', '.join(parts) or 'none'}.{line} {_CAUSES[largest_first[0]][1]}"
+        text = f"{', '.join(parts) or 'none'}.{line} {_CAUSES[largest_first[0]][1]}"
+        return f"{self.record}: of the remaining error's power, {text}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""

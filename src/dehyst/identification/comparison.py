@@ -208,7 +208,7 @@ def compare(
     for _ in range(_TURNS if names else 0):
         motion = moved(motion, names, compared.found.numbers)
         compared = _compared(actuator, record, stroke, motion, names)
-    return _compared(actuator, record, stroke, motion, ())
+    return _compared(actuator, record, stroke, motion, ()) if names or datum else compared
 
 
 def _compared(
@@ -259,7 +259,7 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
     `gains`: of the creep whose strains before the record are among the parts.
     """
     rows = program.free_columns
-    left = program.target - (program.static / program.scale[:, None]) @ program.unknowns_of(model)
+    left = program.target - program.static(program.unknowns_of(model))
     prior, place = np.zeros(rows.shape[1]), program.numbers.size
     for part in program.parts:
         if part.name == "begun":

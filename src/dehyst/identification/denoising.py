@@ -39,8 +39,8 @@ def local_polynomial(y: Array, window: int, order: int, derivative: int = 0, ste
     return result
 
 
-# A delay below this part of a sample has no effect; noise below this part of the range has none on elements.
-_SIGNIFICANT, _QUIET = 0.01, 3e-4
+# Noise below this part of the range has no effect on elements.
+_QUIET = 3e-4
 # Derivatives are those of a polynomial of fourth order through this many neighbours.
 _WINDOW, _ORDER = 9, 4
 
@@ -59,11 +59,6 @@ def derivatives(piece: Record) -> tuple[Array, Array]:
     y, step = piece.displacement, piece.sample_time
     first, second = (local_polynomial(y, _WINDOW, _ORDER, derivative, step) for derivative in (1, 2))
     return first, second
-
-
-def significant_delay(seconds: float, sample_time: float) -> float:
-    """Return a delay or lag [s] from a search; 0 below a hundredth of a sample, as a search rarely ends at 0."""
-    return seconds if seconds >= _SIGNIFICANT * sample_time else 0.0
 
 
 # Least turn of the voltage as a part of its range, if above its noise; a hold moves less than a tenth of it in this

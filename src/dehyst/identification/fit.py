@@ -79,7 +79,7 @@ class Fit(Plotted):
             html.line(_one_line(self)),
             html.line(self.outcome.value) if verdict is not None else "",
             html.table(_HEAD, _error_rows(self.errors)) if self.errors else "",
-            html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence in _parts_of(self.actuator)]),
+            html.folded("Parts of the model", [f"{name}: {sentence}" for name, sentence, _ in parts_of(self.actuator)]),
             html.folded("Checks", [f"{check.name}: {check.verdict.value}. {check.sentence}" for check in self.checks]),
             *(html.folded(title, sentences) for title, sentences in _lists(self)),
             colour="red" if not self.good else "" if verdict is None else _COLOURS[verdict.readiness],
@@ -155,7 +155,7 @@ def _brief(fit: Fit) -> Iterator[str]:
     else:
         yield f"{verdict.headline}."
         yield verdict.origin
-        yield from (f"{name}: {sentence}" for name, sentence in _parts_of(fit.actuator) if name.startswith("Creep"))
+        yield from (f"{name}: {sentence}" for name, sentence, _ in parts_of(fit.actuator) if name == "Creep")
         ended = [] if fit.outcome.good else [fit.outcome.value]
         # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
         usable = verdict.readiness is not Readiness.NOT_USABLE
@@ -178,8 +178,8 @@ def _lines(fit: Fit) -> Iterator[str]:
         for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
             mark = " (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""
             yield f"  {trial.held_out * 1e9:>7.1f} nm  {trial.words}{mark}"
-    if parts := _parts_of(fit.actuator):
-        yield from ("", "The model is made of:", *(f"  {name + ':':<18}{sentence}" for name, sentence in parts))
+    parts = (f"  {name + ':':<18}{sentence}" for name, sentence, _ in parts_of(fit.actuator))
+    yield from ("", "The model is made of:", *parts)
     for title, sentences in _lists(fit):
         if sentences:
             yield from ("", f"{title}:", *(f"  - {sentence}" for sentence in sentences))
@@ -193,11 +193,6 @@ def _error_rows(errors: Sequence[RecordErrors]) -> list[tuple[str, ...]]:
         sizes = one.largest, one.rms
         rows.append((*counts, *(percent(size, one.stroke) for size in sizes), *map(length, sizes)))
     return rows
-
-
-def _parts_of(actuator: Actuator) -> list[tuple[str, str]]:
-    """Return name and sentence of each part of an actuator."""
-    return [(part.name, part.sentence) for part in parts_of(actuator)]
 
 
 def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:

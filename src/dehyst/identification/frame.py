@@ -293,7 +293,7 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
         )
 
     rows, columns = program.rows, program.columns[0][:, found.active_set.moving]
-    regular = len(rows) * program.regularization()[np.ix_(found.active_set.moving, found.active_set.moving)]
+    regular = len(rows) * program.regularization[np.ix_(found.active_set.moving, found.active_set.moving)]
     follow = np.linalg.solve(columns.T @ columns + regular, columns.T)
 
     def error(x: Array) -> Array:

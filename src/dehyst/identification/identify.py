@@ -15,7 +15,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst._version import __version__
 from dehyst.identification import events, messages, search
-from dehyst.identification.checks import model_checks, remaining_error
+from dehyst.identification.checks import remaining_error, residual_checks
 from dehyst.identification.comparison import compare, errors_of
 from dehyst.identification.coupling import identify_axes
 from dehyst.identification.expectation import HeldOutErrors, expectation, validity_of
@@ -160,9 +160,7 @@ class _Run:
         most = sum(map(len, self.records)) / ENOUGH
 
         def one(record: Record) -> Prepared:
-            found = prepare(record, ringing=ringing).with_block(most)
-            lag = self.settings.sensor_lag
-            return found.without_lag(lag) if lag else found
+            return prepare(record, ringing=ringing).with_block(most).without_lag(self.settings.sensor_lag or 0.0)
 
         self.ringing = ringing
         self.training, self.held_out = ([one(record) for record in part] for part in (self.records, self.others))
@@ -194,22 +192,20 @@ class _Run:
             thermal, low = Thermal(0.0, 0.0, found.reference), self.frame.span[0]
             motion = replace(self.frame.motion, thermal=thermal, lowest=low, expands=found.within)
             # A zero that was moved explains a part of the gain: the gain comes first.
-            self.frame = search.warmed(replace(self.frame, motion=motion))
+            step = partial(search.warmed, replace(self.frame, motion=motion))
+            self.frame = self.deadline.attempt(step, self.frame, "the search for an effect of temperature")
         if len(self.training) > 1 and not settings.shared_datum:
-            self.report("estimating the zeros of the sensor")
-            self.frame = search.with_datums(self.frame)
+            step = partial(search.with_datums, self.frame, self.report)
+            self.frame = self.deadline.attempt(step, self.frame, "the search for the zeros of the sensor")
         if self.first_model is not None:
             made = search.fitted(self.frame, PLAIN, search.FEW)
             self.first_model(with_identification(self.named(made.actuator), provisional=True))
         plain = settings.structure == "maxwell_slip"
         names = self._moving(plain=plain)
         made = self._static(names, plain=plain)
-        if self.temperatures is not None and made.frame.motion.thermal is None:
-            low, high = self.temperatures.low, self.temperatures.high
-            self.left_out = (
-                f"the temperature changes from {low:.3g} to {high:.3g} degC, which the model leaves out: held-out time "
-                "does not show its effect"
-            )
+        if (found := self.temperatures) is not None and made.frame.motion.thermal is None:
+            cause = "the search ended before it" if self.deadline.cut else "held-out time does not show its effect"
+            self.left_out = f"{found.left_out}: {cause}"
         return self.finish(made)
 
     def _check_delay(self) -> None:
@@ -233,7 +229,7 @@ class _Run:
             drift=self.can_drift(),
             more=not plain,
         )
-        nothing: tuple[Frame, tuple[str, ...], list[Trial]] = self.frame, (), []
+        nothing: tuple[Frame, tuple[str, ...], list[Trial]] = search.cold(self.frame), (), []
         self.frame, names, trials = self.deadline.attempt(step, nothing, "the search for what moves in time")
         self.trials += trials
         steady = self.frame.training[0].steady
@@ -273,27 +269,24 @@ class _Run:
         self.trials += trials
         return made
 
-    def named(self, actuator: Actuator) -> Actuator:
-        """Return an actuator with its name, and what is recorded of it."""
-        return replace(actuator, **self.recorded(), name=self.training[self.widest].record.name)
-
-    def recorded(self, structure: Structure | None = None) -> dict[str, Any]:
-        """Return voltages, slew rate and identification of the used records as arguments of `Actuator`."""
+    def named(self, actuator: Actuator, structure: Structure | None = None) -> Actuator:
+        """Return an actuator with its name, and the voltages, slew rate and identification of the used records."""
         settings = self.settings
-        pieces = [(piece.time, piece.voltage) for item in self.training for piece in item.pieces]
         known = Identification(
             lag_of=settings.lags or "",
             shared_datum=settings.shared_datum,
             drift=settings.drift,
             sensor_lag=settings.sensor_lag or 0.0,
             ringing=self.ringing,
-            slew_rate=recorded_slew_rate(pieces),
+            slew_rate=recorded_slew_rate([(p.time, p.voltage) for item in self.training for p in item.pieces]),
         )
-        return {
-            "limits": self.limits,
-            "identification": known,
-            "provenance": self.provenance(structure),
-        }
+        return replace(
+            actuator,
+            limits=self.limits,
+            identification=known,
+            provenance=self.provenance(structure),
+            name=self.training[self.widest].record.name,
+        )
 
     def provenance(self, structure: Structure | None) -> dict[str, Any]:
         """Return program, options and records as JSON values."""
@@ -350,12 +343,12 @@ class _Run:
     def finish(self, made: Fitted) -> Fit:
         """Simulate all records whole, and judge the actuator."""
         self.report("simulating the records")
-        actuator = replace(made.actuator, **self.recorded(made.structure), name=self.training[self.widest].record.name)
+        actuator = self.named(made.actuator, made.structure)
         self.frame = made.frame
         records = (*self.training, *self.held_out)
         errors, traces = self.simulated(actuator, made.frame.motion.drift)
         trained = errors[: len(self.training)]
-        checked = model_checks(actuator, traces, self.stroke, made.program.floor)
+        checked = residual_checks(traces, self.stroke)
         outcome = Outcome.IDENTIFIED if self.determined else Outcome.UNDETERMINED
         useless = 0.01 * RULES.useless * self.stroke
         if max(error.settled_largest for error in errors) > useless:

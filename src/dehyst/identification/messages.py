@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.denoising import significant_delay
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.regressors import epochs
 from dehyst.identification.results import FEWEST_DECADES, RecordErrors
@@ -120,7 +119,7 @@ def repaired(
     `low_pass` [s]: the part of the delay that is a lag of first order.
     """
     sentences = []
-    if significant_delay(delay, sample):
+    if delay:
         part = f", {low_pass * 1e3:.4g} ms of it as a low-pass of first order" if low_pass else ""
         sentences.append(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "

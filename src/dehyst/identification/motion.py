@@ -255,6 +255,11 @@ class Temperatures:
     reference: float
     within: bool
 
+    @property
+    def left_out(self) -> str:
+        """Words on a model without their effect."""
+        return f"the temperature changes from {self.low:.3g} to {self.high:.3g} degC, which the model leaves out"
+
     def sentence(self, thermal: Thermal, lowest: float, errors: Array, better: float) -> str:
         """Return what was found.
 
@@ -287,11 +292,11 @@ def temperatures_of(records: Sequence[Record]) -> tuple[Temperatures | None, str
     low, high = float(every.min()), float(every.max())
     if high - low < RULES.temperatures:
         return None, ""
-    words = f"the temperature changes from {low:.3g} to {high:.3g} degC, which the model leaves out"
+    within = max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in known)
+    found = Temperatures(low, high, float(every.mean()), within >= RULES.temperatures)
     if len(known) < len(records):
         missing = next(record.name for record in records if record.temperature is None)
-        return None, f"{words}: {missing} has none"
+        return None, f"{found.left_out}: {missing} has none"
     if np.count_nonzero(np.histogram(every, _PLACES)[0]) < _FEWEST:
-        return None, f"{words}: record {_FEWEST} temperatures or more"
-    within = max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in known)
-    return Temperatures(low, high, float(every.mean()), within >= RULES.temperatures), ""
+        return None, f"{found.left_out}: record {_FEWEST} temperatures or more"
+    return found, ""

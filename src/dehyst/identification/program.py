@@ -15,9 +15,10 @@ inequalities that would be violated go into the program.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,8 @@ _NOTHING = 1e-9
 _ROUNDS, _ADDED, _VIOLATED = 12, 40, 1e-6
 # Ridge of parts that move, relative to their columns.
 _RIDGE = 0.02
+# Rows whose columns a processor's cache holds.
+_CACHED = 256
 # Passes towards least absolute residuals; those below this part of the median one weigh alike.
 _REWEIGHTED, _LEAST_MISSED = 3, 0.1
 
@@ -136,7 +139,7 @@ class Program:
         """
         other, same = replace(self, rows=rows, grid=grid, smoothing=smoothing), ["scale", "responses"]
         if grid is self.grid:
-            same += ["columns", "target", "sums"]
+            same += ["target", "sums"]
         other.__dict__.update({name: getattr(self, name) for name in same})
         return other
 
@@ -171,30 +174,60 @@ class Program:
         """Parts whose numbers are free, and those whose numbers are not negative."""
         return [p for p in self.parts if not p.bounded], [p for p in self.parts if p.bounded]
 
-    @cached_property
-    def static(self) -> Array:
-        """Columns (n, q) of elements, spring, smooth elements and tau, in the order of `Grid.places`."""
-        grid, rows = self.grid, self.rows
-        elements = rows.elongation[:, grid.movable]
+    @property
+    def size(self) -> int:
+        """Number of all columns."""
+        bounded = sum(part.value.size for part in self._split[1])
+        return self.free_columns.shape[1] + self.grid.places()["transformer"].stop + bounded
+
+    def _write_static(self, out: Array, part: slice) -> None:
+        """Write the columns of elements, spring, smooth elements and tau, in the order of `Grid.places`, of some rows.
+
+        `out` (rows of the part, q).
+        """
+        grid, rows, places = self.grid, self.rows, self.grid.places()
+        y, elements = rows.displacement[part], out[:, places["elements"]]
         if grid.segments > 1:
-            n, count = elements.shape
-            held = parts_in_segments(grid.grades, self.carts.ravel()).reshape(n, count, grid.segments)
-            free = parts_in_segments(grid.grades, rows.displacement)[:, None, :]
-            elements = (free - held).reshape(n, count * grid.segments)
+            # A segment at a time: an innermost loop over few numbers is slow.
+            by_segment, ends = elements.reshape(y.size, -1, grid.segments), [-np.inf, *grid.grades[1:-1], np.inf]
+            for k, (low, high) in enumerate(pairwise(ends)):
+                held = np.clip(self.carts[part], low, high)
+                np.subtract(np.clip(y, low, high)[:, None], held, out=by_segment[:, :, k])
+        else:
+            elements[:] = rows.elongation[part, grid.movable]
+        out[:, places["spring"]] = parts_in_segments(grid.knots, y)
+        out[:, places["smooth"]] = rows.moved[part]
         # Changes of tau leave its ends where they are: the last segment gives back what another one gets.
-        tau, lengths = self._tau_parts, np.diff(grid.drive)
+        tau, lengths = self._tau_parts[part], np.diff(grid.drive)
         if lengths.size:
-            tau = tau[:, :-1] - tau[:, -1:] * (lengths[:-1] / lengths[-1])
-        spring = parts_in_segments(grid.knots, rows.displacement)
-        return np.hstack([elements, spring, rows.moved, -tau])
+            out[:, places["transformer"]] = tau[:, -1:] * (lengths[:-1] / lengths[-1]) - tau[:, :-1]
+
+    def _weighted(self) -> Iterator[tuple[slice, Array]]:
+        """Yield slices of rows that a processor's cache holds, with all their columns, weighted, in an array [m].
+
+        The array (m, E + F + q) has the free columns first; the next slice overwrites it.
+        """
+        free, count = self.free_columns.shape[1], self.grid.places()["transformer"].stop
+        bounded = np.hstack([np.empty((len(self), 0)), *(self.responses[part.name] for part in self._split[1])])
+        some = np.empty((_CACHED, self.size))
+        for first in range(0, len(self), _CACHED):
+            own, part = some[: len(self) - first], slice(first, first + _CACHED)
+            own[:, :free], own[:, free + count :] = self.free_columns[part], bounded[part]
+            self._write_static(own[:, free : free + count], part)
+            own[:, free:] /= self.scale[part, None]
+            yield part, own
+
+    def static(self, unknowns: Array) -> Array:
+        """Return what unknowns (q,) of elements, spring, smooth elements and tau explain of each row (n,) [m]."""
+        found, free = np.empty(len(self)), self.free_columns.shape[1]
+        for part, own in self._weighted():
+            found[part] = own[:, free : free + unknowns.size] @ unknowns
+        return found
 
     @cached_property
     def columns(self) -> tuple[Array, int]:
         """All columns (n, E + F + q), the free ones first, weighted [m]; and how many are free."""
-        free, bounded = self.free_columns.shape[1], [self.responses[part.name] for part in self._split[1]]
-        whole = np.hstack([self.free_columns, self.static, *bounded])
-        whole[:, free:] /= self.scale[:, None]
-        return whole, free
+        return np.vstack([own.copy() for _, own in self._weighted()]), self.free_columns.shape[1]
 
     @cached_property
     def free_columns(self) -> Array:
@@ -242,19 +275,20 @@ class Program:
         moved = sum(self.responses[part.name] @ part.value for part in self.parts)
         return np.asarray((left + moved) / self.scale)
 
+    @cached_property
     def regularization(self) -> Array:
-        """Return the Gram matrix (q, q) of the rows that hold neighbours alike, beside one row of data."""
-        (columns, free), (moving, held) = self.columns, self._split
-        whole = np.zeros((columns.shape[1],) * 2)
-        rows = self.smoothing / self.mean_slope * _neighbours(self.grid)
-        static = slice(free, free + rows.shape[1])
-        whole[static, static] = rows.T @ rows
+        """Gram matrix (E + F + q, E + F + q) of the rows that hold neighbours alike, beside one row of data."""
+        free, alike, (moving, held) = self.free_columns.shape[1], _alike(self.grid), self._split
+        static = slice(free, free + len(alike))
+        whole = np.zeros((self.size, self.size))
+        whole[static, static] = (self.smoothing / self.mean_slope) ** 2 * alike
         if self.toward is not None:  # Differences say nothing of a common change, and nothing of smooth elements.
-            whole[static, static] += np.diag(self.smoothing**2 * np.mean(columns[:, static] ** 2, axis=0))
+            squares = sum(np.diag(sums.gram)[static] for sums in self.sums) / len(self)
+            whole[static, static] += np.diag(self.smoothing**2 * squares)
         first = self.numbers.size
         for part in (*moving, *held):
             if part is (held[0] if held else None):
-                first = free + self.static.shape[1]
+                first = static.stop
             own = slice(first, first + part.value.size)
             if part.ridge.size:
                 ridge = _RIDGE * rms(part.columns) / (self.mean_slope if part.volts else 1.0) * part.ridge
@@ -268,14 +302,17 @@ class Program:
         return self._sums_of(None)
 
     def _sums_of(self, weights: Array | None) -> list[NormalEquations]:
-        (columns, free), target = self.columns, self.target
-        if weights is not None:
-            columns, target = columns * weights[:, None], target * weights
-        if not self.fold.size:
-            return [NormalEquations.of_rows(columns, target, free)]
-        return [
-            NormalEquations.of_rows(columns[self.fold == k], target[self.fold == k], free) for k in range(self.folds)
-        ]
+        found = [NormalEquations.none(self.size, self.free_columns.shape[1]) for _ in range(self.folds)]
+        fold = self.fold if self.fold.size else np.zeros(len(self), dtype=np.intp)
+        for part, own in self._weighted():
+            goal, number = self.target[part], fold[part]
+            if weights is not None:
+                goal = goal * weights[part]
+                np.multiply(own, weights[part, None], out=own)
+            for k in np.unique(number).tolist():
+                rows = slice(None) if np.all(number == k) else number == k
+                found[k] = found[k].with_rows(own[rows], goal[rows])
+        return [sums.whole for sums in found]
 
     def solved(self, like: Solution | None = None, *, without: int | None = None) -> Solution:
         """Return the least-squares solution, of all rows or `without` a fold; `like`: one of a program nearby."""
@@ -302,14 +339,17 @@ class Program:
 
     def residual(self, found: Solution) -> Array:
         """Return what a solution leaves of each row (n,) [m]."""
-        return np.asarray(self.columns[0] @ found.unknowns - self.target)
+        missed = -self.target
+        for part, own in self._weighted():
+            missed[part] += own @ found.unknowns
+        return missed
 
     def _solve(self, sums: NormalEquations, count: int, like: Solution | None) -> Solution:
         """Solve sums of `count` rows, inequalities added round by round where they would be violated."""
         image = sums.image
         if self.toward is not None:
-            image = image + count * self._regular[:, sums.free : sums.free + self.toward.size] @ self.toward
-        program = replace(sums, gram=sums.gram + count * self._regular, image=image)
+            image = image + count * self.regularization[:, sums.free : sums.free + self.toward.size] @ self.toward
+        program = replace(sums, gram=sums.gram + count * self.regularization, image=image)
         size, free = program.image.size, program.free
         start, limits = ActiveSet(np.ones(size, dtype=bool), np.zeros(0, dtype=bool)), self._limits(size, free)
         if like is not None and like.unknowns.size == size:
@@ -346,10 +386,6 @@ class Program:
             x = x.copy()
             x[free : free + count] *= float(np.min(spring[falls] / -elements[falls]))
         return x
-
-    @cached_property
-    def _regular(self) -> Array:
-        return self.regularization()
 
     def _limits(self, size: int, free: int) -> tuple[Array, Array]:
         """Return the inequality of the last segment of tau."""
@@ -409,28 +445,25 @@ class Program:
         return np.asarray(1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings))
 
 
-def _neighbours(grid: Grid) -> Array:
-    """Differences between neighbours (p, q) [m]: of elements, spring and transformer, in the order of the unknowns.
+def _alike(grid: Grid) -> Array:
+    """Return the Gram matrix (q, q) [m2] of differences between neighbours, in the order of `Grid.places`.
 
     ``rho_i sqrt(M) (kappa_i,m+1 - kappa_im)`` along the stroke, ``rho_i drho_i+1 (kappa_i+1,m / drho_i+1 - kappa_im /
     drho_i)`` from one threshold to the next, and second differences of the slopes of the spring and of tau over a
     segment; those of tau are volts, which a slope of the whole range makes metres.
     """
     rho, segments, places = grid.breakaway[grid.movable], grid.segments, grid.places()
-    along = np.kron(np.diag(rho), np.diff(np.eye(segments), axis=0) * np.sqrt(segments))
+    along = np.diff(np.eye(segments), axis=0) * np.sqrt(segments)
     steps = np.diff(np.diag(1 / np.diff(rho, prepend=0.0)), axis=0) * (rho[:-1] * np.diff(rho))[:, None]
-    parts = [("elements", along), ("elements", np.kron(steps, np.eye(segments)))]
+    whole = np.zeros((places["transformer"].stop,) * 2)
+    whole[places["elements"], places["elements"]] = np.kron(np.diag(rho**2), along.T @ along)
+    whole[places["elements"], places["elements"]] += np.kron(steps.T @ steps, np.eye(segments))
     for kind, knots in (("spring", grid.knots), ("transformer", grid.drive)):
         count = places[kind].stop - places[kind].start
         if count:
-            length = float(np.ptp(knots)) / (knots.size - 1)
-            parts.append((kind, np.diff(np.eye(count), n=2, axis=0) * length))
-    rows = []
-    for kind, differences in parts:
-        row = np.zeros((len(differences), places["transformer"].stop))
-        row[:, places[kind]] = differences
-        rows.append(row)
-    return np.vstack(rows)
+            bends = np.diff(np.eye(count), n=2, axis=0) * (float(np.ptp(knots)) / (knots.size - 1))
+            whole[places[kind], places[kind]] = bends.T @ bends
+    return whole
 
 
 def with_folds(program: Program, fold: Sequence[int] | NDArray[np.intp]) -> Program:

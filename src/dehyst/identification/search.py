@@ -199,13 +199,13 @@ def moving(
     `lag`, `drift`: whether these may move. `more`: whether creep and a resonance may.
     """
     search = _Search(report, always=("datum",) if frame.motion.datum.any() else ())
-    best = search.tried(_cold(frame), ())
+    best = search.tried(cold(frame), ())
     if frame.motion.thermal is not None:
         best = search.better(best, frame, ("thermal",))
         if "thermal" in best.names:
             search.always = (*search.always, "thermal")
         else:
-            frame = _cold(frame)
+            frame = cold(frame)
     # A lag, and drifts by the logarithm of time or in proportion to it, alone and together.
     drifts = [(frame, ""), (_steady(frame), ", in proportion to time")] if drift else []
     for names in ((), ("delay",)) if lag else ((),):
@@ -255,7 +255,7 @@ def _steady(frame: Frame) -> Frame:
     return replace(frame, training=[replace(item, steady=True) for item in frame.training])
 
 
-def _cold(frame: Frame) -> Frame:
+def cold(frame: Frame) -> Frame:
     """Return the records without an effect of temperature."""
     return replace(frame, motion=replace(frame.motion, thermal=None))
 
@@ -341,9 +341,12 @@ def warmed(frame: Frame) -> Frame:
     return fitted(frame, _LIGHT, FEW, ("thermal",), _TURNS).frame
 
 
-def with_datums(frame: Frame) -> Frame:
+def with_datums(frame: Frame, report: Progress) -> Frame:
     """Return the records on one axis: the zero of each is searched for, then all are refined together."""
-    datum = np.array([0.0 if q == frame.widest else _datum(frame, q) for q in range(len(frame.training))])
+    datum = np.zeros(len(frame.training))
+    for q in range(datum.size):
+        report("estimating the zeros of the sensor")
+        datum[q] = 0.0 if q == frame.widest else _datum(frame, q)
     frame = replace(frame, motion=replace(frame.motion, datum=datum))
     return fitted(frame, _PLAIN, FEW, ("datum",), _TURNS).frame if datum.any() else frame
 

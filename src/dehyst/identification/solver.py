@@ -84,9 +84,22 @@ class NormalEquations:
         return NormalEquations(gram, image, self.free)
 
     @classmethod
-    def of_rows(cls, rows: Array, goal: Array, free: int) -> NormalEquations:
-        """Return the sums of rows (n, q) with targets (n,)."""
-        return cls(rows.T @ rows, rows.T @ goal, free)
+    def none(cls, size: int, free: int) -> NormalEquations:
+        """Return the sums of no row, for `size` coefficients."""
+        return cls(np.zeros((size, size)), np.zeros(size), free)
+
+    def with_rows(self, rows: Array, goal: Array) -> NormalEquations:
+        """Return the sums of further rows (n, q) with targets (n,) too, of G below its diagonal; these are used up."""
+        from scipy.linalg.blas import dsyrk
+
+        return NormalEquations(
+            dsyrk(1.0, rows.T, 1.0, self.gram.T, overwrite_c=1).T, self.image + rows.T @ goal, self.free
+        )
+
+    @property
+    def whole(self) -> NormalEquations:
+        """The sums with all of G."""
+        return NormalEquations(self.gram + np.tril(self.gram, -1).T, self.image, self.free)
 
     def minimum(self, inequalities: tuple[Array, Array], start: ActiveSet | None = None) -> tuple[Array, ActiveSet]:
         """Return the coefficients (q,), zero for columns without rows, and their active set.

@@ -54,7 +54,7 @@ from dehyst.model.states import (
     voltage_error,
     voltages_of,
 )
-from dehyst.model.summary import Slopes, parts_of, step_response
+from dehyst.model.summary import parts_of, step_response
 from dehyst.model.temperatures import (
     demand_thermal,
     temperature_columns,
