@@ -196,7 +196,7 @@ def as_dict(case: Case, found: Outcome) -> dict:
 
 
 def main() -> None:
-    # What runs in the background may ignore these, and its children then would.
+    # A process in the background may ignore these signals, and its children then would too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     chosen = [case for case in CASES if len(sys.argv) == 1 or case.name in sys.argv[1:]]

@@ -82,7 +82,7 @@ class Experiment:
         parts = protocol.parts(case.random("protocol"), truth.fast)
         self.sample = truth.period / protocol.samples
         self.shortest = self.sample / max(part.speed for part in parts)
-        # What lags, lags by parts of the fastest period, however few samples that has.
+        # A lag is a part of the fastest period, however few samples that has.
         self.unit = truth.period / 200 / max(part.speed for part in parts)
         self.bench = Bench(truth, case.disturbance.delay * self.unit)
         self.now, self.history = 0.0, ([], [])
@@ -94,7 +94,7 @@ class Experiment:
         home = through([parts[-1].u[-1], 0.0, 1.0, 0.0, 1.0, 0.0], [protocol.samples // 2] * 5)
         homed = self._play(home, self.sample)[2]
         self.reached = float(np.ptp(homed[-protocol.samples :]))
-        # Of the two speeds also some between them.
+        # The two speeds, and some between them.
         self.between = truth.fast**0.5 if len(parts) > 1 else 1.0
 
     def _play(self, u: Array, step: float) -> tuple[Array, Array, Array]:

@@ -32,7 +32,7 @@ place = scanner.play(np.concatenate([played.voltage, voltage]), measured=False)[
 picture = (np.sin(2 * np.pi * place / 1e-6) > 0).reshape(2 * lines, pixels)
 
 # %%
-# Where each pixel was, by the model; and each line at even positions.
+# Position of each pixel by the model, and each line at even positions.
 
 found = actuator.simulate(np.concatenate([played.voltage, voltage])).displacement[-voltage.size :]
 found = found.reshape(2 * lines, pixels)
@@ -46,8 +46,8 @@ raw = np.array([row[:: (-1) ** k] for k, row in enumerate(picture)])
 # %%
 # Forward and backward lines agree now.
 
-for name, one in (("raw", raw), ("corrected", corrected)):
-    apart = np.abs(one[2::2].astype(float) - one[3::2]).mean()
+for name, picture in (("raw", raw), ("corrected", corrected)):
+    apart = np.abs(picture[2::2].astype(float) - picture[3::2]).mean()
     print(f"{name}: forward and backward lines differ in {100 * apart:.1f} % of the pixels")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")

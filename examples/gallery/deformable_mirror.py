@@ -41,8 +41,8 @@ for row in wanted:
 print(f"{1e6 * np.median(seconds):.0f} µs a step, of 1000 µs")
 
 # %%
-# What the mirror would do: the voltages of the bank, played on the same actuators, and those of a constant gain.
-gain = np.array([np.ptp(one.spring.voltage) / np.ptp(one.spring.displacement) for one in actuators])
+# Motion of the mirror: the voltages of the bank, played on the same actuators, and those of a constant gain.
+gain = np.array([np.ptp(plant.spring.voltage) / np.ptp(plant.spring.displacement) for plant in actuators])
 errors = {}
 for name in ("constant gain", "compensated"):
     bank.reset()

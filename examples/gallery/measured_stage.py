@@ -24,7 +24,7 @@ fit = dehyst.identify([major, known], validate=rest)
 print(fill(str(fit), 85))
 
 # %%
-# What the model predicts of the part that it has not seen, beside the best straight line through the same samples. The
+# Prediction of the part that the model has not seen, beside the best straight line through the same samples. The
 # sensor's noise reaches 0.5 % of the stroke at its peaks, so little of what is left is the model's.
 unseen = fit.traces[-1]
 straight = np.polyval(np.polyfit(unseen.voltage, unseen.measured, 1), unseen.voltage)

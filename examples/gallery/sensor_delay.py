@@ -27,8 +27,8 @@ record = dehyst.Record(tops.time, tops.voltage, measured, name="late")
 fit = dehyst.identify(record, structure="maxwell_slip")
 without = dehyst.identify(record, structure="maxwell_slip", delay=0)
 print(f"delay: {1e3 * fit.actuator.delay:.2f} ms")
-for name, one in ("with it", fit), ("delay=0", without):
-    print(f"{name}: {one.errors[0].rms_percent:.3f} % of the stroke RMS on the record")
+for name, found in ("with it", fit), ("delay=0", without):
+    print(f"{name}: {found.errors[0].rms_percent:.3f} % of the stroke RMS on the record")
 
 # %%
 # A model that takes the delay for hysteresis is wrong at any other speed: here on loops so slow that the delay does

@@ -36,7 +36,7 @@ print(np.round(fit.coupling, 4))
 print(f"largest error of an entry: {np.abs(fit.coupling - coupling).max():.4f}; {fit.verdict}")
 
 # %%
-# What the voltage of y leaves on x: of a model of x alone, and of the stage.
+# Motion of x that the voltage of y causes: with a model of x alone, and with that of the stage.
 alone = dehyst.identify(record.axis(0), structure="maxwell_slip").traces[0]
 whole = fit.fits[0].traces[0]
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), sharey=True)

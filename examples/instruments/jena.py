@@ -17,7 +17,7 @@ from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, LinkError, Reading, RigError
 
 ADDRESS = "192.168.0.5"  # a host, or a serial port
-# What the amplifier must answer: an actuator with a sensor in micrometres, open loop, setpoints from here.
+# Answer of the amplifier: an actuator with a sensor in micrometres, open loop, setpoints from here.
 NEEDED = {"acmeasure": ("1",), "cl": ("0",), "modsrc": ("0",), "unitcl": ("um", "\xb5m", "\u03bcm")}
 # Data recorder: no automatic start, piezo voltage in memory 0 and position in memory 1, 20 samples of 50 us.
 RECORDER = ("recast,0", "recsrc,0,2", "recsrc,1,0", "recstr,1", "reclen,20")

@@ -119,8 +119,7 @@ def identify_fleet(
         with _writing(target, rows, len(missing), report) as keep, _connected(scheduler) as client:
             for row in _computed(client, missing, read):
                 keep(row)
-    refused = sum(bool(row["reason"]) for row in rows.values())
-    return FleetTable(target, len(rows), len(missing), refused)
+    return FleetTable(target, len(rows), len(missing), sum(bool(row["reason"]) for row in rows.values()))
 
 
 def _named(records: PathLike | Sequence[PathLike], output: Path) -> dict[str, Path]:

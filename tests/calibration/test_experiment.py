@@ -134,7 +134,7 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
     assert found.kept == ("recommended",)
     assert found.played == ("nominal", "compensated")
     assert found.compensated.largest_percent < 0.2
-    # What was cut off is still there, under another name.
+    # The truncated file is still there, under another name.
     [aside] = (tmp_path / "records" / "set-aside").iterdir()
     assert len(read(aside)) == len(cut)
 

@@ -73,7 +73,7 @@ def test_compensate_promises_what_the_records_tested_of_the_path(folder):
     assert judged["parts"]["model_m"] == pytest.approx(found.largest, rel=1e-9)
     assert judged["rms_m"] > found.rms
     assert judged["untested"] == [gap.as_dict() for gap in found.untested]
-    # What is the same all along the path is no part of it.
+    # A part that is constant along the path does not count.
     assert 0 < judged["parts"]["start_m"] < got["start"]["largest_difference_percent"] / 100 * judged["stroke_m"]
 
 

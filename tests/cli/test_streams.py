@@ -121,7 +121,7 @@ def test_ctrl_c_is_a_sentence():
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "dehyst: stopped by Ctrl-C\n")
 
 
-# What is read as a model
+# Standard input as a model
 
 
 @contextlib.contextmanager

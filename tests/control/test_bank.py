@@ -25,7 +25,7 @@ from dehyst.model import GradedSlip, SmoothSlip, Transformer, voltages_of
 from examples import examples
 
 PERIOD = 1e-3
-# What is clamped is counted, and compared.
+# Clamped samples are counted and compared.
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
 

@@ -459,7 +459,7 @@ def test_preview_makes_up_for_delay_and_inertia(parts, delay):
         ahead = compensator.samples_ahead
         voltage = compensator.run(smooth_path(time + (ahead + 1) * period))
         seen = replayed(actuator, start, voltage, period).displacement[1:]
-        # What is sent now is seen `delay` later.
+        # The voltage of now is seen `delay` later.
         errors.append(np.abs(seen - smooth_path(time + period + actuator.delay)).max() / plain_records.STROKE)
     plain = Compensator(actuator, FREE, period=period, state=start).run(smooth_path(time + period))
     lazy = replayed(actuator, start, plain, period).displacement[1:] - smooth_path(time + period + actuator.delay)

@@ -128,7 +128,7 @@ def test_an_axis_with_a_shorter_homing_waits_before_it_at_its_present_voltage(pr
     np.testing.assert_array_equal(*homings)
     # It ends when the last axis is homed.
     assert when[homings[0]][-1] >= when[0] + waits + alone.time[alone.phase == 0][-1] - 1e-6
-    # What is expected is what the plant does with these voltages, with all coupling.
+    # The expectation is the motion of the plant with these voltages, with all coupling.
     moved = [
         plant.simulate(path.voltage, time=when, state=standing(plant, float(path.voltage[0]), LIMITS)).displacement
         for plant, path in zip(stage.actuators, paths, strict=True)

@@ -132,7 +132,7 @@ def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, sle
     np.testing.assert_allclose(first.voltage, other.voltage, atol=1e-10 * HIGH)
     np.testing.assert_allclose(first.displacement, other.displacement, atol=1e-10 * plain_records.STROKE)
     np.testing.assert_allclose(first.state.carts, other.state.carts, atol=1e-10 * plain_records.STROKE)
-    # Where a wish lies on a limit to rounding, one may call it clamped and the other not.
+    # If a displacement lies on a limit to rounding, only one of the two may call it clamped.
     differ = first.clamped != other.clamped
     assert np.abs(first.displacement - path)[differ].max(initial=0.0) < 1e-10 * plain_records.STROKE
 

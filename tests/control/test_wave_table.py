@@ -81,7 +81,7 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     kept = 2e-4 * unknown(table) if actuator.smooth and actuator.displacement_creep else 0.0
     assert miss[-size:].max() <= 1e-9 * stroke + kept
     first = np.flatnonzero(played.phase == 2)[0]
-    # What a homing leaves unknown comes on top of the error.
+    # The rest that a homing leaves unknown adds to the error.
     assert miss[first : first + size].max() <= 1.0001 * table.error + unknown(table) + 1e-9 * stroke
     if not homed:
         start = played.phase == 1
@@ -186,7 +186,7 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     made, size = simulated(actuator, played, actuator.relaxed(20.0)), len(table.cycle)
     off = np.abs(made - played.expected)
     assert off[: -5 * size].max() <= 1e-12 * strokes(TRIANGLE)
-    # What is stated of the first cycle; those after it go on settling.
+    # Statement on the first cycle; the cycles after it continue to settle.
     assert off[-5 * size : -4 * size].max() <= 1.0001 * table.error + 1e-12 * strokes(TRIANGLE)
     assert off.max() <= 4 * table.error + 1e-12 * strokes(TRIANGLE)
 
@@ -216,7 +216,7 @@ def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     # All that was left out lies on straight lines between rows.
     whole = np.interp(homing.time, played.time, played.voltage)
     assert np.abs(whole - homing.voltage)[:-1].max() <= 1e-9
-    # What was simulated with every sample is what the rows alone make, at the rows and after them.
+    # The rows alone give the simulation with every sample, at the rows and after them.
     made = simulated(slow, played)
     assert np.abs(made - played.expected)[played.phase == 0].max() <= 1e-5 * strokes(TRIANGLE)
     assert np.abs(made - played.displacement)[-800:].max() <= table.error + unknown(table) + 1e-4 * strokes(TRIANGLE)

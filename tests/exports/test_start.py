@@ -43,7 +43,7 @@ def test_the_way_to_where_memory_begins_leads_there(rising):
     assert reached == pytest.approx(outset.displacement, abs=1e-9 * plain_records.STROKE)
 
 
-def test_other_states_are_reached_by_other_ways():
+def test_each_kind_of_start_has_its_own_instructions():
     actuator = plain_records.plant(10, seed=4)
     odd = actuator.simulate([0.0, 120.0, 60.0], state=actuator.relaxed()).state
     ways = [

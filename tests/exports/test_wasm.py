@@ -196,7 +196,7 @@ def test_limits_and_slew_rate_may_be_others(tmp_path):
     assert json.loads(said) == [[30, 90], 1e4, 1e-3, *loop.clamps]
 
 
-# What is refused
+# Refusals
 
 REFUSED = """
 const refused = (what, work) => {

@@ -29,7 +29,7 @@ from dehyst.control.following import follow
 from dehyst.model import needs_time
 
 HOSTILE = (np.nan, np.inf, -np.inf, 1e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30, -1e16, 5e-324, -1e-310, -0.0)
-# Of the spring's range.
+# Part of the spring's range.
 NEAR = 1e-6
 
 
@@ -139,7 +139,7 @@ class Life:
             lambda x: loop.run([x]),
             lambda x: follow(loop, [x], time=[0.0]),
         ):
-            # What is refused must move nothing; what is taken, here, is forgotten again.
+            # A refused call must move nothing; an accepted one is forgotten again here.
             try:
                 call(bad)
             except DehystError:

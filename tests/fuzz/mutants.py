@@ -182,7 +182,7 @@ def instead(path, text):
         yield
     finally:
         path.write_bytes(source)
-        # What was compiled of it before is still good.
+        # Its bytecode of before is still good.
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 

@@ -73,7 +73,7 @@ def environment(overlay):
         **os.environ,
         OVERLAY: str(overlay),
         "LD_PRELOAD": " ".join(_library(name) for name in ("libasan.so", "libstdc++.so")),
-        # What the interpreter keeps until its end is no leak; a huge request must fail as it does without sanitizers.
+        # Memory that the interpreter keeps to its end is no leak; a huge request must fail as without sanitizers.
         "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:abort_on_error=1:malloc_context_size=4",
         "UBSAN_OPTIONS": "print_stacktrace=1:abort_on_error=1",
     }

@@ -97,7 +97,7 @@ def test_a_refill_is_the_simulation_and_its_misfit():
     known = record.measured
     wrong = refilled(record, T, Y + 1e-7 * np.sin(T))
     assert np.array_equal(wrong.displacement[known], record.displacement[known])
-    # What was set aside is in no simulation.
+    # A simulation leaves out the drift that was subtracted.
     there = (T < 4) | (T > 6)
     found = refilled(record, T[there], Y[there])
     assert np.array_equal(found.displacement[~there], record.displacement[~there])

@@ -61,7 +61,7 @@ def test_validation_records_are_what_counts():
     assert len(verdict.reasons) == 1
 
 
-def test_a_model_that_misses_its_own_records_is_of_no_use_whatever_it_makes_of_others():
+def test_a_model_that_misses_its_training_records_is_not_usable():
     own, other = replace(ERRORS, settled_largest=6e-7), replace(ERRORS, role="validation")
     validity = seen(own)
     found = expectation(Outcome.INACCURATE, (own, other), (), validity, 0.0, 1.0)

@@ -55,7 +55,7 @@ def test_what_the_voltage_does_not_cause_makes_no_part(name):
     fit = disturbed(name)
     assert fit.actuator.dynamics is None
     assert fit.actuator.displacement_creep is None
-    # Of a sample, against what a vibration of half a percent makes of turns.
+    # Part of a sample; a vibration of half a percent moves turns by more.
     assert RATE * fit.actuator.delay < 0.2
 
 

@@ -82,7 +82,7 @@ def test_the_major_loop_alone_is_undetermined():
     fit = dehyst.identify(plain_records.loops(PLANT, plain_records.MAJOR * 2))
     assert fit.outcome is Outcome.UNDETERMINED
     assert fit.outcome.good
-    # Of what it does tell nothing is missed.
+    # Nothing of that is missing in the text.
     assert fit.errors[0].settled_largest < 5e-3 * STROKE
 
 

@@ -164,7 +164,7 @@ def test_structures_that_explain_as_well_but_differ_disagree():
         for others in ([chosen], [chosen, same], [other], [same, other])
     )
     assert (none, near < 0.3 * far, near < both < far) == (chosen.held_out, True, True)
-    # What explains the records worse counts less.
+    # A structure that explains the records worse counts less.
     other.__dict__["held_out"] = 2 * chosen.held_out
     assert near < search.disagreement(chosen.actuator, [same, other], chosen, frame) < both
 

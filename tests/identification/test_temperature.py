@@ -112,7 +112,7 @@ def test_an_effect_that_is_not_there_is_not_found():
 def test_the_range_and_the_change_within_records():
     found, _ = temperatures_of([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)])
     assert (found.low, found.high) == (pytest.approx(15, abs=0.2), pytest.approx(45, abs=0.2))
-    # What changes little within records shows no expansion: the zero of each may have moved.
+    # A temperature that changes little within records shows no expansion: the zero of each may have moved.
     assert not found.within
     assert temperatures_of([at(15, 45, 1)])[0].within
 

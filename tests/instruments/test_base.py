@@ -206,7 +206,7 @@ def test_what_comes_is_looked_at(spoil, kind):
     assert note == BROUGHT and note.safe
     assert rig.instrument.voltage == 0.0
     assert not rig.instrument.playing
-    # What was not believed was not heard either, but for a voltage that is finite and not the one sent.
+    # A reading that is not believed has no effect, except a finite voltage that differs from the sent one.
     for samples in heard:
         assert all(np.isfinite(column).all() for column in samples[:3])
         assert len({column.shape for column in samples[:3]}) == 1

@@ -70,7 +70,7 @@ def test_many_random_lives_on_the_sanitized_core(native, number):
 def test_a_share_of_the_attacks_finds_nothing(name, count):
     found = attacked(FUZZ / f"{name}.py", "--seed", 3, "--count", count)
     assert found["cases"] == count
-    # What refuses everything finds nothing.
+    # A reader that refuses everything finds nothing.
     assert found["counts"]["voltages"] > 500
 
 

@@ -31,7 +31,7 @@ def test_the_targets_that_everybody_knows_are_there():
 @pytest.mark.parametrize(
     "path", [*WORKFLOWS, ROOT / ".ci" / "run", ROOT / "CONTRIBUTING.md"], ids=lambda path: path.name
 )
-def test_who_runs_the_targets_names_those_that_exist(path):
+def test_only_targets_that_exist_are_run(path):
     called = set(re.findall(r"^(?:.*run: |    )?make ([a-z]+)", path.read_text(), re.M))
     assert called
     assert called <= TARGETS

@@ -39,7 +39,7 @@ def offered(face):
 
 
 OFFERED = {f"dehyst.{room}": offered(f"dehyst.{room}") for room in FACES if room != "dehyst"}
-# What runs the library: its modules load what one command needs.
+# Rooms that run the library: each of their modules loads what one command needs.
 COMMANDS = {"cli", "operations", "workbench"}
 # Modules that are imported one by one: what they load is needed nowhere else.
 ALONE = {*DRIVERS}

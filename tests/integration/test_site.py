@@ -80,7 +80,7 @@ def laboratory(tmp_path_factory):
 def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
     shutil.copytree(laboratory, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    # What the code of a page takes for granted.
+    # Files that the code of a page needs.
     actuator = dehyst.Actuator.load("model.json")
     device = SimpleNamespace(write=lambda voltage: None, read=lambda: 5e-6)
     space = {"actuator": actuator, "path": [5e-6, 6e-6], "dac": device, "sensor": device}

@@ -130,7 +130,7 @@ def test_a_trajectory_strokes_outside_is_refused_and_one_that_is_clamped_is_not(
     with pytest.raises(ModelError, match="in micrometres"):
         plan_path(ACTUATOR, [2, 12])
     assert plan_path(ACTUATOR, [LOW, HIGH + 0.9 * STROKE]).clamped.any()
-    # What wider limits of its own allow can be meant.
+    # Numbers within wider limits of its own can be meant.
     assert not plan_path(ACTUATOR, [HIGH + 1.5 * STROKE], limits=(0.0, 12.0)).clamped.any()
     # And what the model reaches can be meant under narrower ones.
     assert plan_path(ACTUATOR, [HIGH], limits=(0.0, 0.5), home=False).clamped.all()

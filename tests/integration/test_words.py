@@ -20,8 +20,11 @@ ROOMS = ("cli", "operations", "report", "web", "workbench")
 SOURCES = [path for room in ROOMS for path in (places.SOURCES / room).rglob("*.[jp][sy]")]
 # How many variables of a room are called `one`: numbers may only be lowered.
 ONES = {"control": 2}
-NAMED = [places.SOURCES / room for room in (*ROOMS, "calibration", "control", "exports", "paper", "waveforms")]
-NAMED += [places.TESTS, places.BENCHMARKS, places.ROOT / "packages"]
+REST = [places.TESTS, places.BENCHMARKS, places.ROOT / "examples", places.ROOT / "packages"]
+NAMED = [
+    *(places.SOURCES / room for room in (*ROOMS, "calibration", "control", "exports", "paper", "waveforms")),
+    *REST,
+]
 
 
 @pytest.mark.parametrize("path", [*TEXTS, *SOURCES], ids=lambda path: path.name)
@@ -44,5 +47,5 @@ def test_variables_name_their_thing(folder):
 
 
 def test_a_comment_begins_with_its_subject():
-    texts = (path.read_text() for path in places.SOURCES.rglob("*.py"))
-    assert [line for text in texts for line in re.findall(r"(?m)^ *# (?:Of|What|Where|Whether)\b.*", text)] == []
+    texts = (path.read_text() for folder in (places.SOURCES, *REST) for path in folder.rglob("*.[jp][sy]"))
+    assert [line for text in texts for line in re.findall(r"(?m)^ *(?:#|//) (?:Of|What|Where|Whether)\b.*", text)] == []

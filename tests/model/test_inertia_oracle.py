@@ -47,7 +47,7 @@ def test_motion_and_charge_are_the_circuits_at_second_order_in_the_step(damping,
             [np.abs(got.displacement[::finer] - y).max() / np.ptp(y), np.abs(charge - q[-1]).max() / np.ptp(q)]
         )
     motion, last = np.transpose(errors)
-    # Where within a step an element breaks changes from one halving to the next: the order is that of all three.
+    # An element breaks away at another place of the step after each halving: all three halvings give the order.
     assert np.all(motion[1:] < 0.5 * motion[:-1]), motion
     assert np.log2(motion[0] / motion[-1]) / 3 > 1.9, motion
     assert motion[-1] < 5e-6

@@ -53,7 +53,7 @@ ENTRIES = {
     "identification.goal": ("goal_percent", "not_negative", np.inf),
     "identification.slew_rate": ("slew_rate_V_per_s", "positive", 1e11),
 }
-# What breaks a law, in the place of one number.
+# Values that break a law when they replace one number.
 TINY = (5e-324, 1e-200, 0.99e-30)
 BROKEN = {"positive": (0.0, -1.0), "not_negative": (-1e-9,), "half_to_one": (0.499, 1.001), "divides": TINY}
 NEVER = (np.nan, np.inf, -np.inf, 1.7e308, -1.7e308, 1.01e30)

@@ -38,7 +38,7 @@ def parsed(words):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(places.ROOT)))
 def test_its_commands_are_understood(page):
     for line in commands(page):
-        # What a user completes: the number of a data sheet, a file that another command writes.
+        # Placeholders that a user replaces: the number of a data sheet, a file that another command writes.
         complete = line.replace("GAIN", "1").replace("@scope.txt", "rate=1")
         words = shlex.split(complete, comments=True)[1:]
         # The page on the command line shows how a name that does not exist is refused.

@@ -31,7 +31,7 @@ def laboratory(tmp_path_factory):
     return folder
 
 
-# Of each key of --columns: what is read without it, and with it.
+# For each key of --columns: the numbers that are read without it, and with it.
 KEYS = {
     "time": ("record.csv", "", "time=clock_s"),
     "voltage": ("record.csv", "", "voltage=monitor_V"),

@@ -115,7 +115,7 @@ def test_a_record_without_glitches_loses_nothing(seed, kind, cycle, cycles, lag,
 )
 def test_glitches_above_slew_and_noise_are_found_and_only_they(seed, kind, cycle, lag, count, noise, width, sensor):
     rng = np.random.default_rng(seed)
-    # What fills 2 % of a record is usual there, and no glitch.
+    # A value that fills 2 % of a record is usual there, and no glitch.
     size = max(6 * cycle + 200, 60 * count * width)
     v, y = measured(rng, kind, cycle, size, lag)
     v, y = spoiled(rng, v, noise, 0), spoiled(rng, y, sensor, 0)

@@ -208,7 +208,7 @@ def test_columns_of_axes(text, tmp_path):
     assert record.axes == ("x", "y")
     assert record.voltage == pytest.approx(np.c_[V, factor * V], abs=1e-6)
     assert record.displacement == pytest.approx(np.c_[Y, factor * Y], abs=1e-12)
-    # What the record keeps is read again, as from a model file.
+    # The record keeps a text that is read again, as from a model file.
     assert dict(pair.partition("=")[::2] for pair in record.meta["axes"]) == Columns.parse(text).axes
 
 

@@ -31,7 +31,7 @@ def same(record, other):
     assert np.allclose(record.displacement[known], other.displacement[known], rtol=0, atol=1e-20)
 
 
-# What a sample means
+# Meaning of a sample
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])

@@ -62,7 +62,7 @@ def test_joined_by_time(tmp_path):
     found = joined(table, read_table(tmp_path / "b.csv"), Columns(displacement="voltage_V"))
     assert found.columns[1].data == pytest.approx(V[inside], abs=1e-6)
 
-    # Where both have a displacement, the first file keeps its times.
+    # If both have a displacement, the first file keeps its times.
     both = text(tmp_path, "time_s,voltage_V,y_um\n" + laboratory_files.rows(T, V, UM), "c.csv")
     found = joined(read_table(both), read_table(tmp_path / "b.csv"), Columns())
     assert found.columns[0].data == pytest.approx(T[inside], abs=1e-6)

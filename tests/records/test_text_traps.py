@@ -11,7 +11,7 @@ from dehyst._errors import DehystError, FileFormatError
 from dehyst.records import Columns, read, read_table
 from dehyst.records.formats.notation import clock_of, moment
 
-# Of the range: what rounding, straight lines between samples and the noise of a sensor leave.
+# Part of the range that rounding, straight lines between samples and the noise of a sensor leave.
 CLOSE = 0.003
 
 
@@ -26,7 +26,7 @@ def is_right(record):
     )
 
 
-# What is written, the decimal sign that the user states, and the columns that are read; others have a fault.
+# Text, the decimal sign that the user states, and the columns that are read; others have a fault.
 READ = {
     "a zero before": ("a;b;c;d\n0,010;1,000;-0,5;,5\n", "", {"a": [0.010], "b": [1.0], "c": [-0.5], "d": [0.5]}),
     "four digits before": ("a;b\n1234,567;1,234\n", "", {"a": [1234.567], "b": [1.234]}),
@@ -89,7 +89,7 @@ def test_columns_are_read(tmp_path, name):
         assert found[column] == pytest.approx(values)
 
 
-# What is written, and what the refusal holds.
+# Text, and words of the refusal.
 REFUSED = {
     "two signs": ("a;b\n1.5;1,5\n", "line 2 holds '1.5'"),
     "a doubtful point": ("a;b\n0,5;1.234\n", "line 2 holds '1.234'"),

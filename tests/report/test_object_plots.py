@@ -120,7 +120,7 @@ def test_the_loops_of_an_actuator_lie_within_its_limits(things):
     assert np.array(lines[0].get_ydata())[[0, 199]] == pytest.approx(np.array(actuator.reach) * 1e6, rel=1e-6, abs=1e-9)
 
 
-# Of each of these, none or all; the first bends the model, the rest lets it depend on time.
+# Parts of a model, each there or not; the first bends the model, the others let it depend on time.
 OPTIONAL = (
     PARTS["graded"] | PARTS["transformer"] | PARTS["smooth"],
     PARTS["creep"],

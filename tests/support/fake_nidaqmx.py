@@ -17,7 +17,7 @@ from dehyst.instruments import open_rig
 from dehyst.virtual.bench import Extremes
 
 TIMEBASE = 1e8
-# Of the amplifier [V/V], and of the sensor [m/V].
+# Gains of the amplifier [V/V] and of the sensor [m/V].
 GAIN, SCALE = 10.0, 2e-6
 
 

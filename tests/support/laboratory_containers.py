@@ -84,7 +84,7 @@ INDEX = np.arange(float(N))
 OLD_RUN = [SECONDS.split(","), *np.c_[T, V, UM][: N // 2].tolist()]
 DATA = {"clock__time": (T * 1e3, ""), "drive__voltage": (V, "V"), "sensor__position": (UM, "um")}
 
-# What each file must not be taken for; with the options that a user knows.
+# Wrong readings of each file, and the options that a user knows.
 TRAPS: dict[str, tuple[Writer, str]] = {
     "rows.xlsx": (xlsx("A1:C1100"), ""),
     "cell.xlsx": (xlsx("A1:C1", *OLD_RUN), ""),

@@ -15,7 +15,7 @@ from dehyst.virtual import PlayActuator, VirtualBench
 
 LOW, HIGH = -20.0, 100.0
 XOFF, XON = "\x13", "\x11"
-# Where the recorder takes its samples: `recsrc`.
+# Source of the recorder's samples: `recsrc`.
 POSITION, VOLTAGE = "0", "2"
 
 

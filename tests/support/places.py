@@ -4,7 +4,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS, CORE, DOCS, EXAMPLES = (ROOT / name for name in ("benchmarks", "core", "docs", "examples"))
-# What is compiled: headers and sources.
+# Headers and sources of the core.
 _CORE = sorted(path for name in ("include", "src") for path in (CORE / name).rglob("*.[ch]"))
 # A bank is for Python only, and is compiled twice: `core/tests/strict_build.sh` builds it as strictly.
 CORE_FILES = tuple(path for path in _CORE if "bank" not in (path.parent.name, path.stem.removeprefix("dehyst_")))

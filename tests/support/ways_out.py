@@ -27,7 +27,7 @@ from dehyst.waveforms.scans import scan_of
 COUNTS = {"m": 1.0, "um": 1e6, "nm": 1e9}
 CARRIERS = ("list", "array", "series")
 PARTS = (*("plain",) * 9, *("transformer", "graded") * 3, "creep", "creep", "dynamics", "lag")
-# Of each call, in 1000; those that take long are rare.
+# How often each call is made, in 1000; slow ones are rare.
 SHARES = {
     "step": 250,
     "offer": 80,

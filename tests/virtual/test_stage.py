@@ -86,7 +86,7 @@ def test_a_recorded_wave_is_what_the_stage_does_with_its_voltages(pause):
         np.testing.assert_array_equal(voltage, v[:, j])
         # The sums of an actuator's own relays depend on the number of samples in their last digits.
         np.testing.assert_allclose(displacement, expected[:, j], rtol=1e-14, atol=1e-19)
-    # What is read afterwards is the last sample.
+    # A later reading is the last sample.
     assert [axis.displacement() for axis in stage.axes] == [stage.samples(axis=j)[2][-1] for j in range(2)]
 
 

@@ -103,7 +103,7 @@ def test_the_cookie_is_hidden_from_scripts_and_from_other_sites(bench):
     assert "HttpOnly" in words
     assert "SameSite=Strict" in words
     assert link.partition("token=")[2] not in words
-    # Else a browser asks for /favicon.ico, which there is not.
+    # Without this icon a browser asks for /favicon.ico, which does not exist.
     assert 'rel="icon" href="data:,"' in answer.text
 
 

@@ -111,7 +111,7 @@ def test_a_drawn_path_is_written_by_the_server(owner, bench_with_model):
     table = {column.name: column.data for column in read_table(file).columns}
     assert table["voltage_V"].min() >= 0
     assert table["voltage_V"].max() <= 100
-    # Of a slow model too: then a path is planned while its points are dragged.
+    # A slow model keeps this number too, so that a path is planned while its points are dragged.
     assert 100 <= np.count_nonzero(table["phase"] == 2) <= 10_001
     assert f"{table['voltage_V'].size:,}".replace(",", " ")[-3:] in card
 

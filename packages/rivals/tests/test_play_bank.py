@@ -101,7 +101,7 @@ def test_the_closed_form_inverse_says_what_the_walk_says(seed, plays, reached_by
     if reached_by_a_history:
         _, state = bank.simulate(rng.uniform(0, VOLTS, 8), bank.state_after_descent(0.0), None)
     y, _ = bank.simulate(rng.uniform(0, VOLTS, 40), state, None)
-    # Of curves with a knot, which changes no slope, there is no closed form.
+    # Curves with a knot that changes no slope have no closed form.
     bent = [[50.0]] * plays, np.repeat(weights[:, None], 2, axis=1), 3e-7 + 50.0 * float(weights.sum())
     walked, after = PlayBank(thresholds, *bent).compensate(y, state, None)
     closed, reached = bank.compensate(y, state, None)

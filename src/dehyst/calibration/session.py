@@ -113,8 +113,8 @@ class Player:
 class Session:
     """Records from one rig in one folder: ``records/NAME.csv``, or for several axes ``records/NAME-AXIS.csv``.
 
-    The records are its only state: those that are whole, of the same excitation and of the same instrument are kept,
-    so a session goes on in the folder of an interrupted one. Close it, or use it in a with-statement.
+    The records are its only state. A session in the folder of an interrupted one keeps each whole record of the same
+    excitation and the same instrument, and continues. Close it, or use it in a with-statement.
 
     `sequence`: the requested records, in order. `played`, `kept`: names of the records that were played, and that were
     on disk. `aside`: files that are cut off, damaged or of another plan, moved to ``records/set-aside``. Raise

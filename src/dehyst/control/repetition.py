@@ -66,8 +66,8 @@ class Repetition:
     resonance can gain much in a cycle, and the next one is larger if the displacement changed as it should, else the
     step is taken back. An identified resonance is expected, and the correction ends just above it.
 
-    A cycle counts if its readings are complete, no voltage was clamped, and the sensor is believed. After one with an
-    RMS error of more than 1.2 times the least, the best cycle is played again.
+    A cycle counts if its readings are complete, no voltage was clamped, and the sensor is believed. If a
+    cycle has an RMS error of more than 1.2 times the least, the best cycle is played again.
 
     Parameters
     ----------

@@ -193,7 +193,7 @@ def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable
         Variable("displacement", "input", "m", wanted, begin.displacement),
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
         *scaling,
-        Variable("limited", "output", "", "Samples whose voltage was cut at a limit"),
+        Variable("limited", "output", "", "Samples whose voltage was clamped by a limit"),
         Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
     ]
 

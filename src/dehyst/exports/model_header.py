@@ -298,7 +298,7 @@ def _demand_float(tables: Tables) -> None:
         with np.errstate(over="ignore", under="ignore"):
             rounded = values.astype(np.float32)
         if not np.isfinite(rounded[values != _LARGEST]).all():
-            raise ModelError(f"float: a number of {name} is too large, {np.abs(values).max():.3g}; export double")
+            raise ModelError(f"float: cannot hold {np.abs(values).max():.3g}, a number of {name}; export double")
         if name in _INCREASING and (np.diff(rounded) <= 0).any():
             i = int(np.argmax(np.diff(rounded) <= 0))
             pair = f"{float(values[i])!r} and {float(values[i + 1])!r}"

@@ -36,7 +36,7 @@ _LEAST = 0.05
 _TURN = 5e-3
 # Part of the samples that count as outliers.
 _OUTLIERS = 1e-3
-# Rows of the search for a zero, and turns of Gauss and Newton.
+# Rows that the search for a zero uses, and its Gauss-Newton steps.
 _FEW, _TURNS = 1000, 2
 # Creep from before a record is a part of the stroke: its prior, and the least error of a model, as parts of the stroke.
 _STRAINED, _DOUBT = 0.3, 1e-3

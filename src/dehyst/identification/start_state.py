@@ -31,7 +31,7 @@ _STEPS, _WORTH = 12, 1e-4
 # Neighbours are held alike by this part of the rows' weight: some carts bear on no sample. The same where each cart is
 # free.
 _ALIKE, _HARDLY = 1e-2, 1e-9
-# Part of a smooth element's length by which its elongation is changed for a slope, and at which the search ends.
+# Step for a numerical slope, and tolerance of the search, of a smooth element's elongation by its length.
 _NEAR = 1e-3
 
 

@@ -110,7 +110,7 @@ _add_excitation(
     **_VOLTAGE,
     hold=number("Time at each voltage [s].", default=60.0),
     steps=integer("Number of steps up, and down.", default=5),
-    back=flag("Let one step back follow each two steps: inner loops at all levels."),
+    back=flag("Step back once after each two steps: inner loops at all levels."),
 )
 
 

@@ -42,7 +42,7 @@ COLUMN, PAGE = 3.4, 7.0
 _JOURNAL_DPI = 600
 # More points than this become one image inside a figure: as vectors they would take 100 bytes each. Most samples.
 _VECTOR_POINTS, _MOST = 1500, 20_000
-# Points of print a pixel of a page.
+# Points in print for each pixel of a page.
 _POINTS = 0.75
 # Metadata that would make each SVG file different.
 _NO_METADATA = ("Creator", "Date", "Format", "Type")

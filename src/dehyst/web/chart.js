@@ -9,7 +9,7 @@ const TITLE = 32; // pixels for the title of an upright axis, and the gap beside
 const REACH = 40; // pixels from the pointer to a sample that is read out
 const MANY = 3000; // vertices from which on a curve is drawn step by step
 
-// What a chart shows:
+// The content of a chart:
 //     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
 //     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
 //     series  [{ name, colour, x, y, kind, ... }], each of a kind

@@ -70,7 +70,7 @@ export class Figure {
     );
   }
 
-  // Of several series with one name the first is listed; all are shown and hidden together.
+  // Series with one name have one entry, which shows and hides all of them.
   legend({ series, notes = [] }) {
     const named = new Map(series.filter((one) => one.name && !one.silent).map((one) => [one.key ?? one.name, one]));
     const toggle = (key) => {

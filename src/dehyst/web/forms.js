@@ -38,7 +38,7 @@ export class Form {
     return h("div", { class: style }, names.map((name) => this.field(name)));
   }
 
-  // What a field holds, null if it is empty and may be; an Error names the field.
+  // The content of a field, null if it is empty and may be; an Error names the field.
   value(name, optional = this.fields[name].optional) {
     const field = this.fields[name];
     const text = this.values[name].trim();
@@ -47,7 +47,7 @@ export class Form {
     return text.split(/[\s;]+/).map((one) => numberFrom(one, field.label));
   }
 
-  // What the fields hold by name, without those that are empty; `needed` ones may not be.
+  // The content of fields by name, without those that are empty; `needed` ones may not be.
   collected(names = Object.keys(this.fields), needed = []) {
     const pairs = names.map((name) => [name, this.value(name, needed.includes(name) ? false : undefined)]);
     return Object.fromEntries(pairs.filter(([, value]) => value !== null));

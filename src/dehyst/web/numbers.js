@@ -104,7 +104,7 @@ export function bytes(count) {
   return count < 1e6 ? `${short(count / 1e3)} kB` : `${short(count / 1e6)} MB`;
 }
 
-// What a person typed into a field: a number (a decimal comma is one too), null if empty, NaN if neither.
+// The text that a person typed into a field: a number (a decimal comma is one too), null if empty, NaN if neither.
 export function parsed(text) {
   const clean = text.trim().replaceAll(MINUS, "-").replaceAll("\u202f", "");
   if (clean === "") return null;

@@ -68,11 +68,11 @@ export class PathFigures {
   }
 }
 
-// What there is to say of a model that a check found old.
+// The sentence about a model that a check found old.
 export const NO_PROMISE =
   "There is no promise: by the last check this model is not true any more. Update it, or identify again.";
 
-// What to expect of a plan: a light and a sentence, then facts. `band` in um.
+// The expectation of a plan: a light and a sentence, then facts. `band` in um.
 export function judged(planned, { largest_percent: share, band, light, speed, apart }) {
   const { voltage, steepest, missed, clamps } = planned;
   const cut = [

@@ -50,7 +50,7 @@ FORMS: dict[str, Form] = {
         "slew": _SLEW,
         "frequency": {
             **{"label": "Frequency", "unit": "Hz", "placeholder": "automatic", "optional": True, "above": 0},
-            "hint": "of the large loops, near that of use; automatic: four minutes in all",
+            "hint": "of the large loops, near that of use",
         },
     },
     "reading": _reading(),

@@ -24,7 +24,7 @@ NAMED = {"time_s": T, "voltage_V": V, "displacement_um": Y * 1e6}
 HEAD = "time_s,voltage_V,displacement_um"
 BODY = "\n".join(",".join(map(repr, row)) for row in zip(*(x.tolist() for x in NAMED.values()), strict=True)) + "\n"
 SECONDS = 3.0
-# Of memory that a refusal may take: with the libraries, less than what any of the files declares.
+# Memory that a refusal may take: with the libraries, less than any of the files declares.
 KILOBYTES = 400_000
 
 

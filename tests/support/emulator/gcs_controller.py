@@ -22,7 +22,7 @@ _IDENTITY = "dehyst,emulated piezo controller"
 _FIRMWARE = "0.1.0"
 # Least number of wave tables, points that one command line may bring, and the largest number of most arguments.
 _TABLES, _LONGEST_SEGMENT, _MOST = 4, 4096, 10**6
-# What a recorder table records, by the number of its option.
+# Quantity of a recorder table, by the number of its option.
 _NOTHING, _POSITION, _VOLTAGE = 0, 2, 16
 _RECORDED = {_NOTHING: "Nothing is recorded", _POSITION: "Current Position of axis", _VOLTAGE: "Voltage of output chn"}
 
@@ -133,7 +133,7 @@ class Controller:
         self.serial = instrument.serial.replace(",", " ")
         self.identity = ",".join((_IDENTITY, self.serial, _FIRMWARE))
         self.tables = {number: np.zeros(0) for number in range(1, max(_TABLES, count) + 1)}
-        # Of each recorder table: the name of the axis, and what is recorded.
+        # Axis and quantity of each recorder table.
         kinds = [(name, kind) for name in self.named for kind in (_POSITION, _VOLTAGE)]
         self.records = dict(enumerate(kinds, 1))
         self.record_divider, self.stride = 1, 1

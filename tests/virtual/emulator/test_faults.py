@@ -110,7 +110,7 @@ def _look_at_voltages(name, put):
     if name not in ELSEWHERE and name != "servo":
         assert put.steepest <= SLEW
     if name in READBACKS:
-        # Of the wave and of a ramp; and of 10 ms in which the wave went on.
+        # Steps of the wave and of a ramp, and 10 ms in which the wave went on.
         assert put.step <= 3 * 0.01 * SLEW
     if name in SILENT:
         assert put.highest == 0
@@ -124,7 +124,7 @@ def _look_at_samples(name, found):
         assert found.came > 0
         assert found.on_disk >= max(found.came, 500)
         return
-    # What came last was written before it was counted.
+    # The last samples were written before they were counted.
     assert found.came is None or found.came <= found.on_disk
     # None, where on a busy machine the fault came before the first sample did.
     assert found.on_disk == found.put_out.told

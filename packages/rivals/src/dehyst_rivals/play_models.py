@@ -422,7 +422,7 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
         def fit_model(training: Training) -> tuple[KrasnoselskiiPokrovskii, float]:
             rows = PlayRows.from_training(training, training.thresholds(levels))
             low, high = training.limits
-            # Of each diagonal p2 - p1 = i a: ramps begin at (p1 + p2) / 2.
+            # On each diagonal p2 - p1 = i a ramps begin at (p1 + p2) / 2.
             spacing = (high - low) / levels
             knots = [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
             # Every segment between knots is a kernel; the parts below the first and beyond the last are not.

@@ -37,7 +37,7 @@ export interface Trajectory {
   voltage: Float64Array;
   /** Displacement of the actuator [m] under these voltages. */
   displacement: Float64Array;
-  /** 0: as wanted, 1: cut at a limit, 2: held back by the slew rate. */
+  /** 0: as wanted, 1: clamped by a limit, 2: slewed. */
   clamped: Uint8Array;
 }
 
@@ -63,7 +63,7 @@ export class Compensator {
   readonly voltage: number;
   /** Displacement of the actuator after all voltages [m]. */
   readonly displacement: number;
-  /** Numbers of samples that were cut at a limit, held back by the slew rate, or refused. */
+  /** Numbers of samples that were clamped, slewed, or refused. */
   readonly clamps: Clamps;
   /** Gain and offset [m] of the displacement; 1 and 0 after a reset. */
   readonly scaling: { gain: number; offset: number };

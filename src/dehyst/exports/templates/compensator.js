@@ -174,7 +174,7 @@ export class Compensator {
     return this.#core.displacement();
   }
 
-  /** Numbers of samples that were cut at a limit, held back by the slew rate, or refused. */
+  /** Numbers of samples that were clamped, slewed, or refused. */
   get clamps() {
     const { limited, slewed, refused } = this.#core;
     return { limited: limited() >>> 0, slewed: slewed() >>> 0, refused: refused() >>> 0 };

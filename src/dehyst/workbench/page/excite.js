@@ -1,4 +1,4 @@
-// What to play before anything is recorded: the excitation for a stage, as a file.
+// The excitation to play before anything is recorded, as a file.
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Figure, SECONDS, VOLTS } from "./figure.js";

@@ -18,7 +18,7 @@ const view = { source: "scan", points: null, file: null, asked: 0, said: null, l
 const scans = new ScanForm(replan);
 const form = new Form("path", DECLARED.forms.path, replan);
 const figures = new PathFigures(usePoints);
-// Of a model of several axes, whose path is of all of them.
+// Names of the axes; a path of several axes is one of all of them.
 const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
 
 export function pathView(state, model) {
@@ -194,7 +194,7 @@ async function planNow(model) {
   }
 }
 
-// Of several axes, whose voltages depend on one another, only the path is drawn before they are written.
+// Plan a path of several axes: only the path is drawn, because their voltages depend on one another.
 function planAxes(model) {
   const names = namesOf(model);
   const paths = chosenPaths();

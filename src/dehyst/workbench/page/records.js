@@ -10,7 +10,7 @@ import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
 
 const { announce, button, problem, readyRecords, redraw, session } = server;
-// What stands on the page already.
+// Elements that are on the page already.
 const [drop, file, example] = ["drop", "file", "example"].map(byId);
 
 const roles = new Map(); // of a record on this page: "train", "validate" or "none"
@@ -24,7 +24,7 @@ const colourOf = (id, axis = 0) =>
   COLOURS[(Math.max(0, session.state.records.findIndex((one) => one.id === id)) + axis) % COLOURS.length];
 
 export function recordsView({ records }) {
-  // What is open comes first, the newest on top.
+  // Records that need help come first, the newest on top.
   const open = records.filter((one) => one.status !== "ready").reverse();
   const first = open.find((one) => one.status === "refused" && one.file_columns?.length)?.id;
   const cards = [...open, ...readyRecords()].map((one) => recordCard(one, one.id === first));

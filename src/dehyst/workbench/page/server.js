@@ -40,7 +40,7 @@ export async function readPath({ id }, file) {
 export const upload = (file) =>
   request(`/api/records?name=${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
 
-// What `create` promises, once a key; the last few are kept, and none that failed.
+// The promise of `create`, made once for a key; the last few are kept, and none that failed.
 export function remembered(kept, key, create, most = 12) {
   const found = kept.get(key) ?? create();
   kept.delete(key);
@@ -130,7 +130,7 @@ export function openJobs(kind, subject) {
   return all.filter((one, k) => one.status === "running" || (one.status === "failed" && k === all.length - 1));
 }
 
-// What this page alone knows: which model the person looks at, the newest unless one is chosen. It survives a reload.
+// The model that the person looks at: the newest unless another is chosen. A reload keeps it.
 const CHOSEN = "dehyst-model";
 export const chosenModel = () =>
   among(readyModels(), sessionStorage.getItem(CHOSEN)) ?? readyModels().at(-1) ?? null;
@@ -140,7 +140,7 @@ export function chooseModel(id) {
   redraw();
 }
 
-// What went wrong, by the place where it is shown; and the buttons whose work goes on.
+// Errors by the place where they are shown, and the buttons whose work goes on.
 const problems = new Map();
 const busy = new Set();
 

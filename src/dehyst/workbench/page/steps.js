@@ -54,7 +54,7 @@ function refresh(state) {
 export const goTo = (step, text, look = "main") =>
   h("button", { type: "button", class: look, onclick: () => openStep(step, { focus: true }) }, text);
 
-// Of a step that needs a model, while there is none.
+// The content of a step that needs a model, while there is none.
 export const needsModel = (words) => h("div.empty", h("p", words), goTo("records", "To the records"));
 
 function tab(id, k, state) {

@@ -6,7 +6,7 @@ import { button, chooseModel, openJobs, problem, readyRecords, workOn } from "./
 import { goTo } from "./steps.js";
 import { jobCards, mounted } from "./verdict.js";
 
-// What the records of a model leave open.
+// The assessment of a model by its records.
 export function assessment({ id, insight }) {
   const jobs = openJobs("insight", id);
   const assess = () => workOn(id, "insight", {}, "The assessment has begun.");
@@ -27,7 +27,7 @@ const runs = ({ status }) => status === "running";
 
 const checking = new Form("check", DECLARED.forms.check);
 
-// Whether a model still holds, by a record that it was not identified from; and its update by that record.
+// The check of a model by a record that it was not identified from, and its update by that record.
 export function checkCard(model) {
   const { check } = model;
   const records = readyRecords().filter((one) => !model.train.includes(one.id));

@@ -1,4 +1,4 @@
-// What to expect of a model: first in words with a number and a colour, then why. And which model all steps speak of.
+// The expectation of a model: a number and a colour, then the reasons. And the model that all steps speak of.
 import { h, table } from "./dom.js";
 import { fold, list, options } from "./forms.js";
 import { length, percent, range } from "./numbers.js";
@@ -14,7 +14,7 @@ const LIGHTS = {
 };
 export const lightOf = ({ readiness }) => LIGHTS[readiness] ?? ["amber", readiness];
 
-// Whether the last check found that the model is not true any more.
+// True if the last check found that the model is not true any more.
 export const isOld = ({ check }) => Boolean(check && !check.good);
 
 // The cells of a verdict in a table, and their heads.
@@ -38,7 +38,7 @@ export function verdictBlock({ verdict }) {
   );
 }
 
-// Of a model of several axes: what to expect of each, and how far the voltage of one moves another.
+// The expectation of each of several axes, and how far the voltage of each moves the others.
 export function axesBlock({ axes, coupling }) {
   if (!coupling) return null;
   const { matrix, verdicts } = coupling;
