@@ -46,8 +46,8 @@ raw = np.array([row[:: (-1) ** k] for k, row in enumerate(picture)])
 # %%
 # Forward and backward lines agree now.
 
-for name, picture in (("raw", raw), ("corrected", corrected)):
-    apart = np.abs(picture[2::2].astype(float) - picture[3::2]).mean()
+for name, image in (("raw", raw), ("corrected", corrected)):
+    apart = np.abs(image[2::2].astype(float) - image[3::2]).mean()
     print(f"{name}: forward and backward lines differ in {100 * apart:.1f} % of the pixels")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")

@@ -61,7 +61,7 @@ def test_arrays_and_operations_keep_them():
         ("temperature_F", 32 + 1.8 * TEMPERATURE, "temperature", TEMPERATURE),
         ("Room [°F]", 32 + 1.8 * TEMPERATURE, "Room", TEMPERATURE),
         ("Room (°C)", TEMPERATURE, "Room", TEMPERATURE),
-        # What is no temperature is kept as it is.
+        # A channel that is no temperature is kept as it is.
         ("charge_C", V, "charge", V),
         ("order_N", V, "order", V),
         ("Force [mN]", LOAD, "Force", LOAD),

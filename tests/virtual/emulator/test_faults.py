@@ -14,7 +14,7 @@ import pytest
 
 # The emulated controller's limits [V], and the slew rate that a rig keeps which nobody gave one [V/s].
 LIMITS, SLEW = (0.0, 200.0), 2000.0
-# Where the voltage was left, as the note says; none where nothing was sent or the command did not end by itself.
+# Place of the voltage by the note; none if nothing was sent or the command did not end by itself.
 SAFE = r"The voltage was brought to 0 V\."
 DENIED = r"0 V was sent, but the readback gave \S+ V where \S+ V had been sent"
 UNREAD = r"0 V was sent, and the voltage could not be read\."
