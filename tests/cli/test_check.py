@@ -1,12 +1,14 @@
-"""`dehyst check` as a process: what it prints, what it logs, its exit status."""
+"""`dehyst check` and `dehyst update`: what they print, log and write, their exit status."""
 
 import csv
+import json
 import re
 
 import checked_loops as loops
 import pytest
 from command_line import run
 
+import dehyst
 from dehyst.records import write_record
 
 
@@ -17,7 +19,7 @@ def folder(tmp_path_factory):
     write_record(target / "same.csv", loops.later(1))
     write_record(target / "other.csv", loops.later(2))
     write_record(target / "gain.csv", loops.later(3, gain=loops.GAIN))
-    write_record(target / "short.csv", loops.later(4)[:100])
+    write_record(target / "again.csv", loops.later(5, gain=loops.GAIN))
     return target
 
 
@@ -53,16 +55,23 @@ def test_each_check_is_a_row_of_the_log_and_another_table_is_unchanged(folder):
     assert (folder / "other.csv").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["model.json", "short.csv"], "full cycle"),
-        (["model.json", "same.csv", "--goal", "0"], "--goal: got 0, need"),
-        (["same.csv", "model.json"], "same.csv"),
-        (["model.json", "absent.csv"], "no such file"),
-    ],
-)
-def test_wrong_input_is_named(folder, arguments, words):
-    status, out, err = run("check", *arguments, cwd=folder)
-    assert (status, out) == (2, "")
-    assert words in err
+def test_a_model_that_has_changed_is_true_again(folder):
+    assert run("check", "model.json", "again.csv", cwd=folder)[0] == 1
+    status, out, err = run("update", "model.json", "gain.csv", "-o", "new.json", cwd=folder)
+    assert (status, err) == (0, "")
+    assert out.startswith("Updated: ")
+    status, out, _ = run("check", "new.json", "again.csv", "--json", cwd=folder)
+    checked = json.loads(out)
+    assert status == 0
+    assert checked["without_noise_percent"] <= 100 * checked["promise"]["largest_m"] / checked["stroke_m"]
+    known = dehyst.Actuator.load(folder / "new.json").identification
+    assert known.validity.rms > 0
+
+
+def test_json_holds_the_changes_and_the_promise(folder):
+    status, out, _ = run("update", "model.json", "gain.csv", "-o", "n.json", "--json", cwd=folder)
+    found = json.loads(out)
+    assert (status, found["used"], found["good"], found["output"]) == (0, True, True, "n.json")
+    (gain,) = [change for change in found["changes"] if change["name"] == "gain"]
+    assert gain["counts"]
+    assert found["promise"]["largest_m"] >= found["promise"]["rms_m"] > 0

@@ -46,18 +46,3 @@ def test_a_failure_of_dehysts_own_model_is_the_status(folder, monkeypatch):
     status, out, _ = run("compare", "three.csv", "--only", "dehyst", "--json", cwd=folder)
     assert status == 1
     assert json.loads(out)["models"][0]["said"] == "no model"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ([], "RECORDS"),
-        (["major.csv"], "major.csv"),
-        (["tops.csv", "--only", "crystal"], "--only: no model 'crystal'; try 'dehyst'"),
-        (["tops.csv", "--report", "tops.csv"], "need a name that ends in .html"),
-    ],
-)
-def test_wrong_input_is_named(folder, arguments, said):
-    status, _, err = run("compare", *arguments, cwd=folder)
-    assert status == 2
-    assert said in err

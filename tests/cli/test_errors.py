@@ -68,29 +68,6 @@ def folder(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize(
-    ("line", "argument", "flag"),
-    [
-        ("identify loops.csv --delay 1e9", "delay", "--delay: "),
-        ("identify loops.csv --goal 1e6", "goal", "--goal: "),
-        ("compensate creeps.json path.csv -o out.csv", "", "(--columns time=NAME, --columns rate=HZ)"),
-        ("compensate plain.json path.csv -o out.csv --slew-rate -1 --columns rate=10", "slew_rate", "--slew-rate: "),
-        ("export creeps.json firmware", "", "(--period NUMBER)"),
-        ("export plain.json firmware --period -1", "period", "--period: "),
-        ("excite raised-cosine 0 -o out.csv", "peaks", "PEAKS: "),
-        ("excite recommended 100 -o out.csv --base -1e5", "base", "--base: "),
-        ("excite homing 100 -o out.csv --present 500", "present", "--present: "),
-        ("excite staircase 100 -o out.csv --sample-rate 0.01", "sample_rate", "--sample-rate: "),
-    ],
-)
-def test_errors_of_commands_name_options(folder, monkeypatch, line, argument, flag):
-    monkeypatch.chdir(folder)
-    done = CliRunner().invoke(main, line.split())
-    assert done.exit_code == 2 and flag in done.stderr
-    done = CliRunner().invoke(main, [*line.split(), "--json"])
-    assert json.loads(done.stdout)["error"]["argument"] == argument
-
-
 def test_columns_are_suggested_as_data(folder, monkeypatch):
     monkeypatch.chdir(folder)
     done = CliRunner().invoke(main, ["show", "units.csv", "--json"])
@@ -109,18 +86,3 @@ def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monke
     done = CliRunner().invoke(main, ["demo", "-o", name, "--no-report"])
     assert done.exit_code == 2
     assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")
-
-
-@pytest.mark.parametrize("option", ["--count", "--count=10", "--adapt"])
-def test_an_unknown_option_among_numbers_is_no_number(option):
-    done = CliRunner().invoke(main, ["excite", "raised-cosine", "-20", "100", "-o", "x.csv", option])
-    assert (done.exit_code, isinstance(done.exception, SystemExit)) == (2, True)
-    assert option.partition("=")[0] in done.stderr
-    assert "number" not in done.stderr
-
-
-def test_an_error_of_a_path_names_its_file(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    (folder / "far.csv").write_text("time_s,displacement_um\n0,6000\n1,6000\n")
-    done = CliRunner().invoke(main, ["compensate", "plain.json", "far.csv", "-o", "no.csv", "--json"])
-    assert done.exit_code == 2 and json.loads(done.stdout)["error"]["message"].startswith("far.csv: ")

@@ -238,30 +238,6 @@ def test_the_status_of_a_clamped_path_is_1(folder):
     assert json.loads(out)["clamped"] > 0
 
 
-def test_what_cannot_be_followed_is_refused(folder):
-    words = ("follow", "sim://", "--model", "model.json", "--path")
-    write_columns(folder / "untimed.csv", {"displacement_um": np.arange(5.0)})
-    status, _, err = run(*words, "untimed.csv", cwd=folder)
-    assert status == 2
-    assert "rate" in err
-    write_columns(folder / "point.csv", {"time_s": np.zeros(1), "displacement_um": np.ones(1)})
-    status, _, err = run(*words, "point.csv", cwd=folder)
-    assert status == 2
-    assert "1 sample" in err
-    write_columns(folder / "far.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": np.linspace(0, 5e3, 200)})
-    assert run(*words, "far.csv", cwd=folder)[0] == 2
-
-
-@pytest.mark.parametrize(
-    "more", [("--learn", "--feedback"), ("--repeat", "0"), ("--feedback",), ("-o", "model.json")], ids=" ".join
-)
-def test_what_is_impossible_is_refused_before_anything_moves(folder, more):
-    (folder / "never.py").write_text("def make(**options):\n    raise SystemError\n")
-    write_columns(folder / "fast.csv", {"time_s": 1e-3 * np.arange(200), "displacement_um": np.full(200, 5.0)})
-    words = ("follow", "never.py:make", "--model", "model.json", "--path", "fast.csv")
-    assert run(*words, *more, cwd=folder)[0] == 2
-
-
 def test_a_sensor_without_a_reading_is_refused_before_anything_moves(folder):
     (folder / "blind.py").write_text(
         RIG + "\n\nclass Blind(SimulatedRig):\n    def _read(self):\n        return (0.0, 0.0, float('nan'))\n"

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import plain_records
 import pytest
@@ -18,7 +17,6 @@ from dehyst import Actuator
 from dehyst.cli import command, terminal
 from dehyst.identification import Deadline
 from dehyst.operations.identify import _BestSoFar as BestSoFar
-from dehyst.paper import run as paper_study
 from dehyst.records import read, write_record
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -139,14 +137,6 @@ def test_a_time_limit_ends_the_search(folder):
     assert not is_provisional(folder)
 
 
-@pytest.mark.parametrize("limit", ["0", "-1", "nan", "inf"])
-def test_impossible_limits_are_refused(folder, limit):
-    status, out, err = run("identify", "loops.csv", "-o", "m.json", "--time-limit", limit, cwd=folder)
-    assert (status, out) == (2, "")
-    assert err.startswith(f"dehyst: --time-limit: got {float(limit):g}, need a ") and err.count("\n") == 1
-    assert not (folder / "m.json").exists()
-
-
 def test_a_finished_model_stays_until_the_new_one_is_finished(folder):
     first = []
     fit = dehyst.identify(read(folder / "loops.csv"), structure="maxwell_slip", first_model=first.append)
@@ -192,27 +182,6 @@ def test_progress_beside_a_terminal_is_a_line_every_few_seconds(monkeypatch, cap
         progress(f"trial {second}")
     progress("")
     assert capfd.readouterr().err == "dehyst: trial 5\ndehyst: trial 10\n"
-
-
-def test_the_paper_reports_its_progress_beside_a_terminal(monkeypatch, tmp_path):
-    now = [0.0]
-    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
-
-    def study(progress):
-        for now[0], words in ((1.0, "recording"), (6.0, "identifying")):
-            progress(words)
-        return SimpleNamespace(as_dict=dict, experiments={})
-
-    def write(result, folder, progress):
-        now[0] = 12.0
-        progress("drawing Fig. 1 of 12")
-        return []
-
-    monkeypatch.setattr(paper_study, "run", study)
-    monkeypatch.setattr(paper_study, "write", write)
-    status, out, err = run("paper", "-o", tmp_path / "new", "--json")
-    assert (status, err) == (0, "dehyst: identifying\ndehyst: drawing Fig. 1 of 12\n")
-    assert json.loads(out) == {"written": []}
 
 
 def test_progress_on_a_terminal_stays_on_one_line(monkeypatch, capfd):

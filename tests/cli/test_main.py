@@ -8,7 +8,6 @@ import pytest
 from command_line import WRITTEN, refused, result, run
 from virtual_loops import record_loops
 
-import dehyst
 from dehyst import Actuator
 from dehyst.records import read_table, write_record
 
@@ -24,7 +23,6 @@ def folder(tmp_path_factory):
     write_record(target / "other.csv", validation)
     given = ("--validate", "other.csv", "-o", "model.json")
     (target / "identified.json").write_text(json.dumps(result("identify", "loops.csv", *given, cwd=target)))
-    dehyst.identify(training, structure="maxwell_slip").actuator.save(target / "paper.json")
     path = np.concatenate([np.linspace(2, 14, 50), np.linspace(14, 5, 40)])
     rows = "\n".join(f"{i * 0.1:.1f},{y!r}" for i, y in enumerate(path.tolist()))
     (target / "path.csv").write_text(f"time_s,displacement_um\n{rows}\n")
@@ -73,35 +71,6 @@ def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
     assert read_table(folder / "low.csv").column("voltage").max() <= 100
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["identify", "absent.csv"], "absent.csv"),
-        (["identify", "loops.csv", "--columns", "voltage=drive_V"], "drive_V"),
-        (["identify", "loops.csv", "-o", "loops.csv"], "is also an input of this command"),
-        (["identify", "loops.csv", "-o", "no/such/model.json"], "does not exist; create it first"),
-        (["simulate", "loops.csv", "loops.csv", "-o", "x.csv"], "loops.csv"),
-        (["compensate", "model.json", "loops.csv", "-o", "x.csv", "--limits", "5", "1"], "the lower one first"),
-        (["compensate", "model.json", "high-only.csv", "-o", "x.csv"], "high-only.csv"),
-    ],
-)
-def test_wrong_input_ends_with_status_2_and_a_sentence(folder, arguments, message):
-    status, out, err = run(*arguments, cwd=folder)
-    assert (status, out) == (2, "")
-    assert message in err
-    assert not (folder / "x.csv").exists()
-
-
-def test_a_model_that_misses_its_records_ends_with_status_1(folder):
-    t = np.arange(2400) * 0.01
-    voltage = 50 - 50 * np.cos(2 * np.pi * t / 4)
-    # A loop whose lag grows along the record: no rate-independent model follows it.
-    displacement = 1e-7 * (50 - 50 * np.cos(2 * np.pi * t / 4 - 0.2 - 0.05 * t))
-    write_record(folder / "odd.csv", dehyst.Record(t, voltage, displacement))
-    status, found = result("identify", "odd.csv", *PLAIN, "--no-drift", "--delay", "0", cwd=folder)
-    assert (status, found["good"], found["verdict"]["readiness"]) == (1, False, "NOT_USABLE")
-
-
 def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     model = json.loads((folder / "model.json").read_text())
     (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
@@ -113,15 +82,6 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     (folder / "timeless.csv").write_text("voltage_V\n0\n150\n")
     status, _, err = run("simulate", "late.json", "timeless.csv", "-o", "c.csv", "--lag", cwd=folder)
     assert (status, "--lag" in err) == (2, True)
-
-
-def test_a_held_out_record_that_is_missed_decides_the_verdict(folder):
-    record = dehyst.read(folder / "loops.csv")
-    straight = dehyst.Record(record.time, record.voltage, 8e-8 * record.voltage + 1e-9 * np.sin(record.voltage))
-    write_record(folder / "straight.csv", straight)
-    # A given structure: which is chosen is not the question.
-    status, out, _ = run("identify", "loops.csv", "--validate", "straight.csv", *PLAIN, "--verbose", cwd=folder)
-    assert (status, "misses a held-out record" in out) == (1, True)
 
 
 KINDS = {
@@ -153,25 +113,6 @@ def test_homing_of_a_model_is_certified(folder):
     assert "certified" in out
     assert refused("excite", "homing", "-o", "home2.csv", cwd=folder)["argument"] == "highest"
     assert refused("excite", "homing", "9", "--model", "model.json", "-o", "h.csv", cwd=folder)["argument"] == "highest"
-
-
-@pytest.mark.parametrize(
-    ("model", "told"),
-    [
-        ("paper.json", "that the turning points determine, whatever the noise: 19 of 19"),
-        pytest.param(
-            "model.json",
-            "Directions of ten plain elements that the turning points determine, whatever the noise: 9 of 9",
-            marks=pytest.mark.nightly,
-        ),
-    ],
-)
-def test_insight_of_loops_that_determine_everything_warns_of_nothing(folder, model, told):
-    arguments = [model, "loops.csv", "--trajectory", "path.csv", "--report", "i.html"]
-    status, out, err = run("insight", *arguments, "--verbose", cwd=folder)
-    assert (status, out.count("WARNING")) == (0, 0), err
-    assert told in out
-    assert "data-chart=" in (folder / "i.html").read_text()
 
 
 def test_the_newcomers_trap_is_caught(folder):

@@ -141,15 +141,6 @@ def test_demo_leaves_other_folders_alone(journey, tmp_path, monkeypatch):
     assert (tmp_path / "loops.csv").read_text() != "mine"
 
 
-def test_a_dash_is_no_name_of_an_output(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "loops.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
-    done = CliRunner().invoke(main, ["identify", "loops.csv", "-o", "-"])
-    assert done.exit_code == 2
-    assert "-: is no name" in done.stderr
-    assert not (tmp_path / "-").exists()
-
-
 def test_a_suffix_that_is_no_export_is_no_folder(tmp_path):
     model = tmp_path / "model.json"
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)

@@ -118,26 +118,6 @@ def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
     assert not [name for name in own if "temperature_C" in name]
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("cold.json", "path.csv", "--temperature", "30"), "does not depend on temperature"),
-        (("model.json", "two.csv", "--columns", "temperature=third"), "third"),
-        (("model.json", "rooms.csv"), "temperature=room_temp_C"),
-        (("model.json", "two.csv", "--columns", "temperature=stage_C", "--temperature", "30"), "leave one out"),
-        (("model.json", "hole.csv"), "temperature"),
-        (("model.json", "path.csv", "--temperature", "450"), "positive factor"),
-        (("stage.json", "warm_axes.csv", "--temperature", "450"), "positive factor"),
-        (("cold_stage.json", "warm_axes.csv", "--temperature", "30"), "not depend on temperature"),
-    ],
-)
-def test_impossible_temperatures_are_refused(folder, words, said):
-    status, _, error = run("compensate", *words, "-o", "refused.csv", cwd=folder)
-    assert status == 2
-    assert said in error
-    assert not (folder / "refused.csv").exists()
-
-
 def test_a_model_without_the_part_ignores_the_column_and_says_so(folder):
     (warned, warm), (known, plain) = (follow(folder, "cold.json", path) for path in ("warm.csv", "path.csv"))
     np.testing.assert_array_equal(warm.column("voltage"), plain.column("voltage"))

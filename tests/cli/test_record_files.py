@@ -92,14 +92,6 @@ def test_show_reads_a_pipe_once(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.stderr
 
 
-def test_a_joined_file_is_not_replaced(monitor):
-    laboratory_files.two_files(monitor / "drive.csv")
-    before = (monitor / "sensor.csv").read_bytes()
-    done = run("identify", "drive.csv", "--columns", "join=sensor.csv", "-o", "sensor.csv", "--force")
-    assert done.exit_code == 2 and "sensor.csv" in done.stderr
-    assert (monitor / "sensor.csv").read_bytes() == before
-
-
 def test_a_monitor_and_a_sensor_in_four_commands(monitor):
     """Semicolons, millivolts of a monitor of 1:100, and a sensor of 10 um/V."""
     identify = ["identify", "monitor.csv", "-o", "model.json", "--structure", "maxwell_slip"]

@@ -59,8 +59,8 @@ def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folde
     time, phase, wanted, voltage, _ = rows(folder / "o.csv")
     assert int((phase == 2).sum()) == 60 * 400 and phase.size == told["samples"] and phase[0] == 0
     assert np.all(np.diff(phase) >= 0) and voltage[0] == 20
-    np.testing.assert_allclose(voltage[-400:], table[2], rtol=WRITTEN)
-    np.testing.assert_allclose(wanted[-400:], table[1], rtol=WRITTEN)
+    np.testing.assert_allclose(voltage[-400:], table[2], rtol=2 * WRITTEN)
+    np.testing.assert_allclose(wanted[-400:], table[1], rtol=2 * WRITTEN)
     actuator = Actuator.load(folder / model)
     # It begins elsewhere than the file takes for granted: the homing is there for that.
     state = turned(actuator, evaluator_of(actuator).core.spring_inverse(20.0), rising=False)
@@ -107,73 +107,6 @@ def test_a_first_line_that_declares_no_scan_is_refused(folder, value):
     for damaged in ({}, {"dehyst": 1}):
         (folder / "damaged.csv").write_text("\n".join([f"{SCAN}{json.dumps(damaged)}", *lines, ""]))
         assert "remove that line" in refused(*words, cwd=folder)["hint"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "argument"),
-    [
-        (("path.csv", "--table", "t.csv"), "table"),
-        (("path.csv", "--cycles", "2"), "cycles"),
-        (("scan.csv", "--columns", "time=t"), "columns"),
-        (("scan.csv", "--table", "t.csv", "--present", 900, *TOP), "present"),
-        (("path.csv", "--present", 900, "--no-home"), "present"),
-        (("scan.csv", "--table", "t.csv", "--present", 900, "--no-home"), "present"),
-        (("path.csv", "--present", "x=3"), "present"),
-        (("scan.csv", "--table", "t.csv", "--home", *TOP), "start"),
-        (("path.csv", "--home", *TOP), "start"),
-        (("scan.csv", "--table", "o.csv"), ""),
-        (("scan.csv", "--table", "model.json"), ""),
-        (("scan.csv", "--columns", "displacement=y_um"), "displacement"),
-        (("scan.csv", "--limits", 5, 2), "limits"),
-        (("scan.csv", "--slew-rate", -2), "slew_rate"),
-        (("scan.csv", "--table", "t.csv", "--cycles", "-1"), "cycles"),
-        (("scan.csv", "--table", "t.csv", "--start-up", "-1"), "start_up"),
-        (("scan.csv", "--table", "t.csv", "--home", "--present", 900), "present"),
-    ],
-)
-def test_wrong_options_of_compensate_are_named(folder, arguments, argument):
-    before = (folder / "model.json").read_bytes()
-    assert refused("compensate", "model.json", *arguments, "-o", "o.csv", cwd=folder)["argument"] == argument
-    assert (folder / "model.json").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("arguments", "argument"),
-    [
-        ((*TRIANGLE, "--cycles", 0), "cycles"),
-        ((*TRIANGLE, "--lines", 3), "lines"),
-        ((*TRIANGLE, "--cycles", 0, "--turns", 2), "turns"),
-        ((*TRIANGLE, "--acceleration", 1000), "acceleration"),
-        (("triangle", "--low", 12, "--high", 2, "--frequency", 10), "low, high"),
-        (("triangle", "--low", 2, "--high", 12e6, "--frequency", 10), "high"),
-        (("steps", "--levels", "2,2", "--dwell", 0.1, "--edge", "1"), "levels"),
-        (("steps", "--levels", "2", "--dwell", 0.1, "--edge", "1"), "levels"),
-        (("steps", "--levels", "2,6", "--dwell", 0.1), "edge"),
-        (("steps", "--levels", "2,6", "--dwell", 0.1, "--edge", "1e-3", "--acceleration", 10), "edge"),
-        ((*TRIANGLE, "--sample-rate", 20), "sample_rate"),
-        ((*TRIANGLE, "--sample-rate", 1e8), "scan"),
-        (("raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 100_000), "scan"),
-        ((*TRIANGLE, "--cycles", -1), "cycles"),
-        (TRIANGLE[:-2], "frequency"),
-    ],
-)
-def test_wrong_options_of_scan_are_named(tmp_path, arguments, argument):
-    assert refused("scan", *arguments, "-o", "o.csv", cwd=tmp_path)["argument"] == argument
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "argument"),
-    [
-        (("--start-up", "10_000_000"), "start_up"),
-        (("--cycles", "100_000_000"), "cycles"),
-        (("--cycles", "12_500"), "output"),
-    ],
-)
-def test_files_that_no_one_can_use_are_not_written(folder, arguments, argument):
-    given = ("scan.csv", "--table", "no-table.csv", *arguments, "-o", "no.csv")
-    assert refused("compensate", "model.json", *given, cwd=folder)["argument"] == argument
-    assert not (folder / "no.csv").exists() and not (folder / "no-table.csv").exists()
 
 
 def test_what_is_not_settled_ends_with_status_1(folder):

@@ -50,34 +50,6 @@ def steepest(table, name="voltage_V"):
     return float(np.abs(np.diff(columns[name]) / np.diff(columns["time_s"])).max())
 
 
-@pytest.mark.parametrize("start", [(), ("--start", "top"), ("--start", "bottom"), ("--home",), ("--no-home",)])
-@pytest.mark.parametrize("path", ["slow", "fast"])
-def test_a_path_has_its_own_speed_and_what_leads_to_it_that_of_the_records(folder, path, start):
-    status, result, table = compensated(folder, f"{path}.csv", *start)
-    assert (status, result["slew_V_per_s"], result["slew_from"], result["clamped"]) == (0, None, "default", 0)
-    columns = {column.name: column.data for column in table.columns}
-    phase = columns.get("phase", np.full(columns["time_s"].size, 2))
-    before, along = ({name: columns[name][rows] for name in columns} for rows in (phase < 2, phase == 2))
-    if before["time_s"].size:
-        assert np.abs(np.diff(before["voltage_V"]) / np.diff(before["time_s"])).max() <= SPEED * (1 + 1e-6)
-    fastest = np.abs(np.diff(along["voltage_V"]) / np.diff(along["time_s"])).max()
-    assert (fastest > SPEED) == (path == "fast")
-    if start[:1] == ("--start",):
-        first = table.column("voltage")[0]
-        assert first == (200.0 if start[1] == "top" else pytest.approx(0.0, abs=SPEED * 0.01))
-
-
-@pytest.mark.parametrize(("share", "loud"), [(0.2, True), (0.998, False)])
-def test_a_given_slew_rate_holds_and_only_a_miss_beyond_the_promise_is_a_failure(folder, share, loud):
-    free = compensated(folder, "fast.csv", "--start", "bottom")[2]
-    bound = round(share * steepest(free), 3)
-    status, result, table = compensated(folder, "fast.csv", "--slew-rate", bound, "--start", "bottom")
-    assert (result["slew_V_per_s"], result["slew_from"]) == (bound, "option")
-    assert steepest(table) <= bound * (1 + 1e-6) and result["clamped"] > 0
-    said = [warning for warning in result["warnings"] if "clamped" in warning.lower()]
-    assert (status, said[0].startswith("CLAMPED")) == (int(loud), loud)
-
-
 @pytest.mark.parametrize(
     ("change", "status"), [({"delay_s": 50.0}, 0), ({"limits_V": [0, 1000]}, 2), ({"limits_V": [210, 215]}, 2)]
 )

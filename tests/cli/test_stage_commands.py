@@ -224,16 +224,6 @@ def test_excite_writes_axes_one_after_the_other_then_together(tmp_path):
     assert ((x > 1) & (y > 1)).mean() > 0.1
 
 
-def test_options_that_a_stage_does_not_take_are_refused(folder):
-    path = folder / "figure.csv"
-    run("scan", "raster", "--low", "4", "--high", "9", "--frequency", "0.5", "--lines", "3", "-o", path)
-    words = ["compensate", folder / "stage.json", path, "-o", folder / "s.csv", "--table", folder / "t.csv"]
-    assert refused(*words)["argument"] == "table"
-    assert refused("export", folder / "stage.json", folder / "s.fmu", "--kind", "actuator")["argument"] == "kind"
-    words = ["show", folder / "stage.json", "-o", folder / "o.csv"]
-    assert refused(*words)["argument"] == "output"
-
-
 def test_a_record_of_axes_is_shown_written_and_drawn(folder):
     words = [
         "show",
@@ -323,14 +313,3 @@ def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
         run("simulate", folder / f"{name}.json", folder / "stage-v.csv", "-o", folder / f"{name}-y.csv")
     assert (folder / "stage-v.csv").read_bytes() == (folder / "scaled-v.csv").read_bytes()
     assert (folder / "stage-y.csv").read_bytes() == (folder / "scaled-y.csv").read_bytes()
-
-
-def test_a_key_is_no_axis_and_a_bound_is_given_once(folder):
-    found = refused("show", folder / "stage.csv", "--columns", "time=vx_V:x_um, y=vy_V:y_um")
-    assert found["argument"] == "axes"
-    assert "time" in found["need"]
-    write_columns(folder / "once.csv", {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)})
-    words = ["compensate", folder / "stage.json", folder / "once.csv", "-o", folder / "n.csv"]
-    twice = ["--limits", "x=0", "90", "--limits", "x=0", "100"]
-    assert refused(*words, *twice)["argument"] == "limits"
-    assert refused(*words, "--slew-rate", "90", "--slew-rate", "100")["argument"] == "slew_rate"

@@ -10,8 +10,8 @@ from command_line import WRITTEN, result, run
 
 import dehyst
 from dehyst import Actuator, Record
-from dehyst.model import needs_time, stroke_of, turned, with_identification
-from dehyst.model.promise import Validity, promise
+from dehyst.model import needs_time, stroke_of, with_identification
+from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
@@ -53,28 +53,6 @@ def test_without_a_start_the_path_is_homed_first(folder, model):
     wanted = column(folder, "path.csv", "displacement_um")
     followed = column(folder, "v.csv", "displacement_um")[got["homing_samples"] :]
     np.testing.assert_allclose(followed, wanted, rtol=WRITTEN)
-    # From wherever the actuator comes, the voltages lead it along the path.
-    actuator = Actuator.load(folder / model)
-    when = time
-    for state in (actuator.relaxed(), turned(actuator, actuator.reach[1]), turned(actuator, 0.0, rising=False)):
-        y = actuator.simulate(column(folder, "v.csv", "voltage_V"), time=when, state=state).displacement
-        error = np.abs(1e6 * y[got["homing_samples"] :] - wanted).max() / (1e6 * np.ptp(actuator.reach))
-        assert 100 * error <= got["start"]["model_error_percent"]
-
-
-def test_compensate_promises_what_the_records_tested_of_the_path(folder):
-    """The promise of this path, and what an unknown start leaves open."""
-    _, got = result(
-        "compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none", cwd=folder
-    )
-    known, judged = Actuator.load(folder / "model.json").identification, got["promise"]
-    voltage, time = (column(folder, "v.csv", name) for name in ("voltage_V", "time_s"))
-    found = promise(known.validity, voltage, time)
-    assert judged["parts"]["model_m"] == pytest.approx(found.largest, rel=1e-9)
-    assert judged["rms_m"] > found.rms
-    assert judged["untested"] == [gap.as_dict() for gap in found.untested]
-    # A part that is constant along the path does not count.
-    assert 0 < judged["parts"]["start_m"] < got["start"]["largest_difference_percent"] / 100 * judged["stroke_m"]
 
 
 def test_without_a_homing_the_error_is_reported(folder):
@@ -83,15 +61,6 @@ def test_without_a_homing_the_error_is_reported(folder):
     assert (got["samples"], got["homing_samples"], got["certified"]) == (200, 0, None)
     assert got["start"]["largest_difference_percent"] > 5 > got["start"]["model_error_percent"]
     assert "phase" not in read_table(folder / "v.csv").names
-
-
-def test_a_start_that_matters_less_than_the_model_is_not_homed_for(folder):
-    actuator = Actuator.load(folder / "model.json")
-    coarse = replace(actuator.identification.validity, largest=1e-3)
-    with_identification(actuator, validity=coarse).save(folder / "coarse.json")
-    _, got = result("compensate", "coarse.json", "path.csv", "-o", "v.csv", cwd=folder)
-    assert got["homing_samples"] == 0
-    assert 5 < got["start"]["largest_difference_percent"] < got["start"]["model_error_percent"]
 
 
 def test_a_simulation_from_an_unknown_start_is_bounded(folder):
@@ -208,24 +177,6 @@ def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
     write_columns(folder / "history.csv", {"voltage_V": np.array([0.0, 230.0, 30.0])})
     status, _, err = run(*given, cwd=folder)
     assert status in (0, 1) and "history.csv: 1 of 3 voltages" in err
-
-
-@pytest.mark.parametrize("command", ["simulate", "compensate", "check", "insight"])
-def test_a_table_in_the_place_of_a_model_is_named(folder, command):
-    output = ("-o", "x.csv") if command in ("simulate", "compensate") else ()
-    status, _, err = run(command, "loops.csv", "path.csv", *output, cwd=folder)
-    assert status == 2 and "loops.csv: is a table" in err
-
-
-@pytest.mark.parametrize("command", ["simulate", "compensate"])
-def test_a_start_that_is_nothing_is_refused(folder, command):
-    status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "middle", cwd=folder)
-    assert status == 2 and "bottom, relaxed" in err
-    status, _, err = run(command, "model.json", "path.csv", "-o", "loops.csv", "--start", "loops.csv", cwd=folder)
-    assert status == 2 and "loops.csv" in err
-    if command == "compensate":
-        status, _, err = run(command, "model.json", "path.csv", "-o", "x.csv", "--start", "top", "--home", cwd=folder)
-        assert status == 2 and "--start: got it with --home" in err
 
 
 def test_a_homing_that_leaves_the_start_open_has_one_status_however_it_was_asked_for(folder):

@@ -1,0 +1,169 @@
+"""What a command refuses: status 2, the parameter at fault, by its option in the sentence, and nothing written."""
+
+from dataclasses import replace
+
+import numpy as np
+import plain_records
+import pytest
+from command_line import refused, run
+from virtual_loops import record_loops
+
+import dehyst
+from dehyst.records import write_columns, write_record
+
+TRIANGLE = "scan triangle --low 2 --high 12 --frequency 10"
+TABLE = "compensate model.json scan.csv -o out.csv --table t.csv"
+FOLLOW = "follow never.py:make --model model.json -o out --path"
+# A command line, the parameter that is refused, and a part of the sentence, by default the option.
+REFUSED = {
+    "identify absent.csv": ("", "absent.csv"),
+    "identify loops.csv --columns voltage=drive_V": ("", "drive_V"),
+    "identify loops.csv -o loops.csv": ("", "loops.csv"),
+    "identify loops.csv -o no/such/out.json": ("", "no/such"),
+    "identify loops.csv -o -": ("", "-"),
+    "identify loops.csv --columns join=path.csv -o path.csv": ("", "path.csv"),
+    "identify loops.csv --delay 1e9": "delay",
+    "identify loops.csv --goal 1e6": "goal",
+    "identify loops.csv --time-limit 0": "time_limit",
+    "identify loops.csv --time-limit inf": "time_limit",
+    "identify loops.csv --shared-zero": "shared_datum",
+    "identify loops.csv --slew-rate 3": "slew_rate",
+    "identify loops.csv -o out.json --slew-rate 0": "slew_rate",
+    "identify loops.csv --report out.png": "report",
+    "check model.json short.csv": ("", "full cycle"),
+    "check model.json loops.csv --goal 0": "goal",
+    "check loops.csv model.json": ("", "loops.csv"),
+    "check model.json absent.csv": ("", "absent.csv"),
+    "update model.json loops.csv -o model.json": ("", "model.json"),
+    "compare loops.csv --only crystal": "only",
+    "compare loops.csv --report loops.csv": "report",
+    "insight stage.json loops.csv --trajectory path.csv": "trajectory",
+    "insight model.json loops.csv --zero mean": "zero",
+    "insight loops.csv path.csv": ("", "loops.csv"),
+    "show model.json -o out.csv": "output",
+    "show loops.csv --columns @absent.txt": "columns",
+    "show stage.csv --columns time=vx_V:x_um,y=vy_V:y_um": ("axes", "time"),
+    "simulate loops.csv loops.csv -o out.csv": ("", "loops.csv"),
+    "simulate model.json path.csv -o out.csv": ("", "voltage=NAME"),
+    "simulate model.json loops.csv -o out.csv --start middle": "start",
+    "simulate model.json loops.csv -o loops.csv --start loops.csv": ("", "loops.csv"),
+    "simulate creep.json loops.csv -o out.csv --start timeless.csv": ("", "time"),
+    "simulate model.json loops.csv -o out.csv --start volts.csv": ("", "200000 V"),
+    "simulate model.json timeless.csv -o out.csv --lag": "lag",
+    "compensate model.json loops.csv -o out.csv --limits 5 1": "limits",
+    "compensate model.json loops.csv -o out.csv --limits 0 inf": "limits",
+    "compensate model.json absent.csv -o out.csv": ("", "absent.csv"),
+    "compensate model.json far.csv -o out.csv": ("", "far.csv"),
+    "compensate creep.json untimed.csv -o out.csv": ("", "--columns rate=HZ"),
+    "compensate model.json path.csv -o out.csv --slew-rate -1": "slew_rate",
+    "compensate model.json path.csv -o out.csv --slew-rate 1 --slew-rate 2": "slew_rate",
+    "compensate stage.json axes.csv -o out.csv --slew-rate z=1": "slew_rate",
+    "compensate stage.json axes.csv -o out.csv --limits x=0 9 --limits x=0 8": "limits",
+    "compensate stage.json axes.csv -o out.csv --columns x=x_um": ("axes", "axes"),
+    "compensate stage.json axes.csv -o out.csv --present x=900": "present",
+    "compensate stage.json scan.csv -o out.csv --table t.csv": "table",
+    "compensate model.json path.csv -o out.csv --table t.csv": "table",
+    "compensate model.json path.csv -o out.csv --cycles 2": "cycles",
+    "compensate model.json path.csv -o out.csv --start top --home": "start",
+    "compensate model.json path.csv -o out.csv --start top --home-within 3": "home_within",
+    "compensate model.json path.csv -o out.csv --present 900 --no-home": "present",
+    "compensate model.json path.csv -o out.csv --present x=3": "present",
+    "compensate model.json path.csv -o out.csv --zero top": "zero",
+    "compensate model.json scan.csv -o out.csv --columns time=t": "columns",
+    "compensate model.json scan.csv -o out.csv --columns displacement=y_um": ("displacement", "y_um"),
+    "compensate model.json path.csv -o out.csv --temperature 30": "temperature",
+    "compensate thermal.json path.csv -o out.csv --temperature 450": "temperature",
+    "compensate thermal.json rooms.csv -o out.csv": ("columns", "temperature=room_temp_C"),
+    "compensate thermal.json rooms.csv -o out.csv --columns temperature=third": ("", "third"),
+    "compensate thermal.json rooms.csv -o out.csv --columns temperature=room_temp_C --temperature 3": "temperature",
+    "compensate thermal.json hole.csv -o out.csv": ("", "temperature"),
+    f"{TABLE} --present 900": "present",
+    f"{TABLE} --cycles -1": "cycles",
+    f"{TABLE} --cycles 100000000": "cycles",
+    f"{TABLE} --cycles 12500": "output",
+    f"{TABLE} --start-up -1": "start_up",
+    f"{TABLE} --start-up 10000000": "start_up",
+    f"{TABLE} --temperature 3": "temperature",
+    "compensate model.json scan.csv -o out.csv --table out.csv": ("", "out.csv"),
+    "compensate model.json scan.csv -o out.csv --table model.json": ("", "model.json"),
+    f"{TRIANGLE} -o out.csv --cycles 0": "cycles",
+    f"{TRIANGLE} -o out.csv --lines 3": ("lines", "--lines"),
+    f"{TRIANGLE} -o out.csv --turns 2": "turns",
+    f"{TRIANGLE} -o out.csv --acceleration 1000": "acceleration",
+    f"{TRIANGLE} -o out.csv --sample-rate 20": "sample_rate",
+    f"{TRIANGLE} -o out.csv --sample-rate 1e8": ("scan", "rows"),
+    "scan triangle --low 12 --high 2 --frequency 10 -o out.csv": ("low, high", "--low, --high"),
+    "scan triangle --low 2 --high 12e6 --frequency 10 -o out.csv": "high",
+    "scan triangle --low 2 --high 12 -o out.csv": "frequency",
+    "scan steps --levels 2,2 --dwell 0.1 --edge 1 -o out.csv": "levels",
+    "scan steps --levels 2,6 --dwell 0.1 -o out.csv": "edge",
+    "scan steps --levels 2,6 --dwell 0.1 --edge 1e-3 --acceleration 10 -o out.csv": "edge",
+    "excite raised-cosine 0 -o out.csv": ("peaks", "PEAKS"),
+    "excite raised-cosine -20 100 -o out.csv --count=10": ("count", "--count"),
+    "excite recommended inf -o out.csv": ("highest", "HIGHEST"),
+    "excite recommended 100 -o out.csv --limits -inf inf": "limits",
+    "excite recommended 100 -o out.csv --base -1e5": "base",
+    "excite homing 100 -o out.csv --present 500": "present",
+    "excite homing 100 -o out.csv --hold 3": "hold",
+    "excite homing -o out.csv": ("highest", "--model"),
+    "excite homing 9 -o out.csv --model model.json": ("highest", "--model"),
+    "excite staircase 100 -o out.csv --sample-rate 0.01": "sample_rate",
+    "excite stage 100 -o out.csv": ("highest", "HIGHEST"),
+    "export creep.json out": ("", "--period"),
+    "export model.json out --period -1": "period",
+    "export stage.json out.fmu --kind actuator": "kind",
+    "export model.json out.mm": ("", ".wasm or .fmu"),
+    "export model.json out --kind actuator": "kind",
+    "calibrate sim:// --dry-run --slew-rate 1=100": "slew_rate",
+    f"{FOLLOW} path.csv --learn --feedback": "learn",
+    f"{FOLLOW} path.csv --repeat 0": "repeat",
+    f"{FOLLOW} fast.csv --feedback": ("path", "200 Hz"),
+    f"{FOLLOW} untimed.csv": ("path", "--columns rate"),
+    f"{FOLLOW} point.csv": ("", "1 sample"),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Models and files that some command refuses."""
+    place = tmp_path_factory.mktemp("refused")
+    model = replace(plain_records.plant(6), limits=(0.0, 200.0))
+    model.save(place / "model.json")
+    thermal = replace(model, thermal=dehyst.Thermal(-2.5e-3, 4e-9, 30.0))
+    thermal.save(place / "thermal.json")
+    replace(model, displacement_creep=dehyst.DisplacementCreep([0.1], [0.01])).save(place / "creep.json")
+    dehyst.Stage((model, model), np.eye(2), ("x", "y")).save(place / "stage.json")
+    training = record_loops()[0]
+    write_record(place / "loops.csv", training)
+    write_record(place / "short.csv", training[:100])
+    time, path = 0.01 * np.arange(400), 6 - 3 * np.cos(np.arange(400) / 30)
+    tables = {
+        "path": {"displacement_um": path},
+        "far": {"displacement_um": 1000 * path},
+        "axes": {"x_um": path, "y_um": path},
+        "stage": {"vx_V": path, "x_um": path, "vy_V": path, "y_um": path},
+        "rooms": {"displacement_um": path, "room_temp_C": 20 + path, "temperature_C": 20 + path},
+        "hole": {"displacement_um": path, "temperature_C": np.where(time == 0.5, 4000.0, 20)},
+    }
+    for name, columns in tables.items():
+        write_columns(place / f"{name}.csv", {"time_s": time, **columns})
+    write_columns(place / "untimed.csv", {"displacement_um": path})
+    write_columns(place / "timeless.csv", {"voltage_V": 10 * path})
+    write_columns(place / "volts.csv", {"voltage_V": np.array([0.0, 2e5, 3e4])})
+    write_columns(place / "fast.csv", {"time_s": 0.1 * time, "displacement_um": path})
+    write_columns(place / "point.csv", {"time_s": np.zeros(1), "displacement_um": np.ones(1)})
+    (place / "never.py").write_text("def make(**options):\n    raise SystemError\n")
+    assert run(*TRIANGLE.split(), "-o", "scan.csv", cwd=place)[0] == 0
+    return place
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_a_wrong_parameter_is_named_and_nothing_is_written(folder, line):
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    error = refused(*line.split(), cwd=folder)
+    own = REFUSED[line]
+    argument, said = own if isinstance(own, tuple) else (own, f"--{own}".replace("_", "-").replace("datum", "zero"))
+    assert error["argument"] == argument, error
+    assert said in f"{error['message']} {error.get('hint', '')}"
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+    assert not (folder / "out").exists()
