@@ -523,14 +523,6 @@ def test_impossible_loops_are_refused(arguments, message):
         Compensator(given_.pop("actuator"), given_.pop("limits"), given_.pop("slew_rate", None), **given_)
 
 
-@pytest.mark.parametrize("parts", ["creep", "lag", "inertia"])
-def test_steps_in_time_need_a_period(parts):
-    with pytest.raises(ModelError, match=r"the period \[s\]"):
-        Compensator(PLANTS[parts], (0, 100)).step(0.0)
-    with pytest.raises(ModelError, match=r"the period \[s\]"):
-        Compensator(PLANT, (0, 100), 1e3).step(0.0)
-
-
 def test_a_period_too_long_for_the_resonance_is_refused():
     spring, dynamics = dehyst.Spring([0, 5e-6, 1e-5], [0, 0.01, 100]), Dynamics(1e3, 0.0, 1e8)
     uneven = Actuator(dehyst.MaxwellSlip([], []), spring, dynamics=dynamics)

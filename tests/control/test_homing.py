@@ -48,6 +48,18 @@ def test_wider_limits_are_used_only_where_the_range_of_the_records_does_not_suff
     assert max(shortest_homing(narrow, limits=(-100, 400)).turns) == 400.0
 
 
+def test_more_time_than_needed_makes_no_homing_longer():
+    needed = shortest_homing(CREEPING)
+    assert shortest_homing(CREEPING, within=10 * needed.played.duration).played.duration == needed.played.duration
+
+
+def test_a_plan_names_a_start_that_is_assumed_elsewhere_than_at_0_volts():
+    wanted, time = np.linspace(0.6, 0.7, 50) * plain_records.STROKE, 0.1 * np.arange(50)
+    for present, said in ((None, 1), (50.0, 0)):
+        plan = plan_path(PLANT, wanted, time=time, limits=(50, 260), home=True, present=present)
+        assert plan.voltage[0] == 50.0 and sum("ramp there first" in words for words in plan.warnings) == said
+
+
 def test_limits_that_are_too_narrow_are_said():
     homing = shortest_homing(PLANT, limits=(0, 100))
     assert not homing.certified and "wider limits" in homing.remarks[0]
@@ -90,15 +102,15 @@ def test_a_homing_that_is_offered_is_taken(actuator, step):
     loop, time = Compensator(actuator, period=step), np.arange(200) * step
     offered = re.search("home within ([0-9.e+-]+) s", " ".join(plan_path(loop, wanted, time=time).warnings))
     seconds = float(offered[1])
-    played = plan_path(loop, wanted, time=time, home_within=seconds).homing.played
-    assert 0 < played.duration <= seconds + 2 / played.sample_rate
+    plan = plan_path(loop, wanted, time=time, home_within=seconds)
+    assert 0 < plan.homing.played.duration < plan.seconds <= seconds + 2 / plan.homing.played.sample_rate
     for bad in (0.0, -1.0, np.nan):
         with pytest.raises(ModelError, match="home_within"):
             plan_path(loop, wanted, time=time, home=bad < 0, home_within=bad)
 
 
 def test_more_time_leaves_less():
-    left = [shortest_homing(CREEPING, within=seconds).spread for seconds in (300.0, 1000.0, 3000.0)]
+    left = [shortest_homing(CREEPING, within=seconds).spread for seconds in (3.0, 10.0, 30.0)]
     assert left[0] > left[1] > left[2]
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, Spring
 from dehyst.control import shortest_homing
-from dehyst.control.planning.states import possible_states
+from dehyst.control.planning.homing import possible_states
 from dehyst.model import SmoothSlip, turned
 from dehyst.waveforms import Sampling
 from examples import examples

@@ -41,24 +41,6 @@ def test_only_what_had_to_be_clamped_is_clamped(seed):
         assert short >= 0 if command.voltage[i] == HIGH else short <= 0
 
 
-def test_without_clamping_it_is_the_compensation():
-    path = plain_records.path((0.9, 0.2, 0.7, 0.3, 0.8))
-    command = follow(Compensator(PLANT, (-1e4, 1e4), 1e9), path, time=np.arange(path.size) * 1e-3)
-    motion = PLANT.compensate(path)
-    np.testing.assert_allclose(command.voltage, motion.voltage, atol=1e-9)
-    np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-15)
-    np.testing.assert_array_equal(command.displacement, path)
-    assert not command.clamped.any()
-
-
-@pytest.mark.parametrize("size", [0, 1, 2, 63, 64, 65, 129])
-def test_any_number_of_samples(size):
-    path = np.full(size, 0.4 * plain_records.STROKE)
-    command = follow(Compensator(PLANT, (-1e3, 1e3), RATE, period=1.0), path, time=np.arange(float(size)))
-    assert command.voltage.shape == command.displacement.shape == command.clamped.shape == (size,)
-    np.testing.assert_allclose(command.voltage, PLANT.compensate(path).voltage, atol=1e-9)
-
-
 def test_the_actuators_own_limits_are_the_default():
     limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
     assert Compensator(limited).limits == (5.0, 95.0)
@@ -170,12 +152,6 @@ def test_a_clamped_mass_is_told_as_it_moves():
     after = np.arange(time.size)[gaps[-1] + 100 :]
     assert after.size > 50
     assert np.abs(command.displacement - path)[after].max() < 1e-3 * plain_records.STROKE
-
-
-def test_creep_needs_the_time_of_a_path():
-    with pytest.raises(ModelError) as caught:
-        follow(Compensator(wider("creep"), (0, 1)), [0.0, 1e-6])
-    assert "time" in caught.value.change
 
 
 SCALES = st.floats(0.5, 2.0), st.floats(-0.5, 0.5).map(lambda share: share * plain_records.STROKE)

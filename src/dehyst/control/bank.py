@@ -86,12 +86,7 @@ class Bank(Compensators):
     def step(self, displacement: ArrayLike, out: Array | None = None) -> Array:
         """Return the voltages (M,) [V] to send for wanted displacements (M,) [m], and commit them.
 
-        Parameters
-        ----------
-        displacement : (M,) array
-            Wanted displacements [m].
-        out : (M,) array, optional
-            Array for the result, so that no memory is allocated.
+        `out` (M,): array for the result, so that no memory is allocated.
 
         Raises
         ------
@@ -117,12 +112,7 @@ class Bank(Compensators):
         return result
 
     def compensate(self, displacement: ArrayLike) -> Array:
-        """Return the voltages (n, M) [V] to send for n samples of wanted displacements, and commit them.
-
-        Parameters
-        ----------
-        displacement : (n, M) array
-            Wanted displacements [m].
+        """Return the voltages (n, M) [V] to send for wanted displacements (n, M) [m], and commit them.
 
         Raises
         ------
@@ -144,12 +134,7 @@ class Bank(Compensators):
         return result
 
     def simulate(self, voltage: ArrayLike) -> Array:
-        """Return the displacements (n, M) [m] that voltages cause, without regard to limits, and update the memory.
-
-        Parameters
-        ----------
-        voltage : (n, M) array
-            Voltages [V].
+        """Return the displacements (n, M) [m] that voltages (n, M) [V] cause without limits, and update the memory.
 
         Raises
         ------

@@ -16,7 +16,7 @@ from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import interval, keep, number, vector
-from dehyst.control.limits import Clamps, ClampWarning, VoltageLimits, stray_sentence, warn_of_run
+from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_run
 from dehyst.control.loop import ReadOnly, make_loop, memory_of, preview_filter, set_memory
 from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits
 
@@ -145,7 +145,7 @@ class Compensator(ReadOnly):
             Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
         """
         if temperature is not None:
-            with same_scaling_after_errors((self,)):
+            with unchanged_by_errors(self):
                 self.scale(temperature=temperature)
                 return self.step(displacement)
         try:
@@ -209,18 +209,16 @@ class Compensator(ReadOnly):
         ClampWarning
             As `step`.
         """
-        wanted, begin, before = self._in_metres(displacement), self._assumed_voltage, memory_of(self._loop)
-        voltage = self._loop.run(wanted)
-        limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before[2]))
-        try:
+        wanted, begin = self._in_metres(displacement), self._assumed_voltage
+        with unchanged_by_errors(self):
+            before = self._loop.counts()
+            voltage = self._loop.run(wanted)
+            limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before))
             if refused:
                 raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
                 inner = self._in_model(wanted)
                 warn_of_run(self.actuator, self._bounds, Clamps(limited, slewed), inner, begin)
-        except (ClampWarning, ModelError):
-            set_memory(self._loop, *before)
-            raise
         return voltage
 
     def _strays(self, displacement: ArrayLike) -> str:
@@ -323,15 +321,12 @@ class Compensator(ReadOnly):
         if not isinstance(snapshot, bytes):
             raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="the bytes of snapshot()")
         self._model_block()
-        before = memory_of(self._loop)
-        try:
-            self._loop.restore(snapshot)
+        with unchanged_by_errors(self):
+            try:
+                self._loop.restore(snapshot)
+            except CoreError as error:
+                raise ModelError(f"got one that is refused: {error}", argument="snapshot") from error
             self._bounds.within(self._loop.sent(), "snapshot")
-        except CoreError as error:
-            raise ModelError(f"got one that is refused: {error}", argument="snapshot") from error
-        except ModelError:
-            set_memory(self._loop, *before)
-            raise
 
     def scale(
         self, gain: float | None = None, offset: float = 0.0, *, temperature: float | None = None
@@ -453,14 +448,14 @@ def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[
 
 
 @contextmanager
-def same_scaling_after_errors(loops: Sequence[Compensator]) -> Iterator[None]:
-    """Restore gain and offset of all `loops` if an error occurs in the block."""
-    before = [loop._scaling_at(None, 1) for loop in loops]
+def unchanged_by_errors(*loops: Compensator) -> Iterator[None]:
+    """Restore the whole memory of all `loops` if an error occurs in the block."""
+    before = [memory_of(loop._loop) for loop in loops]
     try:
         yield
     except BaseException:
-        for loop, scaling in zip(loops, before, strict=True):
-            loop._loop.scale(*scaling)
+        for loop, memory in zip(loops, before, strict=True):
+            set_memory(loop._loop, *memory)
         raise
 
 

@@ -109,11 +109,11 @@ class Feedback:
 
     def reset(self) -> None:
         """Believe the sensor again, and begin without a correction."""
-        one = self.compensator
-        late = one.samples_ahead if one._previews else round(one.actuator.delay / (one.period or 1.0))
-        self._loop = one._loop
+        loop = self.compensator
+        late = loop.samples_ahead if loop._previews else round(loop.actuator.delay / (loop.period or 1.0))
+        self._loop = loop._loop
         try:
-            self._core = _native.Feedback(self._loop, self.gain, self.bound / one._per_metre, late)
+            self._core = _native.Feedback(self._loop, self.gain, self.bound / loop._per_metre, late)
         except CoreError as error:
             raise ModelError(
                 argument="compensator", got=f"a delay of {late} periods", need="63 at most", hint="give a longer period"

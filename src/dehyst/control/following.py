@@ -44,7 +44,7 @@ class Followed(NamedTuple):
 
 
 def follow(
-    one: Compensator,
+    loop: Compensator,
     displacement: ArrayLike,
     *,
     state: State | None = None,
@@ -64,16 +64,19 @@ def follow(
     `acceleration` [m/s^2]: as in `Actuator.compensate`.
     """
     wanted = vector(displacement, "displacement")
-    gain, offset = one._scaling_at(temperature, wanted.size)
+    gain, offset = loop._scaling_at(temperature, wanted.size)
     rates = [None if values is None else values / gain for values in (velocity, acceleration)]
-    if time is None and one.period is not None:
-        time = one.period * np.arange(wanted.size)
-    period = one.period if period is None else period
+    if time is None and loop.period is not None:
+        time = loop.period * np.arange(wanted.size)
+    period = loop.period if period is None else period
     if present is None:
-        present = one.voltage if state is None else one._held(state)
-    begin, now = one.state if state is None else state, one._bounds.within(present, "present")
-    target = (wanted - offset) / gain
-    found = _follow(one.actuator, one._bounds, target, time, period, rates, begin, now)
+        present = loop.voltage if state is None else loop._held(state)
+    begin, now = loop.state if state is None else state, loop._bounds.within(present, "present")
+    plain = np.ndim(gain) == 0 and (gain, offset) == (1.0, 0.0)
+    target = wanted if plain else (wanted - offset) / gain
+    found = _follow(loop.actuator, loop._bounds, target, time, period, rates, begin, now)
+    if plain:
+        return found
     reached = np.where(found.displacement == target, wanted, offset + gain * found.displacement)
     return found._replace(displacement=reached)
 

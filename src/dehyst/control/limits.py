@@ -84,7 +84,7 @@ class VoltageLimits:
         shorter.
         """
         if self.slew_rate is None:
-            return np.full(size, np.inf)
+            return np.broadcast_to(np.inf, size)
         if time is None:
             raise ModelError(
                 "a slew rate needs the time of each sample", hint=TIME_NEEDED, change=("time", "sample_rate")
@@ -107,6 +107,8 @@ class VoltageLimits:
 
         `before`: last voltage sent [V]. `steps` (n,): largest allowed step before each sample [V].
         """
+        if self.slew_rate is None:
+            return np.clip(voltage, self.low, self.high)
         previous = np.concatenate([[before], voltage[:-1]])
         # Limits come last: the slew rate must not push a voltage out of them.
         return np.clip(np.clip(voltage, previous - steps, previous + steps), self.low, self.high)
@@ -169,28 +171,22 @@ class ClampWarning(UserWarning):
     """
 
     def __init__(self, words: str, assumed: float | None = None) -> None:
-        more = "" if assumed is None else f". {assumed_start(assumed)}"
-        super().__init__(f"{words}{more}")
+        if assumed is not None:
+            words += (
+                f". No state was given, so the model's own is assumed, with {assumed:.6g} V at the actuator: give the "
+                "right state by reset(state), or its voltage to a whole path by present="
+            )
+        super().__init__(words)
         self.assumed = assumed
-
-
-def assumed_start(voltage: float) -> str:
-    """Return a sentence on a start at a `voltage` [V] that was not given, and how to give one."""
-    return (
-        f"No state was given, so the model's own is assumed, with {voltage:.6g} V at the actuator: give the one in "
-        "which it is by reset(state), or its voltage to a whole path by present="
-    )
 
 
 class SensorFault(IntEnum):
     """Why a sensor is not believed.
 
     `NONE`: it is believed. `FAR`: over a quarter of the readings lie farther from the model than the bound: another
-    unit,
-    scale or zero.
-    `STUCK`: it hardly moves while the actuator does. `SCALED`: it moves less than half, or more than twice, as much.
-    `CONTRADICTS`: it moves at other times: inverted, late by more than a sixth of a cycle or by whole cycles, or
-    noise.
+    unit, scale or zero. `STUCK`: it hardly moves while the actuator does. `SCALED`: it moves less than half, or more
+    than twice, as much. `CONTRADICTS`: it moves at other times: inverted, late by more than a sixth of a cycle or by
+    whole cycles, or noise.
     """
 
     NONE = 0
@@ -277,15 +273,13 @@ def warn_of_run(
     warnings.warn(ClampWarning(words, assumed if clamps.slewed else None), None, _caller())
 
 
-def stray_sentence(
-    actuator: Actuator, limits: VoltageLimits, displacement: Array, load: ArrayLike | None = None
-) -> str:
+def stray_sentence(actuator: Actuator, limits: VoltageLimits, displacement: Array) -> str:
     """Return why displacements (n,) [m] are implausible, or "" if they are within reach of the limits."""
-    sentence = actuator._implausibility(displacement, load)
+    sentence = actuator._implausibility(displacement)
     if not sentence or (limits.low, limits.high) == actuator.limits:
         return sentence
     try:
-        return actuator._implausibility(displacement, load, major_loop(actuator, (limits.low, limits.high)))
+        return actuator._implausibility(displacement, None, major_loop(actuator, (limits.low, limits.high)))
     except ModelError:
         return sentence
 

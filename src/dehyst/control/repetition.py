@@ -197,13 +197,18 @@ class Repetition:
         axes = len(self._loops)
         faults = [judge(columns[j], columns[axes + j], self.bound) for j in range(axes)]
         if any(faults):
-            self._distrust(SensorFault(max(faults)))
+            self.fault, self._best = SensorFault(max(faults)), None
+            self.correction = np.zeros(self.path.shape)
+            warn_of_sensor(self.fault, self.bound / self._loops[0]._per_metre)
             return False
         read = np.where(np.abs(read - cycle.aim) <= self.bound, read, np.nan)
-        gaps = [_longest_gap(np.isfinite(column)) for column in read.T]
+        there, at = np.isfinite(read), np.arange(len(read))
+        gaps = [_longest_gap(column) for column in there.T]
         if max(gaps) > _GAP * len(read):
             return False
-        error = np.column_stack([_filled(column) for column in (self.path - read).T])
+        # Gaps are filled along straight lines.
+        left = [(column[known], at[known]) for column, known in zip((self.path - read).T, there.T, strict=True)]
+        error = np.column_stack([np.interp(at, when, values, period=len(at)) for values, when in left])
         cycle = cycle._replace(measured=self.path - error, rms=float(np.sqrt(np.mean(error**2))))
         self.errors.append(cycle.rms)
         return self._improve(cycle, error, max(gaps))
@@ -233,11 +238,6 @@ class Repetition:
         if table.ndim != 2 or table.shape[1] != len(self._loops):
             raise ModelError(argument=what, got=f"the shape {found.shape}", need=f"{len(self._loops)} columns")
         return table
-
-    def _distrust(self, fault: SensorFault) -> None:
-        self.fault, self._best = fault, None
-        self.correction = np.zeros(self.path.shape)
-        warn_of_sensor(fault, self.bound / self._loops[0]._per_metre)
 
     def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:
         """Judge a cycle by its error, and correct the next one; return whether it does."""
@@ -303,9 +303,3 @@ def _longest_gap(there: Array) -> int:
     """Return the most samples without a reading in a row, around the end too; all of them if there is no reading."""
     at = np.flatnonzero(there)
     return len(there) if not at.size else int(np.diff(np.append(at, at[0] + len(there))).max()) - 1
-
-
-def _filled(error: Array) -> Array:
-    """Return a periodic error (n,) with its gaps filled along straight lines."""
-    at = np.flatnonzero(np.isfinite(error))
-    return np.asarray(np.interp(np.arange(error.size), at, error[at], period=error.size))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError, of_part
 from dehyst._types import Array
 from dehyst._validation import for_each, keep, plain, vector
-from dehyst.control.compensator import Compensator, same_scaling_after_errors
-from dehyst.control.limits import Clamps, ClampWarning, warn_of_sample
+from dehyst.control.compensator import Compensator, unchanged_by_errors
+from dehyst.control.limits import Clamps, warn_of_sample
 from dehyst.control.loop import ReadOnly
 from dehyst.model import Actuator, Stage, State, apply, dot, evaluator_of, reachable, state_after_loops
 
@@ -46,7 +45,7 @@ class Compensators:
         given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
         if given != len(self._each):
             raise ModelError(argument="snapshots", got=str(given), need=f"{len(self._each)}, one for each")
-        with _unchanged_by_errors(self._each):
+        with unchanged_by_errors(*self._each):
             for loop, snapshot in zip(self._each, snapshots, strict=True):
                 loop.restore(snapshot)
 
@@ -168,7 +167,7 @@ class StageCompensator(Compensators, ReadOnly):
         `Compensator.step`, with the axis and its wanted displacement.
         """
         if temperature is not None:
-            with same_scaling_after_errors(self.compensators):
+            with unchanged_by_errors(*self.compensators):
                 self.set_temperature(temperature)
                 return self.step(displacement)
         voltage = self._offered(displacement)
@@ -182,7 +181,7 @@ class StageCompensator(Compensators, ReadOnly):
         Raises and warns as `step`; after an error the memory is unchanged.
         """
         wanted = self.stage.columns(displacement, "displacement")
-        with _unchanged_by_errors(self.compensators):
+        with unchanged_by_errors(*self.compensators):
             return np.array([self.step(row) for row in wanted]).reshape(wanted.shape)
 
     def offer(self, displacement: ArrayLike) -> Array:
@@ -235,7 +234,7 @@ class StageCompensator(Compensators, ReadOnly):
         Raise `ModelError` as `Compensator.commit`: no memory changes.
         """
         values = self._values(voltage, "voltage")
-        with _unchanged_by_errors(self.compensators):
+        with unchanged_by_errors(*self.compensators):
             for loop, value in zip(self.compensators, values, strict=True):
                 loop.commit(value)
 
@@ -255,7 +254,7 @@ class StageCompensator(Compensators, ReadOnly):
         Raise `ModelError` if a state does not fit: the memory is unchanged.
         """
         given = for_each(states, len(self.compensators), "states")
-        with _unchanged_by_errors(self.compensators):
+        with unchanged_by_errors(*self.compensators):
             for loop, state in zip(self.compensators, given, strict=True):
                 loop.reset(state)
 
@@ -306,18 +305,6 @@ def to_release(
     (axes,): displacements [m].
     """
     return [j for j in known if beyond[j] * (wanted[j] - moved[j]) < 0]
-
-
-@contextmanager
-def _unchanged_by_errors(loops: Sequence[Compensator]) -> Iterator[None]:
-    """Restore the memory of all `loops` if an error occurs in the block."""
-    before = [loop.snapshot() for loop in loops]
-    try:
-        yield
-    except (ModelError, ClampWarning):
-        for loop, snapshot in zip(loops, before, strict=True):
-            loop.restore(snapshot)
-        raise
 
 
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:

@@ -15,8 +15,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._views.html import escape
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
-from dehyst.control.planning.homing import present_voltage
-from dehyst.control.planning.path import MOST_ROWS
+from dehyst.control.planning.ways import MOST_ROWS, present_voltage
 from dehyst.model import Actuator, unusable, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
@@ -117,7 +116,7 @@ def compensate(
     home: bool | None = option(
         "Home before the path; default: if the start is unknown and matters.", words="--home/--no-home", default=None
     ),
-    home_within: float | None = number("Longest duration of the homing [s]; default: as long as needed.", _homes),
+    home_within: float | None = number("Longest duration of homing and way [s]; default: as long as needed.", _homes),
     present: AxisNumbers = option("Present voltage [V]; default: that of --start, or 0.", _PRESENT, multiple=True),
     on_time: bool | None = option(
         "Lead the path by the model's delay; default: if the actuator lags.", words="--on-time/--late", default=None

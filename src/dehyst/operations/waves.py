@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
-from dehyst.control.planning.path import MOST_ROWS
+from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import legs, speeds_of, temperatures_to_record, words_of
 from dehyst.operations.command import (
     INPUT,

@@ -1,34 +1,48 @@
 """Homing: a voltage through the limits that leads from any state to a known state.
 
 It is simulated in time from the states that bound all histories; the number of its legs and its holds follow from the
-tolerance, or from the time that it may take. It is played before a path, at its sample rate or a lower one.
+tolerance, or from the time that it may take.
+
+If the order of voltages alone determines the state, every voltage keeps the order of states. Then the two extreme
+equilibria, on either branch of the major loop, bound every state at rest, and two simulations propagate the bounds
+exactly (theory section 11). A transformer and graded elements keep the order too.
+
+With creep the order of states holds too: of two voltage histories, the one that is never lower leaves no part of the
+actuator lower. Hence two states bound all histories within the limits, at any speed and of any duration: the states
+after resting infinitely long at either limit. Smooth elements and a mass that acts on the voltage do not keep the
+order. For them, the bounding states are the extremes with smooth elements strained either way, and states after random
+histories.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
-from dehyst._validation import number
-from dehyst.control.compensator import Compensator, allowed_limits
+from dehyst._validation import interval, number
+from dehyst.control.compensator import allowed_limits
 from dehyst.control.limits import VoltageLimits
-from dehyst.control.planning.states import keeps_order, middle_of, possible_states, time_dependence
-from dehyst.model import Actuator, State, creep_times, slew_rate_of_records, stroke_of
-from dehyst.waveforms import Excitation, Leg, Sampling, volts
+from dehyst.model import (
+    Actuator,
+    State,
+    creep_times,
+    evaluator_of,
+    knots_of,
+    quasistatic,
+    turned,
+    voltages_of,
+)
+from dehyst.waveforms import Excitation, Leg, Sampling
 
 # Least duration of a leg of a homing [s].
 FASTEST_LEG = 0.5
-# A homing of more samples has longer steps: this many a leg, and a period of a resonance.
-_EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
-# If these are still too many, most samples of a hold are left out: their times grow by this factor.
-_SPARSER = 1.02
 # Share of the range of the spring's knots: the error of a good model; creep takes long to leave less.
 _TOLERANCE = 1e-3
 # Duration of a leg: this share of the longest time constant, and at least this many periods of a resonance.
@@ -41,8 +55,8 @@ _MOST_LEGS, _FEWER = 12, 0.7
 _SAMPLES, _LEAST_CYCLE = 60, 8
 # Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
 _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
-# A homing is long if it takes this many times the path that follows; a shorter one has this many times its error.
-_LONG = 2.0
+# Random histories, and turns in each.
+_HISTORIES, _TURNS = 12, 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,8 +127,8 @@ def shortest_homing(
         Time [s] to wait at the last visit of either limit. Default: as long as the tolerance requires; if no hold
         suffices, the longest time constant of creep.
     within : float, optional
-        Longest duration [s]: holds are shorter, and legs faster, than the tolerance requires, or with creep holds are
-        longer. Default: as long as the tolerance requires.
+        Longest duration [s]: holds are shorter, and legs faster, than the tolerance requires. Default: as long as the
+        tolerance requires.
 
     Returns
     -------
@@ -188,10 +202,6 @@ class _TimedHoming:
         excitation = self.sampling.play("homing", self.path(legs, wait))
         if within is not None and excitation.duration > within:
             legs, wait, excitation = self.shortened(within)
-        elif within is not None and self.longest:
-            # Creep comes to rest in the time that is left.
-            wait += (within - excitation.duration) / self.holds(legs)
-            excitation = self.sampling.play("homing", self.path(legs, wait))
         state, spread = self.left(excitation.voltage, excitation.time)
         return Homing(
             self.turns(legs), state, spread <= self.tolerance, tuple(self.remarks(wait, spread)), excitation, spread
@@ -208,7 +218,7 @@ class _TimedHoming:
             excitation = self.sampling.play("homing", self.path(2, 0.0))
             if excitation.duration > within + 2 / self.sampling.rate:
                 need = f"{excitation.duration:.4g} s at least, by the slew rate or the sample rate"
-                raise RecordError(argument="home_within", got=f"{within:g} s", need=need)
+                raise RecordError(argument="home_within", got=f"{within:g} s for the homing", need=need)
             return 2, 0.0, excitation
         wait = (within - excitation.duration) / self.holds(2)
         return 2, wait, self.sampling.play("homing", self.path(2, wait))
@@ -358,72 +368,89 @@ def time_allowed(within: float | None) -> float | None:
     return within
 
 
-def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
-    """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` outside the limits."""
-    return (
-        bounds.nearest(0.0)
-        if present is None
-        else bounds.within(volts(present, "present"), "present", error=RecordError)
-    )
+def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> State:
+    """Return the state at a voltage [V] on the major loop: side 1 is the rising branch, -1 the falling one.
 
-
-def played_homing(
-    actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None, path: float
-) -> tuple[Excitation | None, Homing, str]:
-    """Return the shortest homing as an excitation (None if the state is known already), its `Homing`, and an offer.
-
-    Raise `RecordError` if there are too many samples.
-
-    `drive`: speed and shape, with the sample rate of the path, the present
-    voltage and limits. `tolerance`, `within`: as in `shortest_homing`. `path` [s]: duration of what follows; beside a
-    homing that is long for it, a shorter one is offered in words, else none.
+    Its displacement is the lowest, or the highest, of any state; smooth elements hold their largest voltage.
     """
-    rate = drive.rate
-    # A long homing has a sample rate of its own: that of the path over a whole number.
-    needed = 2 * _LEG_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
-    if actuator.dynamics is not None:
-        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
-    drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
-
-    def found(drive: Sampling, **more: float | None) -> Homing:
-        given = {"tolerance": tolerance, "within": within} | more
-        return shortest_homing(actuator, limits=drive.limits, present=drive.start, drive=drive, **given)
-
-    homing = found(drive)
-    if len(homing.turns) < 2:
-        return None, homing, ""
-    if homing.played.duration * rate <= _EVEN_SAMPLES and drive.sample_rate != rate:
-        drive = replace(drive, sample_rate=rate)
-        homing = found(drive)
-    seconds, offer = homing.played.duration, ""
-    if within is None and seconds > _LONG * path:
-        # Without holds, and with the fewest legs as no tolerance asks for more.
-        short = found(drive, hold=0.0, tolerance=1.0)
-        if short.played.duration < seconds / _LONG:
-            left, least = (100 * each.spread / stroke_of(actuator) for each in (short, homing))
-            digit = 10.0 ** (math.floor(math.log10(short.played.duration)) - 2)
-            enough = digit * math.ceil(short.played.duration / digit)
-            offer = f"home within {enough:.3g} s leaves up to {left:.2g} % of the stroke open, this one {least:.2g} %"
-    # No remark on legs that take longer to keep the slew rate: no speed was requested.
-    return homing.played, homing, offer
+    plain = quasistatic(replace(actuator, displacement_creep=None, state=None))  # type: ignore[arg-type]
+    low, high = knots_of(plain)
+    # It comes from so far that every element slides.
+    way = high - low + 2 * float(plain.slip.breakaway.max(initial=0.0))
+    while side * (voltage - plain.voltage(turned(plain, low - side * way, rising=side > 0))) < 0:
+        way *= 2
+    far = turned(plain, low - side * 3 * way, rising=side > 0)
+    reached: State = plain.simulate([voltage], state=far, extrapolate=True).state
+    return reached
 
 
-def pace(compensator: Compensator) -> float | None:
-    """Return the largest slew rate [V/s] of jumps, homings and ways: no more than the records of the model have."""
-    rates = (compensator.slew_rate, slew_rate_of_records(compensator.actuator))
-    return min((rate for rate in rates if rate is not None), default=None)
+def middle_of(states: Sequence[State]) -> State:
+    """Return the state in the middle of `states` of one actuator, with an error of at most half their range."""
+
+    def middle(name: str) -> Array:
+        values = np.array([getattr(state, name) for state in states])
+        return np.asarray(0.5 * (values.min(axis=0) + values.max(axis=0)))
+
+    return State(float(middle("deformation")), *(middle(entry.name) for entry in fields(State)[1:]))
 
 
-def rows_of(voltage: Array) -> NDArray[np.int64]:
-    """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or sparser ones in a long hold."""
-    rows = np.arange(voltage.size)
-    if rows.size <= _EVEN_SAMPLES:
-        return rows
-    held = np.zeros(rows.size, dtype=bool)
-    held[1:] = voltage[1:] == voltage[:-1]
-    moving = np.flatnonzero(~held)
-    since = rows - np.repeat(moving, np.diff(moving, append=rows.size))
-    steps = np.unique(np.round(_SPARSER ** np.arange(int(math.log(rows.size) / math.log(_SPARSER)) + 2)))
-    kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
-    kept[:-1] |= since[1:] == 0
-    return rows[kept]
+def time_dependence(actuator: Actuator) -> str:
+    """Return as text why the order of voltages does not determine the state; empty if it does."""
+    parts = {
+        "creeps": creep_times(actuator).size > 0,
+        "has inertia": actuator.dynamics is not None,
+        "lags": actuator.lag > 0,
+        "has smooth elements": actuator.smooth is not None,
+    }
+    return " and ".join(words for words, there in parts.items() if there)
+
+
+def keeps_order(actuator: Actuator) -> bool:
+    """Return whether the two extreme states provably bound all states."""
+    dynamics = actuator.dynamics
+    return actuator.smooth is None and (dynamics is None or not dynamics.series)
+
+
+def possible_states(
+    actuator: Actuator,
+    voltage: float,
+    limits: tuple[float, float] | None = None,
+    half: float = Sampling().half,
+) -> tuple[State, ...]:
+    """Return states at a voltage that bound all states in which an actuator of unknown history may rest there.
+
+    There are two states, the lower one first, if these provably bound all others. There are more for an actuator with
+    smooth elements or a mass that acts on the voltage. `limits` [V]: range of all earlier voltages, widened to include
+    the `voltage` [V], for an actuator that depends on time; default: the actuator's limits. `half` [s]:
+    approximate duration of the legs of random histories. Raise `ModelError` if the voltage is not finite, or the limits
+    are no interval.
+    """
+    v = number(voltage, "voltage")
+    length = np.zeros(0) if actuator.smooth is None else actuator.smooth.length
+    if not time_dependence(actuator):
+        return tuple(_on_major_loop(actuator, v, side) for side in (1, -1))
+    low, high = voltages_of(actuator) if limits is None else interval(limits)
+    low, high = min(low, v), max(high, v)
+    still = quasistatic(actuator)
+
+    def played(state: State, voltages: ArrayLike, seconds: Array) -> State:
+        reached: State = still.simulate(voltages, time=seconds, state=state, extrapolate=True).state
+        return reached
+
+    # After resting for ever at either limit.
+    rested = [
+        evaluator_of(still).complete_state(State(end.deformation, end.carts, smooth=share * length))
+        for end in (_on_major_loop(actuator, low, 1), _on_major_loop(actuator, high, -1))
+        for share in ((1.0, 0.0, -1.0) if length.size else (1.0,))
+    ]
+    # The last leg takes no time.
+    now = np.zeros(1)
+    states = [played(state, [v], now) for state in rested]
+    if not keeps_order(actuator):
+        random, seconds = np.random.default_rng(0), np.cumsum(np.geomspace(0.01, 10, _TURNS) * half)
+        turns = [random.uniform(low, high, _TURNS) for _ in range(_HISTORIES)]
+        begun = list(states)
+        states += [played(played(begun[k % len(begun)], visited, seconds), [v], now) for k, visited in enumerate(turns)]
+    if actuator.dynamics is None:
+        return tuple(states)
+    return tuple(replace(state, motion=np.array([state.deformation, 0.0])) for state in states)

@@ -5,31 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
-from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import for_each, untimely, vector
 from dehyst.control.compensator import Compensator
 from dehyst.control.following import Followed, follow_axes
 from dehyst.control.limits import outside_identified, unit_hint
-from dehyst.control.planning.homing import (
-    FASTEST_LEG,
-    Homing,
-    leg_seconds,
-    pace,
-    played_homing,
-    present_voltage,
-    rows_of,
-    time_allowed,
-)
-from dehyst.control.planning.plan import HOMING, PATH, WAY, PathPlan, shortfall
-from dehyst.control.planning.start import PossibleStart, model_error
+from dehyst.control.planning.homing import time_allowed
+from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
+from dehyst.control.planning.start import PossibleStart, StartError
+from dehyst.control.planning.ways import TOLERANCE, Begin, Way, begin_of, pace, simultaneous, usual_step, way_to
 from dehyst.control.stage_compensator import StageCompensator, axes_of, targets_and_clamped
 from dehyst.model import (
     Actuator,
@@ -45,17 +36,7 @@ from dehyst.model import (
     tested_temperatures,
     untested,
 )
-from dehyst.waveforms import Excitation, Leg, Sampling
 
-# Fewest samples of a leg at the path's sample rate, and samples of a leg where a path has no time.
-_FEWEST, _TIMELESS = 25, 100
-# Share of the range of the spring's knots: a homing in time must leave no more, if the model is better than that; and
-# where there is no promise, a path that is missed by more is not followed.
-_TOLERANCE = 1e-3
-# Creep on the way to the first sample changes the voltage there: so often the way is found again.
-_ROUNDS = 3
-# A larger file is more than 300 MB.
-MOST_ROWS = 5_000_000
 # Relative difference of times, and of voltage steps, that is rounding.
 _ROUNDING = 1e-9
 
@@ -107,8 +88,9 @@ def plan_path(
         model's error. With False and by default, a way leads from a given start or present voltage to a path that one
         step does not reach.
     home_within : float, optional
-        Longest duration of the homing [s]; a shorter homing leaves a larger error of the start. Default: as long as
-        necessary; a remark offers a shorter one if it takes more than twice as long as the path.
+        Longest duration of the homing and of the way to the path [s]; a shorter homing leaves a larger error of the
+        start. Default: as long as necessary; a remark offers a shorter one if it takes more than twice as long as the
+        path.
     present : float, or one an axis, optional
         Present voltage [V] of an unknown start: from there the homing begins, or without one the way to the first
         sample. Default 0 V or the nearest limit; without a homing: if none is given, at the first sample.
@@ -141,13 +123,15 @@ def plan_path(
     task.shift(on_time)
     task.home_within = time_allowed(home_within)
     given, now = task.starts(start), task.each(present, "present")
-    if home:
-        return task.result(task.plans(*task.homed(task.unless_known(given, now))))
-    unhomed = task.plans(*task.begun(task.begins(given, now, near=all(volts is None for volts in now))))
-    if home is not None or all(given) or not any(plan.error.matters for plan in unhomed):
-        return task.result(unhomed)
-    del unhomed
-    return task.result(task.plans(*task.homed(task.begins(given, now))))
+    if not home:
+        begins = task.begins(given, now, near=all(volts is None for volts in now))
+        ways, before, found = task.begun(begins)
+        errors = task.errors(ways, found)
+        if home is not None or all(given) or not any(error.matters for error in errors):
+            return task.result(task.plans(ways, before, found, errors=errors))
+        del ways, before, found, errors
+    begins = task.begins(given, now, home=bool(home))
+    return task.result(task.plans(*task.after(task.ways(begins, True), begins)))
 
 
 def plan_voltage(
@@ -167,11 +151,11 @@ def plan_voltage(
         known or PossibleStart.unknown(loop.actuator, volts, loop.limits)
         for known, loop, volts in zip(task.starts(start), task.loops, task.firsts, strict=True)
     ]
-    ways = [_Way(known, known.state) for known in starts]
+    ways = [Way(known, known.state) for known in starts]
     moved, states = task.motion(ways, task.rows)
     still, pairs = np.zeros(len(task.rows), dtype=bool), zip(task.rows.T, moved.T, states, strict=True)
     found = [Followed(volts, y, still, state) for volts, y, state in pairs]
-    return task.result(task.plans(ways, moved[:0], found, moved))
+    return task.result(task.plans(ways, moved[:0], found, wanted=moved))
 
 
 def _compensator(model: Any, limits: Any, slew_rate: Any) -> Compensator | StageCompensator:
@@ -186,39 +170,6 @@ def _compensator(model: Any, limits: Any, slew_rate: Any) -> Compensator | Stage
         if value is not None:
             raise ModelError(argument=name, got="some beside a compensator, which has its own", hint="leave them out")
     return model
-
-
-class _Begin(NamedTuple):
-    """How an actuator stands before a path: its possible starts, the state to plan from, and its voltage [V].
-
-    Without a voltage, the actuator stands at the first sample of the path.
-    """
-
-    start: PossibleStart
-    state: State
-    volts: float | None
-
-
-class _Way(NamedTuple):
-    """The homing of an axis and the way to the first sample of a path, excluding this sample.
-
-    `state`: state at the end, simulated from the middle of the possible states. `voltage` (k,) [V] at `time` (k,) [s].
-    `goal` [V]: voltage at the first sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s]
-    before this sample. `waits`: time [s] at the first voltage, for the homings of other axes.
-    """
-
-    start: PossibleStart
-    state: State
-    homing: Homing | None = None
-    offer: str = ""
-    time: Array = EMPTY
-    phase: NDArray[np.int64] = EMPTY.astype(np.int64)
-    voltage: Array = EMPTY
-    seconds: float = 0.0
-    goal: float = 0.0
-    last: float = 0.0
-    step: float = 0.0
-    waits: float = 0.0
 
 
 class Task:
@@ -270,7 +221,7 @@ class Task:
 
     def _decouple(self) -> None:
         """Find the displacements without coupling, and the first ones of the models."""
-        self.moved = apply(self.stage.decoupling, self.rows)
+        self.moved = self.through(self.stage.decoupling, self.rows)
         scales = [loop._scaling_at(warm, len(self.rows)) for loop, warm in zip(self.loops, self.warmth, strict=True)]
         for j, (loop, (gain, offset)) in enumerate(zip(self.loops, scales, strict=True)):
             if words := loop._straying((self.moved[:, j] - offset) / gain):
@@ -285,6 +236,10 @@ class Task:
         # Axes within reach are corrected by what the others miss, as in each step.
         targets, _ = targets_and_clamped(self.stage.decoupling.tolist(), self.rows[0].tolist(), nearest)
         self.firsts = [(y - offset) / gain for y, gain, offset in zip(targets, gains, offsets, strict=True)]
+
+    def through(self, matrix: Array, columns: Array) -> Array:
+        """Return columns (n, axes) times a matrix of the stage; a single axis is the same array."""
+        return columns if self.single else apply(matrix, columns)
 
     def set_rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> None:
         """Take over the derivatives of a path of one axis."""
@@ -319,7 +274,7 @@ class Task:
             self.remarks[j] = (words.format(1e3 * delay),)
         if self.time is None or not any(self.delays):
             return
-        step = self.step
+        step = usual_step(self.time)
         self.ahead = math.ceil(max(self.delays) / step - _ROUNDING)
         time = np.concatenate([self.time[0] - step * np.arange(self.ahead, 0, -1), self.time])
         columns = zip(self.delays, self.moved.T, strict=True)
@@ -333,13 +288,6 @@ class Task:
             first = np.repeat(self.temperature[:1], self.ahead, axis=0)
             self.temperature = np.concatenate([first, self.temperature])
         self.time = time
-
-    @property
-    def step(self) -> float:
-        """The usual step of the path [s]; 1 if the path has no time."""
-        if self.time is None:
-            return 1.0
-        return float(np.median(np.diff(self.time))) if self.time.size > 1 else FASTEST_LEG / _FEWEST
 
     def each(self, values: Any, what: str) -> list[Any]:
         """Return one entry for each axis."""
@@ -357,28 +305,19 @@ class Task:
                 raise ModelError(argument="start", got=repr(start), need="a State or a PossibleStart", hint=hint)
         return starts
 
-    def unless_known(self, given: Sequence[Any], present: Sequence[Any]) -> list[_Begin]:
-        """Return how each actuator stands before a homing, which makes an uncertain start useless."""
-        return self.begins([start if start and start.known else None for start in given], present)
+    def begins(
+        self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False, home: bool = False
+    ) -> list[Begin]:
+        """Return how each actuator stands: as given, or unknown at a voltage [V], or `near` the first sample.
 
-    def begins(self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False) -> list[_Begin]:
-        """Return how each actuator stands: as given, or unknown at a voltage [V], or `near` the first sample."""
-        begins = []
-        for loop, known, now, first in zip(self.loops, given, present, self.firsts, strict=True):
-            if known is not None:
-                start, state = known, known.within(loop.actuator, loop.limits)
-                volts = loop._held(state) if now is None else present_voltage(loop._bounds, now)
-            elif near:
-                start = PossibleStart.unknown_near(loop.actuator, first, loop.limits)
-                state, volts = start.within(loop.actuator, loop.limits), None
-            else:
-                volts = present_voltage(loop._bounds, now)
-                start = PossibleStart.unknown(loop.actuator, volts, loop.limits)
-                state = start.within(loop.actuator, (volts, volts))
-            begins.append(_Begin(start, state, volts))
-        return begins
+        A homing makes a given start useless that is not known: with `home` it counts as unknown.
+        """
+        if home:
+            given = [start if start and start.known else None for start in given]
+        columns = zip(self.loops, given, present, self.firsts, strict=True)
+        return [begin_of(loop, known, now, first, near=near) for loop, known, now, first in columns]
 
-    def begun(self, begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
+    def begun(self, begins: list[Begin]) -> tuple[list[Way], Array, list[Followed]]:
         """Return what `after` does, with a way before the path only if its first step is a jump."""
         # An actuator stands at the first sample, or is brought there slowly.
         states = [
@@ -391,7 +330,7 @@ class Task:
         pairs = zip(self.loops, begins, found, strict=True)
         if any(self.jumps(loop, begin.volts, each) for loop, begin, each in pairs):
             return self.after(self.ways(begins, False), begins)
-        ways = [_Way(begin.start, begin.start.state) for begin in begins]
+        ways = [Way(begin.start, begin.start.state) for begin in begins]
         return ways, np.zeros((0, len(ways))), found
 
     def jumps(self, loop: Compensator, volts: float | None, found: Followed) -> bool:
@@ -400,14 +339,12 @@ class Task:
             return False
         if loop.slew_rate and found.clamped[0]:
             return True
-        usual = max((pace(loop) or math.inf) * self.step, float(np.abs(np.diff(found.voltage)).max(initial=0.0)))
+        usual = max(
+            (pace(loop) or math.inf) * usual_step(self.time), float(np.abs(np.diff(found.voltage)).max(initial=0.0))
+        )
         return abs(float(found.voltage[0]) - volts) > usual * (1 + _ROUNDING)
 
-    def homed(self, begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
-        """Return what `after` does, with a homing first from unknown starts."""
-        return self.after(self.ways(begins, True), begins)
-
-    def after(self, ways: list[_Way], begins: list[_Begin]) -> tuple[list[_Way], Array, list[Followed]]:
+    def after(self, ways: list[Way], begins: list[Begin]) -> tuple[list[Way], Array, list[Followed]]:
         """Return the ways to the path, the displacement (k, axes) [m] along them, and the voltages of the path."""
         # A mass moves with the path from its first sample on.
         states = [
@@ -425,107 +362,23 @@ class Task:
         options: dict[str, Any] = {"time": self.time, "period": period, "temperature": self.warmth, **self.rates}
         return follow_axes(self.stage, self.loops, self.moved, states=states, present=present, **options)
 
-    def ways(self, begins: Sequence[_Begin], home: bool) -> list[_Way]:
+    def ways(self, begins: Sequence[Begin], home: bool) -> list[Way]:
         """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits.
 
         It waits at its present voltage, so that its homing, which makes the state known, ends with the way to the path.
         """
+        options: dict[str, Any] = {"within": self.home_within, "rows": len(self.rows)}
         ways = [
-            self.way(loop, begin, first, home and not begin.start.known)
+            way_to(loop, begin, first, self.time, home=home and not begin.start.known, **options)
             for loop, begin, first in zip(self.loops, begins, self.firsts, strict=True)
         ]
-        ahead = np.unique(np.concatenate([way.time - way.seconds for way in ways]))
-        # Rows of two axes at one time may differ by rounding.
-        ahead = ahead[np.diff(ahead, append=0.0) > _ROUNDING * np.abs(ahead).max(initial=0.0)]
-        if self.single is not None or not ahead.size:
+        merged = ways if self.single else simultaneous(ways)
+        if merged is ways:
             return ways
-        homed = [(way.time - way.seconds)[way.phase == WAY] for way in ways]
-        ends = max(own[0] if own.size else 0.0 for own in homed)
-        homes = any(way.homing is not None for way in ways)
-        phase = np.where(homes & (ahead < ends), HOMING, WAY)
-        merged = []
-        for way in ways:
-            own, values = np.append(way.time - way.seconds, 0.0), np.append(way.voltage, way.goal)
-            voltage = np.interp(ahead, own, values)
-            merged.append(way._replace(time=ahead - ahead[0], phase=phase, voltage=voltage, last=float(voltage[-1])))
         states = self.motion(merged)[1]
-        seconds = -float(ahead[0])
-        return [
-            way._replace(seconds=seconds, state=state, waits=seconds - way.seconds)
-            for way, state in zip(merged, states, strict=True)
-        ]
+        return [way._replace(state=state) for way, state in zip(merged, states, strict=True)]
 
-    def way(self, loop: Compensator, begin: _Begin, first: float, home: bool) -> _Way:
-        """Return the shortest homing of an axis, if it is to `home`, and the way from its end to the path."""
-        actuator, limits, start, state = loop.actuator, loop.limits, begin.start, begin.state
-        now = loop._held(state) if begin.volts is None else begin.volts
-        rate, leg = self.pace_of_legs(actuator)
-        drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=limits, slew_rate=pace(loop))
-        played: Excitation | None = None
-        homing: Homing | None = None
-        offer = ""
-        if home:
-            least = max(model_error(actuator), _TOLERANCE * float(np.ptp(actuator.spring.displacement)))
-            options: dict[str, Any] = {"tolerance": least, "within": self.home_within}
-            options["path"] = math.inf if self.time is None else float(np.ptp(self.time))
-            played, homing, offer = played_homing(actuator, drive, **options)
-            state = homing.state
-        else:
-            start = PossibleStart(start.name, (state,))
-        rows = rows_of(EMPTY if played is None else played.voltage[:-1])
-        seconds = 0.0 if played is None else played.duration
-        ramp, goal, state = self.ramp(actuator, drive, state, first)
-        if rows.size + ramp.size + len(self.rows) > MOST_ROWS:
-            raise RecordError(
-                argument="homing",
-                got=f"{rows.size + ramp.size} samples before the path, {seconds:.4g} s at {rate:g} Hz",
-                need=f"at most {MOST_ROWS:g} with it",
-                hint="try a lower sample rate, or give the start",
-            )
-        homed, when = (EMPTY, EMPTY) if played is None else (played.voltage[rows], rows / played.sample_rate)
-        voltage = np.concatenate([homed, ramp])
-        return _Way(
-            start,
-            state,
-            homing,
-            offer,
-            np.concatenate([when, seconds + np.arange(ramp.size) / rate]),
-            np.repeat([HOMING, WAY], [rows.size, ramp.size]),
-            voltage,
-            seconds + ramp.size / rate,
-            goal,
-            last=float(voltage[-1]) if voltage.size else now,
-            step=1 / rate,
-        )
-
-    def pace_of_legs(self, actuator: Actuator) -> tuple[float, float]:
-        """Return the sample rate [Hz] of a homing before the path, and the duration of its legs [s]."""
-        if self.time is None:
-            return 1.0, float(_TIMELESS)
-        leg = max(FASTEST_LEG, _FEWEST * self.step)
-        return 1 / self.step, max(leg, leg_seconds(actuator, leg))
-
-    def ramp(self, actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
-        """Return the voltages [V] before the first sample of the path, its own voltage, and the state before it.
-
-        The way takes a share of a leg's duration, but at least enough time for a mass and an amplifier to follow.
-        """
-        low, high = drive.limits or (-np.inf, np.inf)
-        still = replace(actuator, displacement_creep=None, state=None)  # type: ignore[arg-type]
-        begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
-        for _ in range(_ROUNDS):
-            end = first if self.voltage else actuator.voltage(state_at(actuator, reached, first))
-            end = min(max(end, low), high)
-            if end == begin:
-                return EMPTY, end, state
-            seconds = max(drive.half * abs(end - begin) / (high - low), leg_seconds(still, 0.0))
-            voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
-            time = np.arange(voltage.size) / drive.rate
-            reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
-            ramp = voltage[:-1]
-        return ramp, end, reached
-
-    def time_of(self, way: _Way, size: int) -> Array | None:
+    def time_of(self, way: Way, size: int) -> Array | None:
         """Return the time [s] of the rows of a way and of `size` samples after it; None if the path has no time."""
         if self.time is None:
             return None
@@ -535,7 +388,7 @@ class Task:
         """Return a temperature (n,) [degC] for `before` rows and `size` samples after them; before, it is the first."""
         return None if temperature is None else np.concatenate([np.full(before, temperature[0]), temperature[:size]])
 
-    def motion(self, ways: Sequence[_Way], rows: Array | None = None) -> tuple[Array, list[State]]:
+    def motion(self, ways: Sequence[Way], rows: Array | None = None) -> tuple[Array, list[State]]:
         """Return the displacement (k, axes) [m] along ways and then voltages (n, axes) [V], and the last states."""
         after = np.zeros((0, len(ways))) if rows is None else rows
         time = self.time_of(ways[0], len(after))
@@ -546,9 +399,9 @@ class Task:
             gain, offset = loop._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
             moved.append(offset + gain * motion.displacement)
             states.append(motion.state)
-        return apply(self.stage.coupling, np.column_stack(moved)), states
+        return self.through(self.stage.coupling, np.column_stack(moved)), states
 
-    def lead(self, ways: Sequence[_Way]) -> Array:
+    def lead(self, ways: Sequence[Way]) -> Array:
         """Return the displacement (k, axes) [m] along ways, from a state within the limits if the start is unknown."""
         begun = []
         for loop, way in zip(self.loops, ways, strict=True):
@@ -560,34 +413,47 @@ class Task:
 
     def misses(self, found: Sequence[Followed]) -> Array:
         """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
+        if all(np.array_equal(each.displacement, column) for each, column in zip(found, self.moved.T, strict=True)):
+            return np.broadcast_to(0.0, self.rows.shape)
         miss = np.column_stack([each.displacement for each in found]) - self.moved
         if self.time is not None:
             pairs = zip(self.delays, miss.T, strict=True)
             miss = np.column_stack(
                 [np.interp(self.time - delay, self.time, column) if delay else column for delay, column in pairs]
             )
-        return apply(self.stage.coupling, miss)
+        return self.through(self.stage.coupling, miss)
+
+    def errors(self, ways: Sequence[Way], found: Sequence[Followed]) -> list[StartError]:
+        """Return the error of each axis along its path due to its start."""
+        size, first = len(self.rows), ways[0].voltage.size
+        time, errors = self.time_of(ways[0], size), []
+        for loop, way, each, warmth in zip(self.loops, ways, found, self.warmth, strict=True):
+            voltage = np.concatenate([way.voltage, each.voltage]) if first else each.voltage
+            error = way.start.error_along(loop.actuator, voltage, loop.limits, time=time, first=first + self.ahead)
+            gain, offset = loop._scaling_at(None if warmth is None else warmth[self.ahead :], size - self.ahead)
+            errors.append(error.scaled(gain, offset))
+        return errors
 
     def plans(
-        self, ways: Sequence[_Way], before: Array, found: Sequence[Followed], wanted: Array | None = None
+        self,
+        ways: Sequence[Way],
+        before: Array,
+        found: Sequence[Followed],
+        *,
+        wanted: Array | None = None,
+        errors: Sequence[StartError] | None = None,
     ) -> list[PathPlan]:
         """Return the plan of each axis: its way, with displacements `before` (k, axes) [m], then what was found.
 
-        `wanted` (n, axes) [m]: what a given voltage causes; by default the path.
+        `wanted` (n, axes) [m]: what a given voltage causes; by default the path. `errors`: of `errors`, if known.
         """
-        size, first = len(self.rows), ways[0].voltage.size
-        time = self.time_of(ways[0], size)
-        phase = np.concatenate([ways[0].phase, np.repeat([WAY, PATH], [self.ahead, size - self.ahead])])
-        temperatures = [None] * len(ways) if self.temperature is None else list(self.temperature.T)
-        path, miss = (self.rows, self.misses(found)) if wanted is None else (wanted, np.zeros_like(wanted))
-        columns = self.loops, ways, found, before.T, path.T, miss.T, self.warmth, temperatures
-        plans = []
-        for j, (loop, way, each, led, goal, off, warmth, temperature) in enumerate(zip(*columns, strict=True)):
-            voltage = np.concatenate([way.voltage, each.voltage])
-            error = way.start.error_along(loop.actuator, voltage, loop.limits, time=time, first=first + self.ahead)
-            gain, offset = loop._scaling_at(None if warmth is None else warmth[self.ahead :], size - self.ahead)
-            error = replace(error, lowest=offset + gain * error.lowest, highest=offset + gain * error.highest)
-            after, degrees = self.ahead, None if temperature is None else temperature[self.ahead :]
+        size, first, after = len(self.rows), ways[0].voltage.size, self.ahead
+        phase = np.concatenate([ways[0].phase, np.repeat(np.array([WAY, PATH], dtype=np.int8), [after, size - after])])
+        path, miss = (self.rows, self.misses(found)) if wanted is None else (wanted, np.broadcast_to(0.0, wanted.shape))
+        known, time, plans = errors or self.errors(ways, found), self.time_of(ways[0], size), []
+        for j, (loop, way, each, error) in enumerate(zip(self.loops, ways, found, known, strict=True)):
+            temperature, off = None if self.temperature is None else self.temperature[:, j], miss[:, j]
+            degrees = None if temperature is None else temperature[after:]
             promise = promised(
                 loop.actuator,
                 each.voltage[after:],
@@ -598,35 +464,34 @@ class Task:
                 opened=() if way.homing is None and way.start.known else error.left_of(each.displacement[after:]),
                 missed=off[after:] if each.clamped.any() else (),
             )
-            missed = float(np.abs(off).max())
-            tolerated = _TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
+            missed = float(max(off.max(), -off.min()))
+            tolerated = TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
-            remarks = () if way.homing is None else way.homing.remarks
+            remarks = way.remarks
             if way.offer and time is not None:
                 remarks += (f"the path begins after {time[first + after] - time[0]:.4g} s; {way.offer}",)
             if wanted is None:
                 remarks += shortfall(each.voltage, each.clamped, loop._bounds, missed, tolerated)
                 remarks += outside_identified(loop.actuator, each.voltage, refuse=False).warnings
                 remarks += self.remarks[j] + self.speeds(j, each)
-            plans.append(
-                PathPlan(
-                    time,
-                    phase,
-                    voltage,
-                    displacement=np.concatenate([led, goal]),
-                    expected=np.concatenate([led, goal + off]),
-                    clamped=np.concatenate([np.zeros(first, dtype=bool), each.clamped]),
-                    state=each.state,
-                    start=way.start,
-                    homing=way.homing,
-                    error=error,
-                    promise=promise,
-                    followed=missed <= tolerated,
-                    warnings=(*remarks, *untested(loop.actuator, promise, degrees)),
-                    temperature=self.degrees(temperature, first, size),
-                )
+            plan = PathPlan(
+                time,
+                phase,
+                np.concatenate([way.voltage, each.voltage]),
+                displacement=np.concatenate([before[:, j], path[:, j]]),
+                expected=np.concatenate([before[:, j], path[:, j] + off]),
+                clamped=np.concatenate([np.zeros(first, dtype=bool), each.clamped]),
+                state=each.state,
+                start=way.start,
+                homing=way.homing,
+                error=error,
+                promise=promise,
+                followed=missed <= tolerated,
+                warnings=(*remarks, *untested(loop.actuator, promise, degrees)),
+                temperature=self.degrees(temperature, first, size),
             )
+            plans.append(plan)
         return plans
 
     def speeds(self, j: int, found: Followed) -> tuple[str, ...]:

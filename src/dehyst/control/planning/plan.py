@@ -73,7 +73,7 @@ class PathPlan:
     """
 
     time: Array | None
-    phase: NDArray[np.int64]
+    phase: NDArray[np.int8]
     voltage: Array
     displacement: Array
     expected: Array

@@ -14,8 +14,7 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
-from dehyst.control.planning.homing import shortest_homing
-from dehyst.control.planning.states import middle_of, possible_states
+from dehyst.control.planning.homing import middle_of, possible_states, shortest_homing
 from dehyst.model import Actuator, State, knots_of, state_within_limits, stroke_of, turned, voltages_of
 from dehyst.waveforms import Sampling
 
@@ -94,8 +93,10 @@ class PossibleStart:
             return cls(name, (actuator.relaxed(),))
         if name == "homed":
             low, high = actuator.limits or (0.0, 0.0)
-            end = min(max(0.0, low), high)
-            return cls(name, (shortest_homing(actuator, present=end, drive=Sampling()).state,))
+            homing = shortest_homing(actuator, present=min(max(0.0, low), high), drive=Sampling())
+            if homing.certified:
+                return cls(name, (homing.state,))
+            return cls.after(actuator, homing.played.voltage, time=homing.played.time, name=name)
         rising = name == "top"
         return cls(name, (turned(actuator, knots_of(actuator)[rising], rising=rising),))
 
@@ -161,8 +162,6 @@ class StartError:
     model_error : float
         Largest error of the model on its training records [m, or `units`]; a thousandth of the stroke if this error is
         not known.
-    time : (n,) array or None
-        Time of the samples [s].
     units : str
         Unit of all lengths, "m" by default.
     """
@@ -171,7 +170,6 @@ class StartError:
     highest: Array
     stroke: float
     model_error: float
-    time: Array | None = None
     units: str = "m"
 
     def in_units(self, units: str) -> StartError:
@@ -180,6 +178,12 @@ class StartError:
             name: getattr(self, name) * per_metre(units) for name in ("lowest", "highest", "stroke", "model_error")
         }
         return replace(self, **lengths, units=units)
+
+    def scaled(self, gain: Any, offset: Any) -> StartError:
+        """Return the error of a displacement of `offset` plus `gain` times this one, each a number or (n,)."""
+        if np.ndim(gain) == 0 and (gain, offset) == (1.0, 0.0):
+            return self
+        return replace(self, lowest=offset + gain * self.lowest, highest=offset + gain * self.highest)
 
     @classmethod
     def along(
@@ -196,8 +200,7 @@ class StartError:
             y = actuator.simulate(v, time=time, state=state, extrapolate=True).displacement[first:]
             np.minimum(lowest, y, out=lowest)
             np.maximum(highest, y, out=highest)
-        kept = None if time is None else np.asarray(time, dtype=np.float64)[first:]
-        return cls(lowest, highest, stroke_of(actuator), model_error(actuator), kept)
+        return cls(lowest, highest, stroke_of(actuator), model_error(actuator))
 
     @property
     def difference(self) -> Array:
@@ -228,26 +231,16 @@ class StartError:
         """Whether the difference exceeds the model's error somewhere along the voltage."""
         return self.largest > self.model_error
 
-    @property
-    def settled(self) -> int | None:
-        """First sample after which the difference stays below the model's error; None if it does not at the end."""
-        above = np.flatnonzero(self.difference > self.model_error)
-        after = int(above[-1]) + 1 if above.size else 0
-        return after if after < self.difference.size or not above.size else None
-
     def percent(self, length: float) -> float:
         """Return a `length` [m, or `units`] in % of the stroke."""
         return 100 * length / self.stroke
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        settled, time = self.settled, self.time
         return {
             "first_difference_percent": self.percent(self.first),
             "largest_difference_percent": self.percent(self.largest),
             "model_error_percent": self.percent(self.model_error),
-            "settled_sample": settled,
-            "settled_s": None if settled is None or time is None else float(time[settled] - time[0]),
         }
 
 

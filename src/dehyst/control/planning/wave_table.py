@@ -17,9 +17,10 @@ from dehyst._views.lines import span_of
 from dehyst.control.compensator import Compensator
 from dehyst.control.following import Followed, follow
 from dehyst.control.planning.homing import time_allowed
-from dehyst.control.planning.path import MOST_ROWS, Task
+from dehyst.control.planning.path import Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
+from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, DisplacementCreep, State, creep_times
 from dehyst.waveforms import ScanPath, positive, refuse_long, whole
 
@@ -324,8 +325,8 @@ def wave_table(
     first = _task(compensator, path.repeated(count), home_within)
     given, now = first.starts(start), first.each(present, "present")
     if home or (home is None and start is None):
-        begins = first.unless_known(given, now)
-        ways, _, (begun,) = first.homed(begins)
+        begins = first.begins(given, now, home=True)
+        ways, _, (begun,) = first.after(first.ways(begins, True), begins)
     else:
         begins = first.begins(given, now, near=present is None)
         ways, _, (begun,) = first.begun(begins)

@@ -1,0 +1,268 @@
+"""The voltages before a path: a homing if the start matters, and the way to the first sample."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._errors import RecordError
+from dehyst._native import EMPTY
+from dehyst._types import Array
+from dehyst.control.compensator import Compensator
+from dehyst.control.limits import VoltageLimits
+from dehyst.control.planning.homing import FASTEST_LEG, Homing, leg_seconds, shortest_homing
+from dehyst.control.planning.plan import HOMING, WAY
+from dehyst.control.planning.start import PossibleStart, model_error
+from dehyst.model import Actuator, State, slew_rate_of_records, state_at, stroke_of
+from dehyst.waveforms import Leg, Sampling, volts
+
+# Fewest samples of a leg at the path's sample rate, and samples of a leg where a path has no time.
+_FEWEST, _TIMELESS = 25, 100
+# Share of the range of the spring's knots: a homing in time must leave no more, if the model is better than that; and
+# where there is no promise, a path that is missed by more is not followed.
+TOLERANCE = 1e-3
+# Creep on the way to the first sample changes the voltage there: so often the way is found again.
+_ROUNDS = 3
+# Relative difference of times that is rounding.
+_ROUNDING = 1e-9
+# A homing of more samples has longer steps: this many a leg, and a period of a resonance.
+_EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
+# If these are still too many, most samples of a hold are left out: their times grow by this factor.
+_SPARSER = 1.02
+# A homing is long if it takes this many times the path that follows; a shorter one has this many times its error.
+_LONG = 2.0
+# A larger file is more than 300 MB.
+MOST_ROWS = 5_000_000
+
+
+class Begin(NamedTuple):
+    """How an actuator stands before a path: its possible starts, the state to plan from, and its voltage [V].
+
+    Without a voltage, the actuator stands at the first sample of the path. `remark`: a sentence on the voltage, if it
+    is assumed.
+    """
+
+    start: PossibleStart
+    state: State
+    volts: float | None
+    remark: tuple[str, ...] = ()
+
+
+class Way(NamedTuple):
+    """The homing of an axis and the way to the first sample of a path, excluding this sample.
+
+    `state`: state at the end, simulated from the middle of the possible states. `voltage` (k,) [V] at `time` (k,) [s].
+    `goal` [V]: voltage at the first sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s]
+    before this sample. `waits`: time [s] at the first voltage, for the homings of other axes.
+    """
+
+    start: PossibleStart
+    state: State
+    homing: Homing | None = None
+    offer: str = ""
+    remarks: tuple[str, ...] = ()
+    time: Array = EMPTY
+    phase: NDArray[np.int8] = EMPTY.astype(np.int8)
+    voltage: Array = EMPTY
+    seconds: float = 0.0
+    goal: float = 0.0
+    last: float = 0.0
+    step: float = 0.0
+    waits: float = 0.0
+
+
+def begin_of(loop: Compensator, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Begin:
+    """Return how an actuator stands: as given, or unknown at a voltage [V], or `near` the first sample [m]."""
+    if known is not None:
+        state = known.within(loop.actuator, loop.limits)
+        return Begin(known, state, loop._held(state) if present is None else present_voltage(loop._bounds, present))
+    if near:
+        start = PossibleStart.unknown_near(loop.actuator, first, loop.limits)
+        return Begin(start, start.within(loop.actuator, loop.limits), None)
+    volts = present_voltage(loop._bounds, present)
+    words = f"it begins at {volts:.6g} V, the limit next to 0 V: ramp there first, or give the present voltage"
+    remark = (words,) if present is None and volts else ()
+    start = PossibleStart.unknown(loop.actuator, volts, loop.limits)
+    return Begin(start, start.within(loop.actuator, (volts, volts)), volts, remark)
+
+
+def usual_step(time: Array | None) -> float:
+    """Return the usual step [s] of a path at `time` (n,) [s]; 1 if the path has no time."""
+    if time is None:
+        return 1.0
+    return float(np.median(np.diff(time))) if time.size > 1 else FASTEST_LEG / _FEWEST
+
+
+def way_to(
+    loop: Compensator, begin: Begin, first: float, time: Array | None, *, home: bool, within: float | None, rows: int
+) -> Way:
+    """Return the shortest homing of an axis, if it is to `home`, and the way from its end to a path.
+
+    `first` [m]: the first sample of the path of the model, at `time` (n,) [s] of `rows` samples. `within` [s]: the
+    longest time of homing and way.
+    """
+    actuator, (low, high), state, step = loop.actuator, loop.limits, begin.state, usual_step(time)
+    now, rate = loop._held(state) if begin.volts is None else begin.volts, 1 / step
+    leg = max(FASTEST_LEG, _FEWEST * step)
+    leg = float(_TIMELESS) if time is None else max(leg, leg_seconds(actuator, leg))
+    drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=(low, high), slew_rate=pace(loop))
+    if not home:
+        ramp, goal, reached = _ramp(actuator, drive, state, first)
+        start = PossibleStart(begin.start.name, (state,))
+        after = Way(start, reached, goal=goal, last=now, step=step)
+        return _before_path(after, ramp, rate, rows)
+    least = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement)))
+    span, left = math.inf if time is None else float(np.ptp(time)), within
+    while True:
+        homing, short = played_homing(actuator, drive, tolerance=least, within=left, path=span)
+        ramp, goal, reached = _ramp(actuator, drive, homing.state, first)
+        if (
+            within is None
+            or left is None
+            or left < within
+            or homing.played.duration + ramp.size * step <= within + step
+        ):
+            break
+        # The way is part of the time that is allowed.
+        left = within - ramp.size * step
+        if left <= 0:
+            got = f"{within:g} s, less than the way from a homing to the path"
+            raise RecordError(argument="home_within", got=got, need=f"more than {ramp.size * step:.4g} s")
+    offer = ""
+    if short is not None:
+        seconds = short.played.duration + _ramp(actuator, drive, short.state, first)[0].size * step
+        opens, least = (100 * each.spread / stroke_of(actuator) for each in (short, homing))
+        digit = 10.0 ** (math.floor(math.log10(seconds)) - 2)
+        enough = digit * math.ceil(seconds / digit)
+        offer = f"home within {enough:.3g} s leaves up to {opens:.2g} % of the stroke open, this one {least:.2g} %"
+    after = Way(begin.start, reached, homing, offer, (*begin.remark, *homing.remarks), goal=goal, last=now, step=step)
+    if len(homing.turns) > 1:
+        at = rows_of(homing.played.voltage[:-1])
+        volts, seconds = homing.played.voltage[at], homing.played.duration
+        after = after._replace(time=at / homing.played.sample_rate, voltage=volts, seconds=seconds)
+    return _before_path(after, ramp, rate, rows)
+
+
+def simultaneous(ways: list[Way]) -> list[Way]:
+    """Return ways that begin and end simultaneously: one that is shorter waits before at its first voltage."""
+    ahead = np.unique(np.concatenate([way.time - way.seconds for way in ways]))
+    # Rows of two axes at one time may differ by rounding.
+    ahead = ahead[np.diff(ahead, append=0.0) > _ROUNDING * np.abs(ahead).max(initial=0.0)]
+    if not ahead.size:
+        return ways
+    homed = [(way.time - way.seconds)[way.phase == WAY] for way in ways]
+    ends = max(own[0] if own.size else 0.0 for own in homed)
+    homes, seconds = any(way.homing is not None for way in ways), -float(ahead[0])
+    phase, merged = np.where(homes & (ahead < ends), HOMING, WAY).astype(np.int8), []
+    for way in ways:
+        own, values = np.append(way.time - way.seconds, 0.0), np.append(way.voltage, way.goal)
+        volts = np.interp(ahead, own, values)
+        columns = way._replace(time=ahead - ahead[0], phase=phase, voltage=volts, last=float(volts[-1]))
+        merged.append(columns._replace(seconds=seconds, waits=seconds - way.seconds))
+    return merged
+
+
+def _before_path(homed: Way, ramp: Array, rate: float, rows: int) -> Way:
+    """Return a homing with the voltages [V] of the way after it, before the `rows` of a path."""
+    if homed.voltage.size + ramp.size + rows > MOST_ROWS:
+        raise RecordError(
+            argument="homing",
+            got=f"{homed.voltage.size + ramp.size} samples before the path, {homed.seconds:.4g} s at {rate:g} Hz",
+            need=f"at most {MOST_ROWS:g} with it",
+            hint="try a lower sample rate, or give the start",
+        )
+    voltage = np.concatenate([homed.voltage, ramp])
+    return homed._replace(
+        time=np.concatenate([homed.time, homed.seconds + np.arange(ramp.size) / rate]),
+        phase=np.repeat(np.array([HOMING, WAY], dtype=np.int8), [homed.voltage.size, ramp.size]),
+        voltage=voltage,
+        seconds=homed.seconds + ramp.size / rate,
+        last=float(voltage[-1]) if voltage.size else homed.last,
+    )
+
+
+def _ramp(actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
+    """Return the voltages [V] before the first sample [m] of a path, its own voltage, and the state before it.
+
+    The way takes a share of a leg's duration, but at least enough time for a mass and an amplifier to follow.
+    """
+    low, high = drive.limits or (-np.inf, np.inf)
+    still = replace(actuator, displacement_creep=None, state=None)  # type: ignore[arg-type]
+    begin, end, reached, ramp = drive.start, 0.0, state, EMPTY
+    for _ in range(_ROUNDS):
+        end = min(max(actuator.voltage(state_at(actuator, reached, first)), low), high)
+        if end == begin:
+            return EMPTY, end, state
+        seconds = max(drive.half * abs(end - begin) / (high - low), leg_seconds(still, 0.0))
+        voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
+        time = np.arange(voltage.size) / drive.rate
+        reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
+        ramp = voltage[:-1]
+    return ramp, end, reached
+
+
+def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
+    """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` outside the limits."""
+    return (
+        bounds.nearest(0.0)
+        if present is None
+        else bounds.within(volts(present, "present"), "present", error=RecordError)
+    )
+
+
+def played_homing(
+    actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None, path: float
+) -> tuple[Homing, Homing | None]:
+    """Return the shortest homing at the sample rate of a path or a lower one, and a shorter one to offer, if any.
+
+    Raise `RecordError` if there are too many samples.
+
+    `drive`: speed and shape, with the sample rate of the path, the present voltage and limits. `tolerance`, `within`:
+    as in `shortest_homing`. `path` [s]: duration of what follows; a shorter homing is offered beside one that is long
+    for it.
+    """
+    rate = drive.rate
+    # A long homing has a sample rate of its own: that of the path over a whole number.
+    needed = 2 * _LEG_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
+    if actuator.dynamics is not None:
+        needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
+    drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
+
+    def found(drive: Sampling, **more: float | None) -> Homing:
+        given = {"tolerance": tolerance, "within": within} | more
+        return shortest_homing(actuator, limits=drive.limits, present=drive.start, drive=drive, **given)
+
+    homing = found(drive)
+    if len(homing.turns) > 1 and homing.played.duration * rate <= _EVEN_SAMPLES and drive.sample_rate != rate:
+        drive = replace(drive, sample_rate=rate)
+        homing = found(drive)
+    if within is not None or len(homing.turns) < 2 or homing.played.duration <= _LONG * path:
+        return homing, None
+    # Without holds, and with the fewest legs as no tolerance asks for more.
+    short = found(drive, hold=0.0, tolerance=1.0)
+    return homing, short if short.played.duration < homing.played.duration / _LONG else None
+
+
+def pace(compensator: Compensator) -> float | None:
+    """Return the largest slew rate [V/s] of jumps, homings and ways: no more than the records of the model have."""
+    rates = (compensator.slew_rate, slew_rate_of_records(compensator.actuator))
+    return min((rate for rate in rates if rate is not None), default=None)
+
+
+def rows_of(voltage: Array) -> NDArray[np.int64]:
+    """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or sparser ones in a long hold."""
+    rows = np.arange(voltage.size)
+    if rows.size <= _EVEN_SAMPLES:
+        return rows
+    held = np.zeros(rows.size, dtype=bool)
+    held[1:] = voltage[1:] == voltage[:-1]
+    moving = np.flatnonzero(~held)
+    since = rows - np.repeat(moving, np.diff(moving, append=rows.size))
+    steps = np.unique(np.round(_SPARSER ** np.arange(int(math.log(rows.size) / math.log(_SPARSER)) + 2)))
+    kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
+    kept[:-1] |= since[1:] == 0
+    return rows[kept]
