@@ -189,11 +189,10 @@ class Check:
     Attributes
     ----------
     name : str
-        "Rising branches", "Width", ...
+        "Width", "Middle line" or "No drift".
     verdict : Verdict
     value, floor : float or None
-        The measured value, and the largest value due to noise alone (of a slope, the least that the fit allowed); None
-        if there is no such number.
+        The measured value, and the largest value due to noise alone; None if there is no such number.
     unit : str
         Unit of both.
     sentence : str

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -68,31 +67,6 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
-    """Slopes of slow motion at each displacement: of tau(v) over displacement.
-
-    `displacement` (n,) [m], over the knots of the spring. `turned`, `rising`, `falling` (n,): just after a turn, when
-    no element slides; on the outermost rising and falling branch, when all slide [V/m].
-    """
-
-    displacement: Array
-    turned: Array
-    rising: Array
-    falling: Array
-
-    @classmethod
-    def of(cls, slip: GradedSlip | MaxwellSlip, spring: Spring) -> Slopes:
-        """Compute the slopes of slip elements and a spring."""
-        y = np.linspace(spring.displacement[0], spring.displacement[-1], _PLACES)
-        spring_slopes = spring.slopes[segment_of(spring.displacement, y)]
-        if isinstance(slip, MaxwellSlip):
-            return cls(y, spring_slopes + slip.stiffness.sum(), spring_slopes, spring_slopes)
-        turned = spring_slopes + slip.slopes_at(y[:, None]).sum(axis=1)
-        losses = [slip.slopes_at(y[:, None] - side * slip.breakaway).sum(axis=1) for side in (1, -1)]
-        return cls(y, turned, turned - losses[0], turned - losses[1])
-
-
 def bend(transformer: Transformer) -> Array:
     """Return tau at its knots minus the straight line between its ends (K,) [V]."""
     v, tau = transformer.voltage, transformer.drive
@@ -134,9 +108,9 @@ def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
 def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:
     sentence = f"{len(slip)} elements, {int(np.count_nonzero(slip.friction > 0))} of them with stiffness"
     if isinstance(slip, GradedSlip):
-        slopes = Slopes.of(slip, spring)
-        y, k = slopes.displacement * 1e6, slopes.turned * 1e-6
-        least, most = int(np.argmin(k)), int(np.argmax(k))
+        y = np.linspace(*spring.displacement[[0, -1]], _PLACES)
+        slopes = spring.slopes[segment_of(spring.displacement, y)] + slip.slopes_at(y[:, None]).sum(axis=1)
+        y, k, least, most = 1e6 * y, 1e-6 * slopes, int(np.argmin(slopes)), int(np.argmax(slopes))
         sentence += (
             f", graded in {slip.knots.size - 1} segments: just after a turn the slope is {k[least]:.3g} V/um at "
             f"{y[least]:.3g} um and {k[most]:.3g} V/um at {y[most]:.3g} um"

@@ -168,9 +168,8 @@ def checks(fit: Fit) -> str:
     ]
     head = ("Check", "Verdict", "Finding", "Value", "Floor")
     return (
-        '<h2>Checks</h2>\n<p class="muted">Slopes and elements of the model, and patterns of its residuals. Floor: '
-        "with 95 % probability noise alone gives no more; of a slope it is the least that the fit allowed. A pattern "
-        f"below 0.1 % of the stroke passes in any case.</p>\n{html.table(head, rows, texts=3)}"
+        '<h2>Checks</h2>\n<p class="muted">Patterns of the residuals. Floor: noise alone gives no more, with 95 % '
+        f"probability. A pattern below 0.1 % of the stroke passes in any case.</p>\n{html.table(head, rows, texts=3)}"
     )
 
 
