@@ -92,11 +92,6 @@ def __getattr__(name: str) -> object:
         return value
     if name in _ROOMS:
         return import_module(f"dehyst.{name}")
-    if name == "load":
-        raise AttributeError(
-            "module 'dehyst' has no attribute 'load'; a model is loaded by dehyst.Actuator.load, a measurement by "
-            "dehyst.read"
-        )
     # With both, Python suggests the nearest name.
     raise AttributeError(f"module 'dehyst' has no attribute '{name}'", name=name, obj=modules[__name__])
 

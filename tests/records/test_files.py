@@ -4,21 +4,24 @@ import hashlib
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import places
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
+from dehyst._units import FACTORS
 from dehyst.records import Record, read, read_table, write_columns, write_record
 
 DATA = places.DATA
 T = np.arange(30) * 0.01
 V = 50 - 50 * np.cos(T * 20)
 Y = 1e-5 * np.sin(T * 20)
-NAMED = {"time_ms": T * 1e3, "voltage_V": V, "displacement_um": Y * 1e6}
 
 
 def text(tmp_path, content, name="a.csv", encoding="utf-8"):
@@ -27,57 +30,54 @@ def text(tmp_path, content, name="a.csv", encoding="utf-8"):
     return path
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.tsv", "A.CSV", "a.dat"])
-def test_text_formats(tmp_path, name):
-    path = tmp_path / name
-    if name == "a.dat":
-        np.savetxt(path, np.c_[T * 1e3, V, Y * 1e6], header=" ".join(NAMED), comments="", fmt="%.17g")
-    else:
-        write_columns(path, NAMED)
-    record = read(path)
-    for found, values in zip((record.time, record.voltage, record.displacement), (T, V, Y), strict=True):
-        assert found == pytest.approx(values, rel=1e-14)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    assert (record.name, record.meta["source"], record.meta["sha256"]) == (path.stem, name, digest)
-    assert record.meta["columns"] == dict(zip(("time", "voltage", "displacement"), NAMED, strict=True))
-    assert read(path, name="other").name == "other"
+WORDS = {"time": ["time", "Zeit", "t"], "voltage": ["Drive", "voltage"], "displacement": ["Position", "y", "Weg"]}
+ENDS = ["\n", "\r\n", "\r"]
 
 
-@pytest.mark.parametrize(
-    ("quantity", "name", "factor"),
-    [
-        *(("time", f"t_{u}", f) for u, f in (("s", 1), ("ms", 1e-3), ("us", 1e-6), ("µs", 1e-6), ("ns", 1e-9))),
-        ("time", "Time (min)", 60),
-        *(("voltage", f"Drive [{u}]", f) for u, f in (("V", 1), ("mV", 1e-3), ("kV", 1e3))),
-        *(("displacement", f"Position({u})", f) for u, f in (("m", 1), ("mm", 1e-3), ("um", 1e-6), ("µm", 1e-6))),
-        *(("displacement", f"y_{u}", f) for u, f in (("μm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))),
-    ],
-)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
-def test_units(tmp_path, quantity, name, factor, encoding):
-    if "μ" in name and encoding == "latin-1":
-        encoding = "utf-8"  # only the micro sign, not the Greek letter, is in Latin-1
-    table = read_table(text(tmp_path, f"{name},x\n15,0\n30,0\n", encoding=encoding))
-    assert table.column(quantity) == pytest.approx([15 * factor, 30 * factor], rel=1e-15)
+@st.composite
+def dialects(draw):
+    """Draw the bytes of a table in the notation of some program, and the factors of its units."""
+    sign = draw(st.sampled_from([",", ";", "\t", " ", ", "]))
+    comma = sign in (";", "\t") and draw(st.booleans())
+    quote = draw(st.sampled_from(["", '"'])) if sign != " " else ""
+    forms = ["{}_{}"] if sign == " " else ["{}_{}", "{} [{}]", "{} ({})", "{}/{}", "{} in {}"]
+    names, factors = [], []
+    for quantity, words in WORDS.items():
+        unit = draw(st.sampled_from(sorted(FACTORS[quantity])))
+        names.append(draw(st.sampled_from(forms)).format(draw(st.sampled_from(words)), unit))
+        factors.append(FACTORS[quantity][unit])
+    cells = [[f"{value:.9g}".replace(".", "," if comma else ".") for value in row] for row in ROW]
+    trailing = sign if draw(st.booleans()) and sign not in (" ", ", ") else ""
+    lines = [sign.join(f"{quote}{cell}{quote}" for cell in row) + trailing for row in (names, *cells)]
+    above = draw(st.lists(st.sampled_from(["# made by", "% a rig", ""]), max_size=3))
+    below = draw(st.lists(st.sampled_from(["# end", ""]), max_size=2))
+    encodings = ["utf-8", "utf-8-sig", "utf-16"] + ["latin-1"] * all("μ" not in name for name in names)
+    end = draw(st.sampled_from(ENDS))
+    text = end.join([*above, *lines, *below]) + end * draw(st.booleans())
+    return text.encode(draw(st.sampled_from(encodings))), factors
+
+
+# Two decimals show the decimal sign.
+ROW = [(12.25 * k, 1.5 * k, 2.75 - k) for k in range(20, 60)]
+
+
+@given(dialects(), st.sampled_from(["a.csv", "a.tsv", "A.CSV", "a.dat", "a.txt"]))
+def test_a_table_is_read_in_every_notation(dialect, name):
+    content, factors = dialect
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / name).write_bytes(content)
+        table = read_table(Path(folder) / name)
+        assert (table.source, table.sha256) == (name, hashlib.sha256(content).hexdigest())
+        for quantity, factor, values in zip(WORDS, factors, zip(*ROW, strict=True), strict=True):
+            assert table.column(quantity) == pytest.approx(factor * np.array(values), rel=1e-14)
 
 
 TEXTS = {
-    "comma": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4\n",
-    "windows": "time_s,voltage_V,displacement_um\r\n0,1,2.5\r\n0.5,3,4\r\n",
-    "old mac": "time_s,voltage_V,displacement_um\r0,1,2.5\r0.5,3,4\r",
-    "no last newline": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4",
-    "semicolon": "time_s;voltage_V;displacement_um\n0;1;2.5\n0.5;3;4\n",
-    "decimal comma": "time_s;voltage_V;displacement_um\n0,0;1,0;2,5\n0,5;3;4\n",
-    "decimal comma, tabs": "time_s\tvoltage_V\tdisplacement_um\n0,0\t1,0\t2,5\n0,5\t3\t4\n",
-    "blanks": "  time_s   voltage_V displacement_um\n  0  1   2.5\n  0.5 3 4\n",
-    "blanks before units": "time (s)  voltage (V) displacement [um]\n0 1 2.5\n0.5 3 4\n",
     "comments": "# made\n% by\n\ntime_s,voltage_V,displacement_um\n# s\n0,1,2.5\n\n  % x\n0.5,3,4\n# end\n",
-    "quoted": '"time (s)","voltage [V]","displacement_um"\n0,1,2.5\n0.5,3,4\n',
+    "blanks before units": "time (s)  voltage (V) displacement [um]\n0 1 2.5\n0.5 3 4\n",
     "quoted cells": 'time_s,voltage_V,"displacement_um"\n"0","1","2.5"\n"0.5",3,4\n',
     "quoted delimiter": '"voltage, sent; whole_mV",time_s,voltage_V,y_um\n9,0,1,2.5\n9,0.5,3,4\n',
     "quoted after a blank": 'time_s, "voltage, sent; whole_mV", voltage_V, y_um\n0, 9, 1, 2.5\n0.5, 9, 3, 4\n',
-    "blank behind commas": "time_s, voltage_V, displacement_um\n0, 1, 2.5\n0.5, 3, 4\n",
-    "trailing": "time_s,voltage_V,displacement_um,\n0,1,2.5,\n0.5,3,4,\n",
     "trailing in rows": "time_s;voltage_V;displacement_um\n0;1;2.5;\n0.5;3;4;\n",
     "trailing in header": "time_s\tvoltage_V\tdisplacement_um\t\n0\t1\t2.5\n0.5\t3\t4\n",
     "empty rows": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4\n,,\n",
@@ -91,6 +91,7 @@ def test_text(tmp_path, name):
     assert record.time.tolist() == [0, 0.5]
     assert record.voltage.tolist() == [1, 3]
     assert record.displacement == pytest.approx([2.5e-6, 4e-6], rel=1e-15)
+    assert (record.name, read(tmp_path / "a.csv", name="b").name) == ("a", "b")
 
 
 HEAD = "time_s,voltage_V,displacement_um\n"

@@ -20,13 +20,6 @@ def test_what_becomes_of_each_file_trap_and_twin(monkeypatch):
     assert verdicts.verdicts() == json.loads((places.TESTS / "golden" / "verdicts.json").read_text())
 
 
-@pytest.mark.parametrize(
-    "header", ["Zeit/s;U/V;Position/nm", "t/s;V/V;Weg/nm", "Time /s;Piezo Voltage/ V;Pos/nanometer"]
-)
-def test_a_unit_after_a_slash(tmp_path, header):
-    assert_measured(read(text(tmp_path, f"{header}\n" + laboratory_files.rows(T, V, 1e3 * UM, sign=";"))))
-
-
 def test_units_after_slashes_select_no_other_column(tmp_path):
     header = "t/s;U/V;Sensor A/nm;rate/V/s;speed um/s"
     path = text(tmp_path, f"{header}\n" + laboratory_files.rows(T, V, 1e3 * UM, V, V, sign=";"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
@@ -17,7 +17,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import PathLike, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
-from dehyst._validation import axis_names
+from dehyst._validation import Numbers, axis_names, choice
 from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
 from dehyst.records.formats.file_content import MOST, opened
 
@@ -27,13 +27,13 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
 _PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
-_SIGNS = {"point": ".", "comma": ","}
 _COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
 # Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
 TEXT_KEYS = ("decimal", "max_size")
 RECORD = ("time", "voltage", "displacement", "temperature", "rate", "hold", "join", *TEXT_KEYS)
 VOLTAGE = tuple(key for key in RECORD if key not in ("displacement", "hold"))
 PATH = tuple(key for key in RECORD if key not in ("voltage", "hold"))
+_ABOVE_0 = Numbers(positive=True, optional=True, error=FileFormatError)
 # Longest file of columns [bytes].
 _LONGEST = 10_000
 
@@ -160,7 +160,7 @@ class Columns:
     join : path, optional
         Second file of the same measurement, aligned on time, or on the sample if one of the files has no time.
     decimal : str, optional
-        "," or ".", in the text "comma" or "point": the sign of a file whose numbers do not show it.
+        "point" or "comma": the sign of a file whose numbers do not show it.
     max_size : float
         Largest size of the file, and of its numbers in memory [MB].
     axes : mapping
@@ -202,15 +202,10 @@ class Columns:
             if value is not None:
                 Entry.of(value)
         for key in ("rate", "max_size"):
-            value = getattr(self, key)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if value is not None and not (number and 0 < value < float("inf")):
-                need = "the number of samples a second" if key == "rate" else "a number of MB"
-                raise FileFormatError(argument=key, got=repr(value), need=f"{need}, above 0")
-        for key, known in (("decimal", (*_SIGNS.values(),)), ("hold", HOLDS)):
-            if getattr(self, key) not in (None, *known):
-                need = f"one of {' and '.join(map(repr, known))}"
-                raise FileFormatError(argument=key, got=repr(getattr(self, key)), need=need)
+            _ABOVE_0(getattr(self, key), key)
+        for key, known in (("decimal", ("point", "comma")), ("hold", HOLDS)):
+            if getattr(self, key) is not None:
+                choice(getattr(self, key), key, known, error=FileFormatError)
         object.__setattr__(self, "join", None if self.join is None else path_of(self.join, "join"))
         object.__setattr__(self, "axes", dict(self.axes))
 
@@ -227,16 +222,12 @@ class Columns:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the columns that a text declares; raise `FileFormatError` if it declares none."""
-        if not isinstance(text, str):
-            raise FileFormatError(argument="columns", got=repr(text), need="a text")
         if text.startswith("@"):
             return cls.parse(_text_in(Path(text[1:])))
         found: dict[str, Any] = {"axes": {}}
         for key, value in entries_of(text).items():
             if key in ("rate", "max_size"):
                 found[key] = _number(key, value)
-            elif key == "decimal":
-                found[key] = _SIGNS.get(value, value)
             elif key in RECORD or key in _COLUMNS:
                 found[key] = value
             elif near := get_close_matches(key.lower(), (*RECORD, *_COLUMNS), cutoff=0.8):
@@ -288,18 +279,9 @@ class Columns:
 
     def entries(self) -> dict[str, str]:
         """Return the value of each key that was given, as text."""
-        found = {name: value for name in _COLUMNS if (value := getattr(self, name))}
-        if self.rate is not None:
-            found["rate"] = f"{self.rate:.12g}"
-        if self.hold is not None:
-            found["hold"] = self.hold
-        if self.join is not None:
-            found["join"] = str(self.join)
-        if self.decimal is not None:
-            found["decimal"] = next(word for word, sign in _SIGNS.items() if sign == self.decimal)
-        if self.max_size != MOST / 1e6:
-            found["max_size"] = f"{self.max_size:.12g}"
-        return found | self.axes
+        given = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "axes"}
+        words = {key: f"{value:.12g}" if isinstance(value, float | int) else str(value) for key, value in given.items()}
+        return {key: word for key, word in words.items() if given[key] != getattr(type(self), key)} | self.axes
 
 
 # Columns that are found by their names.

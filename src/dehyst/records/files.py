@@ -29,6 +29,7 @@ _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju", ".parquet"), "; save i
     ".lvm": "; save it as TDMS, or as a table with one header line"
 }
 _MEASURED = ("voltage", "displacement")
+_SIGNS = {"point": ".", "comma": ","}
 # Kinds of files whose numbers are text.
 _WITH_SIGNS = (*TEXT, ".asc", ".xlsx")
 # Rows that are written at once.
@@ -162,11 +163,11 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
         raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
     with reading_errors(path, path.suffix), opened(path, 1e6 * columns.max_size) as stream:
         if columns.decimal is not None and path.suffix.lower() not in ("", *_WITH_SIGNS):
-            got = f"'{columns.decimal}' for {path.suffix} files, which hold no text"
+            got = f"{columns.decimal} for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
         stream.seek(0)
-        found = load(path, stream, Allowance(int(1e6 * columns.max_size), path.stem, columns.decimal))
+        found = load(path, stream, Allowance(int(1e6 * columns.max_size), path.stem, _SIGNS.get(columns.decimal or "")))
     if not found:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
     return Table(path.name, digest, tuple(found))

@@ -47,7 +47,7 @@ def decimal_sign(blocks: Blocks, delimiter: str | None, commas: bool, given: str
         raise DecimalSignError(
             f"{found[sign]}, which is a number with three decimals or a thousand times as large: no cell shows "
             f"whether the {_SIGNS[sign]} is the decimal sign or groups digits",
-            hint=f'give "{sign}" if it is the decimal sign; else save it without groups of digits',
+            hint=f'give "{_SIGNS[sign]}" if it is the decimal sign; else save it without groups of digits',
             change=("decimal",),
         )
     return sign
