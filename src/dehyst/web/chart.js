@@ -40,11 +40,11 @@ export class Chart {
   set(spec, { keep = false } = {}) {
     const moved = this.view !== this.home;
     this.spec = spec;
-    const visible = spec.series.filter((one) => !one.hidden);
-    const levels = (spec.levels ?? []).map((one) => one.value);
-    const heights = visible.flatMap((one) => (one.top ? [one.y, one.top] : [one.y]));
+    const visible = spec.series.filter((series) => !series.hidden);
+    const levels = (spec.levels ?? []).map((level) => level.value);
+    const heights = visible.flatMap((series) => (series.top ? [series.y, series.top] : [series.y]));
     this.home = {
-      x: spec.x.range ?? extent(visible.map((one) => one.x), 0.02),
+      x: spec.x.range ?? extent(visible.map((series) => series.x), 0.02),
       y: spec.y.range ?? extent([...heights, levels, spec.band ?? []], 0.06),
     };
     if (!(keep && moved)) this.view = this.home;
@@ -79,7 +79,7 @@ export class Chart {
     this.within(pen, () => {
       pen.translate(this.area.left, this.area.top);
       this.backdrop(pen);
-      for (const one of this.spec.series) if (!one.hidden) KINDS[one.kind ?? "line"](this, pen, one);
+      for (const series of this.spec.series) if (!series.hidden) KINDS[series.kind ?? "line"](this, pen, series);
       this.levels(pen);
     });
     this.drawTop();
@@ -99,7 +99,7 @@ export class Chart {
     const height = Math.max(clientHeight - MARGIN.top - MARGIN.bottom, 20);
     const { y, right } = this.spec;
     this.up = ticks(this.view.y, height / 45, y);
-    this.upRight = right ? ticks(this.view.y.map((one) => one * right.factor), height / 45) : [];
+    this.upRight = right ? ticks(this.view.y.map((end) => end * right.factor), height / 45) : [];
     const pen = this.pen(this.base);
     const room = (values) => Math.max(0, ...values.map(([, text]) => pen.measureText(text).width)) + TITLE;
     const left = Math.max(MARGIN.left, room(this.up));
@@ -236,13 +236,13 @@ export class Chart {
     const frame = this.frame();
     const spot = { x: at.x - this.area.left, y: at.y - this.area.top };
     let best = null;
-    for (const one of this.spec.series) {
-      if (one.hidden || one.silent || one.kind === "cells") continue;
-      const hit = nearest(one, frame, spot, REACH);
-      if (hit && (best === null || hit.away < best.away)) best = { ...hit, one };
+    for (const series of this.spec.series) {
+      if (series.hidden || series.silent || series.kind === "cells") continue;
+      const hit = nearest(series, frame, spot, REACH);
+      if (hit && (best === null || hit.away < best.away)) best = { ...hit, series };
     }
-    this.nearest = best && { x: best.one.x[best.index], y: best.one.y[best.index] };
-    this.readout(best ? this.sentence(this.nearest, best.one.names?.[best.index] ?? best.one.name) : "");
+    this.nearest = best && { x: best.series.x[best.index], y: best.series.y[best.index] };
+    this.readout(best ? this.sentence(this.nearest, best.series.names?.[best.index] ?? best.series.name) : "");
     this.request(false);
   }
 
@@ -252,7 +252,7 @@ export class Chart {
       `${log ? short(10 ** number) : written(number, digits((high - low) / 2000))} ${unit}`.trim();
     const parts = [name, value(x, view.x, spec.x), value(y, view.y, spec.y)];
     const { factor } = spec.right ?? {};
-    const second = factor ? ` (${value(y * factor, view.y.map((one) => one * factor), spec.right)})` : "";
+    const second = factor ? ` (${value(y * factor, view.y.map((end) => end * factor), spec.right)})` : "";
     return parts.filter(Boolean).join(" \u00b7 ") + second;
   }
 }
@@ -260,16 +260,16 @@ export class Chart {
 // How a series of each kind is drawn; the pen's origin is the corner of the area.
 const KINDS = { line: drawLine, points: drawPoints, area: drawArea, cells: drawCells };
 
-function drawLine(chart, pen, one) {
-  const curve = pixels(one, chart.frame());
+function drawLine(chart, pen, series) {
+  const curve = pixels(series, chart.frame());
   const { px, py } = curve;
-  pen.strokeStyle = chart.colour(one.colour);
-  pen.lineWidth = one.width ?? 1.4;
-  pen.globalAlpha = one.opacity ?? 1;
+  pen.strokeStyle = chart.colour(series.colour);
+  pen.lineWidth = series.width ?? 1.4;
+  pen.globalAlpha = series.opacity ?? 1;
   pen.lineJoin = "round";
-  pen.setLineDash(one.dash ?? []);
+  pen.setLineDash(series.dash ?? []);
   pen.beginPath();
-  if (px.length > MANY && !one.dash) {
+  if (px.length > MANY && !series.dash) {
     for (const [from, to] of steps(curve, chart.frame())) {
       pen.moveTo(px[from], py[from]);
       pen.lineTo(px[to], py[to]);
@@ -288,23 +288,23 @@ function drawLine(chart, pen, one) {
   pen.globalAlpha = 1;
 }
 
-function drawPoints(chart, pen, one) {
-  const size = one.width ?? 3;
-  pen.fillStyle = chart.colour(one.hollow ? "paper" : one.colour);
-  pen.strokeStyle = chart.colour(one.colour);
+function drawPoints(chart, pen, series) {
+  const size = series.width ?? 3;
+  pen.fillStyle = chart.colour(series.hollow ? "paper" : series.colour);
+  pen.strokeStyle = chart.colour(series.colour);
   pen.lineWidth = 1.2;
-  pen.globalAlpha = one.opacity ?? 1;
-  const { px, py } = pixels({ x: one.x, y: one.y }, chart.frame());
+  pen.globalAlpha = series.opacity ?? 1;
+  const { px, py } = pixels({ x: series.x, y: series.y }, chart.frame());
   const drawn = new Set(); // pixels
   for (let i = 0; i < px.length; i += 1) {
     const place = Math.round(py[i]) * 1e5 + Math.round(px[i]);
     if (drawn.has(place) || !Number.isFinite(place)) continue;
     drawn.add(place);
     pen.beginPath();
-    if (size <= 4 && !one.hollow) pen.rect(px[i] - size / 2, py[i] - size / 2, size, size);
+    if (size <= 4 && !series.hollow) pen.rect(px[i] - size / 2, py[i] - size / 2, size, size);
     else pen.arc(px[i], py[i], size / 2, 0, 2 * Math.PI);
     pen.fill();
-    if (one.hollow) pen.stroke();
+    if (series.hollow) pen.stroke();
   }
   pen.globalAlpha = 1;
 }
@@ -322,7 +322,7 @@ function drawArea(chart, pen, { x, y, top, colour, opacity = 1 }) {
 
 function drawCells(chart, pen, { x, y, values, colour, darkest }) {
   const { x0, kx, y0, ky } = chart.frame();
-  const largest = darkest ?? values.reduce((most, one) => Math.max(most, one), 0);
+  const largest = darkest ?? values.reduce((most, value) => Math.max(most, value), 0);
   pen.fillStyle = chart.colour(colour);
   values.forEach((value, k) => {
     const [i, j] = [k % (x.length - 1), Math.floor(k / (x.length - 1))];

@@ -14,13 +14,13 @@ export function h(name, ...children) {
 }
 
 // Return the element or text that is described.
-export function make(one) {
-  if (one instanceof Node) {
-    one.held = true;
-    return one;
+export function make(given) {
+  if (given instanceof Node) {
+    given.held = true;
+    return given;
   }
-  if (one?.tag) return changed(document.createElement(one.tag), one);
-  return document.createTextNode(textOf(one));
+  if (given?.tag) return changed(document.createElement(given.tag), given);
+  return document.createTextNode(textOf(given));
 }
 
 const textOf = (child) => (child === null || child === undefined || child === false ? "" : String(child));
@@ -32,11 +32,11 @@ export function fill(parent, ...described) {
   const old = [...parent.childNodes].filter((node) => !children.includes(node));
   const keyed = new Map(old.map((node) => [node.given?.key, node]));
   const others = old.filter((node) => node.given?.key === undefined);
-  const nodes = children.map((one) => {
-    if (one instanceof Node) return make(one);
-    const key = one?.properties?.key;
+  const nodes = children.map((child) => {
+    if (child instanceof Node) return make(child);
+    const key = child?.properties?.key;
     const node = key === undefined ? others.shift() : keyed.get(key);
-    return fits(node, one) ? changed(node, one) : make(one);
+    return fits(node, child) ? changed(node, child) : make(child);
   });
   // Before anything is inserted: what stays does not move, and keeps its focus.
   const kept = new Set(nodes);
@@ -47,23 +47,23 @@ export function fill(parent, ...described) {
 }
 
 // Can this node become what is described? An element that somebody made and holds cannot.
-function fits(node, one) {
-  if (!node || node.held || one instanceof Node) return false;
-  if (!one?.tag) return node.nodeType === Node.TEXT_NODE;
-  return node.localName === one.tag && node.given?.key === one.properties.key;
+function fits(node, child) {
+  if (!node || node.held || child instanceof Node) return false;
+  if (!child?.tag) return node.nodeType === Node.TEXT_NODE;
+  return node.localName === child.tag && node.given?.key === child.properties.key;
 }
 
-function changed(node, one) {
-  if (!one?.tag) {
-    if (node.data !== textOf(one)) node.data = textOf(one);
+function changed(node, child) {
+  if (!child?.tag) {
+    if (node.data !== textOf(child)) node.data = textOf(child);
     return node;
   }
-  const [before, after] = [node.given ?? {}, one.properties];
+  const [before, after] = [node.given ?? {}, child.properties];
   for (const name of Object.keys({ ...before, ...after })) {
     if (before[name] !== after[name]) assign(node, name, after[name]);
   }
   node.given = after;
-  fill(node, ...one.children);
+  fill(node, ...child.children);
   // A choice has its options now.
   if (before.value !== after.value) node.value = after.value ?? "";
   return node;

@@ -34,7 +34,7 @@ export class Figure {
   // the picture.
   set(spec, { spoken, ...options } = {}) {
     this.spec = spec;
-    for (const one of spec.series) one.hidden = this.hidden.has(one.key ?? one.name);
+    for (const series of spec.series) series.hidden = this.hidden.has(series.key ?? series.name);
     this.chart.set(spec, options);
     if (spoken) this.chart.top.setAttribute("aria-label", `${spoken} ${this.keys}`);
     this.write();
@@ -72,18 +72,19 @@ export class Figure {
 
   // Series with one name have one entry, which shows and hides all of them.
   legend({ series, notes = [] }) {
-    const named = new Map(series.filter((one) => one.name && !one.silent).map((one) => [one.key ?? one.name, one]));
+    const listed = series.filter((line) => line.name && !line.silent);
+    const named = new Map(listed.map((line) => [line.key ?? line.name, line]));
     const toggle = (key) => {
       if (!this.hidden.delete(key)) this.hidden.add(key);
       this.set(this.spec, { keep: true });
     };
-    const button = ([key, one]) =>
-      h("button", { type: "button", class: "series", "aria-pressed": String(!one.hidden), onclick: () => toggle(key) },
-        swatch(one.colour),
-        one.name,
+    const button = ([key, line]) =>
+      h("button", { type: "button", class: "series", "aria-pressed": String(!line.hidden), onclick: () => toggle(key) },
+        swatch(line.colour),
+        line.name,
       );
     return [
-      ...[...named].map((one) => h("li", { key: one[0] }, button(one))),
+      ...[...named].map((entry) => h("li", { key: entry[0] }, button(entry))),
       ...notes.map(([colour, text]) =>
         h("li.note", { key: `note ${text}` }, colour && swatch(colour), text),
       ),

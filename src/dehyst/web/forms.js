@@ -44,7 +44,7 @@ export class Form {
     const text = this.values[name].trim();
     if (field.choices || field.text) return text || null;
     if (!field.many || !text) return numberFrom(text, field.label, { ...field, optional });
-    return text.split(/[\s;]+/).map((one) => numberFrom(one, field.label));
+    return text.split(/[\s;]+/).map((word) => numberFrom(word, field.label));
   }
 
   // The content of fields by name, without those that are empty; `needed` ones may not be.
@@ -68,7 +68,7 @@ export const facts = (pairs) =>
   h("dl.facts", pairs.map(([name, value]) => h("div", h("dt", name), h("dd", value))));
 
 export const list = (sentences, style) =>
-  sentences?.length > 0 && h("ul", { class: style }, sentences.map((one) => h("li", one)));
+  sentences?.length > 0 && h("ul", { class: style }, sentences.map((sentence) => h("li", sentence)));
 
 export const fold = (summary, ...content) =>
   h("details", { key: `fold ${summary}` }, h("summary", summary), content);

@@ -53,7 +53,7 @@ export function bindGestures(chart) {
 // The box that a drag marks: all heights if it is nearly level, all of the abscissa if it is nearly upright.
 function boxed({ left, top, width, height }, from, to) {
   const ends = (name, low, size) =>
-    [from[name], to[name]].map((one) => Math.min(Math.max(one, low), low + size)).sort((a, b) => a - b);
+    [from[name], to[name]].map((end) => Math.min(Math.max(end, low), low + size)).sort((a, b) => a - b);
   const [xs, ys] = [ends("x", left, width), ends("y", top, height)];
   const level = ys[1] - ys[0] < 2 * LEAST_DRAG;
   const steep = xs[1] - xs[0] < 2 * LEAST_DRAG && !level;

@@ -25,7 +25,7 @@ export function ticks([low, high], most, { log } = {}) {
   }
   const rough = (high - low) / Math.max(most, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
-  const factor = [1, 2, 2.5, 5, 10].find((one) => one * power >= rough * (1 - 1e-9)) ?? 10;
+  const factor = [1, 2, 2.5, 5, 10].find((digit) => digit * power >= rough * (1 - 1e-9)) ?? 10;
   const step = factor * power;
   const decimals = digits(step, factor === 2.5 ? 1 : 0);
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) {
@@ -70,13 +70,13 @@ export const plain = (value, significant) => short(value, significant).replaceAl
 // The largest of 1, 2 and 5 times a power of ten that is not above a positive value.
 export function roundDown(value) {
   const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
-  return power * [5, 2, 1].find((one) => one * power <= value * (1 + 1e-9));
+  return power * [5, 2, 1].find((digit) => digit * power <= value * (1 + 1e-9));
 }
 
 // An end that would not show beside the other one is written as 0.
 export function range(pair, unit, significant = 4) {
   if (pair?.length !== 2) return `${DASH} ${unit}`;
-  const [low, high] = pair.map((one) => short(Math.abs(one) < 5e-4 * (pair[1] - pair[0]) ? 0 : one, significant));
+  const [low, high] = pair.map((end) => short(Math.abs(end) < 5e-4 * (pair[1] - pair[0]) ? 0 : end, significant));
   return `${low} to ${high} ${unit}`;
 }
 

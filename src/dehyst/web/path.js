@@ -29,13 +29,13 @@ export function moved(points, index, [time, displacement], gap) {
   const low = index === 0 ? points[0][0] : points[index - 1][0] + gap;
   const high = index === 0 ? points[0][0] : (points[index + 1]?.[0] ?? Infinity) - gap;
   const at = Math.min(Math.max(time, low), Math.max(low, high));
-  return points.map((one, k) => (k === index ? [at, displacement] : one));
+  return points.map((point, k) => (k === index ? [at, displacement] : point));
 }
 
 // Points with one more; no change if it lies closer than `gap` seconds to another.
 export function inserted(points, [time, displacement], gap) {
-  if (points.some((one) => Math.abs(one[0] - time) < gap) || time < points[0][0]) return points;
-  return [...points, [time, displacement]].sort((one, other) => one[0] - other[0]);
+  if (points.some((point) => Math.abs(point[0] - time) < gap) || time < points[0][0]) return points;
+  return [...points, [time, displacement]].sort((point, other) => point[0] - other[0]);
 }
 
 // Points without one; two stay at least, and the first does not go.
@@ -50,7 +50,7 @@ export function plan(compensator, wanted) {
   compensator.lead(metres[0]);
   const { voltage, displacement, clamped } = compensator.trajectory(metres);
   const reached = Float32Array.from(displacement, (y) => y / MICRO);
-  const count = (code) => clamped.reduce((sum, one) => sum + (one === code), 0);
+  const count = (code) => clamped.reduce((sum, found) => sum + (found === code), 0);
   return {
     voltage,
     reached,

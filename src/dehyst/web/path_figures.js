@@ -20,7 +20,7 @@ export class PathFigures {
     this.voltage = new Figure({ title: "Voltage" });
     this.handles = new PointHandles(this.path.chart, edited);
     const all = [this.path, this.error, this.voltage];
-    this.element = make(h("div.figures.steady", all.map((one) => one.element)));
+    this.element = make(h("div.figures.steady", all.map((figure) => figure.element)));
   }
 
   // `reach` and `band`, half the height of the promise, in um; `band` is 0 if it is not known.
@@ -49,7 +49,7 @@ export class PathFigures {
       y: { label: "Error (nm)", unit: "nm", range: most ? [-1.4 * most, 1.4 * most] : undefined },
       levels: [{ value: 0 }, ...(band ? [promise(1, "+"), promise(-1, "\u2212")] : [])],
       band: band ? [-NM * band, NM * band] : undefined,
-      series: [curve("as planned", "simulated", time, Float32Array.from(wanted, (one, i) => NM * (reached[i] - one)))],
+      series: [curve("as planned", "simulated", time, Float32Array.from(wanted, (y, i) => NM * (reached[i] - y)))],
     });
     show(this.voltage, "Voltage over time with its limits.", {
       y: VOLTS,
@@ -98,6 +98,6 @@ export function judged(planned, { largest_percent: share, band, light, speed, ap
 export const verdict = ({ light, first, facts }, ...more) =>
   h("div", { class: `plan outcome ${light}`, id: "plan-words", role: "status" },
     h("p.first", first),
-    facts.map((one) => h("p", one)),
+    facts.map((fact) => h("p", fact)),
     more,
   );

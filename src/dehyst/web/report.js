@@ -17,8 +17,8 @@ export function drawCharts(root, { columns, charts }) {
   for (const place of root.querySelectorAll("[data-chart]")) {
     const { title, role, label, ...spec } = charts[place.dataset.chart];
     const figure = new Figure({ title, label, more: role && h("span.role", role) });
-    const decode = (one) => COLUMNS.filter((name) => name in one).map((name) => [name, decoded[one[name]]]);
-    spec.series = spec.series.map((one) => ({ ...one, ...Object.fromEntries(decode(one)) }));
+    const decode = (series) => COLUMNS.filter((name) => name in series).map((name) => [name, decoded[series[name]]]);
+    spec.series = spec.series.map((series) => ({ ...series, ...Object.fromEntries(decode(series)) }));
     place.replaceChildren(figure.element);
     figure.set(spec);
   }
@@ -33,8 +33,8 @@ export function reportParts(text) {
   const element = document.createElement("div");
   element.className = "report";
   element.append(...page.querySelector("main").children);
-  for (const one of element.querySelectorAll("h1, .command")) one.remove();
-  for (const one of element.querySelectorAll("[data-style]")) one.style.cssText = one.dataset.style;
+  for (const part of element.querySelectorAll("h1, .command")) part.remove();
+  for (const styled of element.querySelectorAll("[data-style]")) styled.style.cssText = styled.dataset.style;
   if (charts) drawCharts(element, JSON.parse(charts.textContent));
   return element;
 }

@@ -1,9 +1,8 @@
 // The fourth step: the model in other forms, all files of the folder, and the session as a script.
 import { DECLARED } from "./declared.js";
-import { h, table } from "./dom.js";
-import { card } from "./forms.js";
+import { byId, h, table } from "./dom.js";
 import { bytes } from "./numbers.js";
-import { announce, button, openJobs, problem, session, workOn } from "./server.js";
+import { button, openJobs, problem, workOn } from "./server.js";
 import { fileLink, jobCards, modelChoice } from "./verdict.js";
 
 export function exportView({ files, log }, model) {
@@ -11,7 +10,7 @@ export function exportView({ files, log }, model) {
   const rows = sorted.map(({ path, kind, bytes: size }) => [fileLink(path, path), kind ?? "", bytes(size)]);
   return [
     model && exportsOf(model),
-    rigCard(),
+    byId("rig"),
     h("h3", "Files of this folder"),
     h("div#files.files", table("Files of this folder", ["File", "Kind", "Size"], rows)),
     script(log),
@@ -45,27 +44,11 @@ function modelLinks({ file, report }) {
   ];
 }
 
-// Instruments are driven from a terminal alone.
-const RIG = `dehyst calibrate sim://       # a simulated actuator
-dehyst calibrate pi://ADDRESS --limits 0 100 --slew-rate 1000
-dehyst follow pi://ADDRESS --model model.json --path path.csv --learn`;
-const rigCard = () =>
-  card("On a rig", { id: "rig", key: "rig" },
-    h("p", "A terminal drives the actuator: it records loops, identifies a model, and measures along a path."),
-    h("pre", RIG),
-  );
-
 function script(log) {
   const about = { id: "script", tabindex: "0", role: "region", "aria-label": "Commands of this session" };
-  const copy = async () => {
-    await navigator.clipboard.writeText(session.state.log.join("\n"));
-    announce("Copied.");
-  };
   return h("section", { "aria-labelledby": "script-title" },
     h("h3#script-title", "Log as script"),
     h("p.muted", "The commands that do the same in a terminal, in this order."),
     h("pre", about, log.join("\n") || "# nothing was done yet"),
-    h("p.row", button("Copy", "script", copy)),
-    problem("script"),
   );
 }

@@ -13,7 +13,7 @@ export function modelView({ models }, model) {
   return [
     models.length === 0 && needsModel("There is no model yet."),
     h("ul#running.cards", { "aria-label": "Identifications" },
-      models.filter((one) => one.status !== "ready").map(runningCard),
+      models.filter((other) => other.status !== "ready").map(runningCard),
     ),
     h("div#model-body", { hidden: !model }, model && body(model)),
   ];
@@ -58,7 +58,7 @@ function runningCard(model) {
   const cancel = () => (job ? server.cancelJob(job.id) : end());
   return h("li.card.running", { key: id },
     title,
-    h("p.muted", `Identifying from ${train.map((one) => server.recordOf(one)?.name ?? one).join(", ")}`),
+    h("p.muted", `Identifying from ${train.map((key) => server.recordOf(key)?.name ?? key).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
     h("p.progress-words", { role: "status" }, progress || "starting"),
     h("p.elapsed", `${duration(Math.round(seconds))} elapsed${provisional ? "; a first model exists" : ""}`),

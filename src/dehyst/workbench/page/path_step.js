@@ -19,7 +19,7 @@ const scans = new ScanForm(replan);
 const form = new Form("path", DECLARED.forms.path, replan);
 const figures = new PathFigures(usePoints);
 // Names of the axes; a path of several axes is one of all of them.
-const namesOf = (model) => (model.coupling ? model.axes.map((one) => one.name) : [""]);
+const namesOf = (model) => (model.coupling ? model.axes.map((axis) => axis.name) : [""]);
 
 export function pathView(state, model) {
   if (!model) return null;
@@ -44,7 +44,7 @@ export function pathView(state, model) {
 
 function sourceChoice(model) {
   const sources = Object.entries(SOURCES).filter(([name]) => !model.coupling || name === "file");
-  const one = ([value, label]) => {
+  const choice = ([value, label]) => {
     const onchange = () => {
       view.source = value;
       if (value === "points") view.points ??= firstPoints();
@@ -52,7 +52,7 @@ function sourceChoice(model) {
     };
     return tick(label, { type: "radio", name: "source", value, checked: value === view.source, onchange });
   };
-  return h("fieldset.row", h("legend", "The wanted path"), sources.map(one));
+  return h("fieldset.row", h("legend", "The wanted path"), sources.map(choice));
 }
 
 const scanFields = () => h("div#source-scan", { key: "scan" }, scans.view());
@@ -64,7 +64,7 @@ function fileField() {
     try {
       view.file = await server.readPath(chosenModel(), file);
       const [points] = view.file;
-      const steps = points.slice(1, 1000).map((one, k) => one[0] - points[k][0]);
+      const steps = points.slice(1, 1000).map((point, k) => point[0] - points[k][0]);
       form.values.rate = short(1 / Math.min(...steps), 6);
       replan();
     } catch (error) {
@@ -75,7 +75,7 @@ function fileField() {
   return h("div.field", { key: "file" },
     h("label", { for: "path-file" }, "Table of time and displacement"),
     h("input#path-file", { type: "file", onchange: read }),
-    h("small.hint", `columns such as time_s,${namesOf(chosenModel()).map((one) => `${one || "displacement"}_um`)}`),
+    h("small.hint", `columns such as time_s,${namesOf(chosenModel()).map((axis) => `${axis || "displacement"}_um`)}`),
   );
 }
 
@@ -88,7 +88,7 @@ function pointsField() {
       cannotPlan(error.message);
     }
   };
-  const value = view.points.map((point) => point.map((one) => plain(one, 5)).join("  ")).join("\n");
+  const value = view.points.map((point) => point.map((number) => plain(number, 5)).join("  ")).join("\n");
   const about = { id: "points", rows: String(Math.min(view.points.length + 1, 12)), spellcheck: "false" };
   return h("div.field", { key: "points" },
     h("label", { for: "points" }, "Points: time (s) and displacement (\u00b5m)"),
@@ -100,8 +100,8 @@ function pointsField() {
 function typedPoints(text) {
   const rows = text.split("\n").map((row) => row.trim()).filter(Boolean);
   const points = rows.map((row) => row.split(/[\s;]/.test(row) ? /[\s;]+/ : ",").map(parsed));
-  const fits = (one, k) => one.length === 2 && one.every(Number.isFinite) && !(one[0] <= points[k - 1]?.[0]);
-  const wrong = points.findIndex((one, k) => !fits(one, k));
+  const fits = (point, k) => point.length === 2 && point.every(Number.isFinite) && !(point[0] <= points[k - 1]?.[0]);
+  const wrong = points.findIndex((point, k) => !fits(point, k));
   if (wrong >= 0) throw new Error(`Row ${wrong + 1}: got ${rows[wrong]}, need a time that rises and a displacement.`);
   if (points.length < 2) throw new Error("Points: need two rows at least.");
   return points;
@@ -136,7 +136,7 @@ function adopt(model) {
     figures.show(["path"]);
   }
   view.points = view.source === "points" ? firstPoints() : null;
-  [form.values.low, form.values.high] = model.range_v.map((one) => plain(one, 6));
+  [form.values.low, form.values.high] = model.range_v.map((end) => plain(end, 6));
   form.values.slew = "";
   // Ten thousand samples at most, so that a path is planned while its points are dragged.
   form.values.rate = plain(Math.min(1000, 10_000 * frequency(model)), 6);

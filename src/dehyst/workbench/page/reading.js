@@ -14,18 +14,18 @@ export function readingForm(record) {
   const stamp = JSON.stringify([given, columns]);
   if (forms.get(id)?.stamp !== stamp) forms.set(id, { stamp, form: filled(record) });
   const { form } = forms.get(id);
-  const field = (one, option = one) => form.field(one, { class: given.marked.includes(option) && "suggested" });
-  const column = (one) => h("div.column", field(one), field(`${one}_unit`, one));
+  const field = (name, option = name) => form.field(name, { class: given.marked.includes(option) && "suggested" });
+  const column = (name) => h("div.column", field(name), field(`${name}_unit`, name));
   const axes = Array.from({ length: Number(form.values.axes) }, (_, k) => k + 1);
   const axis = (k) => [axes.length > 1 && field(`name_${k}`), column(`voltage_${k}`), column(`displacement_${k}`)];
-  const others = OTHERS.map((one) => field(one));
+  const others = OTHERS.map((name) => field(name));
   const place = `reading ${id}`;
   return h("form.reading", { "aria-label": `How to read ${name}`, onsubmit: (event) => event.preventDefault() },
     given.help && h("p", given.help),
     columns.length > 3 && field("axes"),
     column("time"),
     axes.map(axis),
-    OTHERS.some((one) => given.values[one]) ? others : fold("Scales, sample rate, decimal sign", others),
+    OTHERS.some((name) => given.values[name]) ? others : fold("Scales, sample rate, decimal sign", others),
     problem(place),
     button("Read again", place, () => readRecord(id, { form: form.values }), { class: "main", type: "submit" }),
   );
@@ -37,7 +37,7 @@ function filled({ id, file_columns: columns, form: { values, pairs } }) {
   );
   const choices = [["", "by its name"], ...labels.map((text, k) => [String(k), text])];
   const fields = Object.entries(DECLARED.forms.reading);
-  const own = Object.fromEntries(fields.map(([name, one]) => [name, one.column ? { ...one, choices } : one]));
+  const own = Object.fromEntries(fields.map(([name, field]) => [name, field.column ? { ...field, choices } : field]));
   const form = new Form(`reading-${id}`, own, (name) => {
     // Columns of coupled axes are those that may belong together.
     if (name === "axes") for (const [field, column] of Object.entries(pairs)) form.values[field] ||= column;

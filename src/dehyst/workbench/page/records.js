@@ -18,16 +18,16 @@ let uploads = 0; // files that are being sent
 // A record that arrives when there is a model waits until the person says what it is for.
 const isOpenQuestion = ({ id }) =>
   !roles.has(id) && session.state.models.length > 0 &&
-  !session.state.models.some((one) => [...one.train, ...one.validate].includes(id));
+  !session.state.models.some((model) => [...model.train, ...model.validate].includes(id));
 const roleOf = (record) => roles.get(record.id) ?? (record.usable && !isOpenQuestion(record) ? "train" : "none");
 const colourOf = (id, axis = 0) =>
-  COLOURS[(Math.max(0, session.state.records.findIndex((one) => one.id === id)) + axis) % COLOURS.length];
+  COLOURS[(Math.max(0, session.state.records.findIndex((record) => record.id === id)) + axis) % COLOURS.length];
 
 export function recordsView({ records }) {
   // Records that need help come first, the newest on top.
-  const open = records.filter((one) => one.status !== "ready").reverse();
-  const first = open.find((one) => one.status === "refused" && one.file_columns?.length)?.id;
-  const cards = [...open, ...readyRecords()].map((one) => recordCard(one, one.id === first));
+  const open = records.filter((record) => record.status !== "ready").reverse();
+  const first = open.find((record) => record.status === "refused" && record.file_columns?.length)?.id;
+  const cards = [...open, ...readyRecords()].map((record) => recordCard(record, record.id === first));
   figure.draw(readyRecords());
   drop.classList.toggle("small", records.length > 0);
   return [
@@ -149,11 +149,11 @@ function checkButton({ id, name }) {
 // The form that starts an identification.
 const form = new Form("identify", DECLARED.forms.identify);
 
-const withRole = (role) => readyRecords().filter((one) => roleOf(one) === role);
+const withRole = (role) => readyRecords().filter((record) => roleOf(record) === role);
 
 function identifyCard() {
   const [train, validate] = [withRole("train"), withRole("validate")];
-  const names = (records) => records.map((one) => one.name).join(", ");
+  const names = (records) => records.map((record) => record.name).join(", ");
   let words = readyRecords().length ? "Mark a record to train with." : "A record has to be ready first.";
   const held = validate.length ? `; validates with ${names(validate)}` : "";
   if (train.length) words = `Trains with ${names(train)}${held}.`;
@@ -168,7 +168,7 @@ function identifyCard() {
 
 async function start() {
   const options = form.collected();
-  const ids = (role) => withRole(role).map((one) => one.id);
+  const ids = (role) => withRole(role).map((record) => record.id);
   const { id } = await server.identify({ train: ids("train"), validate: ids("validate"), options });
   announce("The identification has begun.");
   server.chooseModel(id);
@@ -192,22 +192,22 @@ class RecordFigure extends Figure {
   // Draw these records, if they are not drawn already and someone can see them.
   async draw(records) {
     this.records = records;
-    const version = (one) => `${one.columns} ${one.samples}`;
-    const stamp = `${this.view} ${records.map((one) => `${one.id}:${version(one)}`).join(" ")}`;
+    const version = (record) => `${record.columns} ${record.samples}`;
+    const stamp = `${this.view} ${records.map((record) => `${record.id}:${version(record)}`).join(" ")}`;
     if (stamp === this.stamp || !isOpen("records")) return;
     this.stamp = stamp;
     const { x, y, columns } = VIEWS[this.view];
     try {
-      const ofAxis = (one) => (axis, k) => ({ ...one, axis, colour: colourOf(one.id, k) });
-      const parts = records.flatMap((one) => (one.axes.length ? one.axes : [""]).map(ofAxis(one)));
-      const data = await Promise.all(parts.map((one) => server.recordColumns(one, version(one), one.axis)));
+      const ofAxis = (record) => (axis, k) => ({ ...record, axis, colour: colourOf(record.id, k) });
+      const parts = records.flatMap((record) => (record.axes.length ? record.axes : [""]).map(ofAxis(record)));
+      const data = await Promise.all(parts.map((part) => server.recordColumns(part, version(part), part.axis)));
       if (this.stamp !== stamp) return;
       const series = parts.map(({ id, name, axis, colour }, k) => {
         const [x, y] = columns.map((column) => data[k][column]);
         const title = axis ? `${name}, ${axis}` : name;
         return { key: `${id} ${axis}`, name: title, colour, x, y, rising: columns[0] === "time" };
       });
-      const names = records.map((one) => `${one.name}, ${whole(one.samples)} samples`).join("; ");
+      const names = records.map((record) => `${record.name}, ${whole(record.samples)} samples`).join("; ");
       this.set({ x, y, series }, { spoken: `${y.label} over ${x.label.toLowerCase()} of ${names}.` });
     } catch (error) {
       this.stamp = null;

@@ -119,15 +119,15 @@ function linked(connected) {
   redraw();
 }
 
-const among = (items, id) => items.find((one) => one.id === id);
+const among = (items, id) => items.find((item) => item.id === id);
 export const recordOf = (id) => among(session.state.records, id);
 export const modelOf = (id) => among(session.state.models, id);
-export const readyModels = () => session.state.models.filter((one) => one.status === "ready");
-export const readyRecords = () => session.state.records.filter((one) => one.status === "ready");
+export const readyModels = () => session.state.models.filter((model) => model.status === "ready");
+export const readyRecords = () => session.state.records.filter((record) => record.status === "ready");
 // The jobs of a kind that are to be shown: those that run, and the last one if it failed.
 export function openJobs(kind, subject) {
-  const all = session.state.jobs.filter((one) => one.kind === kind && (!subject || one.subject === subject));
-  return all.filter((one, k) => one.status === "running" || (one.status === "failed" && k === all.length - 1));
+  const all = session.state.jobs.filter((job) => job.kind === kind && (!subject || job.subject === subject));
+  return all.filter((job, k) => job.status === "running" || (job.status === "failed" && k === all.length - 1));
 }
 
 // The model that the person looks at: the newest unless another is chosen. A reload keeps it.

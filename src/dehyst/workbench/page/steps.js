@@ -79,14 +79,14 @@ function byKeys(event) {
 }
 
 function recordsState({ records }) {
-  if (records.some((one) => one.status === "reading")) return { text: "reading\u2026", mark: "busy" };
-  const refused = records.filter((one) => one.status === "refused").length;
+  if (records.some((record) => record.status === "reading")) return { text: "reading\u2026", mark: "busy" };
+  const refused = records.filter((record) => record.status === "refused").length;
   if (refused) return { text: refused === 1 ? "1 needs help" : `${refused} need help`, mark: "bad" };
   return reached(readyRecords().length > 0 && `${readyRecords().length} ready`, "none yet");
 }
 
 function modelState({ models }) {
-  if (models.some((one) => one.status === "identifying")) return { text: "identifying\u2026", mark: "busy" };
+  if (models.some((model) => model.status === "identifying")) return { text: "identifying\u2026", mark: "busy" };
   const model = chosenModel();
   if (model && isOld(model)) return { text: "not true any more", mark: "bad" };
   return reached(model && `${percent(model.verdict.largest_percent)} largest error`, "none yet");

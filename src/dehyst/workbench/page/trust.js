@@ -30,8 +30,8 @@ const checking = new Form("check", DECLARED.forms.check);
 // The check of a model by a record that it was not identified from, and its update by that record.
 export function checkCard(model) {
   const { check } = model;
-  const records = readyRecords().filter((one) => !model.train.includes(one.id));
-  checking.offer("record", records.map((one) => [one.id, one.name]));
+  const records = readyRecords().filter((record) => !model.train.includes(record.id));
+  checking.offer("record", records.map((record) => [record.id, record.name]));
   const jobs = [...openJobs("check", model.id), ...openJobs("update", model.id)];
   const act = (text, what, record, begun, look) => {
     const work = () => workOn(model.id, what, { record }, begun).then(() => what === "update" && chooseModel(""));
@@ -41,7 +41,7 @@ export function checkCard(model) {
   return card("Is it still true?", { id: "check", key: "check" },
     check &&
       h("div", { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
-        check.sentences.map((one) => h("p.first", one)),
+        check.sentences.map((sentence) => h("p.first", sentence)),
         list(check.why),
         check.remarks.length > 0 && fold("What limits this check", list(check.remarks)),
         check.updates &&

@@ -60,7 +60,7 @@ export function modelChoice() {
   if (models.length < 2) return null;
   const onchange = (event) => server.chooseModel(event.target.value);
   const about = { "aria-label": "Model", class: "model-choice", value: server.chosenModel().id, onchange };
-  const select = h("select", about, options(models.map((one) => [one.id, one.name])));
+  const select = h("select", about, options(models.map((model) => [model.id, model.name])));
   return h("p.row.model-row", h("span", "Model "), select);
 }
 
