@@ -8,7 +8,6 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from types import TracebackType
 from typing import Any, Self, final
 
 import numpy as np
@@ -95,9 +94,10 @@ class AbstractRig(ABC):
         self._parts: tuple[AbstractRig, ...] = ()
         if isinstance(device, VoltageLimits):
             self._limits = common_limits(device, limits, slew_rate)
+            self._output = Output(self)
         else:
             self._parts = tuple(device)
-        self.axes: tuple[str, ...] = tuple(one.axis for one in self._parts) or (axis,)
+        self.axes: tuple[str, ...] = tuple(rig.axis for rig in self._parts) or (axis,)
         self.axis: str = ",".join(self.axes)
         if not self._limits and (len(self.axes) < 2 or len(set(self.axes)) < len(self.axes)):
             raise RigError(
@@ -106,8 +106,6 @@ class AbstractRig(ABC):
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
-        if self._limits is not None:
-            self._output = Output(self)
         self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
         self._seen: tuple[float, float] | None = None  # the device's time, and the host's when it was seen
         self._host_paced = False  # whether the host sends each voltage of the wave
@@ -145,9 +143,7 @@ class AbstractRig(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         try:
             self.close()
         except DehystError as failed:
@@ -156,7 +152,7 @@ class AbstractRig(ABC):
             error.add_note(str(failed))
 
     def __repr__(self) -> str:
-        bounds = "; ".join(f"axis {one.axis}: {one.limits.words}, {one.slew_rate:.6g} V/s" for one in self.rigs)
+        bounds = "; ".join(f"axis {rig.axis}: {rig.limits.words}, {rig.slew_rate:.6g} V/s" for rig in self.rigs)
         return f"<{type(self).__name__} '{self.name}', {bounds}>"
 
     @final
@@ -220,13 +216,12 @@ class AbstractRig(ABC):
             self._refuse_several()
         with self.safely():
             starts = np.ravel(excitation.voltage[0]).tolist()
-            self._ramp([one._output.ramp(start) for one, start in zip(self.rigs, starts, strict=True)])
+            self._ramp([rig._output.ramp(start) for rig, start in zip(self.rigs, starts, strict=True)])
             batches = list(arriving(self, excitation, rate, listen, step))
-        times, voltages, displacements = (np.concatenate([one[k] for one in batches]) for k in range(3))
-        others = {column: np.concatenate([one.others[column] for one in batches]) for column in self.others}
+        times, voltages, displacements = (np.concatenate([batch[k] for batch in batches]) for k in range(3))
+        others: Any = {column: np.concatenate([batch.others[column] for batch in batches]) for column in self.others}
         meta = {"rig": self.name, "axis": self.axis}
-        further: Any = others
-        return Record(times, voltages, displacements, excitation.name, meta, axes=axes, others=further)
+        return Record(times, voltages, displacements, excitation.name, meta, axes=axes, others=others)
 
     @final
     def check(self, excitation: Excitation) -> float:
@@ -239,20 +234,20 @@ class AbstractRig(ABC):
                 "nothing was sent"
             )
         rates = set()
-        for one, column in zip(self.rigs, columns, strict=True):
-            rates.add(rate := played_rate(one, excitation.sample_rate))
-            name, limits = f"{excitation.name}, axis {one.axis}" if self._parts else excitation.name, one.limits
+        for rig, column in zip(self.rigs, columns, strict=True):
+            rates.add(rate := played_rate(rig, excitation.sample_rate))
+            name, limits = f"{excitation.name}, axis {rig.axis}" if self._parts else excitation.name, rig.limits
             low, high = float(column.min()), float(column.max())
             if low < limits.low or high > limits.high:
                 raise RecordError(
-                    f"{name}: {low:.6g} to {high:.6g} V, but {one.name} may have {limits.words}; "
+                    f"{name}: {low:.6g} to {high:.6g} V, but {rig.name} may have {limits.words}; "
                     "request less, or widen the limits if device and actuator allow it; nothing was sent"
                 )
             steepest = float(np.abs(np.diff(column)).max()) * rate
-            if steepest > one.slew_rate * (1 + _SLACK):
+            if steepest > rig.slew_rate * (1 + _SLACK):
                 raise RecordError(
-                    f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {one.name} may have "
-                    f"{one.slew_rate:.6g} V/s; play it slower; nothing was sent"
+                    f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} may have "
+                    f"{rig.slew_rate:.6g} V/s; play it slower; nothing was sent"
                 )
         if len(rates) > 1:
             raise RigError(f"{self.name}: its axes play at {sorted(rates)} Hz, need one rate")
@@ -296,12 +291,12 @@ class AbstractRig(ABC):
         ramps = []
         with shielded(defer=True):
             begin = self.rigs[0]._now()
-            for one in self.rigs:
+            for rig in self.rigs:
                 try:
                     try:
-                        one._halt()
+                        rig._halt()
                     except LinkError:
-                        one._halt()
+                        rig._halt()
                 except DehystError as error:
                     # A driver reports a wave that it cannot stop, and the other axes go on.
                     errors.append(error)
@@ -310,12 +305,11 @@ class AbstractRig(ABC):
                     if by_signal(error):
                         raise
                     # After a mistake in its code, a ramp is still best.
-                    what = f"{one.name}: _halt of the rig raised {type(error).__name__}: {error}; check its code"
-                    errors.append(DeviceError(f"{what}; the voltage was ramped there, but a wave may go on"))
-                    errors[-1].__cause__ = error
-                ramps.append(one._output.retreat(one.safe, begin, anywhere=anywhere, patient=patient))
+                    what = f"{rig.name}: _halt of the rig raised {type(error).__name__}: {error}; a wave may go on"
+                    errors.append(DeviceError(what))
+                ramps.append(rig._output.retreat(rig.safe, begin, anywhere=anywhere, patient=patient))
             self._ramp(ramps, errors, retreating=True)
-        return np.array([one.safe for one in self._parts]) if self._parts else self.safe
+        return np.array([rig.safe for rig in self._parts]) if self._parts else self.safe
 
     @final
     def close(self) -> None:
@@ -325,8 +319,8 @@ class AbstractRig(ABC):
             with ExitStack() as stack:
                 stack.enter_context(driver_errors(self.name, "_close"))
                 stack.callback(self._close)
-                for one in reversed(self._parts):
-                    stack.callback(one.close)
+                for rig in reversed(self._parts):
+                    stack.callback(rig.close)
 
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
@@ -466,7 +460,7 @@ class AbstractRig(ABC):
     def _note(self, cause: BaseException, failed: Exception | None) -> VoltageNote:
         """Return where the voltage is after a `cause`, and a retreat that may have `failed`."""
         of, to = (f" {word} the axes {', '.join(self.axes)}" if self._parts else "" for word in ("of", "to"))
-        safe = ", ".join(f"{one.safe:.6g}" for one in self.rigs)
+        safe = ", ".join(f"{rig.safe:.6g}" for rig in self.rigs)
         said = f"The voltage{of} was brought to {safe} V."
         if isinstance(failed, ReadbackError):
             wrong = f"the readback gave {failed.read:.6g} V where {failed.sent:.6g} V had been sent"
@@ -474,14 +468,14 @@ class AbstractRig(ABC):
         elif failed is not None:
             # The cause of the first error may prevent the retreat too, and is not repeated.
             why = "" if str(failed) == str(cause) else f" ({failed})"
-            known = "; ".join(f"{one.axis + ': ' if self._parts else ''}{one._output.words}" for one in self.rigs)
+            known = "; ".join(f"{rig.axis + ': ' if self._parts else ''}{rig._output.words}" for rig in self.rigs)
             holds = "the device holds, or plays to its end, what it has; see to it by hand"
             said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {holds}."
-        elif any(math.isnan(one._output.read) for one in self.rigs):
+        elif any(math.isnan(rig._output.read) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
-        elif not all(one._output.reached(one.safe) for one in self.rigs):
-            said = f"{safe} V was sent{to}, and {', '.join(f'{one._output.read:.6g}' for one in self.rigs)} V is read."
-        return VoltageNote(said, safe=failed is None, voltages=[one._output.likely for one in self.rigs])
+        elif not all(rig._output.reached(rig.safe) for rig in self.rigs):
+            said = f"{safe} V was sent{to}, and {', '.join(f'{rig._output.read:.6g}' for rig in self.rigs)} V is read."
+        return VoltageNote(said, safe=failed is None, voltages=[rig._output.likely for rig in self.rigs])
 
 
 # Methods that a driver writes or may replace; those of the base class alone; and special ones that no driver may have.
@@ -498,7 +492,7 @@ def _refuse_replacements(kind: type[AbstractRig]) -> None:
     """Raise TypeError if a class finds a method of AbstractRig, other than a driver's, in another class."""
     found = []
     for name in (*_OWN, *_SPECIAL):
-        owner = next(one for one in kind.__mro__ if name in vars(one))
+        owner = next(base for base in kind.__mro__ if name in vars(base))
         if owner not in (AbstractRig, object):
             found.append(name if owner is kind else f"{name} (in {owner.__name__})")
     if found:

@@ -26,7 +26,7 @@ class Shield:
         # Other threads receive no signals. Ignored signals, and handlers that are not Python's, are left alone.
         found = {number: signal.getsignal(number) for number in _SIGNALS}
         main = threading.current_thread() is threading.main_thread()
-        self._handlers = {number: one for number, one in found.items() if main and one not in (None, signal.SIG_IGN)}
+        self._handlers = {n: handler for n, handler in found.items() if main and handler not in (None, signal.SIG_IGN)}
         for number in self._handlers:
             signal.signal(number, self._handle)
 

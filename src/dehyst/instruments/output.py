@@ -31,7 +31,7 @@ _RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
 _LEAST_DELAY = 0.05
 # A voltage is reached if the reading is within this share of the range; else a retreat sends its end so many times.
-_EXACT, _SENT = 1e-4, 2
+_EXACT, _SENT = 1e-5, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.

@@ -129,15 +129,15 @@ class PiRig(AbstractRig):
             PiRig(self._client, axis=name, limits=bounds, slew_rate=rate, patience=patience)
             for name, (bounds, rate) in zip(names, allowed, strict=True)
         ]
-        longest = min(one.longest or 0 for one in self._pi_rigs)
+        longest = min(rig.longest or 0 for rig in self._pi_rigs)
         super().__init__(self._client.name, self._pi_rigs, longest=longest or None, identity=self._client.identity)
-        for one in self._pi_rigs:
-            if one.waves is None or one.waves.tables < 2 * len(names):
+        for rig in self._pi_rigs:
+            if rig.waves is None or rig.waves.tables < 2 * len(names):
                 raise DeviceError(
                     f"{self.name}: cannot play and record {len(names)} axes together; it needs a wave generator an "
                     f"axis and {2 * len(names)} recorder tables; calibrate one axis at a time"
                 )
-            one._clock = self._clock
+            rig._clock = self._clock
         self.waves = self._pi_rigs[0].waves
 
     def _open_axis(self, axis: str | None, limits: tuple[float, float] | None, slew_rate: float | None) -> None:
@@ -220,23 +220,23 @@ class PiRig(AbstractRig):
         if self.waves is None:
             yield from super()._wave(voltage, rate)
             return
-        for one in self._pi_rigs:
-            one._open_loop()
-            one._halt()
+        for rig in self._pi_rigs:
+            rig._open_loop()
+            rig._halt()
         divider = self.waves.divider(rate)
         interval = divider * self.waves.servo_period
         columns = voltage.reshape(len(voltage), len(self._pi_rigs))
         self._prepare(columns, divider, self.waves.options)
         start = max(self._clock.now(), self._clock.last_sample + interval)
-        self._client.set(command("WGO", *(word for one in self._pi_rigs for word in (one._generator, 1))))
+        self._client.set(command("WGO", *(word for rig in self._pi_rigs for word in (rig._generator, 1))))
         for first, positions, volts in self._recorded(len(voltage), interval):
             times: Array = start + interval * np.arange(first, first + len(volts), dtype=np.float64)
             self._clock.last_sample = float(times[-1])
             samples = Samples(times, volts, positions * _METRES)
             yield samples if len(self.axes) > 1 else samples.axis(0)
         # Otherwise the controller takes no voltages.
-        for one in self._pi_rigs:
-            one._halt()
+        for rig in self._pi_rigs:
+            rig._halt()
 
     def _halt(self) -> None:
         if self.waves is None:
@@ -272,21 +272,21 @@ class PiRig(AbstractRig):
         client = self._client
         # Each generator plays a wave table of its own, numbered from 1 on.
         numbered = list(enumerate(self._pi_rigs, 1))
-        for (number, one), column in zip(numbered, voltage.T, strict=True):
-            points = [gcs_syntax.volts(value, one.limits.low, one.limits.high) for value in column.tolist()]
+        for (number, rig), column in zip(numbered, voltage.T, strict=True):
+            points = [gcs_syntax.volts(value, rig.limits.low, rig.limits.high) for value in column.tolist()]
             for line in gcs_syntax.wave_points(number, points):
                 client.set(line)
-        for number, one in numbered:
-            client.set(command("WSL", one._generator, number))
-            client.set(command("WGC", one._generator, 1))
-            client.set(command("WTR", one._generator, divider, 0))
+        for number, rig in numbered:
+            client.set(command("WSL", rig._generator, number))
+            client.set(command("WGC", rig._generator, 1))
+            client.set(command("WTR", rig._generator, divider, 0))
             if "WOS" in client.commands:
                 # An offset that is set would be added to every voltage.
-                client.set(command("WOS", one._generator, 0))
+                client.set(command("WOS", rig._generator, 0))
         client.set(command("RTR", divider))
-        for number, one in numbered:
-            client.set(command("DRC", 2 * number - 1, one.axis, options.position))
-            client.set(command("DRC", 2 * number, one._channel, options.voltage))
+        for number, rig in numbered:
+            client.set(command("DRC", 2 * number - 1, rig.axis, options.position))
+            client.set(command("DRC", 2 * number, rig._channel, options.voltage))
         if "DRT" in client.commands:
             # The default: the start of a wave starts the record.
             client.set(command("DRT", 0, 0, 0))
@@ -319,7 +319,7 @@ class PiRig(AbstractRig):
                     )
                 yield got, columns[::2].T, columns[1::2].T
                 got, latest = got + number, time.monotonic()
-            elif quiet > patience and not any(client.counts("WGO?", *(one._generator for one in self._pi_rigs))):
+            elif quiet > patience and not any(client.counts("WGO?", *(rig._generator for rig in self._pi_rigs))):
                 raise DeviceError(f"{client.name}: its wave generator stopped; {got} of {count} samples were recorded")
             elif quiet > patience:
                 raise LinkError(

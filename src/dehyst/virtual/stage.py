@@ -46,11 +46,11 @@ class VirtualStage:
             )
         # Time, voltage and own displacement of each axis since the last `take`, (3, n) each.
         self._motions: list[list[Array]] = [[] for _ in driven]
-        self.strokes = np.array([one.stroke for one in driven])
-        self.highest = np.array([one.highest for one in driven])
+        self.strokes = np.array([actuator.stroke for actuator in driven])
+        self.highest = np.array([actuator.highest for actuator in driven])
         self.noise, self.seed = noise, seed
         self._sensors = [Sensor(noise, seed + j) for j in range(len(driven))]
-        parts = [*(one.fingerprint() for one in driven), self.coupling.tobytes().hex()]
+        parts = [*(actuator.fingerprint() for actuator in driven), self.coupling.tobytes().hex()]
         self.serial = f"stage-{hashlib.sha256(' '.join(parts).encode()).hexdigest()[:12]}"
 
     @classmethod
@@ -66,8 +66,8 @@ class VirtualStage:
 
     def relax(self) -> None:
         """Reset every actuator to rest at 0 V."""
-        for one in self._driven:
-            one.relax()
+        for actuator in self._driven:
+            actuator.relax()
         self._motions = [[] for _ in self._driven]
 
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
@@ -80,7 +80,7 @@ class VirtualStage:
             raise ModelError(argument="voltage", got=f"{v.shape[1]} columns", need=f"{len(self)}, one an axis")
         for j in range(len(self)):
             self.drive(j, np.ascontiguousarray(v[:, j]), time)
-        y = self.joined([one[:, -len(v) :] for one in self.take()])
+        y = self.joined([motion[:, -len(v) :] for motion in self.take()])
         return np.column_stack([sensor.read(y[:, i]) for i, sensor in enumerate(self._sensors)]) if measured else y
 
     def drive(self, axis: int, voltage: Array, time: ArrayLike | None = None) -> None:
