@@ -185,17 +185,6 @@ class Frame:
             errors += [rms(one) for one in missed if one.size]
         return self.motion.at_rest * float(np.median(errors)) if errors else 0.0
 
-    def error_in_rests(self, source: RowSource, program: Program, whole: Solution) -> float:
-        """Return the RMS error [m] of held-out parts of rests, each less its mean; 0 without a rest."""
-        rows, errors = program.rows, [np.zeros(1)]
-        for k in range(FOLDS):
-            left = self.residual(source, program, program.solved(whole, without=k), whole, k)
-            for q, rests in enumerate(self.rests):
-                own = (program.fold == k) & (rows.record == q) & np.isfinite(left)
-                parts = (left[own & (rows.time >= begin) & (rows.time <= end)] for begin, end in rests)
-                errors += [part - part.mean() for part in parts if part.size]
-        return rms(np.concatenate(errors))
-
     def residual(
         self, source: RowSource, program: Program, found: Solution, whole: Solution, without: int | None = None
     ) -> Array:

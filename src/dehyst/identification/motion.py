@@ -16,7 +16,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst.identification.denoising import derivatives
-from dehyst.identification.preparation import Prepared
+from dehyst.identification.preparation import Prepared, behind
 from dehyst.identification.regressors import Rows
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
@@ -161,12 +161,21 @@ class Parts:
         return np.asarray((own[:, :, None] * columns[:, None, :]).reshape(len(columns), -1))
 
     def _delay(self) -> Part:
+        return Part("delay", self._rates(0.0), np.array([self.motion.delay]), volts=True)
+
+    def _lag(self) -> Part:
+        # The voltage v behind the low-pass moves by -w, w + lag w' = v'.
+        return Part("lag", self._rates(self.motion.lag), np.array([self.motion.lag]), volts=True)
+
+    def _rates(self, lag: float) -> Array:
+        """Return the rates of the acting voltages behind a low-pass at the rows (n, 1) [V/s]."""
         found = []
         for item in self.training:
-            paths = list(item.acting(self.motion.delay, self.motion.lag))
-            time = np.concatenate([path.time for path in paths])
-            found.append((time, np.concatenate([np.gradient(path.voltage, path.time) for path in paths])[:, None]))
-        return Part("delay", self._at_rows(found), np.array([self.motion.delay]), volts=True)
+            acting = item.acting(self.motion.delay, self.motion.lag)
+            rates = [replace(path, voltage=np.gradient(path.voltage, path.time)) for path in acting]
+            volts = np.concatenate([behind(rate, lag).voltage for rate in rates])
+            found.append((np.concatenate([rate.time for rate in rates]), volts[:, None]))
+        return self._at_rows(found)
 
     def _inertia(self) -> Part:
         found = []
@@ -224,6 +233,8 @@ def moved(motion: Motion, names: Sequence[str], numbers: dict[str, Array]) -> Mo
         value = numbers[name]
         if name == "delay":
             motion = replace(motion, delay=float(value[0]))
+        elif name == "lag":
+            motion = replace(motion, lag=max(float(value[0]), 0.0))
         elif name == "inertia":
             motion = replace(motion, damping=float(value[0]), mass=float(value[1]))
         elif name == "creep":

@@ -229,10 +229,7 @@ class Prepared:
             if delay:
                 times = np.clip(piece.time - delay, piece.time[0], piece.time[-1])
                 late = replace(piece, voltage=interpolate(piece.time, piece.voltage, times))
-            if lag:
-                strain = DisplacementCreep([lag], [0.0]).strains(late.time, late.voltage)[:, 0]
-                late = replace(late, voltage=late.voltage - strain)
-            yield late
+            yield behind(late, lag)
 
     def driving(self, delay: float, lag: float, dynamics: Dynamics | None, stroke: float) -> list[Record]:
         """Return the acting pieces as they drive elements: before the resonance, and without jitter."""
@@ -262,6 +259,14 @@ class Prepared:
         """Return the source of the record: name, file, hash and guesses."""
         meta = self.record.meta
         return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256", "guesses") if key in meta}}
+
+
+def behind(record: Record, lag: float) -> Record:
+    """Return a record with the voltages behind an amplifier of time constant `lag` [s]."""
+    if not lag:
+        return record
+    strain = DisplacementCreep([lag], [0.0]).strains(record.time, record.voltage)[:, 0]
+    return replace(record, voltage=record.voltage - strain)
 
 
 def counted_samples(columns: Sequence[tuple[Array, Sequence[Epoch]]]) -> list[Array]:

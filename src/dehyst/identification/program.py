@@ -344,6 +344,11 @@ class Program:
             missed[part] += own @ found.unknowns
         return missed
 
+    def step(self, found: Solution) -> float:
+        """Return how far a solution moves the path by its parts [m], as standard deviation."""
+        volts = sum(self.responses[part.name] @ (found.numbers[part.name] - part.value) for part in self.parts)
+        return float(np.std(volts / self.scale))
+
     def _solve(self, sums: NormalEquations, count: int, like: Solution | None) -> Solution:
         """Solve sums of `count` rows, inequalities added round by round where they would be violated."""
         image = sums.image

@@ -41,8 +41,10 @@ WIDE = (
 OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
 # Rows of a first look, of the search, and of the final program.
 FEW, _ROWS, _MOST = 2000, 4000, 12_000
-# Turns of Gauss and Newton in the search.
-_TURNS = 3
+# Turns of Gauss and Newton in the search, at most, and tunings of a resonance.
+_TURNS, _TUNINGS = 8, 3
+# A turn that moves the path by less than this part of the RMS residual is the last.
+_SETTLED = 0.3
 # Time constant of the fastest branch of creep, and how exactly a lead of half a sample is known, in samples.
 _FASTEST, _HALF_SAMPLE = 2.0, 0.1
 # A structure whose held-out error is larger by this part counts less by a factor of e.
@@ -85,11 +87,6 @@ class Fitted:
         """Error of held-out time [m]."""
         return self.frame.held_out_error(self.source, self.program, self.found)
 
-    @property
-    def in_rests(self) -> float:
-        """Error of held-out parts of rests of the voltage [m]."""
-        return self.frame.error_in_rests(self.source, self.program, self.found)
-
     @cached_property
     def actuator(self) -> Actuator:
         """Without limits and name."""
@@ -126,9 +123,12 @@ class Fitted:
         return self.held_out / prod(gains.get(name, 1.0) for name in self.names)
 
 
+# Parts that another structure leaves as they are.
+_OF_RECORDS = ("delay", "lag", "inertia")
 # To what each part must lower the error of held-out time.
 _GAINS = {
     "delay": RULES.moving_gain,
+    "lag": RULES.moving_gain * RULES.lag_gain,
     "creep": RULES.creep_gain,
     "inertia": RULES.inertia_gain,
     "drift": RULES.moving_gain,
@@ -151,9 +151,12 @@ def fitted(
     source = frame.source(structure)
     found = frame.program(source, structure, rows).solved() if near is None else near
     for _ in range(turns):
-        found = frame.program(source, structure, rows, names, found).solved(found)
+        program = frame.program(source, structure, rows, names, found)
+        found = program.solved(found)
         frame = replace(frame, motion=moved(frame.motion, names, found.numbers))
         source = frame.source(structure)
+        if program.step(found) < _SETTLED * rms(program.residual(found)):
+            break
     program = frame.program(source, structure, rows, names, found)
     program = with_folds(program, frame.folds(program))
     return Fitted(frame, structure, names, source, program, program.solved(found))
@@ -168,23 +171,23 @@ class _Search:
     always: tuple[str, ...] = ()
     trials: list[Trial] = field(default_factory=list)
 
-    def tried(self, frame: Frame, names: tuple[str, ...], more: str = "") -> Fitted:
+    def tried(self, frame: Frame, names: tuple[str, ...], more: str = "", near: Solution | None = None) -> Fitted:
         """Solve the small dictionary with parts of these names moving."""
         moved = [name for name in names if name != "begun"]
         words = f"moves: {' and '.join(moved) or 'nothing'}{more}"
         self.report(f"trying what {words}")
         whole = (*names, *(name for name in self.always if name not in names))
-        # All trials begin at one solution, that of the path which nothing moves.
+        # Trials begin at one solution, that of the path which nothing moves, or at one `near`.
         self.near = self.near or frame.program(frame.source(_LIGHT), _LIGHT, FEW).solved()
-        made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0, self.near)
+        made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0, near or self.near)
         self.trials.append(Trial(words, made.held_out))
         return made
 
-    def better(self, best: Fitted, frame: Frame, names: tuple[str, ...], more: str = "") -> Fitted:
+    def better(
+        self, best: Fitted, frame: Frame, names: tuple[str, ...], more: str = "", near: Solution | None = None
+    ) -> Fitted:
         """Return the better of the best so far and the same records with parts of these names."""
-        other = self.tried(frame, names, more)
-        possible = "delay" not in names or _lags(other.frame)
-        return other if possible and other.score < best.score else best
+        return _best([best, self.tried(frame, names, more, near)])
 
     def own(self, made: Fitted) -> tuple[str, ...]:
         """Return the names of the parts that a solution has beside those that always move."""
@@ -199,6 +202,9 @@ def moving(
     `lag`, `drift`: whether these may move. `more`: whether creep and a resonance may.
     """
     search = _Search(report, always=("datum",) if frame.motion.datum.any() else ())
+    tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
+    begun = np.zeros((len(frame.training), tau.size))
+    frame = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun))
     best = search.tried(cold(frame), ())
     if frame.motion.thermal is not None:
         best = search.better(best, frame, ("thermal",))
@@ -206,53 +212,32 @@ def moving(
             search.always = (*search.always, "thermal")
         else:
             frame = cold(frame)
-    # A lag, and drifts by the logarithm of time or in proportion to it, alone and together.
-    drifts = [(frame, ""), (_steady(frame), ", in proportion to time")] if drift else []
-    for names in ((), ("delay",)) if lag else ((),):
-        if names:
-            best = search.better(best, frame, names)
-        for one, words in drifts:
-            best = search.better(best, one, (*names, "drift"), words)
-    if more:
-        tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
-        begun = np.zeros((len(frame.training), tau.size))
-        creeping = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun))
-        # Behind a turn a fast relaxation looks like a lag: with creep a lag must show itself again.
-        lags = "delay" in best.names
-        made = search.tried(creeping, ("creep", "begun"))
-        if made.score < best.score or _creeps_in_rests(made, best):
-            best = made
-        if lags:
-            best = search.better(best, creeping, ("delay", "creep", "begun"))
+    # Drifts by the logarithm of time or in proportion to it, and creep.
+    items, steady = frame.training, [replace(item, steady=True) for item in frame.training]
+    ways = [(("drift",), items, ""), (("drift",), steady, ", in proportion to time")] if drift else []
+    ways += [(("creep", "begun"), items, "")] if more else []
+    base = search.better(best, frame, ("delay",)) if lag else best
+    beside = [
+        search.tried(replace(base.frame, training=items), (*search.own(base), *names), words, base.found)
+        for names, items, words in ways
+    ]
+    best = _best([base, *beside])
+    if lag and beside:
+        # A lag may hide the others, and they may stand for a lag: it must show itself beside the best of them.
+        other = min(beside, key=lambda made: made.score)
+        names = tuple(name for name in search.own(other) if name != "delay")
+        begin = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
+        best = search.better(best, begin, names if "delay" in other.names else ("delay", *names), near=other.found)
     if "delay" in best.names:
-        best = _as_low_pass(search, best)
+        at, names = best.frame.motion, tuple(name for name in search.own(best) if name != "delay")
+        slow = replace(best.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
+        best = search.better(best, slow, ("lag", *names), near=best.found)
     if more and _may_swing(frame):
         swinging = _tuned(search.tried(best.frame, (*search.own(best), "inertia")))
         search.trials[-1] = replace(search.trials[-1], held_out=swinging.held_out)
         if swinging.score < best.score and _excited(swinging.frame):
             best = swinging
     return best.frame, best.names, search.trials
-
-
-def _creeps_in_rests(creeping: Fitted, other: Fitted) -> bool:
-    """Whether rests show creep that the whole record hides: a drift can stand for creep, but not in rests."""
-    hidden = "drift" in other.names and any(creeping.frame.rests)
-    if not hidden or RULES.creep_gain * creeping.held_out >= other.held_out:
-        return False
-    return creeping.in_rests < RULES.creep_gain * other.in_rests
-
-
-def _as_low_pass(search: _Search, best: Fitted) -> Fitted:
-    """Return the better of a solution with a delay and one with a low-pass of first order as slow."""
-    at, names = best.frame.motion, tuple(name for name in search.own(best) if name != "delay")
-    slow = replace(best.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
-    low_pass = search.tried(slow, names, ", behind a low-pass")
-    return low_pass if low_pass.held_out < RULES.lag_gain * best.held_out else best
-
-
-def _steady(frame: Frame) -> Frame:
-    """Return the records with drifts in proportion to time."""
-    return replace(frame, training=[replace(item, steady=True) for item in frame.training])
 
 
 def cold(frame: Frame) -> Frame:
@@ -262,13 +247,18 @@ def cold(frame: Frame) -> Frame:
 
 def _tuned(made: Fitted) -> Fitted:
     """Return a solution with its resonance tuned by simulation, in turn with the program."""
-    for _ in range(_TURNS):
+    for _ in range(_TUNINGS):
         if not _excited(made.frame):
             break
         frame = tuned(made.frame, made.source, made.program, made.found)
-        names = tuple(name for name in made.names if name not in ("delay", "inertia"))
+        names = tuple(name for name in made.names if name not in _OF_RECORDS)
         made = replace(fitted(frame, made.structure, FEW, names, int(bool(names)), made.found), names=made.names)
     return made
+
+
+def _best(some: Sequence[Fitted]) -> Fitted:
+    """Return the best of some solutions; those with a delay of another cause do not count."""
+    return min((made for made in some if "delay" not in made.names or _lags(made.frame)), key=lambda made: made.score)
 
 
 def _lags(frame: Frame) -> bool:
@@ -305,11 +295,10 @@ def static(
 ) -> tuple[Fitted, list[Trial], list[Fitted]]:
     """Return the solution of the structure with the least held-out error, what was tried, and all solutions."""
     trials, swings = list[Trial](), "inertia" in names
-    free = tuple(name for name in names if not (swings and name in ("inertia", "delay")))
+    free = tuple(name for name in names if name not in _OF_RECORDS)
 
     def solved(structure: Structure, near: Fitted | None = None) -> Fitted:
         report(f"solving the program for {structure.words}")
-        # A resonance that was tuned by simulation stays.
         made = near and near.with_structure(structure)
         made = made or replace(fitted(frame, structure, _ROWS, free, int(bool(free))), names=names)
         trials.append(Trial(f"{structure.words}; smoothing {structure.smoothing:g}", made.held_out, structure))
