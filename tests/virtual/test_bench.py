@@ -16,7 +16,6 @@ from dehyst import Actuator, DehystError, ModelError
 from dehyst.instruments import DeviceError
 from dehyst.model import DisplacementCreep, Dynamics
 from dehyst.virtual import PlayActuator, VirtualBench
-from dehyst.virtual.bench import Extremes
 
 PERIOD = 5e-5
 TRUTHS = {
@@ -105,17 +104,6 @@ def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
     assert -10 <= bench.axis.log.lowest <= bench.axis.log.highest <= 130
     if slew is not None:
         assert bench.axis.log.steepest <= slew * (1 + 1e-6)
-
-
-def test_what_lies_outside_is_refused_counted_and_not_put_out(hand):
-    bench = VirtualBench(PlayActuator(plays=10), clock=hand, limits=(0, 100))
-    assert bench.axis.set_voltage(40)
-    for outside in (-1e-9, 100.0001, math.nan, math.inf, -math.inf):
-        assert not bench.axis.set_voltage(outside)
-    with pytest.raises(DeviceError, match=r"got 1 to 101 V, need 0 to 100 V"):
-        bench.start([1, 101])
-    assert (bench.axis.voltage, bench.axis.log.refused) == (40, 6)
-    assert (bench.axis.log.lowest, bench.axis.log.highest, bench.axis.log.largest_step) == (0, 40, 40)
 
 
 def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
@@ -229,12 +217,6 @@ def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
     assert not bench.playing
 
 
-def test_extremes_count_steps_by_the_time_between_them():
-    log = Extremes(0.0, 0.0)
-    log.update(np.array([0.0, 2.0, -1.0]), np.array([1.0, 0.5]))
-    assert log == Extremes(-1.0, 2.0, 3.0, 6.0)
-
-
 def test_a_model_of_time_is_driven_on_from_its_state():
     actuator = plant()
     wide = Actuator(
@@ -252,10 +234,3 @@ def test_a_model_of_time_is_driven_on_from_its_state():
     np.testing.assert_allclose(whole, direct, atol=1e-12 * pieces.stroke)
     with pytest.raises(ModelError, match="needs the time"):
         pieces.play([1.0])
-
-
-def test_a_modelled_actuator_spans_its_stroke():
-    model = ModelledActuator(plant())
-    assert model.highest == pytest.approx(200)
-    loop = model.play(cosine(cycles=3))[800:]
-    assert np.ptp(loop) == pytest.approx(model.stroke, rel=1e-3)

@@ -54,41 +54,6 @@ def test_an_unknown_query_has_no_answer_and_its_error_stays_until_asked_for(cont
     assert controller.answer("ERR?") == "0\n"
 
 
-@pytest.mark.parametrize(
-    ("line", "error"),
-    [
-        ("SVA 1 130", 302),
-        ("SVA 1 nan", 25),
-        ("SVA 1 inf", 25),
-        ("SVA 1 1_0", 25),
-        ("SVA 1 1,5", 25),
-        ("SVA 1", 26),
-        ("SVA 1 2 3", 24),
-        ("SVA 2 5", 15),
-        ("WGO 1 1", 75),
-        ("WAV 9 X PNT 1 1 0", 17),
-        ("WAV 1 X PNT 1 3 0 1", 26),
-        ("WAV 1 X PNT 1 1 0 1", 24),
-        ("WAV 1 X PNT 1 1 121", 302),
-        ("WAV 1 X NOSE 1 1", 17),
-        ("WAV 1 X SIN_P 10 5 0 10 0 0", 17),
-        ("WAV 1", 26),
-        ("DRC 3 1 2", 57),
-        ("DRC 1 1 99", 58),
-        ("DRC 1 B 2", 15),
-        ("RTR 0", 17),
-        ("SVO 1 2", 17),
-        ("WTR 1 0 1", 17),
-        ("WSL 1 9", 17),
-        ("x" * 70000, 3),
-        *(("SPA? 1 0x99", 54), ("DRR? 1 5", 77), ("VOL? 3", 15), ("WAV? 1 2", 17), ("CSV? 1", 24)),
-    ],
-)
-def test_what_cannot_be_done_is_refused_by_number_and_nothing_put_out(controller, line, error):
-    assert error_after(controller, line) == error
-    assert controller.instrument.axis.log.highest == controller.instrument.axis.log.lowest == 0
-
-
 def test_a_wave_is_played_and_its_record_read_in_the_array_of_gcs(controller, hand):
     values = np.round(30 + 20 * np.sin(np.arange(200) / 20), 6)
     assert wave(controller, *values[:150]) == 0
