@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Verdict
+from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Trace, Verdict
 from dehyst.identification.checks import RemainingError
-from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, new_legs, validity_of
+from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, growth, new_legs, validity_of
 from dehyst.model import Promise
 
 STROKE = 1e-5
@@ -32,7 +32,12 @@ def seen(*errors, held_out=None, noise=0.0, vibration=0.0, records=None, lag=0.0
         shares = min(noise**2 / error.rms**2, 1.0), min(0.5 * vibration**2 / error.rms**2, 1.0)
         causes.append(RemainingError(error.record, error.role, error.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
     records = records or [TOPS] * len(errors)
-    return validity_of(records, errors, causes, held_out or HeldOutErrors(), noise, lag)
+    traces = [trace(record) for record in records]
+    return validity_of(records, errors, causes, traces, held_out or HeldOutErrors(), noise, lag)
+
+
+def trace(record, error=0.0):
+    return Trace(record.name, "training", record.time, record.voltage, record.displacement, record.displacement - error)
 
 
 def expected(*errors, checks=(), goal=1.0, outcome=Outcome.IDENTIFIED, caveats=(), noise=0.0, **known):
@@ -108,6 +113,20 @@ def test_held_out_legs_are_new_by_their_turning_points():
     assert new_legs(legs(50, 100, 0), legs(0, 100, 0)) == pytest.approx((0.5, 0.0))
     # Beyond the others nothing is known.
     assert new_legs(legs(0, 150, 0), legs(0, 100, 0)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("slow", "fast"), [(1e-8, 1e-8), (1e-8, 8e-8), (4e-8, 1e-8)])
+def test_an_error_grows_with_the_pace_from_slow_branches_to_fast_ones(slow, fast):
+    turns = [0.0, *np.tile([100.0, 0.0], 10)]
+    seconds = np.repeat([10.0, 1.0], 10)
+    voltage = np.interp(np.arange(2001) / 100, np.arange(21), turns)
+    time = np.interp(np.arange(2001) / 100, np.arange(21), np.append(0, np.cumsum(seconds)))
+    error = np.where(np.arange(2001) <= 1000, slow, fast) * np.where(np.arange(2001) % 2, 1, -1)
+    made = trace(Record(time, voltage, 1e-7 * voltage), error)
+    grown, share = growth([made], 100.0)
+    assert grown == pytest.approx(max(fast**2 - slow**2, 0) ** 0.5, rel=0.02, abs=1e-12)
+    assert share == pytest.approx(grown**2 * 10.08 / (10 * fast**2 + 8 * slow**2), abs=0.05)
+    assert growth([replace(made, time=np.arange(2001.0))], 100.0) == (0, 0)
 
 
 FAILED = Check("Width", Verdict.FAILS, 1.0, 0.1, "%", "too wide")

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, ModelError
 from dehyst.model import MaxwellSlip, Spring, Thermal, Validity, with_identification
-from dehyst.model.promise import distances, legs, promise
+from dehyst.model.branches import distances, legs
+from dehyst.model.promise import promise
 from dehyst.model.temperatures import temperatures_to_record
 
 SPAN, STROKE = 100.0, 1e-5
@@ -74,6 +75,16 @@ def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
     assert found[1].largest < 1.1 * found[0].largest and found[-1].largest > 2 * found[0].largest
     asked = [[gap.command for gap in each.untested if gap.what == "speed"] for each in found]
     assert [len(commands) for commands in asked] == [0, 0, 1, 1, 1] and all(all(commands) for commands in asked)
+
+
+@pytest.mark.parametrize("growth", [0.0, 5e-8])
+def test_a_path_that_turns_faster_than_the_records_at_their_speed_is_named_and_promised_less(growth):
+    often, seldom = (motion(*[50, 55] * 8, leg=leg) for leg in (0.05, 0.8))
+    usual, fast = (promise(replace(TOPS, growth=growth), voltage, time) for time, voltage in (seldom, often))
+    assert fast.largest > 1.5 * usual.largest and fast.rms > 1.5 * usual.rms
+    asked, named = ({gap.what for gap in found.untested} & {"speed", "rate"} for found in (fast, usual))
+    assert (asked, named) == ({"rate"}, {"speed"})  # The slow one has a branch that is too slow.
+    assert promise(replace(TOPS, growth=5e-8), *seldom[::-1]).largest >= usual.largest
 
 
 @given(st.lists(st.floats(0, 100), min_size=2, max_size=12), st.floats(0, 1e-7), st.floats(0, 1e-7))

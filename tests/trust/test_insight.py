@@ -1,26 +1,16 @@
 """What `insight` says holds: directions are counted, and a trap is caught."""
 
-import json
-
 import numpy as np
 import plain_records
 import pytest
 
-import dehyst
 from dehyst import Record
-from dehyst._io import finite
-from dehyst.control import Compensator, plan_path
-from dehyst.identification import Outcome
 from dehyst.identification.identifiability import identifiability
-from dehyst.identification.structure import Grid, Structure
-from dehyst.trust import insight
-from dehyst.virtual import PlayActuator
+from dehyst.identification.structure import Grid
 from dehyst.waveforms import Sampling, raised_cosine
-from examples import at_night
 
 PLANT = plain_records.plant(10, seed=2)
 MAJOR = (1, 0, 1, 0)
-TEN = Structure(elements=10, knots=11, smoothing=0.0)
 TABLE = [
     (MAJOR, 5),
     ((*MAJOR, 0.3, 0, 0.3, 0), 6),
@@ -58,25 +48,3 @@ def trapped(truth, cycles):
     drive = Sampling(sample_rate=4.0)
     made = raised_cosine([truth.highest], cycles=cycles, drive=drive)
     return Record(made.time, made.voltage, truth.play(made.voltage), "major")
-
-
-@pytest.mark.parametrize("noise", [at_night(0.0), 2e-9])
-def test_the_newcomers_trap_is_caught(noise):
-    truth = PlayActuator(noise=noise)
-    record = trapped(truth, 3)
-    fit = dehyst.identify(record)
-    assert fit.outcome is Outcome.UNDETERMINED
-    assert fit.actuator.delay == 0.0  # the loop's shape is no delay
-    turns = np.array([0.9, 0.02, 0.4, 0.02, 0.6, 0.2, 0.45])
-    wanted = truth.stroke * np.interp(np.arange(0, 6.01, 0.02), np.arange(7), turns)
-    found = insight(fit.actuator, record, plan=plan_path(Compensator(fit.actuator), wanted))
-    assert "are open" in found.warnings()[0]
-    json.dumps(finite(found.as_dict()), allow_nan=False)
-
-
-def test_an_assessment_of_records_that_determine_everything_warns_of_nothing():
-    record = plain_records.loops(PLANT, plain_records.THREE_LOOPS)
-    actuator = dehyst.identify(record, structure=TEN, delay=0.0).actuator
-    found = insight(actuator, record)
-    assert found.trustworthy
-    assert found.warnings() == ()

@@ -7,7 +7,7 @@ from hypothesis import given
 from strategies import SEEDS
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
-from dehyst.trust.two_branches import BranchState, TwoBranches
+from dehyst.trust.baselines import BranchState, TwoBranches
 
 VOLTS = np.linspace(0, 100, 11)
 TABLE = TwoBranches(

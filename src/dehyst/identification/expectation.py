@@ -13,15 +13,17 @@ from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
 from dehyst.identification.checks import RemainingError
-from dehyst.identification.results import Check, RecordErrors, Verdict
+from dehyst.identification.results import Check, RecordErrors, Trace, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import Outcome, Promise, Validity, distances, legs, temperature_range
+from dehyst.model import Outcome, Promise, Validity, distances, legs, paces_of, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
 # The subtracted noise is known to this part.
 _NOISE_KNOWN = 0.1
 # Held-out legs may go beyond the voltages of the others by this part of the range.
 _BEYOND = 0.02
+# Branches below this part of the fastest pace are slow; how many slow and fast ones show how an error grows.
+_SLOW, _FEW = 1 / 3, 6
 
 
 class Readiness(Enum):
@@ -81,7 +83,7 @@ class Expectation:
         return self.promise.stroke
 
     def __repr__(self) -> str:
-        return f"<Expectation: {self.words}; goal {self.goal:g} %>"
+        return f"<Expectation: {self.readiness.value}; {self.promise!r}; goal {self.goal:g} %>"
 
     def __str__(self) -> str:
         return self.sentence
@@ -112,12 +114,6 @@ class Expectation:
         return f"{self._part(error)} of the stroke ({length})"
 
     @property
-    def words(self) -> str:
-        """The verdict with its two numbers, as a short text."""
-        errors = f"expect {self._part(self.rms)} RMS and {self._part(self.largest)} at most"
-        return f"{self.readiness.value}; {errors} of {self.stroke * 1e6:.4g} um"
-
-    @property
     def headline(self) -> str:
         """The verdict, with the largest and the RMS error to expect."""
         return (
@@ -126,32 +122,20 @@ class Expectation:
         )
 
     @property
-    def _missed(self) -> str:
-        return (
-            f"The records are missed by {self._part(self.measured)} RMS, the sensor's noise is "
-            f"{self._part(self.noise)}."
-        )
-
-    @property
     def origin(self) -> str:
         """Origin of the expected errors."""
-        return f"Judged on {self.basis}; the goal is {self.goal:g} %. {self._missed}"
+        missed = f"missed by {self._part(self.measured)} RMS, the sensor's noise is {self._part(self.noise)}"
+        return f"Judged on {self.basis}; the goal is {self.goal:g} %. The records are {missed}."
 
     @property
     def reservations(self) -> tuple[str, ...]:
         """Sentences on why the model is not ready, besides its error."""
-        return tuple(f"{one[0].upper()}{one[1:]}." for one in self.reasons)
+        return tuple(f"{reason[0].upper()}{reason[1:]}." for reason in self.reasons)
 
     @property
     def sentence(self) -> str:
         """The verdict in one line, with its numbers and reasons."""
-        text = (
-            f"{self.readiness.value.capitalize()}: expect a path to be followed within {self._both(self.rms)} RMS and "
-            f"{self._both(self.largest)} at most, {self.promise.apart} (from {self.basis}; "
-            f"goal {self.goal:g} %). {self._missed}"
-        )
-        words = "; ".join(self.why_not_ready)
-        return f"{text} {words[0].upper()}{words[1:]}." if words else text
+        return " ".join((f"{self.headline}.", self.origin, *self.reservations))
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -182,6 +166,7 @@ def validity_of(
     records: Sequence[Record],
     errors: Sequence[RecordErrors],
     remaining: Sequence[RemainingError],
+    traces: Sequence[Trace],
     held_out: HeldOutErrors,
     noise: float,
     lag: float = 0.0,
@@ -190,16 +175,17 @@ def validity_of(
 ) -> Validity:
     """Return the domain of validity of a model from its records.
 
-    `records`, `errors`, `remaining`: one each, training first. `noise`: standard deviation of the sensor [m]. `lag` [s]
-    that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out parts.
+    `records`, `errors`, `remaining`, `traces`: one each, training first. `noise`: standard deviation of the sensor [m].
+    `lag` [s] that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out
+    parts.
     """
     training, validation = ([q for q, one in enumerate(errors) if one.role == r] for r in ("training", "validation"))
     new, judged = held_out.new, training
     voltages = [(records[q].time, records[q].voltage) for q in training]
+    span = float(np.ptp(np.concatenate([voltage for _, voltage in voltages])))
     if validation and validated:
         judged = validation
-        span = float(np.ptp(np.concatenate([voltage for _, voltage in voltages])))
-        pairs = legs_of([(records[q].time, records[q].voltage) for q in validation], span), legs_of(voltages, span)
+        pairs = ([records[q].voltage[legs(records[q].voltage, span)] for q in part] for part in (validation, training))
         other = new_legs(*map(np.concatenate, pairs))
         new = max(new[0], other[0]), max(new[1], other[1])
     vibration = max(remaining[q].vibration_amplitude for q in judged)
@@ -207,12 +193,16 @@ def validity_of(
     missed = max(_less(errors[q].settled_rms, remaining[q].sensed) for q in judged)
     if judged is training:
         missed = max(missed, _less(held_out.in_time, float(np.hypot(held_out.noise, vibration / 2**0.5))))
+    # The growth with the pace counts by the pace of a path.
+    grown, share = growth([traces[q] for q in judged], span)
+    missed *= (1 - share) ** 0.5
     largest = max(errors[q].settled_largest for q in judged) - NOISE_PEAK * noise - vibration
     return Validity.by_records(
         voltages,
         rms=float(np.hypot(missed, _NOISE_KNOWN * noise)),
         largest=max(largest, 0.0),
         disagreement=held_out.disagreement,
+        growth=grown,
         stroke=errors[0].stroke,
         new=new,
         lag=lag,
@@ -220,9 +210,23 @@ def validity_of(
     )
 
 
-def legs_of(records: Sequence[tuple[Array, Array]], span: float) -> list[Array]:
-    """Return the legs (k, 2) [V] of records, times [s] and voltages [V], of which the widest has a range of `span`."""
-    return [voltage[legs(voltage, span)] for _, voltage in records]
+def growth(traces: Sequence[Trace], span: float) -> tuple[float, float]:
+    """Return how far the RMS error [m] grows from slow to the fastest branches, and its share of the mean square.
+
+    `span`: range of the voltages [V].
+    """
+    found = []
+    for trace in (trace.settled for trace in traces):
+        at, error = legs(trace.voltage, span), np.square(trace.residual - trace.residual.mean())
+        squares = [error[first : last + 1].mean() for first, last in at.tolist()]
+        found.append(np.column_stack([paces_of(trace.time, trace.voltage, at), squares, np.diff(at, axis=1)]))
+    every = np.concatenate(found)
+    pace = (every[:, :2] / every[:, :2].max(axis=0, initial=1e-300)).max(axis=1, initial=0.0)
+    slow, (square, samples) = pace < _SLOW, every[:, 2:].T
+    if min(np.count_nonzero(slow), np.count_nonzero(~slow)) < _FEW:
+        return 0.0, 0.0
+    grown = max((square[~slow].mean() - square[slow].mean()) / np.mean(pace[~slow] ** 2), 0.0)
+    return float(grown**0.5), float(min(grown * (pace**2 @ samples) / max(square @ samples, 1e-300), 1.0))
 
 
 def new_legs(held_out: Array, others: Array) -> tuple[float, float]:
@@ -260,7 +264,13 @@ def expectation(
         (validation, "validation records") if by_others else (training, "parts of the records held out in turn")
     )
     measured = max(one.settled_rms for one in judged)
-    reasons = [*caveats, *_reasons(training, errors, goal)]
+    reasons = [*caveats]
+    aside = sum(error.left_out for error in training) / sum(error.left_out + error.samples for error in training)
+    if aside > RULES.most_set_aside:
+        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+    drifted = max(abs(error.drifted_percent) for error in errors)
+    if drifted > goal:
+        reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
     fitted = max(one.settled_rms for one in training)
     if by_others and measured > RULES.widest_gap * fitted:
         reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
@@ -270,18 +280,6 @@ def expectation(
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
     return Expectation(validity.anywhere, measured, noise, goal, basis, tuple(reasons), by_others)
-
-
-def _reasons(training: Sequence[RecordErrors], errors: Sequence[RecordErrors], goal: float) -> list[str]:
-    """Return the reasons for care that lie in the records."""
-    reasons = []
-    aside = sum(one.left_out for one in training) / sum(one.left_out + one.samples for one in training)
-    if aside > RULES.most_set_aside:
-        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
-    drifted = max(abs(one.drifted_percent) for one in errors)
-    if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
-    return reasons
 
 
 def _less(error: float, noise: float) -> float:

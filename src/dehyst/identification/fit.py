@@ -66,7 +66,7 @@ class Fit(Plotted):
     def __repr__(self) -> str:
         records = ", ".join(f"'{escaped(error.record)}'" for error in self.errors[:3])
         more = f" and {len(self.errors) - 3} more" if len(self.errors) > 3 else ""
-        verdict = "" if self.promise is None else f"{self.promise.words}; "
+        verdict = "" if self.promise is None else f"{self.promise.readiness.value}; {self.promise.promise!r}; "
         return f"<Fit of {records or 'no record'}{more}: {verdict}{self.outcome.name}>"
 
     def __str__(self) -> str:

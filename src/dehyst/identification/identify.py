@@ -378,7 +378,7 @@ class _Run:
         )
         validated = outcome is not Outcome.INACCURATE
         given_records = [item.record for item in records]
-        validity = validity_of(given_records, errors, remaining, held_out, noise, lag, validated=validated)
+        validity = validity_of(given_records, errors, remaining, traces, held_out, noise, lag, validated=validated)
         expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
         actuator = with_identification(
             actuator,

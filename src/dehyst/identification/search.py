@@ -356,10 +356,11 @@ def _datum(frame: Frame, number: int) -> float:
 
 
 def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, frame: Frame) -> float:
-    """Return the RMS distance [m] on a random path from other structures; without one the error of held-out time.
+    """Return the RMS distance [m] on a random path from other structures.
 
-    The worse a structure explains the records, the less it counts. The path has random turning points after two full
-    loops.
+    The worse a structure explains the records, the less it counts; if all of them together count for less than one that
+    explains them as well, the error of held-out time counts for the rest. The path has random turning points after two
+    full loops.
     """
     low, high = frame.voltages
     turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _PATH_TURNS)])
@@ -378,7 +379,8 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
         if one.structure != chosen.structure and apart < _FAILED * frame.stroke:
             squares.append(apart**2)
             weights.append(float(np.exp(-max(one.held_out / max(chosen.held_out, 1e-300) - 1, 0.0) / _WORSE)))
-    return float(np.average(squares, weights=weights) ** 0.5) if sum(weights) else chosen.held_out
+    rest = max(1.0 - sum(weights), 0.0)
+    return float(np.average([*squares, chosen.held_out**2], weights=[*weights, rest]) ** 0.5)
 
 
 def new_in_time(frame: Frame) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
+from dehyst.model.branches import CELLS, distances, excite_command, legs, paces_of, tested_loops
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
@@ -16,20 +17,7 @@ from dehyst.model.elements import (
 from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome, slew_rate_of_records, with_identification
 from dehyst.model.physical import Physical
-from dehyst.model.promise import (
-    CELLS,
-    USELESS,
-    Promise,
-    Validity,
-    distances,
-    excite_command,
-    legs,
-    promised,
-    speeds_of,
-    tested_loops,
-    untested,
-    unusable,
-)
+from dehyst.model.promise import USELESS, Promise, Validity, promised, untested, unusable
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
 from dehyst.model.states import (
     NEAR,

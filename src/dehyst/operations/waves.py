@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.ways import MOST_ROWS
-from dehyst.model import legs, speeds_of, temperatures_to_record, words_of
+from dehyst.model import legs, paces_of, temperatures_to_record, words_of
 from dehyst.operations.command import (
     INPUT,
     NUMBER,
@@ -230,7 +230,7 @@ def _written(
         what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
         advice = (_BEFORE,)
     else:
-        branches = speeds_of(excitation.time, excitation.voltage, legs(excitation.voltage, high - low))
+        branches = paces_of(excitation.time, excitation.voltage, legs(excitation.voltage, high - low))[:, 0]
         what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
         what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"

@@ -17,8 +17,7 @@ from dehyst._views.fields import json_value, json_values
 from dehyst.identification import Prepared, as_list, epochs, identify, prepare, state_after, without_offset
 from dehyst.model import AbstractModel, Actuator, simulated, timed
 from dehyst.records import Record, largest, percent, rms
-from dehyst.trust.baselines import Linear
-from dehyst.trust.two_branches import TwoBranches
+from dehyst.trust.baselines import Linear, TwoBranches
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

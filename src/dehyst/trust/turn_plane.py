@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.model import CELLS, legs, speeds_of, tested_loops
+from dehyst.model import CELLS, legs, paces_of, tested_loops
 
 # Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn
 # and in which a voltage is held.
@@ -123,7 +123,7 @@ def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
     """
     at, band = legs(voltage, span), _BAND * span
     alike: dict[tuple[int, int], list[Turn]] = {}
-    for (first, last), speed in zip(at.tolist(), speeds_of(time, voltage, at).tolist(), strict=True):
+    for (first, last), speed in zip(at.tolist(), paces_of(time, voltage, at)[:, 0].tolist(), strict=True):
         begin, end = float(voltage[first]), float(voltage[last])
         # A hold begins with the first sample near the end, and may go on after the turning point.
         near = np.abs(voltage - end) <= band

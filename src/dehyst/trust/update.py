@@ -383,9 +383,9 @@ class _Refit:
         noise, known = self.recheck.noise, self.old.identification
         if known is None or known.validity is None:
             return None
-        rms_ = 0.0 if self.recheck.kept else float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
-        largest_ = 0.0 if self.recheck.kept else beyond_noise(largest, noise)
-        return known.validity.with_record(self.record, rms=rms_, largest=largest_)
+        missed = 0.0 if self.recheck.kept else float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
+        most = 0.0 if self.recheck.kept else beyond_noise(largest, noise)
+        return _with_record(known.validity, self.record, missed, most)
 
     def _missing(self) -> list[str]:
         """Return sentences on what the record could not show."""
@@ -410,6 +410,19 @@ class _Refit:
         if names:
             missing.append(f"Not fitted anew: {', '.join(names)} and the ratios of thresholds.")
         return missing
+
+
+def _with_record(old: Validity, record: Record, missed: float, most: float) -> Validity:
+    """Return a validity after one more `record`, with RMS and largest errors [m] that replace smaller ones."""
+    warmth, played = old.temperatures, [(record.time, record.voltage)]
+    if warmth is not None and record.temperature is not None:
+        warmth = min(warmth[0], float(record.temperature.min())), max(warmth[1], float(record.temperature.max()))
+    new = Validity.by_records(played, rms=missed, largest=most, disagreement=missed, stroke=old.stroke)
+    both = {name: (*getattr(old, name), *getattr(new, name)) for name in ("limits", "speeds", "rates")}
+    pairs = {name: (min(ends), max(ends)) for name, ends in both.items()}
+    names = "rms", "largest", "disagreement", "hold"
+    numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
+    return replace(old, legs=np.concatenate([old.legs, new.legs]), temperatures=warmth, **pairs, **numbers)
 
 
 def _grown(actuator: Actuator, factor: float, fixed: float) -> Actuator:

@@ -1,0 +1,191 @@
+"""Branches of a voltage between its turning points, and what the records of a model do not test of those of a path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dehyst._types import Array
+from dehyst._views.fields import json_values
+from dehyst.records import turning_points
+from dehyst.waveforms import FASTER, STEEPEST
+
+if TYPE_CHECKING:
+    from dehyst.model.promise import Validity
+
+# A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
+BAND = 0.02
+# Cells of the plane of turning points on each side, and how many around a passed one are tested: 5 % of the range.
+CELLS, _AROUND = 40, 2
+# A voltage rests where it moves at less than this part of the mean speed of its leg.
+_AT_REST = 0.1
+# Paces and holds count as tested up to this ratio, and voltages within this part of the range.
+_ALIKE, _BEYOND = 1.5, 0.02
+# The least range of voltages of an excitation that tests a rate, as a part of that of the records.
+_NARROWEST = 0.1
+
+
+def legs(voltage: Array, span: float) -> NDArray[np.intp]:
+    """Return the first and last samples (k, 2) of each rise and fall of a voltage (n,) [V]; `span`: the range [V].
+
+    A first one that begins between the ends of the voltage does not count, as the voltage before is not known.
+    """
+    at = np.array([0, *turning_points(voltage, BAND * span), len(voltage) - 1], dtype=np.intp)
+    pairs = np.column_stack([at[:-1], at[1:]])
+    pairs = pairs[np.abs(np.diff(voltage[pairs], axis=1)[:, 0]) > 0.5 * BAND * span]
+    within = min(float(np.ptp(voltage)), 2 * BAND * span) / 4
+    inside = voltage.min() + within < voltage[0] < voltage.max() - within
+    return pairs[1:] if len(pairs) and pairs[0, 0] == 0 and inside else pairs
+
+
+def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
+    """Return mean speed [V/s] and rate of turns [1/s] of each of the `legs` (k, 2), without the time at rest."""
+    if not len(at):
+        return np.zeros((0, 2))
+    step, height = np.diff(time), np.abs(np.diff(voltage[at], axis=1)[:, 0])
+    mean = height / np.maximum(np.diff(time[at], axis=1)[:, 0], 1e-300)
+    own = np.clip(np.searchsorted(at[:, 0], np.arange(step.size), side="right") - 1, 0, len(at) - 1)
+    moving = np.abs(np.diff(voltage)) > _AT_REST * mean[own] * step
+    moved = np.append(0.0, np.cumsum(step * moving))
+    seconds = np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300)
+    return np.column_stack([height / seconds, 1 / seconds])
+
+
+def longest_hold(time: Array, voltage: Array, span: float) -> float:
+    """Return the longest time [s] that a voltage stays within a fiftieth of the `span`, which includes slow motion."""
+    place = np.round(voltage / (BAND * span))
+    begins = np.append(0, np.flatnonzero(np.diff(place)) + 1)
+    return float(np.max(time[np.append(begins[1:] - 1, len(time) - 1)] - time[begins], initial=0.0))
+
+
+def distances(path: Array, others: Array) -> Array:
+    """Return the distance (k,) of each leg (k, 2) from the nearest of the `others` (m, 2) in the same direction.
+
+    The distance combines, by root of squares, the distance of the first turning points and the overrun beyond the other
+    leg's end. It is at most the leg's own height.
+    """
+    found = np.abs(path[:, 1] - path[:, 0])
+    for sign in (1.0, -1.0):
+        known = others[sign * (others[:, 1] - others[:, 0]) > 0]
+        mine = np.flatnonzero(sign * (path[:, 1] - path[:, 0]) > 0)
+        if not known.size:
+            continue
+        for part in np.array_split(mine, 1 + mine.size // 2000):
+            beyond = np.maximum(sign * (path[part, 1][:, None] - known[:, 1]), 0.0)
+            apart = np.hypot(path[part, 0][:, None] - known[:, 0], beyond).min(axis=1)
+            found[part] = np.minimum(found[part], apart)
+    return np.asarray(found)
+
+
+def tested_loops(legs_: Array, edges: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the cells (n, n) of a plane that test a rise, and those that test a fall, from legs (k, 2) [V].
+
+    `edges` (n + 1,) [V]: of the cells. A row belongs to an upper voltage, a column to a lower one. A leg tests the
+    cells within two of where it begins, from there to two beyond where it ends.
+    """
+    cells, rising, places = _cells(legs_, edges), legs_[:, 1] > legs_[:, 0], np.arange(len(edges) - 1)
+    low, high = np.sort(cells, axis=1).T[:, :, None]
+    passed = (places >= low - _AROUND) & (places <= high + _AROUND)
+    beside = np.abs(places - cells[:, :1]) <= _AROUND
+    # Below the diagonal there is nothing.
+    above = np.tri(places.size, dtype=bool)
+    return passed[rising].T @ beside[rising] & above, beside[~rising].T @ passed[~rising] & above
+
+
+def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_], edges: Array) -> NDArray[np.bool_]:
+    """Return for each leg (k, 2) [V] whether its cell is tested; the others are as in `tested_loops`."""
+    lower, upper = _cells(np.sort(path, axis=1), edges).T
+    return np.asarray(np.where(path[:, 1] > path[:, 0], rising[upper, lower], falling[upper, lower]))
+
+
+def _cells(legs_: Array, edges: Array) -> NDArray[np.intp]:
+    """Return the cells of the ends of legs (k, 2)."""
+    return np.clip(np.searchsorted(edges, legs_, side="right") - 1, 0, len(edges) - 2)
+
+
+@dataclass(frozen=True)
+class Untested:
+    """A property of a path that the records do not test.
+
+    `what`: "voltages", "turns", "speed", "rate", "hold" or "temperature". `sentence`: in words. `command`: the
+    `dehyst excite` command that tests it; empty for a temperature, at which the excitation of the records does.
+    """
+
+    what: str
+    sentence: str
+    command: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return json_values(self, "what sentence command")
+
+
+def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
+    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
+    top, base = (float(f"{one:.3g}") for one in (highest, lowest if abs(lowest) > 1e-3 * highest else 0.0))
+    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o excitation.csv"
+
+
+def untested_by(
+    validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float
+) -> Iterator[Untested]:
+    """Yield what the records do not test of a path."""
+    low, high = validity.limits
+    over = max(low - float(voltage.min()), float(voltage.max()) - high)
+    if over > _BEYOND * validity.span:
+        words = f"The path goes {over:.3g} V beyond the voltages of the records."
+        ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
+        yield Untested("voltages", words, excite_command(*ends))
+    path = voltage[at]
+    edges = np.linspace(low, high, CELLS + 1)
+    outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.legs, edges), edges)))
+    # Random turns are a test of those between them.
+    if outside and not validity.turns_anywhere:
+        yield Untested(
+            "turns", f"{outside} of {len(path)} branches begin where no record turned.", excite_command(high, low)
+        )
+    if time is None or time.size < 2:
+        return
+    speed, rate = paces_of(time, voltage, at).T
+    slowest, fastest = validity.speeds
+    new = {"fastest": (speed.max(initial=0.0), fastest), "slowest": (speed.min(initial=np.inf), slowest)}
+    for which, (found, known) in new.items():
+        if fastest and (found > _ALIKE * known if which == "fastest" else found * _ALIKE < known):
+            words = f"Its {which} branch takes {found:.3g} V/s on average, the {which} of the records {known:.3g} V/s."
+            yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0))
+    # The excitation for a new speed has the rates of branches over the whole range.
+    often = _ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
+    if fastest and rate.max(initial=0.0) > often:
+        words = f"It turns {rate.max():.3g} times a second at its fastest, the records {validity.rates[1]:.3g} times."
+        # Within the voltages of the branches that have the rate, an excitation is as fast as they are.
+        own = path[rate > often]
+        half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
+        middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
+        yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
+    hold = max(waits, longest_hold(time, voltage, validity.span))
+    if hold > _ALIKE * validity.hold:
+        words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
+        yield Untested("hold", words, excite_command(high, low, f"--hold {hold:.2g} ", "staircase"))
+
+
+def not_recorded(validity: Validity) -> Iterator[Untested]:
+    """Yield what paths often have and the records do not."""
+    low, high = validity.limits
+    if not validity.turns_anywhere:
+        words = "The records do not turn at random: branches that begin elsewhere are tested little."
+        yield Untested("turns", words, excite_command(high, low))
+    leg = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
+    if leg and validity.hold < leg:
+        words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
+        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * leg):.2g} ", "staircase"))
+
+
+def _paced(high: float, low: float, speed: float, faster: float) -> str:
+    """Return the command of an excitation whose fastest branches, `faster` than the slowest, have a speed [V/s]."""
+    # The fastest turns are to be as fast as the path, and not faster.
+    option = f"--frequency {0.5 * speed / faster / (high - low):.2g} --slew-rate {STEEPEST * speed:.3g} "
+    return excite_command(high, low, option)
