@@ -231,16 +231,6 @@ def test_wrong_displacements_move_nothing():
     assert bank.snapshot() == before
 
 
-def test_simulate_undoes_compensate():
-    actuators = mixed(6, 17, kinds=("plain", "tau", "creep"))
-    wanted = paths(actuators, 100, 6, beyond=-0.2)
-    back = Bank(actuators, [(-1e9, 1e9)] * 17, period=PERIOD)
-    voltage = back.compensate(wanted)
-    back.reset()
-    span = np.ptp([actuator.spring.displacement[[0, -1]] for actuator in actuators], axis=1)
-    assert np.max(np.abs(back.simulate(voltage) - wanted) / span) < 1e-10
-
-
 def test_a_warning_that_is_an_error_changes_nothing():
     bank = Bank(mixed(5, 4, kinds=("plain", "tau")), slew_rate=1.0, period=PERIOD)
     here = np.array([compensator.displacement for compensator in bank._each])

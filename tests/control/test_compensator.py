@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, State
-from dehyst.control.following import follow
 from dehyst.model import turned
 
 PLANT = plain_records.plant(10, seed=4)
@@ -68,17 +67,6 @@ def gap(first, other):
         for part in ("carts", "displacement_creep", "smooth")
     ]
     return max(abs(first.deformation - other.deformation), *differences)
-
-
-@pytest.mark.parametrize("name", STRUCTURES)
-def test_a_run_is_the_inverse_of_the_actuator(name):
-    actuator = PLANTS[name]
-    path = plain_records.path((0.5, 1, 0, 0.9, 0.2, 0.6), 40)[:200]
-    start = started(actuator, 1)
-    voltage = Compensator(actuator, FREE, period=PERIOD, state=start).run(path)
-    at = np.append(start.deformation, path)
-    exact = actuator.compensate(at, time=np.arange(at.size) * PERIOD, state=start)
-    np.testing.assert_allclose(voltage, exact.voltage[1:], atol=1e-12 * np.ptp(exact.voltage))
 
 
 @given(st.sampled_from(sorted(PLANTS)), st.integers(0, 10**6), st.booleans())
@@ -164,36 +152,6 @@ def test_a_voltage_from_which_no_step_returns_within_the_slew_rate_is_refused(vo
         compensator.commit(start)
         voltage = compensator.step(goal)
         assert 5 <= voltage <= 90 and abs(voltage - start) <= 1.5 * (1 + 1e-9)
-
-
-def through_saturation(actuator, limits, turns=(0.3, 1, 0.2, 0.6, 0.3)):
-    """Tracking error [% of the stroke] after the last clamp, memory true; and that of clipping the voltage alone."""
-    path = plain_records.path(turns, 200)
-    start = turned(actuator, float(path[0]), rising=False)
-    compensator = Compensator(actuator, limits, state=start)
-    tight = quietly(compensator.run, path)
-    clipped = np.clip(actuator.compensate(path, state=start).voltage, *limits)
-    assert tight.min() >= limits[0]
-    assert tight.max() <= limits[1]
-    # The memory that is true leaves saturation later: less has been reached, and less is held back.
-    left = max(int(np.flatnonzero((sent <= limits[0]) | (sent >= limits[1]))[-1]) for sent in (tight, clipped)) + 1
-    assert 200 < left < 300
-    return [
-        np.abs(actuator.simulate(sent, state=start).displacement - path)[left:].max() / plain_records.STROKE * 100
-        for sent in (tight, clipped)
-    ]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_after_saturation_the_memory_is_true(seed):
-    """130 V wanted, 100 V allowed. Clipping alone remembers a turn at 130 V that never was."""
-    plant = plain_records.plant(10, seed=seed)
-    most = plant.compensate(
-        plain_records.path((0.3, 1), 200), state=turned(plant, 0.3 * plain_records.STROKE, rising=False)
-    ).voltage.max()
-    true, clipped = through_saturation(plant, (0.0, most / 1.3))
-    assert true < 1e-9
-    assert clipped > 0.5
 
 
 def test_an_offer_leaves_no_trace_until_it_is_committed():
@@ -427,17 +385,6 @@ def test_a_reset_begins_again():
     np.testing.assert_array_equal(quietly(compensator.run, path), voltage)
     compensator.reset(PLANT.relaxed(0.0))
     assert compensator.voltage == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_trajectory_starts_from_the_loop_and_leaves_it_alone():
-    compensator = Compensator(PLANT, (0, 200), state=turned(PLANT, 2e-6))
-    compensator.step(9e-6)
-    before = compensator.snapshot()
-    command = follow(compensator, plain_records.path((0.5, 0.7, 0.3), 50))
-    assert compensator.snapshot() == before
-    np.testing.assert_allclose(
-        command.voltage, compensator.run(plain_records.path((0.5, 0.7, 0.3), 50)), atol=1e-11 * 200
-    )
 
 
 def smooth_path(time, frequency=3.0):

@@ -6,7 +6,7 @@ from summaries import NEEDING_TIME, PARTS, STROKE, anatomy
 
 from dehyst import Compensator, DehystError, ModelError, plan_path
 from dehyst.control.following import follow
-from dehyst.model import major_loop, turned
+from dehyst.model import turned
 
 PERIOD = 1e-3
 N = 50
@@ -115,10 +115,3 @@ def test_short_paths_answer_or_are_refused(kind):
                 assert follow(Compensator(actuator, period=period), path).voltage.shape == (size,)
             except DehystError:
                 assert period is None or np.ndim(path) != 1 or not np.all(np.isfinite(np.array(path, dtype=float)))
-
-
-@pytest.mark.parametrize("kind", PARTS)
-def test_what_takes_its_own_time_needs_none(kind):
-    actuator = anatomy(kind)
-    low, high = major_loop(actuator, (10.0, 190.0))
-    assert low < high == pytest.approx(Compensator(actuator, (10.0, 190.0)).reach[1])

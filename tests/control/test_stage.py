@@ -65,14 +65,6 @@ def test_other_names_of_the_axes_change_nothing(order):
     assert np.allclose(voltage[:, order], other, rtol=0, atol=1e-10)
 
 
-def test_steps_equal_the_whole_path():
-    wanted, model = path(np.random.default_rng(3)), stage()
-    loop = StageCompensator(model)
-    stepped = np.array([loop.step(row) for row in wanted])
-    assert np.allclose(stepped, model.compensate(wanted).voltage, rtol=0, atol=1e-10)
-    assert np.allclose(loop.displacement, wanted[-1], rtol=0, atol=1e-15)
-
-
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_a_clamped_axis_does_not_falsify_the_others():
     """Axis x wants more than its limit allows: y and z follow, which they would not without correction."""

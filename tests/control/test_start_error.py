@@ -6,9 +6,6 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records
-from hypothesis import given
-from hypothesis import strategies as st
-from rest_states import PLANT, equilibrium
 
 from dehyst import Compensator, DisplacementCreep, Dynamics, ModelError, RecordError, Stage, StageCompensator, Thermal
 from dehyst.control import PossibleStart, StartError, plan_path, wave_table
@@ -48,17 +45,6 @@ def way(rng, size, limits=LIMITS):
     """Return a slow voltage through random turns, and its time."""
     at = np.sort(rng.choice(np.arange(1, size - 1), 4, replace=False))
     return np.interp(np.arange(size), [0, *at, size], rng.uniform(*limits, 6)), np.arange(size) * 0.1
-
-
-@given(st.integers(0, 10_000))
-def test_two_extreme_starts_bound_every_state_at_rest(seed):
-    rng = np.random.default_rng(seed)
-    voltage = np.concatenate([[70.0], rng.uniform(*LIMITS, 30)])
-    state = equilibrium(PLANT, 70.0, rng)
-    error = StartError.along(PLANT, PossibleStart.unknown(PLANT, 70.0).states, voltage)
-    y = PLANT.simulate(voltage, state=state, extrapolate=True).displacement
-    slack = 1e-12 * STROKE
-    assert np.all((error.lowest - slack <= y) & (y <= error.highest + slack))
 
 
 @pytest.mark.parametrize("name", ACTUATORS)
@@ -213,30 +199,11 @@ def test_a_path_that_begins_fast_keeps_the_slew_rate_from_the_homing_on():
     assert np.all(np.abs(steps) <= 100.0 * intervals * (1 + 1e-9) + 1e-9)
 
 
-def test_without_a_homing_it_is_not():
-    """The law above would hold of any voltage if the start did not matter."""
-    time = np.arange(400) * 0.05
-    wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
-    start = PossibleStart.unknown_near(PLAIN, float(wanted[0]))
-    command = plan_path(PLAIN, wanted, start=start.state)
-    states = PossibleStart.unknown(PLAIN, float(command.voltage[0])).states
-    error = StartError.along(PLAIN, states, command.voltage, time=time)
-    assert error.matters and error.percent(error.largest) > 5
-    middle = np.maximum(error.highest - wanted, wanted - error.lowest).max()
-    assert middle < 0.75 * error.largest
-
-
 def test_the_order_without_proof_is_simulated_too():
     actuator = replace(CREEPING, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6]))
     assert len(PossibleStart.unknown(actuator, 20.0).states) > 10
     homed = plan_path(Compensator(actuator), np.linspace(3e-6, 9e-6, 100), time=np.arange(100.0), home=True)
     assert homed.error.percent(homed.error.largest) < 1
-
-
-def test_the_difference_settles_once_the_voltage_has_homed():
-    voltage = np.concatenate([np.linspace(0, 260, 100), np.linspace(260, -40, 100), np.linspace(-40, 100, 50)])
-    error = StartError.along(PLAIN, PossibleStart.unknown(PLAIN, 0.0).states, voltage)
-    assert error.first > error.model_error and error.difference[200:].max() < 1e-9 * STROKE
 
 
 def test_a_history_of_voltages_closes_what_it_homes():

@@ -9,7 +9,7 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError, Thermal
+from dehyst import Actuator, Compensator, Dynamics, ModelError
 from dehyst.control import following
 from dehyst.control.following import follow
 from dehyst.model import turned
@@ -205,15 +205,3 @@ def test_a_given_velocity_is_that_of_the_displacement_with_its_gain():
     command = follow(loop, 1e-6 + 1.5 * inside, **{name: 1.5 * rate for name, rate in given_rates.items()})
     np.testing.assert_allclose(command.voltage, expected.voltage, atol=1e-8)
     np.testing.assert_allclose(command.displacement, 1e-6 + 1.5 * expected.displacement, atol=1e-13)
-
-
-def test_a_given_temperature_takes_the_place_of_gain_and_offset():
-    warm = replace(PLANT, thermal=Thermal(4e-3, 1e-8, 20.0))
-    path = plain_records.path((0.3, 0.7, 0.4))
-    loop, other = (Compensator(warm, (-1e3, 1e3)) for _ in range(2))
-    expected = follow(other, path, temperature=35.0)
-    loop.scale(1.3, 1e-6)
-    np.testing.assert_array_equal(follow(loop, path, temperature=35.0).voltage, expected.voltage)
-    loop.scale(temperature=35.0)
-    np.testing.assert_array_equal(follow(loop, path).voltage, expected.voltage)
-    assert np.abs(expected.voltage - follow(other, path).voltage).max() > 1.0

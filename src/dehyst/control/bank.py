@@ -103,12 +103,13 @@ class Bank(Compensators):
             raise ModelError(
                 argument="displacement", got=f"the shape {row.shape}", need=f"one for each of {len(self)} actuators"
             )
-        wanted = self._table(row[None], "displacement")
         result: Array = np.empty(len(self)) if out is None else out
         fits = isinstance(result, np.ndarray) and result.shape == (len(self),) and result.dtype == np.float64
         if not (fits and result.flags.c_contiguous and result.flags.writeable):
             raise ModelError(f"out: need a writeable array of {len(self)} float64 in a row")
-        self._follow(wanted, result[None])
+        # It sends nothing if a displacement is refused or a voltage clamped.
+        if row.dtype != np.float64 or not row.flags.c_contiguous or not self._loops.step(row, result):
+            self._follow(self._table(row[None], "displacement"), result[None])
         return result
 
     def compensate(self, displacement: ArrayLike) -> Array:
@@ -161,8 +162,6 @@ class Bank(Compensators):
 
     def _follow(self, wanted: Array, voltage: Array) -> None:
         """Compute the `voltage` (n, M) [V] for displacements (n, M) [m], and warn of the first clamps of each kind."""
-        if len(wanted) == 1 and self._loops.step(wanted[0], voltage[0]):
-            return
         before, memory = self._counts, () if len(self._warned) == 2 else self.snapshot()
         after = self._loops.run(wanted, voltage, False)
         if after == before:

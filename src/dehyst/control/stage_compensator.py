@@ -310,3 +310,17 @@ def to_release(
 def axes_of(compensator: Compensator | StageCompensator) -> tuple[Compensator, ...]:
     """Return the compensator of each axis."""
     return (compensator,) if isinstance(compensator, Compensator) else compensator.compensators
+
+
+def compensator_of(model: Any, limits: Any, slew_rate: Any) -> Compensator | StageCompensator:
+    """Return the compensator of a model, or the given one; raise `ModelError` for limits beside a compensator."""
+    if isinstance(model, Actuator):
+        return Compensator(model, limits, slew_rate)
+    if isinstance(model, Stage):
+        return StageCompensator(model, limits, slew_rate)
+    if not isinstance(model, Compensator | StageCompensator):
+        raise ModelError(argument="model", got=type(model).__name__, need="an Actuator, a Stage, or a compensator")
+    for name, value in {"limits": limits, "slew_rate": slew_rate}.items():
+        if value is not None:
+            raise ModelError(argument=name, got="some beside a compensator, which has its own", hint="leave them out")
+    return model

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
 from dehyst._validation import interval, number
+from dehyst._views.lines import length
 from dehyst.control.compensator import allowed_limits
 from dehyst.control.limits import VoltageLimits
 from dehyst.model import (
@@ -91,7 +92,7 @@ class Homing:
     def __repr__(self) -> str:
         turns = ", ".join(f"{volt:.6g}" for volt in self.turns)
         word = "certified" if self.certified else "not certified"
-        return f"<Homing: {turns} V in {self.played.duration:.4g} s, {word}, leaves {_micro(self.spread)}>"
+        return f"<Homing: {turns} V in {self.played.duration:.4g} s, {word}, leaves {length(self.spread)}>"
 
 
 def shortest_homing(
@@ -232,7 +233,7 @@ class _TimedHoming:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
             share = 100 * spread / float(np.ptp(self.actuator.spring.displacement))
             yield (
-                f"not certified to {_micro(self.tolerance)}: the history may leave {_micro(spread)} ({share:.2g} % of "
+                f"not certified to {length(self.tolerance)}: the history may leave {length(spread)} ({share:.2g} % of "
                 f"the range){reasons and f', as this actuator {reasons}'}; {remedy}"
             )
         if not keeps_order(self.actuator):
@@ -357,10 +358,6 @@ def _rest_seconds(actuator: Actuator) -> float:
     return max(seconds, _RESTS / float(rate))
 
 
-def _micro(length: float) -> str:
-    return f"{length * 1e6:.3g} um"
-
-
 def time_allowed(within: float | None) -> float | None:
     """Return the time [s] that a homing may take; refuse one that is not positive."""
     if within is not None and number(within, "home_within") <= 0:
@@ -426,7 +423,7 @@ def possible_states(
     are no interval.
     """
     v = number(voltage, "voltage")
-    length = np.zeros(0) if actuator.smooth is None else actuator.smooth.length
+    lengths = np.zeros(0) if actuator.smooth is None else actuator.smooth.length
     if not time_dependence(actuator):
         return tuple(_on_major_loop(actuator, v, side) for side in (1, -1))
     low, high = voltages_of(actuator) if limits is None else interval(limits)
@@ -439,9 +436,9 @@ def possible_states(
 
     # After resting for ever at either limit.
     rested = [
-        evaluator_of(still).complete_state(State(end.deformation, end.carts, smooth=share * length))
+        evaluator_of(still).complete_state(State(end.deformation, end.carts, smooth=share * lengths))
         for end in (_on_major_loop(actuator, low, 1), _on_major_loop(actuator, high, -1))
-        for share in ((1.0, 0.0, -1.0) if length.size else (1.0,))
+        for share in ((1.0, 0.0, -1.0) if lengths.size else (1.0,))
     ]
     # The last leg takes no time.
     now = np.zeros(1)

@@ -21,7 +21,7 @@ from dehyst.control.planning.homing import time_allowed
 from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
 from dehyst.control.planning.start import PossibleStart, StartError
 from dehyst.control.planning.ways import TOLERANCE, Begin, Way, begin_of, pace, simultaneous, usual_step, way_to
-from dehyst.control.stage_compensator import StageCompensator, axes_of, targets_and_clamped
+from dehyst.control.stage_compensator import StageCompensator, axes_of, compensator_of, targets_and_clamped
 from dehyst.model import (
     Actuator,
     Stage,
@@ -118,11 +118,11 @@ def plan_path(
     >>> plan.voltage[plan.first :].shape
     (50,)
     """
-    task = Task(_compensator(model, limits, slew_rate), path, "displacement", time, temperature)
+    task = Task(compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
     task.set_rates(velocity, acceleration)
     task.shift(on_time)
     task.home_within = time_allowed(home_within)
-    given, now = task.starts(start), task.each(present, "present")
+    given, now = task.given(start, present)
     if not home:
         begins = task.begins(given, now, near=all(volts is None for volts in now))
         ways, before, found = task.begun(begins)
@@ -146,30 +146,16 @@ def plan_voltage(
 
     Default of `start`: unknown, at rest at the first voltage. Others, and errors, as in `plan_path`.
     """
-    task = Task(_compensator(model, None, None), voltage, "voltage", time, temperature)
+    task = Task(compensator_of(model, None, None), voltage, "voltage", time, temperature)
     starts = [
         known or PossibleStart.unknown(loop.actuator, volts, loop.limits)
-        for known, loop, volts in zip(task.starts(start), task.loops, task.firsts, strict=True)
+        for known, loop, volts in zip(task.given(start)[0], task.loops, task.firsts, strict=True)
     ]
     ways = [Way(known, known.state) for known in starts]
     moved, states = task.motion(ways, task.rows)
     still, pairs = np.zeros(len(task.rows), dtype=bool), zip(task.rows.T, moved.T, states, strict=True)
     found = [Followed(volts, y, still, state) for volts, y, state in pairs]
     return task.result(task.plans(ways, moved[:0], found, wanted=moved))
-
-
-def _compensator(model: Any, limits: Any, slew_rate: Any) -> Compensator | StageCompensator:
-    """Return the compensator of a model, or the given one; raise `ModelError` for limits beside a compensator."""
-    if isinstance(model, Actuator):
-        return Compensator(model, limits, slew_rate)
-    if isinstance(model, Stage):
-        return StageCompensator(model, limits, slew_rate)
-    if not isinstance(model, Compensator | StageCompensator):
-        raise ModelError(argument="model", got=type(model).__name__, need="an Actuator, a Stage, or a compensator")
-    for name, value in {"limits": limits, "slew_rate": slew_rate}.items():
-        if value is not None:
-            raise ModelError(argument=name, got="some beside a compensator, which has its own", hint="leave them out")
-    return model
 
 
 class Task:
@@ -289,21 +275,15 @@ class Task:
             self.temperature = np.concatenate([first, self.temperature])
         self.time = time
 
-    def each(self, values: Any, what: str) -> list[Any]:
-        """Return one entry for each axis."""
-        return for_each(values, len(self.loops), what)
-
-    def starts(self, given: Any) -> list[Any]:
-        """Return the start of each axis, None if none was given."""
-        starts = [
-            PossibleStart("given", (start,)) if isinstance(start, State) else start
-            for start in self.each(given, "start")
-        ]
-        for start in starts:
-            if start is not None and not isinstance(start, PossibleStart):
+    def given(self, starts: Any, present: Any = None) -> tuple[list[Any], list[Any]]:
+        """Return the start and the present voltage [V] of each axis, None if none was given."""
+        found: list[Any] = []
+        for start in for_each(starts, len(self.loops), "start"):
+            if start is not None and not isinstance(start, State | PossibleStart):
                 hint = 'PossibleStart.named(actuator, "top") makes one'
                 raise ModelError(argument="start", got=repr(start), need="a State or a PossibleStart", hint=hint)
-        return starts
+            found.append(PossibleStart("given", (start,)) if isinstance(start, State) else start)
+        return found, for_each(present, len(self.loops), "present")
 
     def begins(
         self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False, home: bool = False

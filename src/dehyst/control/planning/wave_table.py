@@ -321,37 +321,20 @@ def wave_table(
             need=f"{most} at most ({MOST_ROWS:g} samples)",
             hint="try fewer, or a lower sample rate",
         )
-
     first = _task(compensator, path.repeated(count), home_within)
-    given, now = first.starts(start), first.each(present, "present")
+    given, now = first.given(start, present)
     if home or (home is None and start is None):
         begins = first.begins(given, now, home=True)
         ways, _, (begun,) = first.after(first.ways(begins, True), begins)
     else:
         begins = first.begins(given, now, near=present is None)
         ways, _, (begun,) = first.begun(begins)
-    state, sent, once = begun.state, float(begun.voltage[-1]), path.repeated(1)
-    steady = _steady_cycle(compensator, path, state, sent)
-    if steady.clamped.any():
-        most = min(most, _MOST_CLAMPED_CYCLES)
-    last = inf
-    while True:
-        played = actuator.simulate(steady.voltage, time=once.time, state=state, extrapolate=True)
-        deviation = float(np.abs(played.displacement - steady.reached).max())
-        if cycles is not None or deviation <= _SAFE * least:
-            break
-        ahead = 1
-        if count >= min(most, _MOST_CYCLES):
-            ahead = 0 if steady.clamped.any() else _cycles_more(actuator, path, deviation / least)
-            # A deviation that does not fall is not creep.
-            if not ahead or count + ahead > most or deviation > _FALLS * last:
-                break
-            last = deviation
-        found = follow(compensator, **_rows(path.repeated(ahead)), state=state, present=sent)
-        state, sent, count = found.state, float(found.voltage[-1]), count + ahead
+    steady = _steady_cycle(compensator, path, begun.state, float(begun.voltage[-1]))
+    if cycles is None:
+        count = _start_up(compensator, path, begun, steady, least)
     task = _task(compensator, path.repeated(count + 1), home_within)
     ways, way, (found,) = task.after(ways, begins) if ways[0].voltage.size else task.begun(begins)
-    size = len(once)
+    size = len(steady.voltage)
     voltage = np.append(_towards(found.voltage[:-size], float(steady.voltage[0]), compensator), steady.voltage)
     moved = task.motion(ways, voltage[:, None])[0][-voltage.size :, 0]
     error = float(np.abs(moved[-size:] - steady.reached).max())
@@ -368,6 +351,31 @@ def wave_table(
         steady.state,
         (*plan.warnings, *_unsettled(actuator, path, steady, count, error, least)),
     )
+
+
+def _start_up(compensator: Compensator, path: ScanPath, begun: Followed, steady: _Steady, least: float) -> int:
+    """Return the cycles of start-up after which the steady cycle deviates by `least` [m], or the most that may be.
+
+    `begun`: the first cycle.
+    """
+    actuator, clamps, time = compensator.actuator, bool(steady.clamped.any()), path.repeated(1).time
+    most, count, last = MOST_ROWS // len(path), 1, inf
+    if clamps:
+        most = min(most, _MOST_CLAMPED_CYCLES)
+    while True:
+        played = actuator.simulate(steady.voltage, time=time, state=begun.state, extrapolate=True)
+        deviation = float(np.abs(played.displacement - steady.reached).max())
+        ahead = 0 if deviation <= _SAFE * least else 1
+        if ahead and count >= min(most, _MOST_CYCLES):
+            ahead = 0 if clamps else _cycles_more(actuator, path, deviation / least)
+            # A deviation that does not fall is not creep.
+            if count + ahead > most or deviation > _FALLS * last:
+                return count
+            last = deviation
+        if not ahead:
+            return count
+        present, cycles = float(begun.voltage[-1]), path.repeated(ahead)
+        begun, count = follow(compensator, **_rows(cycles), state=begun.state, present=present), count + ahead
 
 
 def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -> Task:
