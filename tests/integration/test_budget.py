@@ -33,14 +33,14 @@ ROOMS = {
     "virtual": 736,
     "waveforms": 1316,
     "web": 50,
-    "workbench": 2333,
+    "workbench": 2332,
 }
 HOUSE = {
-    "lines of Python": 38918,
+    "lines of Python": 38917,
     "files of Python": 192,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2724,
-    "lines of tests": 37395,
+    "lines of tests": 37378,
     "lines of benchmarks": 4958,
     "words of docs": 27708,
     "public names": 112,

@@ -1,16 +1,14 @@
 """The charts of a report in a real browser: drawn, enlarged, read out; nothing is loaded."""
 
-import shutil
-
 import numpy as np
 import pytest
+from workbench_page import CHROMIUM, chromium
 
 from dehyst.identification import Fit, Outcome, Trace
 from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.report import write_report
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytest.importorskip("playwright.sync_api", reason="needs playwright")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 
 
@@ -29,10 +27,8 @@ def file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser():
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
+    with chromium() as opened:
+        yield opened
 
 
 @pytest.fixture

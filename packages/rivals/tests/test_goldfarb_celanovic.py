@@ -298,7 +298,7 @@ def test_the_first_record_counts_and_needs_a_rise():
         GoldfarbCelanovic.fit(falls)
     with pytest.raises(IdentifyError, match="goes from 0 to 0"):
         GoldfarbCelanovic.fit(Record(time, flat, 1e-5 * up, "rests"))
-    with pytest.raises(IdentifyError, match="goes from 10 to 0 um while"):
+    with pytest.raises(IdentifyError, match="10 to 0 um"):
         GoldfarbCelanovic.fit(Record(time, up, 1e-5 * (1 - up), "inverted"))
     saturated = Record(time, 100 * np.minimum(up, 0.5), 1e-5 * up, "saturated")
     with pytest.raises(IdentifyError, match=r"rise beyond 9.091"):

@@ -13,9 +13,7 @@ from dehyst.trust import AbstractBaseline
 from dehyst.trust.baselines import Linear
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, standard
-from dehyst_rivals import GoldfarbCelanovic
-from dehyst_rivals.bouc_wen import BoucWen
-from dehyst_rivals.duhem import Duhem
+from dehyst_rivals import RIVALS
 from dehyst_rivals.play_models import (
     GeneralizedPrandtlIshlinskii,
     KrasnoselskiiPokrovskii,
@@ -26,7 +24,6 @@ from dehyst_rivals.play_models import (
     with_unknown_start,
 )
 from dehyst_rivals.plays import PlayBank
-from dehyst_rivals.preisach import Preisach
 from dehyst_rivals.training import PlayRows, prepare_training, ramps
 from examples import at_night
 
@@ -273,20 +270,7 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
     assert fitted_to(ready).rms > 1e-5 * STROKE
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        PrandtlIshlinskii,
-        ModifiedPrandtlIshlinskii,
-        GeneralizedPrandtlIshlinskii,
-        KrasnoselskiiPokrovskii,
-        BoucWen,
-        Duhem,
-        GoldfarbCelanovic,
-        Linear,
-        Preisach,
-    ],
-)
+@pytest.mark.parametrize("kind", [Linear, *dict.fromkeys(fit.__self__ for fit in RIVALS.values())])
 def test_every_baseline_is_one_and_none_is_built_upon(kind):
     assert issubclass(kind, AbstractBaseline)
     assert kind.__final__

@@ -53,10 +53,10 @@ def summary(found: Experiment) -> list[dict[str, Any]]:
         ("range", "Range of the major loop", "µm", 1e6 * found.loops[0].range, {}),
         ("shift", shift, "µm", 1e6 * float(found.shift.mean()), shifted),
     ]
-    head = ("key", "quantity", "unit", "actuator")
     return [
-        {**dict(zip(head, row, strict=True)), "paper": PAPER.get(row[0]), **dict.fromkeys(MODELS), **models}
-        for *row, models in rows
+        {"key": key, "quantity": quantity, "unit": unit, "actuator": actuator, "paper": PAPER.get(key)}
+        | {name: models.get(name) for name in MODELS}
+        for key, quantity, unit, actuator, models in rows
     ]
 
 

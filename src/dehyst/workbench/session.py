@@ -187,9 +187,8 @@ class WorkbenchSession:
             raise SessionError(f"options: got {unknown[0]!r}, need some of {', '.join(_IDENTIFY)}")
         file = self.folder.new(places.MODELS, str(options.get("name") or train[0].name), ".json")
         stem = Path(file).stem
-        keys = ([record.id for record in role] for role in (train, validate))
-        entry = ModelEntry(self._id("m"), stem, file, *keys)
-        entry.options, entry.report = given, f"{places.REPORTS}/{stem}.html"
+        entry = ModelEntry(self._id("m"), stem, file, options=given, report=f"{places.REPORTS}/{stem}.html")
+        entry.train, entry.validate = ([record.id for record in role] for role in (train, validate))
         outputs = {"output": file, "report": entry.report}
         held_out = {"validate": [record.file for record in validate]} if validate else {}
         read = train[0].reading
