@@ -2,7 +2,6 @@
 
 import csv
 import json
-import re
 
 import checked_loops as loops
 import pytest
@@ -27,8 +26,7 @@ def test_a_model_that_is_still_true(folder):
     status, out, err = run("check", "model.json", "same.csv", cwd=folder)
     assert (status, err) == (0, "")
     assert out.startswith("Still true: the largest error is 0.0")
-    assert re.search(r"^width +[+-][\d.e-]+ ± [\d.]+ % +[+-]0\.\d{3}$", out, re.M), out
-    assert "counts\n" not in out.split("(A change counts")[0]
+    assert out.count("\n") <= 3
 
 
 def test_a_model_that_is_not(folder):
@@ -36,7 +34,6 @@ def test_a_model_that_is_not(folder):
     assert (status, err) == (1, "")
     assert out.startswith("Recalibrate: ")
     assert "risen by 2" in out
-    assert re.search(r"^gain .*  counts$", out, re.M), out
     assert run("check", "model.json", "gain.csv", "--goal", "5", cwd=folder)[0] == 0
 
 

@@ -67,7 +67,7 @@ VALUES = {
     "--size 3": {"size": 3},
     "--pair -1 2.5": {"pair": [-1, 2.5]},
     "--names x --names 'y z' --deep 2": {"names": ["x", "y z"], "deep": 2},
-    "--others a.csv b.csv --fast": {"others": ["a.csv", "b.csv"], "fast": True},
+    "--others a.csv --others b.csv --fast": {"others": ["a.csv", "b.csv"], "fast": True},
     "--fast --no-home": {"fast": True, "home": False},
     "--home": {"home": True, "fast": None},
 }

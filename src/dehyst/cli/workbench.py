@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from dehyst.operations.command import argument, command, integer, number, option
+from dehyst.operations.command import argument, command, integer, number, switch
 from dehyst.operations.run import Result, Run
 from dehyst.workbench import serve
 from dehyst.workbench.serving import Door
@@ -25,7 +25,7 @@ def workbench(
     run: Run,
     folder: Path = argument(_FOLDER, required=False, default="dehyst-workbench"),
     port: int | None = integer("0: any that is free; default: 8754, or any."),
-    browser: bool = option("Open the page.", words="--browser/--no-browser", default=True),
+    browser: bool = switch("--browser/--no-browser", "Open the page.", default=True),
     max_size: float = number("Largest file to receive [MB].", default=500.0),
 ) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.

@@ -24,7 +24,6 @@ from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
 from dehyst.trust import update as update_one
-from dehyst.trust.changes import NOUNS
 
 
 def _of_path(given: Values) -> str:
@@ -36,9 +35,7 @@ def insight(
     run: Run,
     model: Path = argument(),
     records: tuple[Path, ...] = argument(nargs=-1),
-    trajectory: Path | None = option(
-        "Show the promise of the path in this file, as compensate plans it.", INPUT, of_one_axis
-    ),
+    trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
     zero: Zero | None = option("Zero of the trajectory, as in compensate.", ZERO, _of_path),
     start: Start | None = option("State before the trajectory, as in compensate.", START, _of_path),
     limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
@@ -109,12 +106,8 @@ def check(
     run: Run,
     model: Path = argument(),
     record: Path = argument(),
-    goal: float | None = number(
-        "Largest error [% of the stroke] of a model that is still true; default: the model's, or 1."
-    ),
-    log: Path | None = option(
-        "Append the check to this table (CSV), one row an axis; --force begins it anew.", CONTINUED
-    ),
+    goal: float | None = number("Largest error [% of the stroke] that is good; default: the model's, or 1."),
+    log: Path | None = option("Append a row an axis to this table (CSV); --force begins it anew.", CONTINUED),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.
@@ -141,22 +134,10 @@ def check(
 
 
 def _check_lines(recheck: Recheck) -> Iterator[str]:
-    """Yield the judgement, possible changes, and the remarks."""
+    """Yield the judgement, the changes that count, and the remarks."""
     yield recheck.sentence
-    if recheck.mismatch:
-        return
-    yield from recheck.change_sentences()
-    yield ""
-    yield f"{'change':<8}{'now less then':>38}{'effect, % of the stroke':>26}"
-    for change in recheck.changes:
-        sign = "-" if change.value < 0 else "+"
-        effect = f"{100 * change.effect / recheck.stroke:+.3f}"
-        counts = "  counts" if change.counts else ""
-        name = " and ".join(NOUNS[part] for part in change.parts)
-        yield f"{name:<8}{sign + change.amount(recheck.stroke):>38}{effect:>26}{counts}"
-    yield "  (A change counts if it exceeds three standard errors, and its effect a quarter of the goal.)"
-    if recheck.remarks:
-        yield ""
+    if not recheck.mismatch:
+        yield from recheck.change_sentences()
         yield from (f"  - {remark}" for remark in recheck.remarks)
 
 

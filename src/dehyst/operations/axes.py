@@ -252,7 +252,7 @@ class AxesModel:
         try:
             return table.column(quantity, named)
         except ColumnError as error:
-            hint = f'{error.hint}. Give the column as "{axis}=NAME"'
+            hint = f'{error.hint.rstrip(".")}. Give the column as "{axis}=NAME"'
             raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:

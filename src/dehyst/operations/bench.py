@@ -91,18 +91,12 @@ def _single(given: Values) -> str:
 def calibrate(
     run: Run,
     rig: str = argument(None),
-    output: Path = output(
-        "Folder: new, empty, or an earlier calibration's, which goes on.", CONTINUED, default="dehyst-calibration"
-    ),
+    output: Path = output("Folder; that of an earlier calibration goes on.", CONTINUED, default="dehyst-calibration"),
     axes: str | None = option("Calibrate these axes of one body together, as 1,2,3; default: one axis."),
     limits: AxisLimits = limits_option("Range of the voltage [V]; default: the device's."),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s."),
-    frequency: float | None = number(
-        "Cycles per second [Hz] of the slowest loops; default: 0.1, and 1 for several axes."
-    ),
-    protocol: tuple[Path, ...] = option(
-        "Record these voltages of dehyst excite instead.", INPUT, _single, multiple=True
-    ),
+    frequency: float | None = number("Frequency [Hz] of the slowest loops; default: 0.1, or 1 for several axes."),
+    protocol: tuple[Path, ...] = option("Voltages of dehyst excite to play instead.", INPUT, _single, multiple=True),
     goal: float = number("Largest error [% of the stroke] of a good calibration, on every axis.", default=1.0),
     dry_run: bool = flag("Print what would be sent, and send nothing."),
 ) -> Result:

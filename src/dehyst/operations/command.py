@@ -150,6 +150,11 @@ def flag(text: str, *only: Condition, **settings: Any) -> Any:
     return option(text, None, *only, **{"is_flag": True, "default": False, **settings})
 
 
+def switch(words: str, text: str, *, default: bool | None = None) -> Any:
+    """Return the declaration of an option with two names, as "--home/--no-home"."""
+    return option(text, words=words, default=default)
+
+
 def output(text: str, role: FilePath = OUTPUT, *only: Condition, **settings: Any) -> Any:
     """Return the declaration of the option for an output, by default a file that is needed."""
     needed = not only and not settings
@@ -183,16 +188,9 @@ class OperationCommand(click.Command):
         ]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the words; an option that takes files takes all names up to the next option."""
+        """Read the words, and keep them for `command_of`."""
         ctx.meta["words"] = [*args]
-        many = {name for parameter in self.params for name in parameter.opts if _takes_files(parameter)}
-        spread, inside = list[str](), ""
-        for word in args:
-            if inside and not word.startswith("-") and spread[-1] != inside:
-                spread.append(inside)
-            inside = word if word in many else inside if not word.startswith("-") else ""
-            spread.append(word)
-        return super().parse_args(ctx, spread)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Let the object of the context run the operation."""
@@ -226,10 +224,6 @@ def argument_of(error: click.UsageError) -> str:
     """Return the name of the parameter that words of a command do not give as it must be; empty if it is not known."""
     parameter, name = getattr(error, "param", None), getattr(error, "option_name", "")
     return str(parameter.name) if parameter is not None else name.lstrip("-").replace("-", "_")
-
-
-def _takes_files(parameter: click.Parameter) -> bool:
-    return isinstance(parameter, click.Option) and parameter.multiple and isinstance(parameter.type, FilePath)
 
 
 def given_in(ctx: click.Context) -> dict[str, Any]:

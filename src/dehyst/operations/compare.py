@@ -21,9 +21,7 @@ from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
 def compare(
     run: Run,
     records: tuple[Path, ...] = argument(nargs=-1),
-    validate: tuple[Path, ...] = option(
-        "Held-out records; default: the last quarter of each record.", INPUT, multiple=True
-    ),
+    validate: tuple[Path, ...] = option("Held-out records; default: the last quarter of each.", INPUT, multiple=True),
     only: tuple[str, ...] = option("Compare only this model; may be repeated; default: all.", multiple=True),
     report: Path | None = page(),
     columns: Columns = COLUMNS,

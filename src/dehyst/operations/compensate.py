@@ -42,22 +42,24 @@ from dehyst.operations.command import (
     number,
     option,
     output,
+    switch,
 )
-from dehyst.operations.files import COLUMNS, PATH, TEXT_KEYS, Columns, clock_of, scan_declared, write_table
+from dehyst.operations.files import COLUMNS, TEXT_KEYS, Columns, scan_declared, write_table
 from dehyst.operations.paths import (
     TEMPERATURE,
     ZERO,
     Zero,
     coverage_remarks,
     reach_remarks,
+    read_path,
     temperature_column,
     temperature_of,
-    zero_of_path,
+    zeros_of_path,
 )
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
 from dehyst.operations.waves import refuse_cycles
-from dehyst.records import read_table, table_of
+from dehyst.records import read_table
 from dehyst.waveforms import Scan, ScanPath
 from dehyst.waveforms.scans import scan_of
 
@@ -108,19 +110,13 @@ def compensate(
     trajectory: Path = argument(),
     output: Path = output("Write time, displacement and voltage here (CSV)."),
     limits: AxisLimits = limits_option("Allowed voltages [V], of all axes or of one; default: those of the records."),
-    slew_rate: AxisNumbers = slew_option(
-        "Largest slew rate [V/s]; default: what the model keeps, or none: the path's own speed."
-    ),
+    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: what the model keeps, or none."),
     zero: Zero | None = option("Zero of the path [um], or place of the reach; default: the sensor's zero.", ZERO),
     start: Start | None = option("State before the path, or FILE: what was played before; default: unknown.", START),
-    home: bool | None = option(
-        "Home before the path; default: if the start is unknown and matters.", words="--home/--no-home", default=None
-    ),
+    home: bool | None = switch("--home/--no-home", "Home before the path; default: if the start matters."),
     home_within: float | None = number("Longest duration of homing and way [s]; default: as long as needed.", _homes),
     present: AxisNumbers = option("Present voltage [V]; default: that of --start, or 0.", _PRESENT, multiple=True),
-    on_time: bool | None = option(
-        "Lead the path by the model's delay; default: if the actuator lags.", words="--on-time/--late", default=None
-    ),
+    on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
     temperature: float | None = number(TEMPERATURE, _without_table),
     table: Path | None = option("Write the steady cycle of a scan here (CSV), a wave table.", OUTPUT, _of_scan),
     cycles: int = integer("Steady cycles in the output.", beside("table"), default=1),
@@ -141,8 +137,8 @@ def compensate(
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
     axes, remarks = _requests(known, limits, slew_rate, start, present, columns)
-    places = np.array([zero_of_path(axis.actuator, axis.limits, zero, axis.start, axis.present) for axis in axes])
-    places = known.moved(places[None])[0] if zero is not None and zero.name else places
+    _, allowed, _, begins, volts = zip(*axes, strict=True)
+    places = zeros_of_path(known, allowed, zero, begins, volts)
     if zero is not None:
         words = "the path is counted from {:.6g} um of the sensor, and written in um of the sensor"
         remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
@@ -150,16 +146,9 @@ def compensate(
     how: dict[str, Any] = {"home": home, "home_within": home_within}
     declared = None if known.stage is not None else scan_declared(trajectory)
     if declared is None:
-        read = table_of(trajectory, columns)
-        known.demand(columns, PATH, "on a path")
-        wanted = known.values(read, "displacement", columns)
-        wanted = wanted if zero is None else wanted + places
-        how |= {"temperature": temperature_of(known, temperature, columns, read, len(wanted), remark=remarks.append)}
-        clock = clock_of(read, columns)
-        # Its arrays are large.
-        del read
+        wanted, warmth, clock = read_path(known, trajectory, columns, temperature, remark=remarks.append)
         try:
-            return task.follow(wanted, clock, output, on_time=on_time, **how)
+            return task.follow(wanted + places, clock, output, on_time=on_time, temperature=warmth, **how)
         except ModelError as error:
             if error.change or error.argument not in ("", "displacement"):
                 raise

@@ -12,7 +12,7 @@ from dehyst._io import PathLike, demand_own_folder, made_folder, write_json
 from dehyst._types import Array, Progress
 from dehyst.control import plan_path
 from dehyst.identification import Fit, identify
-from dehyst.operations.command import CONTINUED, command, option, output
+from dehyst.operations.command import CONTINUED, command, output, switch
 from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
@@ -22,13 +22,14 @@ _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
 # A folder with this file is the demo's.
 OWN = ("demo.json", "dehyst-demo")
+_IDENTIFIED = "loops.csv --validate other-loops.csv -o model.json"
 # The paper: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
 
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """Result of the demo; errors in % of the stroke."""
+    """Result of the demo: records, fit, and a path [m] at `time` [s]: wanted, and reached by two kinds of voltage."""
 
     records: tuple[Record, Record]
     fit: Fit
@@ -40,22 +41,17 @@ class Demo:
     stroke: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
+        """Return JSON values; errors in % of the stroke, with those of the paper."""
+        errors = {kind: getattr(self, kind) - self.wanted for kind in _PAPER}
         return {
             "stroke_um": self.stroke * 1e6,
-            "linear": self._errors(self.linear),
-            "compensated": self._errors(self.compensated),
+            **{kind: {**self._percents(error), "largest_um": 1e6 * largest(error)} for kind, error in errors.items()},
             "paper": {f"{kind}_largest_percent": value for kind, value in _PAPER.items()},
             "fit": self.fit.as_dict(),
         }
 
-    def _errors(self, reached: Array) -> dict[str, float]:
-        error = reached - self.wanted
-        return {
-            "largest_percent": percent(largest(error), self.stroke),
-            "rms_percent": percent(rms(error), self.stroke),
-            "largest_um": 1e6 * largest(error),
-        }
+    def _percents(self, error: Array) -> dict[str, float]:
+        return {f"{name}_percent": percent(of(error), self.stroke) for name, of in (("largest", largest), ("rms", rms))}
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
@@ -102,15 +98,11 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
     wanted = {"time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage}
     reached = {"compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6}
     write_columns(target / "tracking.csv", wanted | reached, digits=12)
-    names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json"]
+    names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", OWN[0]]
     if report:
         from dehyst.report import write_report
 
-        write_report(
-            target / "report.html",
-            demo.fit,
-            command="dehyst identify loops.csv --validate other-loops.csv -o model.json --report report.html",
-        )
+        write_report(target / "report.html", demo.fit, command=f"dehyst identify {_IDENTIFIED} --report report.html")
         names.append("report.html")
     return [target / name for name in names]
 
@@ -118,10 +110,8 @@ def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
 @command("demo")
 def demo(
     run: Run,
-    output: Path = output(
-        "Folder: new, empty, or an earlier demo's; any other with --force.", CONTINUED, default="dehyst-demo"
-    ),
-    report: bool = option("Draw the report.", words="--report/--no-report", default=True),
+    output: Path = output("Folder: new, empty, or an earlier demo's.", CONTINUED, default="dehyst-demo"),
+    report: bool = switch("--report/--no-report", "Draw the report.", default=True),
 ) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator."""
     demand_own_folder(output, *OWN, force=run.force)

@@ -53,6 +53,9 @@ def _of_loop(given: Values) -> str:
     return "on an FMU of the actuator" if given.get("kind") == "actuator" else ""
 
 
+_PREVIEW = (of_one_axis, _of("preview"), _of_loop)
+
+
 @command("export")
 def export(
     run: Run,
@@ -65,19 +68,11 @@ def export(
         _of("number"),
         default="double",
     ),
-    limits: AxisLimits = limits_option(
-        "Voltages allowed [V], of all axes or of one; default: those of the records.", _of_loop
-    ),
-    slew_rate: AxisNumbers = slew_option(
-        "Largest slew rate [V/s], with --period; default: what the model keeps, or not limited.", _of_loop
-    ),
+    limits: AxisLimits = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
+    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
     period: float | None = number_option("Time between steps [s]; a model that depends on time needs it."),
-    preview: bool = flag(
-        "Compensate delay and inertia, of displacements in advance.", of_one_axis, _of("preview"), _of_loop
-    ),
-    name: str | None = option(
-        "Prefix of files and functions; default: piezo, or stage for several axes.", None, _of("name")
-    ),
+    preview: bool = flag("Compensate delay and inertia, of displacements in advance.", *_PREVIEW),
+    name: str | None = option("Prefix of files and functions; default: piezo, or stage.", None, _of("name")),
     kind: str = option(
         "Kind of FMU: compensator (displacement to voltage), or virtual actuator.",
         click.Choice(["compensator", "actuator"]),

@@ -16,12 +16,8 @@ from dehyst.records import read
 def fleet(
     run: Run,
     records: tuple[Path, ...] = argument(nargs=-1),
-    output: Path = output(
-        "Write the table here (.parquet), or continue it; with --force all rows are computed again.", CONTINUED
-    ),
-    scheduler: str | None = option(
-        "Address of a Dask scheduler, as tcp://host:8786; default: a process for each processor."
-    ),
+    output: Path = output("Write this table (.parquet), or continue it; --force begins it anew.", CONTINUED),
+    scheduler: str | None = option("Dask scheduler, as tcp://host:8786; default: a process for each processor."),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Identify each of RECORDS, a folder or files, and write one table with one row a record.

@@ -29,10 +29,10 @@ from dehyst.operations.axes import (
 )
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, integer, option, output
-from dehyst.operations.files import COLUMNS, PATH, Columns, clock_of, write_table
-from dehyst.operations.paths import ZERO, Zero, bounds_remarks, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.files import COLUMNS, Columns, write_table
+from dehyst.operations.paths import ZERO, Zero, bounds_remarks, reach_remarks, read_path, zeros_of_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import demand_disk_space, percent, table_of
+from dehyst.records import demand_disk_space, percent
 from dehyst.report.html import document, words
 from dehyst.report.sections import followed as followed_sections
 
@@ -48,9 +48,7 @@ def follow(
     rig: str = argument(None),
     model: Path = option("The model (JSON) of one axis or several.", INPUT, required=True),
     path: Path = option("A file with times and a displacement, or the path of dehyst scan.", INPUT, required=True),
-    output: Path = output(
-        "Folder for the record, its picture, and voltages.csv, the learnt cycle.", FOLDER, default="dehyst-follow"
-    ),
+    output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
     repeat: int | None = integer("How often the path is followed; default: once, with --learn until the error stays."),
     learn: bool = flag("Correct each repetition by the error of the one before."),
     feedback: bool = flag("Correct each sample by the reading before, of one axis, at 200 Hz at most."),
@@ -71,7 +69,10 @@ def follow(
     known = AxesModel.read(run, model)
     if feedback and known.stage is not None:
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")
-    wanted, warmth, rate = _path_of(run, known, path, columns)
+    wanted, warmth, clock = read_path(known, path, columns, remark=run.note)
+    if not clock:
+        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
+    rate = even_rate(path, clock["time_s"])
     if feedback and rate > HIGHEST_RATE * (1 + _RATES):
         hint = "give a slower path, or --learn"
         raise RecordError(argument="path", got=f"{rate:.6g} Hz", need="200 Hz at most with feedback", hint=hint)
@@ -105,17 +106,6 @@ def follow(
     return _result(known, followed, paths, output)
 
 
-def _path_of(run: Run, known: AxesModel, path: Path, columns: Columns) -> tuple[Array, float | Array | None, float]:
-    """Return the wanted displacements (n, axes) [m], the temperature [degC] and the rate [Hz] of a path."""
-    known.demand(columns, PATH, "on a path")
-    table = table_of(path, columns)
-    wanted, clock = known.values(table, "displacement", columns), clock_of(table, columns)
-    if not clock:
-        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
-    warmth = temperature_of(known, None, columns, table, len(wanted), remark=run.note)
-    return wanted, warmth, even_rate(path, clock["time_s"])
-
-
 def _placed(
     run: Run,
     known: AxesModel,
@@ -130,9 +120,7 @@ def _placed(
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
         raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give its model")
-    device = [(part.limits.low, part.limits.high) for part in rig.rigs]
-    zeros = np.array([zero_of_path(*each, zero) for each in zip(known.actuators, device, strict=True)])
-    wanted = wanted + (known.moved(zeros[None])[0] if zero is not None and zero.name else zeros)
+    wanted = wanted + zeros_of_path(known, [(part.limits.low, part.limits.high) for part in rig.rigs], zero)
     bounds, remarks = [], []
     for part, actuator, target, limit, slew in zip(
         rig.rigs, known.actuators, known.targets(wanted).T, allowed, slews, strict=True

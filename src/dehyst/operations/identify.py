@@ -30,6 +30,7 @@ from dehyst.operations.command import (
     option,
     output,
     page,
+    switch,
 )
 from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns
 from dehyst.operations.paths import ZERO, Zero
@@ -57,7 +58,7 @@ _SETTINGS = {
     "sensor_lag": number("Time constant of the sensor's own filter [s], 0 if it has none; default: unknown."),
     "lag_of": option("Whose the lag of the records is, if known.", click.Choice(["actuator", "sensor"])),
     "delay": number("Time [s] by which the displacement lags the voltage; default: estimated from the records."),
-    "drift": option("Remove a drift of each record, logarithmic in time.", words="--drift/--no-drift", default=True),
+    "drift": switch("--drift/--no-drift", "Remove a drift of each record, logarithmic in time.", default=True),
     "shared_datum": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
 }
 
@@ -71,9 +72,7 @@ def identify(
     report: Path | None = page(),
     traces: Path | None = option("Write measured and simulated displacement of all records here (.npz).", OUTPUT),
     zero: Zero | None = option("Zero of the displacement, in the first record; default: the sensor's zero.", ZERO),
-    time_limit: float | None = number(
-        "End the search for a structure after this time [s], and complete the best model so far."
-    ),
+    time_limit: float | None = number("Time after which the search ends [s], with the best model so far."),
     slew_rate: float | None = number("Largest slew rate [V/s] of later paths; the model keeps it.", beside("output")),
     columns: Columns = COLUMNS,
     **settings: Any,

@@ -23,9 +23,7 @@ _HEADS = (("paper", "ours, by", "ours, whole", "with more"), ("", "its method", 
 @command("paper")
 def paper(
     run: Run,
-    output: Path = output(
-        "Folder: new, empty, or of an earlier run; any other with --force.", CONTINUED, default="dehyst-paper"
-    ),
+    output: Path = output("Folder: new, empty, or of an earlier run.", CONTINUED, default="dehyst-paper"),
 ) -> Result:
     """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
     demand_own_folder(output, *experiment.OWN, force=run.force)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,8 +17,8 @@ from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, demand_thermal, evaluator_of, tested_temperatures
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
-from dehyst.operations.files import Columns, warmth_of
-from dehyst.records import Table
+from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
+from dehyst.records import Table, table_of
 from dehyst.records.formats.column import listed
 
 TEMPERATURE = "Temperature [degC], for a model that depends on it; default: a column temperature_C, or the reference."
@@ -102,6 +103,17 @@ def temperature_of(
     return None
 
 
+def read_path(
+    known: AxesModel, path: Path, columns: Columns, constant: float | None = None, *, remark: Callable[[str], object]
+) -> tuple[Array, float | Array | None, dict[str, Array]]:
+    """Return the wanted displacement (n, axes) [m] in a file, its temperature [degC], and its time."""
+    known.demand(columns, PATH, "on a path")
+    table = table_of(path, columns)
+    wanted = known.values(table, "displacement", columns)
+    warmth = temperature_of(known, constant, columns, table, len(wanted), remark=remark)
+    return wanted, warmth, clock_of(table, columns)
+
+
 def temperature_column(path: PathPlan) -> dict[str, Array]:
     """Return the column of temperatures of a planned path, if it has one."""
     return {} if path.temperature is None else {"temperature_C": path.temperature}
@@ -124,6 +136,20 @@ def zero_of_path(
         begin = start or PossibleStart.unknown(actuator, rest, compensator.limits)
         return evaluator_of(actuator).displacement(begin.state, of_mass=False)
     return low if zero.name == "bottom" else 0.5 * (low + high)
+
+
+def zeros_of_path(
+    known: AxesModel,
+    limits: Sequence[Limits],
+    zero: Zero | None,
+    starts: Sequence[Any] = (),
+    present: Sequence[Any] = (),
+) -> Array:
+    """Return the displacement (axes,) [m] that is the zero of a path; `starts`, `present` [V]: of each actuator."""
+    unknown = [None] * len(known.axes)
+    each = zip(known.actuators, limits, starts or unknown, present or unknown, strict=True)
+    places = np.array([zero_of_path(actuator, allowed, zero, *state) for actuator, allowed, *state in each])
+    return known.moved(places[None])[0] if zero is not None and zero.name else places
 
 
 def reach_remarks(

@@ -44,7 +44,7 @@ SLOW = ("creep", "drift")
 LEARNT = ("gain", "width")
 # Factor and unit in which each is shown.
 _AND = " and "
-NOUNS = {"gain": "gain", "width": "width", "offset": "zero", "delay": "lag", "creep": "creep", "drift": "drift"}
+_NOUNS = {"gain": "gain", "width": "width", "offset": "zero", "delay": "lag", "creep": "creep", "drift": "drift"}
 _SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "delay": (1e3, "ms")}
 
 
@@ -92,7 +92,7 @@ class Change:
         `tells`: the command of a record that tells several changes apart.
         """
         if len(self.parts) > 1:
-            words = _AND.join(NOUNS[part] for part in self.parts)
+            words = _AND.join(_NOUNS[part] for part in self.parts)
             text = f"The loop has changed its shape by {self.amount(stroke)}; this record cannot tell {words} apart."
             return f"{text} Record the loops of `{tells}`, which tell them apart." if tells else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]

@@ -88,7 +88,7 @@ def path_points(file: Path, model: Path) -> list[list[list[float]]]:
     except FileFormatError as error:
         need = ",".join(["time_s", *(known.name("displacement", axis) for axis in known.axes)])
         unnamed = isinstance(error, ColumnsError) and not any(p.column and p.column.fault for p in error.problems)
-        if unnamed or "--columns" in error.hint:
+        if unnamed or "columns" in error.change:
             raise RequestError(
                 f"has no column of a name and a unit as expected; need columns such as {need}"
             ) from error
