@@ -178,14 +178,14 @@ class Program:
     def size(self) -> int:
         """Number of all columns."""
         bounded = sum(part.value.size for part in self._split[1])
-        return self.free_columns.shape[1] + self.grid.places()["transformer"].stop + bounded
+        return self.free_columns.shape[1] + self.grid.places["transformer"].stop + bounded
 
     def _write_static(self, out: Array, part: slice) -> None:
         """Write the columns of elements, spring, smooth elements and tau, in the order of `Grid.places`, of some rows.
 
         `out` (rows of the part, q).
         """
-        grid, rows, places = self.grid, self.rows, self.grid.places()
+        grid, rows, places = self.grid, self.rows, self.grid.places
         y, elements = rows.displacement[part], out[:, places["elements"]]
         if grid.segments > 1:
             # A segment at a time: an innermost loop over few numbers is slow.
@@ -207,7 +207,7 @@ class Program:
 
         The array (m, E + F + q) has the free columns first; the next slice overwrites it.
         """
-        free, count = self.free_columns.shape[1], self.grid.places()["transformer"].stop
+        free, count = self.free_columns.shape[1], self.grid.places["transformer"].stop
         bounded = np.hstack([np.empty((len(self), 0)), *(self.responses[part.name] for part in self._split[1])])
         some = np.empty((_CACHED, self.size))
         for first in range(0, len(self), _CACHED):
@@ -383,7 +383,7 @@ class Program:
         """Return the unknowns with all elements as much softer as every outermost branch needs to rise."""
         if self.grid.segments == 1:
             return x
-        rising, count = self.grid.outermost, self.grid.places()["elements"].stop
+        rising, count = self.grid.outermost, self.grid.places["elements"].stop
         elements = rising[:, :count] @ x[free : free + count]
         spring = rising[:, count:] @ x[free + count : free + rising.shape[1]]
         falls = elements + spring < -_VIOLATED * self.floor
@@ -394,7 +394,7 @@ class Program:
 
     def _limits(self, size: int, free: int) -> tuple[Array, Array]:
         """Return the inequality of the last segment of tau."""
-        lengths, place = np.diff(self.grid.drive), self.grid.places()["transformer"]
+        lengths, place = np.diff(self.grid.drive), self.grid.places["transformer"]
         matrix = np.zeros((int(lengths.size > 0), size))
         if not lengths.size:
             return matrix, np.zeros(0)
@@ -409,7 +409,7 @@ class Program:
         for part in free:
             numbers[part.name] = x[first : first + part.value.size]
             first += part.value.size
-        places = {kind: slice(first + p.start, first + p.stop) for kind, p in grid.places().items()}
+        places = {kind: slice(first + p.start, first + p.stop) for kind, p in grid.places.items()}
         last = places["transformer"].stop
         for part in bounded:
             numbers[part.name] = x[last : last + part.value.size]
@@ -457,7 +457,7 @@ def _alike(grid: Grid) -> Array:
     drho_i)`` from one threshold to the next, and second differences of the slopes of the spring and of tau over a
     segment; those of tau are volts, which a slope of the whole range makes metres.
     """
-    rho, segments, places = grid.breakaway[grid.movable], grid.segments, grid.places()
+    rho, segments, places = grid.breakaway[grid.movable], grid.segments, grid.places
     along = np.diff(np.eye(segments), axis=0) * np.sqrt(segments)
     steps = np.diff(np.diag(1 / np.diff(rho, prepend=0.0)), axis=0) * (rho[:-1] * np.diff(rho))[:, None]
     whole = np.zeros((places["transformer"].stop,) * 2)

@@ -187,8 +187,9 @@ class Grid:
         """Number M of segments."""
         return self.grades.size - 1
 
+    @cached_property
     def places(self) -> dict[str, slice]:
-        """Return the places of each kind of unknown that is not negative, in the order of the program."""
+        """Places of each kind of unknown that is not negative, in the order of the program."""
         sizes = {
             "elements": int(np.count_nonzero(self.movable)) * self.segments,
             "spring": self.knots.size - 1,

@@ -322,7 +322,7 @@ class _Refit:
 
         `beside` [m]: what a change of all stiffnesses by 1 must explain.
         """
-        grid, places = program.grid, program.grid.places()
+        grid, places = program.grid, program.grid.places
         columns, free = program.columns
         count = int(np.count_nonzero(grid.movable))
         elements, smooth = np.zeros_like(unknowns), places["smooth"]
