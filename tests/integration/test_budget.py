@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1288,
     "fleet": 311,
     "foundation": 1413,
-    "identification": 6022,
+    "identification": 6020,
     "instruments": 2645,
     "model": 3518,
     "operations": 3599,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2332,
 }
 HOUSE = {
-    "lines of Python": 38865,
+    "lines of Python": 38863,
     "files of Python": 192,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2724,

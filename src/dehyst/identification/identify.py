@@ -23,7 +23,7 @@ from dehyst.identification.fit import Fit
 from dehyst.identification.frame import Frame
 from dehyst.identification.identifiability import probed
 from dehyst.identification.motion import Motion, temperatures_of
-from dehyst.identification.preparation import ENOUGH, Prepared, list_of, prepare
+from dehyst.identification.preparation import ENOUGH, Prepared, demand_short, list_of, prepare
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
@@ -186,7 +186,7 @@ class _Run:
             self.prepared(ringing=True)
             if search.fitted(self.frame, PLAIN, search.FEW).rms > still:
                 self.prepared(ringing=False)
-        self._check_delay()
+        demand_short(settings.delay or 0.0, "delay", min(item.cycle for item in (*self.training, *self.held_out)))
         self.temperatures, self.left_out = temperatures_of(self.records)
         if (found := self.temperatures) is not None:
             thermal, low = Thermal(0.0, 0.0, found.reference), self.frame.span[0]
@@ -207,13 +207,6 @@ class _Run:
             cause = "the search ended before it" if self.deadline.cut else "held-out time does not show its effect"
             self.left_out = f"{found.left_out}: {cause}"
         return self.finish(made)
-
-    def _check_delay(self) -> None:
-        given, cycle = self.settings.delay, min(item.cycle for item in (*self.training, *self.held_out))
-        if given is not None and abs(given) > 0.25 * cycle:
-            raise IdentifyError(
-                argument="delay", got=f"{given:g} s", need=f"less than a quarter of a cycle of {cycle:.4g} s"
-            )
 
     def can_drift(self) -> bool:
         """Whether all training records may drift."""

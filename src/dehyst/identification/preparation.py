@@ -145,10 +145,7 @@ class Prepared:
         """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
         if not lag:
             return self
-        if lag > 0.25 * self.cycle:
-            raise IdentifyError(
-                argument="sensor_lag", got=f"{lag:g} s", need=f"less than a quarter of a cycle of {self.cycle:.4g} s"
-            )
+        demand_short(lag, "sensor_lag", self.cycle)
         # Few samples a cycle leave no room for a long window.
         window = 9 if self.cycle > _MANY * self.record.sample_time else 5
 
@@ -267,6 +264,13 @@ def behind(record: Record, lag: float) -> Record:
         return record
     strain = DisplacementCreep([lag], [0.0]).strains(record.time, record.voltage)[:, 0]
     return replace(record, voltage=record.voltage - strain)
+
+
+def demand_short(seconds: float, argument: str, cycle: float) -> None:
+    """Raise `IdentifyError` if a lag [s] is longer than a quarter of a cycle [s]."""
+    if seconds > 0.25 * cycle:
+        need = f"less than a quarter of a cycle of {cycle:.4g} s"
+        raise IdentifyError(argument=argument, got=f"{seconds:g} s", need=need)
 
 
 def counted_samples(columns: Sequence[tuple[Array, Sequence[Epoch]]]) -> list[Array]:
