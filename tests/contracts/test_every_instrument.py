@@ -106,10 +106,10 @@ RIGS = [
     RigCandidate("National Instruments card, fake", daq_card, 1e-7),
     # Microvolts are sent.
     RigCandidate("pi", pi_on_emulator.by_pipe, GAIN, volts=1e-6),
-    RigCandidate("pi by tcp", pi_on_emulator.by_tcp, GAIN, volts=1e-6, real_time=True),
+    RigCandidate("pi by tcp", pi_on_emulator.by_tcp, GAIN, volts=1e-6),
     # A busy host keeps the time, of a device in time twice as fast for EPICS; jena records millivolts.
     RigCandidate("jena", nv200_on_emulator.by_library, GAIN, volts=1e-3, rate=2.0),
-    RigCandidate("epics", epics_on_ioc.by_channel_access, GAIN, rate=8.0, real_time=True),
+    RigCandidate("epics", epics_on_ioc.by_channel_access, GAIN, rate=8.0),
 ]
 
 

@@ -140,13 +140,14 @@ class ChannelAccess:
             for pv, answer in zip(pvs, answers, strict=True):
                 if answer.ok:
                     continue
+                unconnected = pv in await self._unconnected()
+                if not unconnected and answer.errorcode != _TIMED_OUT:
+                    raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
                 # After a lost answer, none is waited for as long again: a retreat must not take minutes.
                 waited, self.timeout = self.timeout, min(_LOST, self.timeout)
-                if pv in await self._unconnected():
+                if unconnected:
                     raise LinkError(f"{pv}: not connected for {waited:g} s; {HINT}")
-                if answer.errorcode == _TIMED_OUT:
-                    raise LinkError(f"{pv}: no answer within {waited:g} s, though it is connected; does its IOC hang?")
-                raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
+                raise LinkError(f"{pv}: no answer within {waited:g} s, though it is connected; does its IOC hang?")
             return answers
 
         return _run(answered())

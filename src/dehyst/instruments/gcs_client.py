@@ -19,7 +19,7 @@ IDENTITY = "*IDN?"
 _LONGEST = 1 << 16
 _MOST_LINES = 1 << 18
 # Most time [s] to find a lost link again: at first, and half of it after each failure, down to the second.
-_LOST, _LEAST = 2.0, 0.5
+_LOST, _LEAST = 1.5, 0.5
 # Seconds between two attempts to reconnect.
 _PAUSE = 0.02
 

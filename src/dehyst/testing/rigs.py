@@ -36,8 +36,7 @@ class RigCandidate(NamedTuple):
     which the rig's waves are shortened if that is possible; it yields the rig and the instrument behind it, which has
     the attributes of a `FakeInstrument` (its `limits` are a pair of voltages), stands at 0 V, and allows -20 to 100 V.
     `gain`: displacement at 80 V less the one at 0 V after it, over 80 V [m/V]. `volts`, `rate`: how far recorded
-    voltages [V] and the rate (relative) may be from what was asked for, as the device's digits are. `real_time`:
-    whether the wave plays on while a stop is on its way.
+    voltages [V] and the rate (relative) may be from what was asked for, as the device's digits are.
     """
 
     name: str
@@ -45,7 +44,6 @@ class RigCandidate(NamedTuple):
     gain: float
     volts: float = 1e-9
     rate: float = 1e-9
-    real_time: bool = False
 
 
 def excitation(rig: AbstractRig, *corners: float, name: str = "corners", step: float = _STEP) -> Excitation:
