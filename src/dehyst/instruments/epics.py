@@ -145,9 +145,8 @@ class ChannelAccess:
                     raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
                 # After a lost answer, none is waited for as long again: a retreat must not take minutes.
                 waited, self.timeout = self.timeout, min(_LOST, self.timeout)
-                if unconnected:
-                    raise LinkError(f"{pv}: not connected for {waited:g} s; {HINT}")
-                raise LinkError(f"{pv}: no answer within {waited:g} s, though it is connected; does its IOC hang?")
+                silent = f"no answer within {waited:g} s, though it is connected; does its IOC hang?"
+                raise LinkError(f"{pv}: " + (f"not connected for {waited:g} s; {HINT}" if unconnected else silent))
             return answers
 
         return _run(answered())
