@@ -158,13 +158,10 @@ class TwoBranches(AbstractBaseline):
     def __post_init__(self) -> None:
         keep(self, **{name: vector(getattr(self, name), name) for name in ("voltage", "rising", "falling")})
         columns = (self.voltage, self.rising, self.falling)
-        if len({column.size for column in columns}) > 1 or self.voltage.size < 2:
-            raise ModelError("two branches: need two or more places, and a rising and a falling displacement at each")
-        if any(np.any(np.diff(column) <= 0) for column in columns) or np.any(self.falling < self.rising):
-            raise ModelError(
-                "two branches: need voltages and displacements that increase, and no falling displacement below the "
-                "rising one"
-            )
+        alike = len({column.size for column in columns}) == 1 and self.voltage.size > 1
+        if not alike or any(np.any(np.diff(column) <= 0) for column in columns) or np.any(self.falling < self.rising):
+            need = "two or more places with a rising and a falling displacement each, none of them above the latter"
+            raise ModelError(f"two branches: need {need}, in increasing order")
         keep(self, state=BranchState(float(self.voltage[0]), float(self.rising[0])))
 
     @cached_property

@@ -7,7 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from dehyst._errors import IdentifyError
+from dehyst._errors import IdentifyError, ModelError
 from dehyst._text import counted
 from dehyst._threads import one_thread
 from dehyst._types import Array
@@ -286,7 +286,10 @@ class _Refit:
             return _grown(made, slope * reach / (high - low), low) if gains else made
 
         def missed(power: float, gains: bool) -> float:
-            program = self._program(made := scaled(power, gains=gains))
+            try:
+                program = self._program(made := scaled(power, gains=gains))
+            except ModelError:  # The voltage would not rise with the displacement.
+                return self.recheck.stroke
             return self._in_common(program, program.unknowns_of(coefficients(made)), _BESIDE * self.own)[1]
 
         options: Any = {"bounds": (-_STRETCH, _STRETCH), "method": "bounded", "options": {"xatol": _STRETCHED}}
