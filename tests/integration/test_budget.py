@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1161,
     "cli": 457,
-    "control": 4224,
+    "control": 4223,
     "exports": 1288,
     "fleet": 311,
     "foundation": 1413,
@@ -26,7 +26,7 @@ ROOMS = {
     "model": 3518,
     "operations": 3599,
     "paper": 983,
-    "records": 4642,
+    "records": 4641,
     "report": 1494,
     "testing": 346,
     "trust": 2326,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2332,
 }
 HOUSE = {
-    "lines of Python": 38861,
+    "lines of Python": 38859,
     "files of Python": 192,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2724,

@@ -148,19 +148,19 @@ class Compensator(ReadOnly):
             with unchanged_by_errors(self):
                 self.scale(temperature=temperature)
                 return self.step(displacement)
-        try:
-            return self._loop.step(displacement)
-        except TypeError:
-            return self._loop.step(number(displacement, "displacement"))
-        except CoreError as error:
-            raise _refusal(displacement) from error
+        return self._called(self._loop.step, displacement)
 
     def offer(self, displacement: float) -> float:
         """Return the voltage [V] for a `displacement` [m, or `units`], without commit. Raises and warns as `step`."""
+        return self._called(self._loop.offer, displacement)
+
+    @staticmethod
+    def _called(call: Callable[[float], float], displacement: float) -> float:
+        """Return the voltage [V] of a call of the loop for a displacement [m, or `units`]."""
         try:
-            return self._loop.offer(displacement)
+            return call(displacement)
         except TypeError:
-            return self._loop.offer(number(displacement, "displacement"))
+            return call(number(displacement, "displacement"))
         except CoreError as error:
             raise _refusal(displacement) from error
 

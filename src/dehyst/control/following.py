@@ -180,7 +180,7 @@ def _follow(
     if moves:
         motion = actuator.simulate(voltage, time=time, state=start, extrapolate=True)
         reached, state = motion.displacement, motion.state
-    return Followed(voltage, reached, clamped, state)
+    return Followed(voltage, reached if moves or clamped.any() else wanted, clamped, state)
 
 
 @dataclass(frozen=True, eq=False)

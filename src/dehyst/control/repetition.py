@@ -232,12 +232,11 @@ class Repetition:
     def _samples(self, values: ArrayLike, what: str) -> Array:
         """Return samples (n, axes) that may be NaN."""
         found = np.asarray(plain(values, what))
-        if found.dtype.kind not in "fiu":
-            raise ModelError(argument=what, got=f"{found.dtype} values", need="real numbers")
-        table = found.astype(np.float64)[:, np.newaxis] if found.ndim == 1 else found.astype(np.float64)
-        if table.ndim != 2 or table.shape[1] != len(self._loops):
-            raise ModelError(argument=what, got=f"the shape {found.shape}", need=f"{len(self._loops)} columns")
-        return table
+        table = found[:, np.newaxis] if found.ndim == 1 else found
+        if found.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != len(self._loops):
+            got = f"{found.dtype} values of the shape {found.shape}"
+            raise ModelError(argument=what, got=got, need=f"real numbers, {len(self._loops)} columns")
+        return table.astype(np.float64)
 
     def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:
         """Judge a cycle by its error, and correct the next one; return whether it does."""

@@ -236,21 +236,20 @@ def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None
             texts = (["" if isnan(x) else repr(x) for x in array[i : i + _BLOCK].tolist()] for array in arrays)
             yield "".join(f"{delimiter.join(row)}\n" for row in zip(*texts, strict=True))
         return
-    line, arrays = delimiter.join([f"%.{digits}g"] * len(arrays)) + "\n", [_inside(array, digits) for array in arrays]
+    line, ends = delimiter.join([f"%.{digits}g"] * len(arrays)) + "\n", [_ends(array, digits) for array in arrays]
     for i in range(0, arrays[0].size, _BLOCK):
-        block = np.column_stack([array[i : i + _BLOCK] for array in arrays])
+        pairs = zip(arrays, ends, strict=True)
+        block = np.column_stack([np.clip(array[i : i + _BLOCK], *inside) for array, inside in pairs])
         yield line * len(block) % tuple(block.ravel().tolist())
 
 
-def _inside(values: Array, digits: int) -> Array:
-    """Return values (n,) of which rounding to `digits` leads none beyond their range: a limit stays kept."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return values
-    ends = []
-    for end, way in ((float(known.min()), 1.0), (float(known.max()), -1.0)):
+def _ends(values: Array, digits: int) -> tuple[float, float]:
+    """Return ends for values (n,) so that rounding to `digits` leads none beyond their range: a limit stays kept."""
+    there, ends = np.isfinite(values), []
+    lowest, highest = values.min(where=there, initial=np.inf), values.max(where=there, initial=-np.inf)
+    for end, way in ((float(lowest), 1.0), (float(highest), -1.0)):
         rounded = float(f"{end:.{digits}g}")
         if way * rounded < way * end:
             rounded = float(f"{rounded + way * 10.0 ** (floor(log10(abs(end))) + 1 - digits):.{digits}g}")
         ends.append(rounded)
-    return np.clip(values, ends[0], ends[1]) if ends[0] <= ends[1] else values
+    return (ends[0], ends[1]) if ends[0] <= ends[1] else (-np.inf, np.inf)
