@@ -214,16 +214,6 @@ def test_show_check_and_insight(folder):
     assert "never moved alone" not in words
 
 
-def test_excite_writes_axes_one_after_the_other_then_together(tmp_path):
-    run("excite", "stage", "100", "80", "--frequency", "0.5", "--cycles", "4", "-o", tmp_path / "play.csv")
-    table = read_table(tmp_path / "play.csv")
-    x, y = (table.column("voltage", f"v{axis}_V") for axis in "xy")
-    assert (x.max(), y.max()) == (100, 80)
-    alone = (x > 1) & (y == 0)
-    assert alone.mean() > 0.2
-    assert ((x > 1) & (y > 1)).mean() > 0.1
-
-
 def test_a_record_of_axes_is_shown_written_and_drawn(folder):
     words = [
         "show",

@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from command_line import run_as_process as run
 
 import dehyst.cli.commands
@@ -146,20 +145,6 @@ def test_a_model_that_is_no_file_is_refused_at_once(folder, monkeypatch):
     os.close(write)
     status, _, err = run("simulate", folder, "voltage.csv", "-o", "o.csv")
     assert status == 2 and "this is a folder" in err
-
-
-@posix
-def test_every_command_refuses_a_device_as_its_model(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    (folder / "r.csv").write_text("time_s,voltage_V,displacement_um\n0,1,1\n1,2,2\n")
-    for command in (
-        ["compensate", "/dev/zero", "path.csv", "-o", "o.csv"],
-        ["insight", "/dev/zero", "r.csv"],
-        ["export", "/dev/zero", "c"],
-        ["excite", "homing", "--model", "/dev/zero", "-o", "o.csv"],
-    ):
-        done = CliRunner().invoke(dehyst.cli.commands.main, command)
-        assert done.exit_code == 2 and "/dev/zero: is a device, a pipe or a socket" in done.stderr, command
 
 
 def test_a_model_of_gigabytes_is_refused_by_its_size(folder):

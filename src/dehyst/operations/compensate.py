@@ -108,30 +108,27 @@ def compensate(
     run: Run,
     model: Path = argument(),
     trajectory: Path = argument(),
-    output: Path = output("Write time, displacement and voltage here (CSV)."),
-    limits: AxisLimits = limits_option("Allowed voltages [V], of all axes or of one; default: those of the records."),
-    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: what the model keeps, or none."),
-    zero: Zero | None = option("Zero of the path [um], or place of the reach; default: the sensor's zero.", ZERO),
-    start: Start | None = option("State before the path, or FILE: what was played before; default: unknown.", START),
-    home: bool | None = switch("--home/--no-home", "Home before the path; default: if the start matters."),
-    home_within: float | None = number("Longest duration of homing and way [s]; default: as long as needed.", _homes),
-    present: AxisNumbers = option("Present voltage [V]; default: that of --start, or 0.", _PRESENT, multiple=True),
+    output: Path = output("Write the voltage here (CSV)."),
+    limits: AxisLimits = limits_option("Allowed voltages [V]; default: of the records."),
+    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
+    zero: Zero | None = option("Zero of the path; default: the sensor's.", ZERO),
+    start: Start | None = option("State before the path; default: unknown.", START),
+    home: bool | None = switch("--home/--no-home", "Home before; default: if the start matters."),
+    home_within: float | None = number("Longest duration of homing and way [s].", _homes),
+    present: AxisNumbers = option("Present voltage [V]; default: of --start, or 0.", _PRESENT, multiple=True),
     on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
     temperature: float | None = number(TEMPERATURE, _without_table),
-    table: Path | None = option("Write the steady cycle of a scan here (CSV), a wave table.", OUTPUT, _of_scan),
+    table: Path | None = option("Write the steady cycle of a scan here (CSV).", OUTPUT, _of_scan),
     cycles: int = integer("Steady cycles in the output.", beside("table"), default=1),
-    start_up: int | None = integer("Cycles before the steady ones; default: from the tolerance.", beside("table")),
-    plot: Path | None = option("Draw the path, its voltage and the error to expect here (HTML).", PAGE),
+    start_up: int | None = integer("Cycles before these; default: as needed.", beside("table")),
+    plot: Path | None = option("Draw path, voltage and promise here (HTML).", PAGE),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
-    Without --start the state before the path is unknown: a homing comes first if the start matters. Jumps and homings
-    keep to the speed of the model's records. Column phase: 0 homing, 1 the way or start-up, 2 the path.
-
-    The status is 1 if the model is not usable, if clamped voltages miss the path by more than the promise, or if a
-    homing leaves more of the start open than the model's error; with --table also if any voltage was clamped, or the
-    cycle is not settled.
+    Jumps and homings keep to the speed of the model's records. Column phase: 0 homing, 1 way or start-up, 2 path. The
+    status is 1 if the model is not usable, the path is missed by more than the promise, or a homing leaves the start
+    open; with --table also if a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")

@@ -50,15 +50,15 @@ def _of_several(given: Values) -> str:
 # Arguments of `dehyst.identify`.
 _SETTINGS = {
     "structure": option(
-        "auto: parts chosen by held-out time. maxwell_slip: slip elements and a spring, as in Yeh's paper.",
+        "auto: by held-out time. maxwell_slip: as in Yeh's paper.",
         click.Choice(["auto", "maxwell_slip"]),
         default="auto",
     ),
-    "goal": number("Largest error [% of the stroke] with which the model is ready for use.", default=1.0),
-    "sensor_lag": number("Time constant of the sensor's own filter [s], 0 if it has none; default: unknown."),
+    "goal": number("Largest error [% of the stroke] that is good.", default=1.0),
+    "sensor_lag": number("Time constant of the sensor's filter [s]."),
     "lag_of": option("Whose the lag of the records is, if known.", click.Choice(["actuator", "sensor"])),
-    "delay": number("Time [s] by which the displacement lags the voltage; default: estimated from the records."),
-    "drift": switch("--drift/--no-drift", "Remove a drift of each record, logarithmic in time.", default=True),
+    "delay": number("Lag of the displacement [s]; default: estimated."),
+    "drift": switch("--drift/--no-drift", "Remove a drift of each record.", default=True),
     "shared_datum": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
 }
 
@@ -70,18 +70,17 @@ def identify(
     output: Path | None = output("Write the model here (JSON).", required=False),
     validate: tuple[Path, ...] = option("Held-out records, which are only simulated.", INPUT, multiple=True),
     report: Path | None = page(),
-    traces: Path | None = option("Write measured and simulated displacement of all records here (.npz).", OUTPUT),
-    zero: Zero | None = option("Zero of the displacement, in the first record; default: the sensor's zero.", ZERO),
-    time_limit: float | None = number("Time after which the search ends [s], with the best model so far."),
+    traces: Path | None = option("Write measured and simulated path here (.npz).", OUTPUT),
+    zero: Zero | None = option("Zero, in the first record; default: the sensor's.", ZERO),
+    time_limit: float | None = number("Time after which the search ends [s]."),
     slew_rate: float | None = number("Largest slew rate [V/s] of later paths; the model keeps it.", beside("output")),
     columns: Columns = COLUMNS,
     **settings: Any,
 ) -> Result:
     """Identify an actuator from RECORDS of voltage and displacement; with axes in --columns, several coupled actuators.
 
-    Within about a second the output holds a first, provisional model. From then on Ctrl-C ends the search: the best
-    model so far is completed and written, and the exit status is 1. A second Ctrl-C stops at once. With several axes
-    there is no model before all are identified: Ctrl-C writes nothing.
+    Ctrl-C ends the search: the best model so far is completed and written, and the status is 1. A second Ctrl-C stops
+    at once. With several axes Ctrl-C writes nothing.
     """
     columns.demand(RECORD, "on records", axes=bool(columns.axes))
     check.Numbers(positive=True, optional=True, error=IdentifyError)(slew_rate, "slew_rate")

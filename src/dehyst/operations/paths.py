@@ -21,7 +21,7 @@ from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
 from dehyst.records import Table, table_of
 from dehyst.records.formats.column import listed
 
-TEMPERATURE = "Temperature [degC], for a model that depends on it; default: a column temperature_C, or the reference."
+TEMPERATURE = "Temperature [degC]; default: the column temperature_C, or the reference of the model."
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
 
