@@ -63,7 +63,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
     from scipy.special import stdtrit
 
     settled = [trace.settled for trace in training]
-    low, high = min(one.simulated.min() for one in settled), max(one.simulated.max() for one in settled)
+    low, high = min(trace.simulated.min() for trace in settled), max(trace.simulated.max() for trace in settled)
     edges = np.linspace(low, high, _PLACES + 1)
     # Mean residuals at the places (K,) [% of the stroke], a row a branch.
     falling, rising = list[Array](), list[Array]()
@@ -74,7 +74,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
             total = np.bincount(place[branch], 100 * trace.residual[branch] / stroke, _PLACES)
             ends = trace.voltage[branch][[0, -1]]
             (rising if ends[1] > ends[0] else falling).append(np.where(count, total / np.maximum(count, 1), np.nan))
-    usual = 100 * rms(np.concatenate([one.residual for one in settled])) / stroke
+    usual = 100 * rms(np.concatenate([trace.residual for trace in settled])) / stroke
     (up, up_error, rises), (down, down_error, falls) = (_averaged(rows, usual) for rows in (rising, falling))
     passed = (rises > 0) & (falls > 0)
     if not passed.any():

@@ -107,9 +107,9 @@ class StageFit:
                 "are the columns of displacements exchanged?"
             )
         named = [(axis, error) for axis, fit in zip(self.axes, self.fits, strict=True) for error in fit.errors]
-        held = [one for one in named if one[1].role == "validation"]
+        held = [pair for pair in named if pair[1].role == "validation"]
         judged, source = (held, "held-out") if held else (named, "training")
-        axis, worst = max(judged, key=lambda one: one[1].largest_percent)
+        axis, worst = max(judged, key=lambda pair: pair[1].largest_percent)
         levels = {fit.promise.readiness for fit in self.fits if fit.promise is not None}
         head = "Ready for use" if levels == {Readiness.READY} else "Usable, with care"
         if not self.good or Readiness.NOT_USABLE in levels:
@@ -178,7 +178,7 @@ def identify_axes(
     fits = _axis_fits(training, held_out, coupling, identify, report)
     provenance = {
         "dehyst": __version__,
-        "records": [{"name": one.name, **one.meta} for one in training],
+        "records": [{"name": record.name, **record.meta} for record in training],
         "coupling_uncertainty": uncertainty.tolist(),
     }
     stage = Stage(
@@ -237,11 +237,11 @@ class Plays:
         low = np.min([record.voltage.min(axis=0) for record in records], axis=0)
         width = np.max([record.voltage.max(axis=0) for record in records], axis=0) - low
         every = max(1, sum(map(len, records)) // _MOST_ROWS)
-        blocks = [[_play_curves(u)[::every] for u in ((one.voltage - low) / width).T] for one in records]
-        displacement = [one.displacement[::every] for one in records]
+        blocks = [[_play_curves(u)[::every] for u in ((record.voltage - low) / width).T] for record in records]
+        displacement = [record.displacement[::every] for record in records]
         return cls(
             tuple(map(np.concatenate, zip(*blocks, strict=True))),
-            block_diag(*[_slow(one)[::every] for one in records]),
+            block_diag(*[_slow(record)[::every] for record in records]),
             np.concatenate(displacement),
             np.concatenate([np.arange(len(own)) * _SPANS // len(own) for own in displacement]),
         )
@@ -263,8 +263,8 @@ class Plays:
         for i, measured in enumerate(self.displacement.T):
             grams, rights = self._weighted(rows, measured)
             gram, right = grams.sum(axis=0), rights.sum(axis=0)
-            sums = [(gram, right), *((gram - one, right - other) for one, other in zip(grams, rights, strict=True))]
-            found = np.array([_solution(*one)[:count] / sizes for one in sums])
+            without = zip(gram - grams, right - rights, strict=True)
+            found = np.array([_solution(*sums)[:count] / sizes for sums in ((gram, right), *without)])
             found /= found[:, [i]]
             matrix[i], uncertainty[i] = found[0], np.sqrt((len(grams) - 1) * found[1:].var(axis=0))
         return matrix, uncertainty
@@ -341,13 +341,13 @@ def _slow(record: Record) -> Array:
 def refuse_still(records: Sequence[Record]) -> None:
     """Raise `RecordError` if the voltage or the displacement of an axis moves in none of the records."""
     for j, name in enumerate(records[0].axes):
-        if all(np.ptp(one.voltage[:, j]) == 0 for one in records):
+        if all(np.ptp(record.voltage[:, j]) == 0 for record in records):
             held = records[0].voltage[0, j]
             raise RecordError(
                 f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves: record all axes moving, one "
                 "after the other or together: dehyst excite stage"
             )
-        if all(np.ptp(one.displacement[:, j]) == 0 for one in records):
+        if all(np.ptp(record.displacement[:, j]) == 0 for record in records):
             raise RecordError(
                 f"axis {name}: its displacement does not move; check its sensor, and the column that is read: --columns"
             )
@@ -357,7 +357,7 @@ def _refuse_equal(records: Sequence[Record]) -> None:
     """Raise `RecordError` if the displacements of two axes differ by a constant."""
     names = records[0].axes
     for i, j in combinations(range(len(names)), 2):
-        pairs = [one.displacement[:, [i, j]] for one in records]
+        pairs = [record.displacement[:, [i, j]] for record in records]
         if all(np.ptp(pair[:, 0] - pair[:, 1]) <= _ROUNDING * np.ptp(pair, axis=0).max() for pair in pairs):
             raise RecordError(
                 f"axes {names[i]} and {names[j]}: their displacements are the same but for a constant; check which "

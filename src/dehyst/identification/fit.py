@@ -188,13 +188,13 @@ def _lines(fit: Fit) -> Iterator[str]:
 def _error_rows(errors: Sequence[RecordErrors]) -> list[tuple[str, ...]]:
     """Return the cells of the errors by record, in the order of the head."""
     rows = []
-    for one in errors:
-        counts = escaped(one.record), one.role, str(one.samples), str(one.left_out)
-        sizes = one.largest, one.rms
-        rows.append((*counts, *(percent(size, one.stroke) for size in sizes), *map(length, sizes)))
+    for error in errors:
+        counts = escaped(error.record), error.role, str(error.samples), str(error.left_out)
+        sizes = error.largest, error.rms
+        rows.append((*counts, *(percent(size, error.stroke) for size in sizes), *map(length, sizes)))
     return rows
 
 
 def _lists(fit: Fit) -> tuple[tuple[str, Sequence[str]], ...]:
-    causes = [one.sentence(fit.errors[0].stroke) for one in fit.remaining]
+    causes = [cause.sentence(fit.errors[0].stroke) for cause in fit.remaining]
     return ("Repaired or left out", fit.repairs), ("Remaining error", causes), ("Remarks", fit.remarks)

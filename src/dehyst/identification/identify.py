@@ -113,7 +113,7 @@ def identify(
             return _Run(
                 settings,
                 records,
-                [events.filled(one) for one in others],
+                [events.filled(record) for record in others],
                 report,
                 goal,
                 deadline,
@@ -132,13 +132,13 @@ def identify(
 def _refuse_copies(records: list[Record]) -> None:
     """Reject duplicate records: their held-out cycles would not be unseen."""
     seen: dict[bytes, str] = {}
-    for one in records:
-        key = one.displacement.tobytes() + one.voltage.tobytes()
+    for record in records:
+        key = record.displacement.tobytes() + record.voltage.tobytes()
         if key in seen:
             raise IdentifyError(
-                f"{one.name}: has the same samples as {seen[key]}; give each record once, and another one to validate"
+                f"{record.name}: has the same samples as {seen[key]}; give each record once, and another to validate"
             )
-        seen[key] = one.name
+        seen[key] = record.name
 
 
 @dataclass(eq=False)
@@ -236,7 +236,7 @@ class _Run:
 
     def _lead(self, seconds: float) -> None:
         """Move the voltages of all records, as the displacement leads by a part of a sample: the delay becomes 0."""
-        self.records, self.others = ([_earlier(one, seconds) for one in part] for part in (self.records, self.others))
+        self.records, self.others = ([_earlier(item, seconds) for item in part] for part in (self.records, self.others))
         motion = replace(self.frame.motion, delay=0.0)
         self.prepared(ringing=self.ringing)
         self.frame = replace(self.frame, motion=motion)
@@ -312,8 +312,8 @@ class _Run:
         thermal, temperatures = made.frame.motion.thermal, self.temperatures
         assert thermal is not None
         assert temperatures is not None
-        cold = next(one.held_out for one in self.trials if one.words == "moves: nothing")
-        warm = next(one.held_out for one in self.trials if one.words == "moves: thermal")
+        cold = next(trial.held_out for trial in self.trials if trial.words == "moves: nothing")
+        warm = next(trial.held_out for trial in self.trials if trial.words == "moves: thermal")
         return temperatures.sentence(thermal, made.frame.motion.lowest, made.spread("thermal"), warm / cold)
 
     def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], float]:
@@ -326,7 +326,7 @@ class _Run:
         if self.settings.lags is not None or not lag:
             return caveats, 0.0
         items = [item.reduced.record for item in self.training]
-        moved = lag * max(rms(np.diff(one.displacement)) / one.sample_time for one in items)
+        moved = lag * max(rms(np.diff(record.displacement)) / record.sample_time for record in items)
         if moved <= missed:
             return caveats, 0.0
         self.remarks.append(messages.of_lag(actuator.delay, actuator.lag, moved, self.stroke))

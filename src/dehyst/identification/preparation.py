@@ -67,7 +67,7 @@ def block_means(record: Record, block: int) -> Record:
         time=means(record.time),
         voltage=means(record.voltage),
         displacement=displacement,
-        others=tuple(one._replace(values=means(one.values)) for one in record.others),
+        others=tuple(channel._replace(values=means(channel.values)) for channel in record.others),
     )
 
 
@@ -149,9 +149,9 @@ class Prepared:
         # Few samples a cycle leave no room for a long window.
         window = 9 if self.cycle > _MANY * self.record.sample_time else 5
 
-        def before(one: Record) -> Record:
-            rate = local_polynomial(one.displacement, window, 4, 1, one.sample_time)
-            return replace(one, displacement=one.displacement + lag * rate)
+        def before(piece: Record) -> Record:
+            rate = local_polynomial(piece.displacement, window, 4, 1, piece.sample_time)
+            return replace(piece, displacement=piece.displacement + lag * rate)
 
         pieces, record = tuple(map(before, self.pieces)), before(self.record)
         sentence = f"{self.name}: displacements are those before the sensor's lag of {1e3 * lag:.4g} ms, as given."
@@ -166,26 +166,26 @@ class Prepared:
         """
         time, y = self.with_lead
         m = part.removed(time, y, start)
-        return self._changed(lambda one: np.interp(one.time, time, m), time[0])
+        return self._changed(lambda piece: np.interp(piece.time, time, m), time[0])
 
     def without_drift(self, drift: float) -> Prepared:
         """Return the record without a drift [m a unit of its drift curve]."""
-        return self._changed(lambda one: one.displacement - drift * self.drift_curve(one))
+        return self._changed(lambda piece: piece.displacement - drift * self.drift_curve(piece))
 
     def at_reference(self, thermal: Thermal) -> Prepared:
         """Return the record with the displacements at the reference temperature; without temperature as it is."""
 
-        def before(one: Record) -> Array:
-            temperature = one.temperature
-            return one.displacement if temperature is None else thermal.at_reference(one.displacement, temperature)
+        def before(piece: Record) -> Array:
+            temperature = piece.temperature
+            return piece.displacement if temperature is None else thermal.at_reference(piece.displacement, temperature)
 
         return self._changed(before)
 
     def _changed(self, displacement: Callable[[Record], Array], first: float = -np.inf) -> Prepared:
         """Return a copy with other displacements; a lead that begins before `first` [s] is left out."""
 
-        def before(one: Record) -> Record:
-            return replace(one, displacement=displacement(one))
+        def before(piece: Record) -> Record:
+            return replace(piece, displacement=displacement(piece))
 
         lead = None if self.lead is None or self.lead.time[0] < first else before(self.lead)
         return replace(self, record=before(self.record), lead=lead, pieces=tuple(map(before, self.pieces)))
@@ -198,7 +198,7 @@ class Prepared:
             0 < record.time[0] - lead.time[-1] <= 0.75 * (lead.sample_time + record.sample_time)
         )
         parts = [lead, record] if lead is not None and follows else [record]
-        return np.concatenate([one.time for one in parts]), np.concatenate([one.displacement for one in parts])
+        return np.concatenate([part.time for part in parts]), np.concatenate([part.displacement for part in parts])
 
     def with_block(self, most: float) -> Prepared:
         """Return a copy that is reduced to the bandwidth of its motion, by means over at most `most` samples."""
@@ -275,7 +275,7 @@ def demand_short(seconds: float, argument: str, cycle: float) -> None:
 
 def counted_samples(columns: Sequence[tuple[Array, Sequence[Epoch]]]) -> list[Array]:
     """Return the samples of columns of pieces that count, and of the turns before them, an array an epoch."""
-    return [np.append(one[epoch.start : epoch.stop], one[epoch.turn]) for one, own in columns for epoch in own]
+    return [np.append(values[epoch.start : epoch.stop], values[epoch.turn]) for values, own in columns for epoch in own]
 
 
 def prepare(record: Record, *, ringing: bool = False) -> Prepared:

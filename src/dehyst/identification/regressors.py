@@ -156,7 +156,7 @@ class RowSource:
 
     def numbered(self) -> tuple[NumberedEpoch, ...]:
         """Return all epochs with their numbers."""
-        places = [(piece.record, k, one) for k, piece in enumerate(self.pieces) for one in self.epochs[k]]
+        places = [(piece.record, k, epoch) for k, piece in enumerate(self.pieces) for epoch in self.epochs[k]]
         return tuple(NumberedEpoch(number, *place) for number, place in enumerate(places))
 
     def thinned(self, most: int) -> Rows:

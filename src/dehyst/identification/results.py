@@ -226,8 +226,8 @@ def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
     """
     if Path(path).suffix.lower() != ".npz":
         raise FileFormatError(f"{path}: traces are written as a NumPy archive; give a name that ends in .npz")
-    heads = [{"record": one.record, "role": one.role, "first_s": min(one.began, *one.time[:1])} for one in traces]
+    heads = [{"record": t.record, "role": t.role, "first_s": min(t.began, *t.time[:1])} for t in traces]
     arrays = {_HEADS: np.frombuffer(json.dumps(heads).encode(), dtype=np.uint8)}
-    for k, one in enumerate(traces, 1):
-        arrays |= {f"{column}_{k}": getattr(one, name) for column, name in _COLUMNS.items()}
+    for k, trace in enumerate(traces, 1):
+        arrays |= {f"{column}_{k}": getattr(trace, name) for column, name in _COLUMNS.items()}
     write_atomically(path, packed(arrays))
