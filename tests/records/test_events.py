@@ -15,6 +15,7 @@ from dehyst.records.events import counted_events, record_of_periodic
 from dehyst.records.record import columns_of
 from dehyst.report.pictures import record_in_time
 from dehyst.virtual import PlayActuator
+from examples import at_night
 
 T = np.arange(601) * 0.01
 V = 50 - 50 * np.cos(2 * np.pi * T / 2)
@@ -232,15 +233,14 @@ def test_counts_are_right(kind, seed):
     assert misses(kind, *arrays).max() < 0.2
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "fault", "right", "wrong"),
     [
-        ("fringe", "", 100, 0),
-        ("grating", "", 100, 0),
+        at_night("fringe", "", 100, 0),
+        at_night("grating", "", 100, 0),
         ("fringe", "slow", 5, 0),
-        ("grating", "slow", 5, 0),
-        ("fringe", "blocked", 5, 0),
+        at_night("grating", "slow", 5, 0),
+        at_night("fringe", "blocked", 5, 0),
         ("grating", "blocked", 5, 1),
     ],
 )
