@@ -244,7 +244,7 @@ def stable(seed: int) -> dict:
                             count + 1,
                         )
                     except dehyst.ModelError:
-                        # A preview needs some samples of a radian of the resonance.
+                        # A preview needs some samples in each radian of the resonance.
                         continue
     return {"plants": count, "worst_left_of_1_percent": worst}
 

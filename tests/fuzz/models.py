@@ -1,6 +1,6 @@
 """Mutated model files: what loads must simulate, compensate, step and follow a path, in numbers.
 
-What does not is refused by a `DehystError` of one sentence. Voltages that leave lie within limits and slew rate.
+A file that does not load is refused by a `DehystError` of one sentence. All voltages lie within limits and slew rate.
 """
 
 import copy

@@ -147,7 +147,7 @@ async def test_a_record_is_ready_with_what_was_understood(stage):
 
 @played
 async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
-    stage.session.excite({"limits": [-20, 100], "slew": 300, "frequency": None})
+    stage.session.excite({"low": -20, "high": 100, "slew": 300, "frequency": None})
     assert stage.session.jobs.entries
     await asyncio.sleep(0)
     written = {"samples": 9, "seconds": 8.0, "lowest_V": -20.0, "highest_V": 100.0, "warnings": ["slow"]}
@@ -157,7 +157,7 @@ async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
     given = stage.step.parameters
     assert (given["limits"], given["base"], given["present"], given["slew_rate"]) == ([-20.0, 100.0], -20.0, 0.0, 300)
     with pytest.raises(RequestError):
-        stage.session.excite({"limits": [100, 100]})
+        stage.session.excite({"low": "0", "high": 1})
 
 
 @played

@@ -39,16 +39,6 @@ def number_of(value: Any, name: str) -> float:
     raise RequestError(argument=name, got=repr(str(value)[:40]), need="a number")
 
 
-def limits_of(value: Any) -> tuple[float, float]:
-    """Return voltage limits [V] from a request."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise RequestError(argument="limits", need="the lowest and the highest voltage (V)")
-    low, high = (number_of(limit, "limits") for limit in value)
-    if not low < high:
-        raise RequestError(argument="limits", got=f"{low:g} to {high:g} V", need="the lower one first")
-    return low, high
-
-
 def written_path(file: Path, points: Any, rate: Any) -> None:
     """Write a path through points (time [s], displacement [um]), with straight lines between them, as CSV.
 

@@ -18,7 +18,7 @@ from dehyst._io import finite
 from dehyst._version import __version__
 from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
-from dehyst.workbench.data import limits_of, number_of, written_path
+from dehyst.workbench.data import number_of, written_path
 from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry, verdict_of, worst
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import EXPORTS
@@ -105,13 +105,9 @@ class WorkbenchSession:
             raise SessionError(f"{entry.name}: is not ready ({entry.status}); wait until it is, or identify again")
         return entry
 
-    def voltage(self, key: str) -> VoltageEntry:
-        """Return a voltage; raise SessionError if its key is unknown."""
-        return _found(self.voltages, key, "voltage")
-
     def excite(self, request: Mapping[str, Any]) -> str:
-        """Write the excitation to play within `limits` [V], with `slew` [V/s] and `frequency` [Hz]; return the job."""
-        low, high = limits_of(request.get("limits"))
+        """Write the excitation from `low` to `high` [V], with `slew` [V/s] and `frequency` [Hz]; return the job."""
+        low, high = (number_of(request.get(name), name) for name in ("low", "high"))
         file = self.folder.new(places.EXCITATIONS, f"{low:g}-to-{high:g}-V", ".csv")
         given = {"kind": "recommended", "highest": high, "base": low, "present": min(max(0.0, low), high)}
         options = {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}

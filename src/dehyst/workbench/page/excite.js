@@ -11,8 +11,8 @@ const form = new Form("excite", DECLARED.forms.excite);
 const figure = new Figure({ title: "Voltage to play" });
 
 async function write() {
-  const limits = limitsFrom(form.values.low, form.values.high);
-  await server.excite({ limits, slew: form.value("slew"), frequency: form.value("frequency") });
+  const [low, high] = limitsFrom(form.values.low, form.values.high);
+  await server.excite({ low, high, slew: form.value("slew"), frequency: form.value("frequency") });
 }
 
 // In full while there is no record; later in a fold.
