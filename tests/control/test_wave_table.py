@@ -191,19 +191,6 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     assert off.max() <= 4 * table.error + 1e-12 * strokes(TRIANGLE)
 
 
-def test_a_homing_that_limits_forbid_is_said():
-    table = wave_table(PLAIN, TRIANGLE.path(), limits=(0.0, 120.0))
-    assert not table.plan.certified and unknown(table) > UM
-    assert table.plan.voltage.max() <= 120.0
-
-
-def test_the_homing_begins_at_the_present_voltage_and_keeps_the_slew_rate():
-    table = wave_table(PLAIN, TRIANGLE.path(), slew_rate=8000.0, present=30.0)
-    played = table.played(1)
-    assert played.voltage[0] == 30.0
-    assert np.abs(np.diff(played.voltage)).max() * table.sample_rate <= 8000.0 * (1 + 1e-6)
-
-
 @pytest.mark.parametrize("parts", [{}, at_night({"dynamics": Dynamics(300, 0.03, 1e6)})])
 def test_a_long_homing_has_few_rows_and_loses_nothing(parts):
     slow = replace(PLAIN, displacement_creep=DisplacementCreep([5.0, 64.0], [0.02, 0.02]), **parts)

@@ -84,7 +84,7 @@ def begin_of(loop: Compensator, known: PossibleStart | None, present: Any, first
         start = PossibleStart.unknown_near(loop.actuator, first, loop.limits)
         return Begin(start, start.within(loop.actuator, loop.limits), None)
     volts = present_voltage(loop._bounds, present)
-    words = f"it begins at {volts:.6g} V, the limit next to 0 V: ramp there first, or give the present voltage"
+    words = f"the homing begins at {volts:.6g} V, the limit next to 0 V: ramp there first, or give the present voltage"
     remark = (words,) if present is None and volts else ()
     start = PossibleStart.unknown(loop.actuator, volts, loop.limits)
     return Begin(start, start.within(loop.actuator, (volts, volts)), volts, remark)
