@@ -130,3 +130,12 @@ def test_creep_is_found_wherever_the_voltage_rests_and_a_drift_of_the_sensor_is_
         assert len(frame.rests[0]) == 2
         names = search.moving(frame, lambda _: None, lag=True, drift=True, more=True)[1]
         assert kind in names and ("creep" in names) == (kind == "creep")
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.003, 0.02])
+def test_a_lag_is_found_beside_creep(lag):
+    given = recommended(HIGHEST, drive=Sampling(0.1, sample_rate=40.0))
+    late = np.interp(given.time - lag, given.time, given.voltage)
+    record = Record(given.time, given.voltage, actuator(0.01).play(late, time=given.time))
+    motion = search.moving(wide.frame([record]), lambda _: None, lag=True, drift=True, more=True)[0].motion
+    assert motion.creep is not None and motion.delay + motion.lag == pytest.approx(lag, abs=1e-3)
