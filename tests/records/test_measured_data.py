@@ -8,13 +8,11 @@ import re
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import places
 import pytest
 
 import dehyst
 from dehyst.identification import Outcome
-from dehyst.model import turned
 
 DATA = places.DATA
 
@@ -81,15 +79,3 @@ def test_what_was_held_out_is_predicted():
     assert held_out.largest_percent < 1.5
     assert held_out.rms_percent < 0.5
     assert held_out.rms < 1.3 * max(error.rms for error in fit.errors[:2])
-
-
-def test_the_identified_actuator_compensates_within_the_recorded_voltages():
-    actuator = fitted().actuator
-    low, high = actuator.limits
-    assert (low, high) == pytest.approx((0.0, 3.6), abs=0.02)
-    knots = actuator.spring.displacement
-    path = knots[0] + (knots[-1] - knots[0]) * (0.3 + 0.1 * np.sin(np.linspace(0, 12, 400)))
-    command = dehyst.plan_path(actuator, path, start=turned(actuator, float(path[0])))
-    assert not command.clamped.any()
-    played = actuator.simulate(command.voltage, state=turned(actuator, float(path[0]))).displacement
-    assert abs(played - path).max() < 1e-9 * (knots[-1] - knots[0])

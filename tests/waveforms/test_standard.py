@@ -237,11 +237,6 @@ class TestSlewRate:
         assert len(made.warnings) == 1
         assert np.abs(np.diff(made.voltage[-401:])).max() == pytest.approx(0.25 * math.pi / 2, rel=1e-3)
 
-    def test_a_cosine_is_steeper_than_its_mean(self):
-        made = raised_cosine(200.0, drive=Sampling(slew_rate=4.0))
-        assert made.duration == pytest.approx(100 * math.pi / 2, abs=0.5)
-        assert np.abs(np.diff(made.voltage)).max() * made.sample_rate == pytest.approx(4.0, rel=5e-3)
-
 
 class TestLimits:
     @every_kind

@@ -200,7 +200,7 @@ def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
 
 def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list[int]:
     """Return the turns of the displacement after a step that the voltage does not have, while they follow closely."""
-    turns = [int(one) for one in turning_points(y, least) if one >= jump]
+    turns = [int(turn) for turn in turning_points(y, least) if turn >= jump]
     own: list[int] = []
     for last, one in pairwise([jump, *turns]):
         half = float(np.median(np.diff(own))) if len(own) > 1 else float("inf")
@@ -301,14 +301,14 @@ class _Signals(NamedTuple):
         for first, last in pairwise(far_jumps.tolist()):
             if self.widest < last - first <= self.longest:
                 long = self._isolated(np.array([first]), last - first)
-                candidates += [one for one in long if one[0] > _LEAST_LONG * self.span]
+                candidates += [found for found in long if found[0] > _LEAST_LONG * self.span]
         if not candidates:
             return []
         from scipy.ndimage import median_filter
 
         # Without excursions as short as a glitch, but with steps.
         without_pulses = np.asarray(median_filter(self.v, 2 * self.widest + 1, mode="nearest"), dtype=np.float64)
-        return _separate([one for one in candidates if not self._follows(one[1], one[2], without_pulses)])
+        return _separate([found for found in candidates if not self._follows(found[1], found[2], without_pulses)])
 
     def _isolated(self, before: Indices, width: int) -> list[tuple[float, int, int]]:
         """Return size, start and stop of excursions after samples that come back and exceed the steps nearby."""

@@ -306,7 +306,7 @@ def entries_of(text: str) -> dict[str, str]:
 def text_of(entries: Mapping[str, str]) -> str:
     """Return the text of entries; one that holds a comma is in double quotes."""
     words = [f"{key}={value}" for key, value in entries.items()]
-    return ", ".join('"{}"'.format(one.replace('"', '""')) if set(one) & set(',"') else one for one in words)
+    return ", ".join('"{}"'.format(word.replace('"', '""')) if set(word) & set(',"') else word for word in words)
 
 
 def columns_of_axis(text: str) -> list[str]:

@@ -76,16 +76,16 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     if columns.temperature is not None:
         table = _with_temperature(table, columns.temperature)
     used_as = {
-        f"{quantity} of {axis}" if axis and quantity != "time" else quantity: one
-        for axis, part in parts.items()
-        for quantity, one in part.items()
+        f"{quantity} of {axis}" if axis and quantity != "time" else quantity: part
+        for axis, own in parts.items()
+        for quantity, part in own.items()
     }
-    others, remarks = further_channels(table, [one.column for one in used_as.values()], len(time))
+    others, remarks = further_channels(table, [part.column for part in used_as.values()], len(time))
     channels = tuple(channel for channel, _ in others)
-    guesses = {quantity: one.guess for quantity, one in used_as.items()}
+    guesses = {quantity: part.guess for quantity, part in used_as.items()}
     guesses |= {channel.name: column.guessed for channel, column in others}
-    scales = {quantity: one.entry.scale.words for quantity, one in used_as.items() if one.entry.scale is not None}
-    found = {quantity: one.column.name for quantity, one in first.items()}
+    scales = {quantity: part.entry.scale.words for quantity, part in used_as.items() if part.entry.scale is not None}
+    found = {quantity: part.column.name for quantity, part in first.items()}
     found |= {channel.name: column.name for channel, column in others}
     if columns.rate is not None:
         found["time"] = f"index / {columns.rate:.9g} Hz"
@@ -99,7 +99,7 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     }
     hold: Any = columns.hold or ("sample" if first["voltage"].column.timing == "sample" else "line")
     if columns.axes:
-        if any(one.entry.scale is not None and one.entry.scale.kind for one in used_as.values()):
+        if any(part.entry.scale is not None and part.entry.scale.kind for part in used_as.values()):
             need = "one voltage and one displacement; read each axis by itself"
             raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
         # Each axis is checked by itself.
@@ -107,7 +107,9 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
             Record(time, part["voltage"].values, part["displacement"].values, f"{name} ({axis})")
             for axis, part in parts.items()
         ]
-        voltage, displacement = (np.column_stack([getattr(one, column) for one in records]) for column in _MEASURED)
+        voltage, displacement = (
+            np.column_stack([getattr(record, column) for record in records]) for column in _MEASURED
+        )
         return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)
     voltage = first["voltage"].values
     if scale is not None and scale.kind:
@@ -191,13 +193,17 @@ def write_record(path: PathLike, record: Record) -> None:
     if not isinstance(record, Record):
         need, hint = "a Record", "give the path first, then the record"
         raise FileFormatError(argument="record", got=type(record).__name__, need=need, hint=hint)
-    of_axes = {f"{'voltage' if one.role == 'drive' else one.role} of {one.axis}": one.name for one in record.channels}
+    words = {"drive": "voltage"}
+    of_axes = {
+        f"{words.get(channel.role, channel.role)} of {channel.axis}": channel.name for channel in record.channels
+    }
     known = record.meta.get("guesses")
     known = known if isinstance(known, Mapping) else {}
     guesses = {of_axes.get(str(quantity), str(quantity)): str(guess) for quantity, guess in known.items()}
-    timing = {one.name: "sample" for one in record.channels if one.role == "drive" and record.hold == "sample"}
+    drives = [channel.name for channel in record.channels if channel.role == "drive"]
+    timing = dict.fromkeys(drives, "sample") if record.hold == "sample" else {}
     timing |= {} if record.measured is None else {"displacement": "events"}
-    others = [one.column for one in record.others if one.role == "other"]
+    others = [channel.column for channel in record.others if channel.role == "other"]
     stated = {"guesses": guesses, "timing": timing, "others": others}
     text = json.dumps({key: value for key, value in stated.items() if value}) if any(stated.values()) else ""
     if Path(path).suffix.lower() == ".npz":

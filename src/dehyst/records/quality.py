@@ -156,7 +156,7 @@ def _of_units(record: Record) -> Iterator[str]:
         yield f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check its unit and scale."
     if not _LEAST_VOLTAGE <= highest <= HIGHEST_VOLTAGE:
         yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check its unit and scale."
-    temperatures = [one.column for one in record.others if one.role == "temperature"]
+    temperatures = [channel.column for channel in record.others if channel.role == "temperature"]
     if len(temperatures) > 1:
         yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
 

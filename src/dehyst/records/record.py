@@ -149,7 +149,8 @@ class Record(Plotted):
         for column in _COLUMNS:
             keep(self, **{column: self._frozen(getattr(self, column), column)})
         keep(self, meta=dict(self.meta), axes=self._named_axes(), others=tuple(self._further()))
-        arrays = {column: getattr(self, column) for column in _COLUMNS} | {one.name: one.values for one in self.others}
+        arrays = {column: getattr(self, column) for column in _COLUMNS}
+        arrays |= {channel.name: channel.values for channel in self.others}
         if len({len(values) for values in arrays.values()}) > 1:
             got = ", ".join(f"{column} {len(values)}" for column, values in arrays.items())
             raise self._error(f"columns differ in length ({got}); give one value each per sample")
@@ -165,11 +166,11 @@ class Record(Plotted):
                     raise RecordError(f"record '{name}': {words}")
         if words := quality.not_rising(self.time, self.voltage, self.displacement):
             raise self._error(words)
-        for one in self.others:
-            if one.fault:
-                raise self._error(one.fault)
-            if one.name in ("time", *(other.name for other in self.channels if other is not one)):
-                raise self._error(f"others: got the name '{one.name}' twice, need different names; rename one")
+        for channel in self.others:
+            if channel.fault:
+                raise self._error(channel.fault)
+            if channel.name in ("time", *(other.name for other in self.channels if other is not channel)):
+                raise self._error(f"others: got the name '{channel.name}' twice, need different names; rename one")
 
     def _error(self, words: str) -> RecordError:
         return RecordError(f"record '{self.name}': {words}")
@@ -230,7 +231,7 @@ class Record(Plotted):
 
     def __repr__(self) -> str:
         head = f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s"
-        others = "".join(f", {one.name}" for one in self.others)
+        others = "".join(f", {channel.name}" for channel in self.others)
         others += ", voltage held" * (self.hold == "sample")
         if self.axes:
             return f"{head}, axes {', '.join(self.axes)}{others}>"
@@ -321,7 +322,7 @@ class Record(Plotted):
 
         Raise `MissingExtraError` if pandas is not installed.
         """
-        others = [one.column for one in self.others]
+        others = [channel.column for channel in self.others]
         return tables.frame(columns_of(self), name=self.name, **({"others": others} if others else {}))
 
     @property
@@ -337,7 +338,7 @@ class Record(Plotted):
     @property
     def temperature(self) -> Array | None:
         """The temperature (n,) [degC]; None if the record has none, or several."""
-        found = [one.values for one in self.others if one.role == "temperature"]
+        found = [channel.values for channel in self.others if channel.role == "temperature"]
         return found[0] if len(found) == 1 else None
 
     def axis(self, axis: str | int, displacement: ArrayLike | None = None) -> Record:

@@ -274,7 +274,7 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
             problems.append(error)
     if not problems:
         return found
-    proposal = _proposed(table, columns, problems, [one.column for one in found.values()])
+    proposal = _proposed(table, columns, problems, [column.column for column in found.values()])
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
@@ -307,7 +307,9 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
 def _side_by_side(table: Table) -> bool:
     """Return whether all columns only rise, as those of two branches do that are written side by side."""
     columns = [column.data for column in table.columns if not column.fault]
-    rise = [one.size > 2 and bool(np.all(one[1:] >= one[:-1])) and one[-1] > one[0] for one in columns]
+    rise = [
+        values.size > 2 and bool(np.all(values[1:] >= values[:-1])) and values[-1] > values[0] for values in columns
+    ]
     return len(rise) > 2 and all(rise)
 
 
@@ -331,7 +333,7 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     """Return how little the name and the unit of a column are those of a quantity."""
     word, unit = column.parts
     stated, lower = quantity_of(unit), f"{word} {column.leaf}".lower()
-    fits = {name for name, one in QUANTITIES.items() if any(part in lower for part in one.parts.split(", "))}
+    fits = {name for name, known in QUANTITIES.items() if any(part in lower for part in known.parts.split(", "))}
     named = quantity in fits or (len(word) == 1 and word.lower() in QUANTITIES[quantity].letters)
     sensor = quantity == "displacement" and stated == "voltage"
     # A set point is not a measured displacement.
@@ -408,10 +410,8 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         sizes = {first.seconds.size, second.seconds.size}
         together = len(sizes) == 1 and bool(np.all(np.abs(first.seconds - second.seconds) <= _SAME * step))
     if first is None or second is None or together:
-        added = (
-            tuple(_behind(stem, column) for column in other.columns) if second is None or not first else second.columns
-        )
-        if broken := [one for one in (table, other) if all(column.fault for column in one.columns)]:
+        added = second.columns if first and second else tuple(_behind(stem, column) for column in other.columns)
+        if broken := [file for file in (table, other) if all(column.fault for column in file.columns)]:
             raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
         if table.rows != other.rows:
             got = f"{table.rows} samples in {table.source} and {other.rows} in {other.source}"
@@ -439,17 +439,17 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
 
 def _offset(first: _Timed, second: _Timed) -> float:
     """Return the time [s] from the zero of the first file's clock to that of the second's."""
-    one, two = first.clock.began, second.clock.began
-    origins = [f"times from {began[0]}" if began else "seconds from an unknown moment" for began in (one, two)]
+    begin, later = first.clock.began, second.clock.began
+    origins = [f"times from {began[0]}" if began else "seconds from an unknown moment" for began in (begin, later)]
     if origins[0] != origins[1]:
         raise FileFormatError(
             f"join: {first.source} has {origins[0]} and {second.source} has {origins[1]}, need one clock for both; "
             "save both with date and offset from UTC, or both in seconds from one moment"
         )
-    if one is None or two is None:
+    if begin is None or later is None:
         return 0.0
-    offset = float(two[1] - one[1]) + (two[2] - one[2])
-    return offset - _DAY * round(offset / _DAY) if one[0].startswith("midnight") else offset
+    offset = float(later[1] - begin[1]) + (later[2] - begin[2])
+    return offset - _DAY * round(offset / _DAY) if begin[0].startswith("midnight") else offset
 
 
 def _common(kept: _Timed, moved: _Timed) -> tuple[Mask, list[str]]:

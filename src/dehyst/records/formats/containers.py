@@ -53,12 +53,12 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
     demand_version(stated, "this record of dehyst")
     return [
         replace(
-            one,
-            guessed=str(guesses.get(one.parts[0], one.guessed)),
-            kept=one.kept or one.name in others,
-            timing=str(timing.get(one.parts[0], "")),
+            column,
+            guessed=str(guesses.get(column.parts[0], column.guessed)),
+            kept=column.kept or column.name in others,
+            timing=str(timing.get(column.parts[0], "")),
         )
-        for one in columns
+        for column in columns
     ]
 
 
@@ -101,9 +101,9 @@ class _Declared(NamedTuple):
             fields = {str(k): row for k, row in enumerate(values if values.shape[0] < values.shape[1] else values.T, 1)}
         elif values.dtype.names:
             fields = {name: values[name] for name in values.dtype.names}
-        named = {name if alone else f"{self.name}/{name}": one for name, one in fields.items()} or {self.name: values}
+        named = {key if alone else f"{self.name}/{key}": row for key, row in fields.items()} or {self.name: values}
         unnamed = _UNNAMED.format(self.shape) if alone and self.kind == "table" else ""
-        columns = [column for name, one in named.items() for column in _vector(name, one, self.unit, _group(name))]
+        columns = [column for name, field in named.items() for column in _vector(name, field, self.unit, _group(name))]
         return [replace(column, unnamed=unnamed) for column in columns]
 
 
@@ -123,12 +123,12 @@ def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Colum
     """Read all series, and the tables with as many samples as one of them, or all if there is no series."""
     tables = [array for array in arrays if array.kind == "table" and not array.fault]
     alone = len(arrays) == 1
-    columns = [one for array in arrays if array not in tables for one in array.columns(allowance, alone)]
+    columns = [column for array in arrays if array not in tables for column in array.columns(allowance, alone)]
     lengths = {column.data.size for column in columns} - {0}
     alone = len(tables) == 1 and not lengths
     fit = [table for table in tables if not lengths or max(table.shape) in lengths]
     # A column without a name is the first one, so that its file says so.
-    columns = [one for table in fit for one in table.columns(allowance, alone)] + columns
+    columns = [column for table in fit for column in table.columns(allowance, alone)] + columns
     if columns and not (lengths or fit):
         raise FileFormatError(f"'{shortened(columns[0].name)}' {columns[0].fault}")
     return columns
@@ -169,8 +169,8 @@ def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
         members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
         arrays = [_npy(partial(archive.open, member), member.filename.removesuffix(".npy")) for member in members]
         columns = _columns_of(arrays, allowance)
-        texts = [one for one in arrays if one.name == MEMBER and (one.dtype.kind, one.shape) == ("U", ())]
-        return restored(columns, "".join(str(one.read()) for one in texts if one.dtype.itemsize <= 4 * LONGEST))
+        texts = [array for array in arrays if array.name == MEMBER and (array.dtype.kind, array.shape) == ("U", ())]
+        return restored(columns, "".join(str(array.read()) for array in texts if array.dtype.itemsize <= 4 * LONGEST))
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
@@ -215,7 +215,7 @@ def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
     if values.dtype.kind not in "fiu" or not any((scale, offset, *fills)):
         return values
     with np.errstate(all="ignore"):
-        missing = np.isin(values, np.array([x for one in fills for x in one]).astype(values.dtype))
+        missing = np.isin(values, np.array([x for fill in fills for x in fill]).astype(values.dtype))
         return np.where(missing, np.nan, values * (*scale, 1.0)[0] + (*offset, 0.0)[0])
 
 
@@ -291,7 +291,7 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     if any(column.parts[0].lower() in ("time", "t") for column in columns):
         return columns
     keys = {"wf_increment": 0.0, "wf_start_offset": 0.0, _START: ""}
-    runs = {(len(one), *(one.properties.get(key, empty) for key, empty in keys.items())) for one in waves.values()}
+    runs = {(len(wave), *(wave.properties.get(key, empty) for key, empty in keys.items())) for wave in waves.values()}
     if len(runs) > 1 and all(step > 0 for _, step, _, _ in runs):
         raise apart(waves, f"number of samples, {', '.join(keys)}")
     count, step, start, _ = next(iter(runs)) if len(runs) == 1 else (0, 0.0, 0.0, "")
@@ -315,7 +315,7 @@ def _guess_of_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
     stamps = [(match.start(), match[1]) for match in _STAMP.finditer(data)]
     changes = [data.rfind(b"TDSm", 0, place) for (_, before), (place, now) in pairwise(stamps) if now != before]
     if not changes:
-        appended = any(one.properties.get("wf_samples", len(one)) != len(one) for one in waves.values())
+        appended = any(wave.properties.get("wf_samples", len(wave)) != len(wave) for wave in waves.values())
         return "its pieces, of wf_samples each, follow one another without a pause" if appended else ""
     first, before = (_channels(TdmsFile.read_metadata(io.BytesIO(data[:end]))) for end in (changes[0], changes[-1]))
     for name in waves.keys() & first.keys():

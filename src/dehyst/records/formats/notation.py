@@ -116,11 +116,11 @@ def clock_of(moments: list[Moment]) -> tuple[Array, tuple[str, int, float]]:
     different origins, or a clock without offset jumps by an hour.
     """
     origin, begin, part = moments[0]
-    if origins := sorted({one.origin for one in moments} - {origin}):
+    if origins := sorted({stamp.origin for stamp in moments} - {origin}):
         raise ValueError(
             f"its times count from {origin} and from {origins[0]}; write all with date and offset from UTC"
         )
-    whole, fraction = (np.array([one[k] for one in moments]) for k in (1, 2))
+    whole, fraction = (np.array([stamp[k] for stamp in moments]) for k in (1, 2))
     seconds = (whole - begin) + (fraction - part)
     if origin.startswith("midnight"):
         seconds = seconds + _DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
