@@ -155,10 +155,7 @@ def table_of(path: PathLike, columns: Columns) -> Table:
 
 
 def read_table(path: PathLike, columns: Columns | None = None) -> Table:
-    """Read all numeric columns of the file at `path`; its suffix determines the format. Errors as in `read`.
-
-    Of `columns` only the decimal sign and the largest size count.
-    """
+    """Read all numeric columns of a file, by decimal sign and largest size of `columns`; errors as in `read`."""
     path, columns = path_of(path), columns or Columns()
     if path.suffix.lower() not in LOADERS and path.is_file():
         known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
@@ -193,15 +190,11 @@ def write_record(path: PathLike, record: Record) -> None:
     if not isinstance(record, Record):
         need, hint = "a Record", "give the path first, then the record"
         raise FileFormatError(argument="record", got=type(record).__name__, need=need, hint=hint)
-    words = {"drive": "voltage"}
-    of_axes = {
-        f"{words.get(channel.role, channel.role)} of {channel.axis}": channel.name for channel in record.channels
-    }
-    known = record.meta.get("guesses")
-    known = known if isinstance(known, Mapping) else {}
+    words, channels = {"drive": "voltage"}, [(channel.name, channel.role, channel.axis) for channel in record.channels]
+    of_axes = {f"{words.get(role, role)} of {axis}": name for name, role, axis in channels}
+    known = dict(record.meta.get("guesses") or {})
     guesses = {of_axes.get(str(quantity), str(quantity)): str(guess) for quantity, guess in known.items()}
-    drives = [channel.name for channel in record.channels if channel.role == "drive"]
-    timing = dict.fromkeys(drives, "sample") if record.hold == "sample" else {}
+    timing = {name: "sample" for name, role, _ in channels if role == "drive" and record.hold == "sample"}
     timing |= {} if record.measured is None else {"displacement": "events"}
     others = [channel.column for channel in record.others if channel.role == "other"]
     stated = {"guesses": guesses, "timing": timing, "others": others}

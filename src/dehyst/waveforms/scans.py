@@ -319,6 +319,11 @@ class ScanKind(NamedTuple):
     needs: tuple[str, ...]
     may: tuple[str, ...]
 
+    @property
+    def takes(self) -> tuple[str, ...]:
+        """All options of the scan."""
+        return (*self.needs, *self.may)
+
 
 _SCANS = Triangle, Raster, Steps
 OPTIONS = {name: option for scan in _SCANS for name, option in base.options_of(scan).items() if name != "sample_rate"}
@@ -342,8 +347,7 @@ def scan_of(kind: str, options: Mapping[str, Any], sample_rate: float | None) ->
     scan = SCANS[kind]
     if missing := [name for name in scan.needs if name not in options]:
         raise RecordError(argument=", ".join(missing), got=f"none for a {kind}", need=", ".join(scan.needs))
-    takes = *scan.needs, *scan.may
-    if foreign := [name for name in options if name not in takes]:
-        got = f"{options[foreign[0]]!r} for a {kind}, which takes {', '.join(takes)}"
+    if foreign := [name for name in options if name not in scan.takes]:
+        got = f"{options[foreign[0]]!r} for a {kind}, which takes {', '.join(scan.takes)}"
         raise RecordError(argument=foreign[0], got=got)
     return scan.scan(**{name: OPTIONS[name].in_si(value) for name, value in options.items()}, sample_rate=sample_rate)
