@@ -220,28 +220,15 @@ class Recheck(Plotted):
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
+        keys = "standing sentence good advises_update model record promise goal_percent=goal mismatch remarks "
+        keys += "largest_m=largest rms_m=rms noise_m=noise stroke_m=stroke"
+        errors = {name: getattr(self, name) for name in ("largest", "rms", "without_noise", "drift")}
         return {
-            "standing": self.standing.name,
-            "sentence": self.sentence,
-            "good": self.good,
-            "advises_update": self.advises_update,
-            "model": self.model,
-            "record": self.record,
-            "largest_percent": percent(self.largest, self.stroke),
-            "rms_percent": percent(self.rms, self.stroke),
-            "without_noise_percent": percent(self.without_noise, self.stroke),
-            "promise": None if self.promise is None else self.promise.as_dict(),
-            "goal_percent": self.goal,
-            "drift_percent": percent(self.drift, self.stroke),
-            "largest_m": self.largest,
-            "rms_m": self.rms,
-            "noise_m": self.noise,
-            "stroke_m": self.stroke,
+            **json_values(self, keys),
+            **{f"{name}_percent": percent(error, self.stroke) for name, error in errors.items()},
             "changes": [change.as_dict(self.stroke) for change in self.changes],
             "changed": [change.name for change in self.changed],
             "change_sentences": list(self.change_sentences()),
-            "mismatch": self.mismatch,
-            "remarks": list(self.remarks),
         }
 
 

@@ -134,13 +134,10 @@ class Update:
         """Return JSON values without the model."""
         pairs = {"before": self.before, "after": self.after, "held_out": self.held_out}
         return {
-            **json_values(self, "used good sentence promise"),
+            **json_values(self, "used good sentence promise missing datum_m=datum stroke_m=stroke"),
             "sentences": list(self.sentences()),
             "changes": [change.as_dict(self.stroke) for change in self.changes],
             **{f"{name}_percent": [percent(one, self.stroke) for one in pair] for name, pair in pairs.items()},
-            "missing": list(self.missing),
-            "datum_m": self.datum,
-            "stroke_m": self.stroke,
         }
 
 
