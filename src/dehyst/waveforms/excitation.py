@@ -115,10 +115,7 @@ _SLACK = 9e-10
 
 
 class Leg(NamedTuple):
-    """A monotone stretch of a voltage from `start` to `end` [V], or a hold if they are equal.
-
-    `seconds`: duration; `requested` unless it is free.
-    """
+    """A monotone stretch of a voltage from `start` to `end` [V], or a hold; `seconds`: as `requested`, or free."""
 
     start: float
     end: float

@@ -53,10 +53,7 @@ def rounded(value: float, towards: Callable[[float], int]) -> str:
 
 
 def samples_of(seconds: float, rate: float) -> int:
-    """Return the number of samples of a duration [s], rounded up.
-
-    Raise `RecordError` if there are fewer than a leg needs, or more than 5e7.
-    """
+    """Return the samples of a duration [s], rounded up; raise `RecordError` for too few for a leg, or over 5e7."""
     samples = seconds * rate * (1 - 1e-12)
     if samples > LEG_SAMPLES - 1:
         refuse_long(int(min(samples, 1e15)) + 1, rate)
@@ -71,12 +68,7 @@ def samples_of(seconds: float, rate: float) -> int:
 
 
 class ScanOption(NamedTuple):
-    """An option of scans, declared as the annotation of a field, for the command line and the workbench.
-
-    `unit`: unit as text, "um" for lengths, "" for a pure number. `help`: description. `default`: default as text.
-    `least`: least value of a whole number. `kind`: float, int, the words to choose from, or "numbers"; it follows from
-    the field's type.
-    """
+    """An option of scans, declared as the annotation of a field; its `kind` follows from the field's type."""
 
     unit: str
     help: str
@@ -356,11 +348,7 @@ class MotionLimits:
     acceleration: float | None = None
 
     def refuse(self, what: str, peaks: tuple[float, float], frequency: float, height: float) -> None:
-        """Raise RecordError if a shape of this `frequency` [Hz] and `height` [m] exceeds a limit.
-
-        `peaks` are its largest speed [m/s], which grows with the frequency, and its largest acceleration [m/s^2], which
-        grows with the square of the frequency; both grow with the height. `what` names the shape.
-        """
+        """Raise RecordError if `what`, of a frequency [Hz], a height [m] and `peaks`, exceeds a limit."""
         v, a = (self.speed or inf) / peaks[0], (self.acceleration or inf) / peaks[1]
         if min(v, a) >= 1 - SLACK:
             return

@@ -339,11 +339,7 @@ SCANS = {scan.__name__.lower(): _kind(scan) for scan in _SCANS}
 
 
 def scan_of(kind: str, options: Mapping[str, Any], sample_rate: float | None) -> Scan:
-    """Return the scan of a `kind`, a name in `SCANS`, with these options.
-
-    `options`: values by name, as `OPTIONS` declares them: lengths in micrometres, levels as numbers. `sample_rate`
-    [Hz]. Raise `RecordError` if an option is missing, does not belong to the scan, or is impossible.
-    """
+    """Return the scan of a `kind` in `SCANS` with `options` as `OPTIONS` declares them; refuse others."""
     scan = SCANS[kind]
     if missing := [name for name in scan.needs if name not in options]:
         raise RecordError(argument=", ".join(missing), got=f"none for a {kind}", need=", ".join(scan.needs))
