@@ -181,7 +181,9 @@ def before_path(
     """
     first = float(path.voltage[0])
     present = actuator.voltage(path.start.within(actuator, limits)) if stands else 0.0
-    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
+    near = 0.01 * max(abs(value) for value in (present, *voltages_of(actuator)))
+    # A plan remarks where its own homing begins.
+    if path.homing is None and abs(first - present) > near:
         within = "slowly" if slew is None else "within the slew rate"
         origin, hint = ("that of the start, ", "") if stands else ("", "; --present V puts the way into the file")
         yield (
