@@ -67,7 +67,6 @@ def test_what_the_truth_has_is_found():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_the_rest_of_a_measured_record_is_predicted():
     """Learnt to the middle of a hold in which nothing creeps, played on over the ramp up; 0.79/0.21 % were measured."""
     major, ramps = (

@@ -54,7 +54,6 @@ SOME = [
 MANY = [("plain", 10**4), at_night("plain", 10**6)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "compiler"), spanning(("plain", "slewing", "all", "moving"), ("gcc", "clang")))
 @pytest.mark.parametrize("samples", [10**4, at_night(10**5)])
 def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
@@ -73,7 +72,6 @@ def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler
         assert got == expected, options
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
 def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
     need("arm-none-eabi-gcc", "qemu-system-arm")
@@ -82,7 +80,6 @@ def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
     assert got == pythons(kind, samples)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
 def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
     need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")

@@ -70,7 +70,6 @@ console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "samples"),
     [("plain", 10**5), at_night("plain", 10**6), *((kind, 20_000) for kind in KINDS if kind != "plain")],

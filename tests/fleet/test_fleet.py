@@ -170,7 +170,6 @@ def test_no_scheduler_answers(folder, tmp_path, monkeypatch):
         identify_fleet(folder, tmp_path / "t.parquet", scheduler="tcp://127.0.0.1:9")
 
 
-@pytest.mark.slow
 def test_a_killed_run_is_continued(tmp_path):
     output, records = tmp_path / "t.parquet", tmp_path / "records"
     records.mkdir()

@@ -49,7 +49,6 @@ def disturbed(name):
     return dehyst.identify(recorded(PLANT, DISTURBANCES[name]))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", [at_night("drift"), "vibration", at_night("noise")])
 def test_what_the_voltage_does_not_cause_makes_no_part(name):
     fit = disturbed(name)
@@ -59,7 +58,6 @@ def test_what_the_voltage_does_not_cause_makes_no_part(name):
     assert RATE * fit.actuator.delay < 0.2
 
 
-@pytest.mark.slow
 def test_creep_that_is_there_stays():
     creeping = replace(PLANT, displacement_creep=DisplacementCreep([0.5, 20.0], [0.05, 0.05]))
     record = recorded(creeping, lambda time: 0 * time)
@@ -73,7 +71,6 @@ def test_creep_that_is_there_stays():
     assert np.ptp((expected - reached)[160:]) / 2 < fit.promise.largest
 
 
-@pytest.mark.slow
 def test_a_vibration_is_reported_with_its_frequency():
     (remaining,) = disturbed("vibration").remaining
     assert remaining.frequency == pytest.approx(3.1, abs=0.1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import strategies as our
+from fake_rig import FakeRig
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -177,8 +178,8 @@ def test_a_quantity_is_no_voltage_limit_or_step():
         Compensator(ACTUATOR).step(Quantity(-1e-4, unit="m"))
     with pytest.raises(RecordError, match="peaks: got a quantity"):
         standard.raised_cosine(volts)
-    with pytest.raises(dehyst.DehystError, match=r"rig.*displacement.*volt"):
-        admitted("rig", Samples([2.0, 3.0], [0.0, 1.0], volts), np.zeros(2), 0, -np.inf)
+    with pytest.raises(dehyst.DehystError, match=r"fake.*displacement.*volt"):
+        admitted(FakeRig(), Samples([2.0, 3.0], [0.0, 1.0], volts), np.zeros(2), 0, -np.inf)
 
 
 @pytest.mark.parametrize(

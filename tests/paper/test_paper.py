@@ -16,7 +16,6 @@ from dehyst.paper import run as paper
 from dehyst.paper.tables import MODELS
 from dehyst.records import largest
 
-pytestmark = pytest.mark.slow
 NUMBERS = range(3, 13)
 FIGURES = [f"fig{n:02d}" for n in NUMBERS]
 

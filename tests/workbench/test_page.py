@@ -215,7 +215,6 @@ def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):
     person.page.locator("#record-list > li").wait_for(state="detached")
 
 
-@pytest.mark.slow
 def test_a_model_is_assessed_checked_by_a_new_record_and_updated(person, loops, tmp_path):
     person.drop(loops)
     person.sees("1 ready")

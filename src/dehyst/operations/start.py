@@ -177,21 +177,19 @@ def before_path(
 ) -> Iterator[str]:
     """Yield what to do before a path: the way to its first voltage, and a rest where it creeps.
 
-    `stands`: whether it is known where the actuator stands; otherwise it stands at 0 V.
+    `stands`: whether it is known where the actuator stands; otherwise at 0 V. A plan says where its own homing begins.
     """
-    first = float(path.voltage[0])
+    if path.homing is not None:
+        return
+    first, longest = float(path.voltage[0]), creep_times(actuator).max(initial=0.0)
     present = actuator.voltage(path.start.within(actuator, limits)) if stands else 0.0
-    near = 0.01 * max(abs(value) for value in (present, *voltages_of(actuator)))
-    # A plan remarks where its own homing begins.
-    if path.homing is None and abs(first - present) > near:
-        within = "slowly" if slew is None else "within the slew rate"
+    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
         origin, hint = ("that of the start, ", "") if stands else ("", "; --present V puts the way into the file")
         yield (
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
-            f"ramp there {within} before you play the file{hint}"
+            f"ramp there {'slowly' if slew is None else 'within the slew rate'} before you play the file{hint}"
         )
-    if path.homing is None and creep_times(actuator).size and path.start.name in ("top", "bottom", "relaxed"):
-        longest = float(creep_times(actuator).max())
+    if longest and path.start.name in ("top", "bottom", "relaxed"):
         yield (
             f"this model creeps, and --start {path.start.name} assumes that the actuator has rested there for much "
             f"longer than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "

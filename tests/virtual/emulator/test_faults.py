@@ -83,7 +83,6 @@ def test_these_faults_were_rehearsed_and_each_is_looked_at():
 PUSHED = ("drop", "astray", "interrupt", "zero")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in PUSHED else pytest.mark.nightly) for name in SAID]
 )
