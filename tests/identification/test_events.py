@@ -107,7 +107,7 @@ def test_a_refill_is_the_simulation_and_its_misfit():
 def test_fits_go_on_until_little_moves(shift, calls):
     seen = []
 
-    def identify(records):
+    def identify(records, held_out):
         seen.append(records)
         return SimpleNamespace(
             traces=[SimpleNamespace(time=T, simulated=Y + shift * STROKE * np.sin(2 * T))], number=len(seen)
@@ -115,14 +115,14 @@ def test_fits_go_on_until_little_moves(shift, calls):
 
     whole = Record(T, V, Y)
     record = events_of(Y, 15)
-    assert identified([record], identify).number == calls
+    assert identified([record], [], identify).number == calls
     assert len(seen) == calls
     known = seen[0][0].measured
     assert known[record.measured].all() and known[TURNS].all()
     assert np.count_nonzero(known) <= np.count_nonzero(record.measured) + TURNS.size
-    assert identified([record], identify, rounds=0).number == calls + 1
+    assert identified([record], [], identify, rounds=0).number == calls + 1
     assert filled(whole) is whole and refilled(whole, T, Y) is whole
-    assert identified([whole], identify).number == calls + 2
+    assert identified([whole], [], identify).number == calls + 2
     assert seen[-1][0] is whole
 
 

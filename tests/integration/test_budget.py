@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1288,
     "fleet": 311,
     "foundation": 1413,
-    "identification": 6020,
+    "identification": 6019,
     "instruments": 2645,
     "model": 3518,
     "operations": 3596,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2318,
 }
 HOUSE = {
-    "lines of Python": 38807,
+    "lines of Python": 38806,
     "files of Python": 192,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2724,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array, Mask
-from dehyst.records import Record, interpolate, noise_span, reversals, rms, turning_points
+from dehyst.records import Record, interpolate, noise_span, reversals, rms, thinned, turning_points
 
 if TYPE_CHECKING:
     from dehyst.identification.fit import Fit
@@ -71,21 +71,26 @@ def refilled(record: Record, time: Array, simulated: Array) -> Record:
     return replace(record, displacement=np.where(late & ~known, path, record.displacement))
 
 
-def identified(records: Sequence[Record], identify: Callable[[list[Record]], Fit], rounds: int = 2) -> Fit:
+def identified(
+    records: Sequence[Record],
+    held_out: Sequence[Record],
+    identify: Callable[[list[Record], list[Record]], Fit],
+    rounds: int = 2,
+) -> Fit:
     """Return the fit of records, those of events filled first, then by the fit before until little moves.
 
-    `identify`: fits records, whose turns of the voltage count as events, too; its first traces are those of the
-    records, in order. `rounds`: most fits after the first.
+    `held_out`: records to validate. `identify`: fits records, whose turns of the voltage count as events, too; its
+    first traces are those of the records, in order. `rounds`: most fits after the first.
     """
-    now = [filled(record) for record in records]
-    fit = identify([_with_turns(record) for record in now])
+    now, others = ([filled(thinned(record)) for record in some] for some in (records, held_out))
+    fit = identify([_with_turns(record) for record in now], others)
     for _ in range(rounds if any(record.measured is not None for record in now) and fit.traces else 0):
         traces = zip(now, fit.traces, strict=False)
         before, now = now, [refilled(record, trace.time, trace.simulated) for record, trace in traces]
         moved = [rms(a.displacement - b.displacement) / a.stroke for a, b in zip(before, now, strict=True)]
         if max(moved) < _STILL:
             break
-        fit = identify([_with_turns(record) for record in now])
+        fit = identify([_with_turns(record) for record in now], others)
     return fit
 
 

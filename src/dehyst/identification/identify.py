@@ -30,7 +30,7 @@ from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, Thermal, with_identification
-from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms, thinned
+from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
 
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
 
@@ -106,22 +106,16 @@ def identify(
     _refuse_copies([*training, *held_out])
 
     def alone(training: list[Record], held_out: list[Record], report: Progress) -> Fit:
-        some, others = ([thinned(of_one_axis(record)) for record in records] for records in (training, held_out))
+        some, others = ([of_one_axis(record) for record in records] for records in (training, held_out))
         once = [first_model]
 
-        def fit(records: list[Record]) -> Fit:
-            return _Run(
-                settings,
-                records,
-                [events.filled(record) for record in others],
-                report,
-                goal,
-                deadline,
-                once.pop() if once else None,
-            ).fit()
+        def fit(some: list[Record], others: list[Record]) -> Fit:
+            first = once.pop() if once else None
+            return _Run(settings, some, others, report, goal, deadline, first).fit()
 
         with one_thread():
-            return events.identified(some, fit)
+            sensed = all(record.measured is None for record in (*some, *others))
+            return fit(some, others) if sensed else events.identified(some, others, fit)
 
     if training[0].axes:
         fit: Any = identify_axes(training, held_out, alone, report)
