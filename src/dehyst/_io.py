@@ -201,9 +201,9 @@ def reading_errors(path: Path, kind: str) -> Iterator[None]:
     except PermissionError as error:
         raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
     except Exception as error:  # every library has its own errors for broken content
-        raise FileFormatError(
-            f"{path}: not a readable {kind} file ({type(error).__name__}: {str(error)[:300]}); check its suffix"
-        ) from error
+        got, need = f"{str(error)[:300] or 'other content'!r} from its reader", f"a whole {kind} file"
+        hint = "correct its suffix, or save the file again"
+        raise FileFormatError(f"{path}: cannot be read", got=got, need=need, hint=hint) from error
 
 
 def read_json(path: PathLike) -> dict[str, Any]:
