@@ -155,3 +155,10 @@ def test_temperatures_to_record_cover_those_in_use(tested, used, reference, need
 def test_impossible_values_are_refused(key, value):
     with pytest.raises(ModelError):
         Validity.from_dict({**TOPS.as_dict(), key: value})
+
+
+@pytest.mark.parametrize("key", TOPS.as_dict())
+def test_an_entry_that_a_file_lacks_is_named_with_what_to_try(key):
+    with pytest.raises(ModelError) as error:
+        Validity.from_dict({name: value for name, value in TOPS.as_dict().items() if name != key})
+    assert key in error.value.got and error.value.need and "identify" in error.value.hint

@@ -91,6 +91,9 @@ def test_comes_back_exactly(tmp_path_factory, actuator):
     assert repr(dict(actuator.provenance)) == repr(dict(back.provenance))
 
 
+TESTED = Validity(1e-9, 3e-9, 1e-9 / 3, 1e-5, (0.0, 100.0), [[0.0, 100.0]], temperatures=(20.0, 25.0))
+
+
 def made():
     return Actuator(
         MaxwellSlip([1e-7, 0.3e-6], [2e6, 1e6]),
@@ -99,7 +102,7 @@ def made():
         delay=1 / 3000,
         name="stage X",
         provenance={"records": [{"file": "major.csv", "rms_percent": 0.1 + 0.2}], "note": "µm", "seed": None},
-        identification=Identification("sensor", outcome=Outcome.IDENTIFIED, largest_error=1e-8 / 3, goal=0.5),
+        identification=Identification("sensor", outcome=Outcome.IDENTIFIED, goal=0.5, validity=TESTED),
     )
 
 

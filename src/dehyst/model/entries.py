@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._io import OTHER_VERSION, VERSION, PathLike, read_json, write_json
+from dehyst._io import VERSION, PathLike, read_json, write_json
 from dehyst._types import Array
 from dehyst._validation import Numbers, keep
 from dehyst._views.fields import json_value
 from dehyst._views.lines import brief
 
+_OTHER_VERSION = "identify the records again, or read the file with the dehyst that wrote it"
 # Returns the value of an entry that is kept, from a value of Python or of a file, and its name in messages.
 Reader = Callable[[Any, str], Any]
 if TYPE_CHECKING:
@@ -184,16 +185,14 @@ def demand_format(data: Mapping[str, Any], name: str) -> None:
         raise ModelError(got=type(data).__name__, need=f"an object of the format {name!r}")
     kind, found = data.get("format"), data.get("version")
     if kind != name or type(found) is not int or found != VERSION:
-        raise ModelError(
-            got=f"format {kind!r} version {found!r}",
-            need=f"{name!r} version {VERSION}",
-            hint=OTHER_VERSION if kind == name else "",
-        )
+        got, need = f"format {kind!r} version {found!r}", f"{name!r} version {VERSION}"
+        hint = _OTHER_VERSION if kind == name else "give the name of such a file"
+        raise ModelError(got=got, need=need, hint=hint)
 
 
 def demand_keys(data: Mapping[str, Any], needed: set[str], where: str) -> None:
     """Raise `ModelError` if JSON values are no object, or at unknown and missing keys."""
     missing, unknown = sorted(needed - set(mapping(data, where))), sorted(set(data) - needed)
     if missing or unknown:
-        found = f"{where}: missing keys {missing}, unknown keys {unknown}; need exactly {sorted(needed)}"
-        raise ModelError(found, hint=OTHER_VERSION)
+        got = f"missing entries {missing}, unknown entries {unknown}"
+        raise ModelError(argument=where, got=got, need="neither", hint=_OTHER_VERSION)

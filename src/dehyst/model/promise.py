@@ -25,6 +25,7 @@ from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
 from dehyst.model.branches import BAND, Untested, distances, legs, longest_hold, not_recorded, paces_of, untested_by
 from dehyst.model.dynamics import Thermal
+from dehyst.model.entries import demand_keys
 from dehyst.model.states import stroke_of
 from dehyst.model.temperatures import TemperatureCost
 from dehyst.records import rms
@@ -186,11 +187,10 @@ class Validity:
         return json_values(self, _ENTRIES)
 
     @classmethod
-    def from_dict(cls, data: object) -> Validity:
+    def from_dict(cls, data: Any) -> Validity:
         """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
         names = {key: name or key for key, _, name in (entry.partition("=") for entry in _ENTRIES.split())}
-        if not isinstance(data, Mapping) or set(data) != set(names):
-            raise ModelError(f"validity: need the entries {', '.join(sorted(names))}")
+        demand_keys(data, set(names), "validity")
         try:
             return cls(**{names[key]: value for key, value in data.items()})
         except (TypeError, ValueError) as error:
@@ -351,7 +351,7 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     """
     if found is not None:
         useless = unusable(actuator, found)
-        return *([useless] if useless else []), *(one.sentence for one in found.untested)
+        return *([useless] if useless else []), *(condition.sentence for condition in found.untested)
     sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
     return (sentence,) if sentence else ()
 
