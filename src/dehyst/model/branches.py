@@ -24,7 +24,7 @@ CELLS, _AROUND = 40, 2
 # A voltage rests where it moves at less than this part of the mean speed of its leg.
 _AT_REST = 0.1
 # Paces and holds count as tested up to this ratio, and voltages within this part of the range.
-_ALIKE, _BEYOND = 1.5, 0.02
+ALIKE, _BEYOND = 1.5, 0.02
 # The least range of voltages of an excitation that tests a rate, as a part of that of the records.
 _NARROWEST = 0.1
 
@@ -154,11 +154,12 @@ def untested_by(
     slowest, fastest = validity.speeds
     new = {"fastest": (speed.max(initial=0.0), fastest), "slowest": (speed.min(initial=np.inf), slowest)}
     for which, (found, known) in new.items():
-        if fastest and (found > _ALIKE * known if which == "fastest" else found * _ALIKE < known):
-            words = f"Its {which} branch takes {found:.3g} V/s on average, the {which} of the records {known:.3g} V/s."
+        if fastest and (found > ALIKE * known if which == "fastest" else found * ALIKE < known):
+            ratio = f"{found / known:.2g} times the {which} of the records"
+            words = f"Its {which} branch takes {found:.3g} V/s on average, {ratio}."
             yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0))
     # The excitation for a new speed has the rates of branches over the whole range.
-    often = _ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
+    often = ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
     if fastest and rate.max(initial=0.0) > often:
         words = f"It turns {rate.max():.3g} times a second at its fastest, the records {validity.rates[1]:.3g} times."
         # Within the voltages of the branches that have the rate, an excitation is as fast as they are.
@@ -167,7 +168,7 @@ def untested_by(
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
         yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
     hold = max(waits, longest_hold(time, voltage, validity.span))
-    if hold > _ALIKE * validity.hold:
+    if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
         yield Untested("hold", words, excite_command(high, low, f"--hold {hold:.2g} ", "staircase"))
 
