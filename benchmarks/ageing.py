@@ -30,8 +30,8 @@ for cycles in (1, 2, 4):
 TURNS = [0.0, 1.0, 0.0, 1.0, 0.0, *random_turns(np.random.default_rng(5), 24, 0.03, 0.96), 0.0]
 PATH = Excitation("path", VOLTS * through(TURNS, leg_samples(TURNS, 400)), RATE)
 # Changes: parts of gain and width, lag [s], zero and creep of a decade [of the stroke].
-SIZES = {"gain": (0.01, 0.08), "width": (0.1, 0.5), "delay": (0.02, 0.15)}
-SIZES |= {"offset": (0.005, 0.05), "creep": (0.003, 0.015)}
+SIZES = {"gain": (0.01, 0.08), "width": (0.1, 0.5), "lag": (0.02, 0.15)}
+SIZES |= {"zero": (0.005, 0.05), "creep": (0.003, 0.015)}
 
 
 def relays(rng):
@@ -74,12 +74,12 @@ class Stage:
         aged, loops = aged or dict.fromkeys(SIZES, 0.0), LATER["2 sines"].voltage
         u = np.append(loops, voltage) / VOLTS
         y = self.scale * self.mechanism(u, 1 + aged["width"])[loops.size :]
-        return (1 + aged["gain"]) * y + aged["offset"] * STROKE
+        return (1 + aged["gain"]) * y + aged["zero"] * STROKE
 
     def record(self, excitation, aged=None, seed=0):
         """Return a record, and the slow change within it (n,) [m]."""
         rng, time, aged = np.random.default_rng(seed), excitation.time, aged or dict.fromkeys(SIZES, 0.0)
-        acting = np.interp(time - aged["delay"], time, excitation.voltage)
+        acting = np.interp(time - aged["lag"], time, excitation.voltage)
         slow = aged["creep"] * STROKE * np.log10(1 + time / (PERIOD * rng.uniform(0.05, 0.3)))
         y = self.still(acting, aged) + slow + rng.normal(0, NOISE * STROKE, time.size)
         return dehyst.Record(time, excitation.voltage, y, name="later"), slow
@@ -98,14 +98,14 @@ def truth(stage, aged, excitation, slow):
     new, old = stage.still(voltage, aged), stage.still(voltage)
     gain = np.ptp(new[half:]) / np.ptp(old[half:])
     areas = [abs(np.sum(np.diff(voltage) * (y[1:] + y[:-1]) / 2)) for y in (new, old)]
-    found = {"gain": gain - 1, "width": areas[0] / areas[1] / gain - 1, "delay": aged["delay"]}
+    found = {"gain": gain - 1, "width": areas[0] / areas[1] / gain - 1, "lag": aged["lag"]}
     for name, curve in (("drift", time / time[-1]), ("creep", np.log10(1 + time / (0.1 * PERIOD)))):
         rest, found[name] = np.linalg.lstsq(np.column_stack([np.ones(curve.size), curve]), slow, rcond=None)[0].tolist()
-        found[f"offset beside {name}"] = new[-1] - old[-1] + rest
+        found[f"zero beside {name}"] = new[-1] - old[-1] + rest
     bins, rising = np.round(voltage / 2).astype(int), np.gradient(voltage) > 0
     between = [np.ptp(new[bins == k]) if np.any(rising[bins == k]) else 0.0 for k in range(2, 49)]
     effects = {"gain": found["gain"] * np.ptp(new), "width": found["width"] * max(between) / 2,
-               "delay": aged["delay"] * np.abs(np.gradient(new, time)).max(), "offset": found["offset beside creep"],
+               "lag": aged["lag"] * np.abs(np.gradient(new, time)).max(), "zero": found["zero beside creep"],
                "creep": found["creep"] * curve[-1]}  # fmt: skip
     return found, {name: abs(effect) for name, effect in effects.items()}
 
@@ -118,7 +118,7 @@ def checked(name, own, aged, kind, seed):
     slower, rows = next((change.name for change in changes if change.name in SLOW), "creep"), []
     for change in changes:
         together = min(change.value, sum(most["creep" if part == "drift" else part] for part in change.parts))
-        right = true.get(f"offset beside {slower}" if change.name == "offset" else change.name, together)
+        right = true.get(f"zero beside {slower}" if change.name == "zero" else change.name, together)
         rows.append((change.name, kind, change.value, change.error, right, change.counts))
     named = {"creep" if part == "drift" else part for change in changes if change.counts for part in change.parts}
     large = [part for part, effect in most.items() if effect > 0.02 * STROKE]
@@ -142,7 +142,7 @@ def main() -> None:
     for number in range(CHECKS):
         count = 0 if rng.random() < 0.125 else rng.integers(1, 4)
         some = rng.choice([*SIZES], count, replace=False, p=[0.3, 0.3, 0.15, 0.15, 0.1])
-        signs = {name: 1 if name == "delay" else rng.choice([-1, 1]) for name in SIZES}
+        signs = {name: 1 if name == "lag" else rng.choice([-1, 1]) for name in SIZES}
         aged = {name: float(rng.uniform(*SIZES[name]) * signs[name] * (name in some)) for name in SIZES}
         of = ("relays", "walls")[number % 2], SEED + number // 2 % 3, aged
         cases.append((*of, str(rng.choice([*LATER])), int(rng.integers(1 << 30))))

@@ -111,7 +111,7 @@ def test_two_calibrations_into_one_folder_are_refused(tmp_path):
         (0.6, [], 1),
         (0, [("gain", 0.01, 0.002, 1e-7)], 1),
         (0, [("gain", -0.01, 0.002, 1e-7), ("drift", 1e-7, 1e-9, 1e-7)], 2),
-        (0, [("gain", 0.004, 0.002, 1e-7), ("offset", 1e-7, 1e-9, 1e-9), ("width", 0.5, 0.01, 1e-7)], 0),
+        (0, [("gain", 0.004, 0.002, 1e-7), ("zero", 1e-7, 1e-9, 1e-9), ("width", 0.5, 0.01, 1e-7)], 0),
     ],
 )
 def test_a_rig_that_warms_or_drifts_for_sure_is_remarked(degrees, changes, count):

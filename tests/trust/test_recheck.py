@@ -33,8 +33,8 @@ CHANGED = {
     "gain": ({"gain": loops.GAIN}, loops.GAIN),
     "narrower gain": ({"gain": -loops.GAIN}, -loops.GAIN),
     "width": ({"width": loops.WIDTH}, loops.WIDTH),
-    "offset": ({"offset": loops.OFFSET}, loops.OFFSET),
-    "delay": ({"delay": loops.DELAY}, loops.DELAY),
+    "zero": ({"offset": loops.OFFSET}, loops.OFFSET),
+    "lag": ({"delay": loops.DELAY}, loops.DELAY),
     "creep": ({"slow": creeping(0.02 * STROKE)}, 0.02 * STROKE),
 }
 
@@ -53,7 +53,7 @@ def test_each_change_is_found_and_named_and_nothing_else_is(case, seed):
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"), [({"width": 0.6}, {"width", "delay"}), ({"delay": 15.0}, {"width", "delay"})]
+    ("changes", "named"), [({"width": 0.6}, {"width", "lag"}), ({"delay": 15.0}, {"width", "lag"})]
 )
 def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(changes, named, tmp_path):
     recheck = dehyst.check(loops.model(), loops.later(tops=[200.0], **changes))
@@ -76,8 +76,8 @@ def test_an_unchanged_actuator_is_still_true(seed):
 def test_two_changes_are_told_apart():
     recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN, offset=-loops.OFFSET, width=-loops.WIDTH))
     assert {change.name for change in recheck.changed} >= {"gain", "width"}
-    assert "offset" in {part for change in recheck.changed for part in change.parts}
-    for name, size in (("gain", loops.GAIN), ("offset", -loops.OFFSET), ("width", -loops.WIDTH)):
+    assert "zero" in {part for change in recheck.changed for part in change.parts}
+    for name, size in (("gain", loops.GAIN), ("zero", -loops.OFFSET), ("width", -loops.WIDTH)):
         assert abs(of(recheck, name).value - size) < 3 * of(recheck, name).error
     effects = [abs(change.effect) for change in recheck.changed]
     assert effects == sorted(effects, reverse=True)
@@ -143,8 +143,8 @@ def test_every_kind_of_model_is_still_true_of_its_own_record(name):
 def test_a_sensor_may_have_its_zero_far_away(zero):
     recheck = dehyst.check(loops.model(), loops.later(offset=zero))
     assert recheck.standing is Standing.STILL_TRUE
-    assert [change.name for change in recheck.changed] == ["offset"]
-    assert abs(of(recheck, "offset").value - zero) < 3 * of(recheck, "offset").error
+    assert [change.name for change in recheck.changed] == ["zero"]
+    assert abs(of(recheck, "zero").value - zero) < 3 * of(recheck, "zero").error
 
 
 def test_no_zero_is_stated_that_creep_from_before_the_record_moves():
@@ -161,7 +161,7 @@ def test_no_zero_is_stated_that_creep_from_before_the_record_moves():
 def test_a_narrow_record_leaves_the_offset_open():
     narrow = loops.later(offset=loops.OFFSET, tops=[60.0, 40.0])
     recheck = dehyst.check(loops.model(), narrow)
-    assert of(recheck, "offset").error > 3 * of(dehyst.check(loops.model(), loops.later()), "offset").error
+    assert of(recheck, "zero").error > 3 * of(dehyst.check(loops.model(), loops.later()), "zero").error
     assert any("covers 30" in remark for remark in recheck.remarks)
 
 

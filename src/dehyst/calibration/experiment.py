@@ -24,7 +24,7 @@ from dehyst.trust import Insight, Recheck, check, insight
 # The model, next to the folder of records: of one axis, and of several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
 # A change of the temperature [K], and changes in the check of the last record, that are remarked.
-_WARMS, _DRIFTS = 0.5, {"gain", "offset", "drift"}
+_WARMS, _DRIFTS = 0.5, {"gain", "zero", "drift"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 With s the simulated displacement, m(v) its mean line (the average of rising and falling branches) and h = s - m,
 
-    y - s = gain (s - m(0 V)) + width h - delay s' + creep log10(t) + offset,
+    y - s = gain (s - m(0 V)) + width h - delay s' + creep log10(t) + zero,
 
 whose coefficients are the changes. The error of a model is no white noise: it is alike wherever the loop comes again.
 Its covariance falls with the distance in voltage and in h, and its size grows with the change itself, because no loop
@@ -44,8 +44,7 @@ SLOW = ("creep", "drift")
 LEARNT = ("gain", "width")
 # Factor and unit in which each is shown.
 _AND = " and "
-_NOUNS = {"gain": "gain", "width": "width", "offset": "zero", "delay": "lag", "creep": "creep", "drift": "drift"}
-_SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "delay": (1e3, "ms")}
+_SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "lag": (1e3, "ms")}
 
 
 @dataclass(frozen=True)
@@ -55,16 +54,16 @@ class Change:
     Attributes
     ----------
     name : str
-        "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "offset" (of the
-        displacement at 0 V, at the beginning of the record), "delay", "creep" (logarithmic in time) or "drift" (linear
+        "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "zero" (of the
+        displacement at 0 V, at the beginning of the record), "lag", "creep" (logarithmic in time) or "drift" (linear
         in time). Names joined by " and ": changes that the record cannot tell apart; value and error are those of their
         common effect [m].
     value, error : float
-        The change and its standard error: parts of 1 for gain and width, [m] for the offset, [s] for the delay,
+        The change and its standard error: parts of 1 for gain and width, [m] for the zero, [s] for the lag,
         [m a decade of time] for creep, [m over the record] for a drift.
     effect : float
         The largest error [m] due to the change on a path like the record, with the sign of `value`: apart from a
-        constant, as every error is, but for an offset.
+        constant, as every error is, but for the zero.
     least : float
         Effect [m] from which a change counts.
     """
@@ -92,7 +91,7 @@ class Change:
         `tells`: the command of a record that tells several changes apart.
         """
         if len(self.parts) > 1:
-            words = _AND.join(_NOUNS[part] for part in self.parts)
+            words = _AND.join(self.parts)
             text = f"The loop has changed its shape by {self.amount(stroke)}; this record cannot tell {words} apart."
             return f"{text} Record the loops of `{tells}`, which tell them apart." if tells else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
@@ -114,16 +113,16 @@ class Change:
 _WORDS = {
     "gain": ("The gain has risen by {}", "The gain has fallen by {}"),
     "width": ("The loop has become wider by {}", "The loop has become narrower by {}"),
-    "offset": ("The displacement lies higher by {}", "The displacement lies lower by {}"),
-    "delay": ("The displacement lags more, by {}", "The displacement lags less, by {}"),
+    "zero": ("The displacement lies higher by {}", "The displacement lies lower by {}"),
+    "lag": ("The displacement lags more, by {}", "The displacement lags less, by {}"),
     "creep": ("The displacement creeps up by {}", "The displacement creeps down by {}"),
     "drift": ("The displacement drifts up by {}", "The displacement drifts down by {}"),
 }
 _REMEDIES = {
     "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
     "width": "Check the temperature, the load and the range of the voltage.",
-    "offset": "No error counts it: zero the sensor or home the actuator; that needs no new model.",
-    "delay": "Check the filters, the sample clock and the speed of the record.",
+    "zero": "No error counts it: zero the sensor or home the actuator; that needs no new model.",
+    "lag": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",
     "drift": "Let the actuator warm up, or record at a constant temperature.",
 }
@@ -164,13 +163,13 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
     found, open_ = list[Change](), list[int]()
     for place, name in enumerate(fit.names):
         value, most, error = fit.values[place], fit.most[place], float(np.sqrt(covariance[place, place]))
-        if name == "offset":
+        if name == "zero":
             value, error = value - known.datum, float(np.hypot(error, known.doubt))
         found.append(Change(name, float(value), error, float(value * most), least))
         if not found[-1].counts and SIGMAS * error * most > least:
             open_.append(place)
     # If not with the zero, then apart from a constant, as an error is.
-    shape = [place for place in open_ if fit.names[place] != "offset"]
+    shape = [place for place in open_ if fit.names[place] != "zero"]
     joint = [_together(fit, covariance, places, known, least) for places in (open_, shape) if len(places) > 1]
     return *found, *([one for one in joint if one.counts] or joint)[:1]
 
@@ -179,10 +178,10 @@ def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Know
     """Return the common effect of changes that the record cannot tell apart."""
     columns, names = fit.columns[:, places], [fit.names[place] for place in places]
     # Without a change of the zero, what is the same everywhere is none.
-    columns = columns if "offset" in names else columns - columns.mean(axis=0)
-    values = fit.values[places] - np.where([name == "offset" for name in names], known.datum, 0.0)
+    columns = columns if "zero" in names else columns - columns.mean(axis=0)
+    values = fit.values[places] - np.where([name == "zero" for name in names], known.datum, 0.0)
     row = columns[int(np.argmax(np.abs(columns @ values)))]
-    error = float(np.hypot(np.sqrt(row @ covariance[np.ix_(places, places)] @ row), known.doubt * ("offset" in names)))
+    error = float(np.hypot(np.sqrt(row @ covariance[np.ix_(places, places)] @ row), known.doubt * ("zero" in names)))
     size = abs(float(row @ values))
     return Change(_AND.join(names), size, error, size, least)
 
@@ -258,7 +257,7 @@ class _ChangeFit:
         """Return the covariance (k, k) of the coefficients, by the correlated error of the model."""
         effect = dict(zip(self.names, (self.columns * self.values).T, strict=True))
         slow = next((effect[name] for name in SLOW if name in effect), 0.0)
-        shape = effect.get("width", 0.0) + effect["delay"]
+        shape = effect.get("width", 0.0) + effect["lag"]
         own = _OWN * known.own
         unlike = _UNLIKE * np.std(shape), _UNLIKE * np.std(slow), _UNLIKE_GAIN * np.std(effect["gain"])
         size = own**2 + float(np.mean(self.left**2)) + float(np.sum(np.square(unlike)))
@@ -312,7 +311,7 @@ def _fitted(loop: _SimulatedLoop, known: Known, slow: str | None) -> _ChangeFit:
     """Fit all columns; the simulated displacement is delayed, by half the record at most, until no delay is left."""
     delay, fit = 0.0, _regression(loop, known, slow)
     longest = 0.5 * float(loop.time[-1] - loop.time[0])
-    place = fit.names.index("delay")
+    place = fit.names.index("lag")
     for _ in range(_STEPS):
         if abs(fit.values[place] * fit.most[place]) <= _SMALL * known.stroke:
             break
@@ -324,7 +323,7 @@ def _fitted(loop: _SimulatedLoop, known: Known, slow: str | None) -> _ChangeFit:
 
 def _regression(loop: _SimulatedLoop, known: Known, slow: str | None) -> _ChangeFit:
     rate, width = _rate(loop.time, loop.simulated), loop.simulated - loop.mean
-    columns = {"gain": loop.simulated - loop.rest, "delay": -rate, "offset": np.ones(rate.size)}
+    columns = {"gain": loop.simulated - loop.rest, "lag": -rate, "zero": np.ones(rate.size)}
     if np.ptp(width) > _NARROW * np.ptp(loop.simulated):
         columns["width"] = width
     if slow is not None:
@@ -334,7 +333,7 @@ def _regression(loop: _SimulatedLoop, known: Known, slow: str | None) -> _Change
     long = max(1, kept.size // _BLOCKS)
     blocks = kept[: kept.size // long * long].reshape(-1, long)
     whole = np.column_stack([columns[name] for name in names])
-    apart = whole[kept] - np.where([name == "offset" for name in names], 0.0, whole[kept].mean(axis=0))
+    apart = whole[kept] - np.where([name == "zero" for name in names], 0.0, whole[kept].mean(axis=0))
     most = np.abs(apart).max(axis=0)
     few, target = _means(whole, blocks), _means(loop.measured - loop.simulated, blocks)
     scale = np.linalg.norm(few, axis=0)

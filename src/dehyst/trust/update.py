@@ -67,7 +67,7 @@ class Update:
         The updated model, or the old one if the update does not predict the record better. A record on which the old
         model does not keep its promise widens the promise of either.
     recheck : Recheck
-        The check of the old model against the record, with `changes` of gain, width and offset and their standard
+        The check of the old model against the record, with `changes` of gain, width and zero and their standard
         errors.
     used : bool
         Whether the model was updated.
@@ -227,14 +227,14 @@ class _Refit:
     """The program of a record near an old model."""
 
     def __init__(self, actuator: Actuator, record: Record, recheck: Recheck) -> None:
-        late = sum(change.value for change in recheck.changed if change.name == "delay")
+        late = sum(change.value for change in recheck.changed if change.name == "lag")
         self.old = replace(actuator, delay=max(actuator.delay + late, 0.0)) if late else actuator
         self.given, self.recheck, self.record = actuator, recheck, record
         self.prepared = prepare_for(actuator, record)
         self.drifts = self.prepared.can_drift
-        offset = next(change.value for change in recheck.changes if change.name == "offset")
+        zero = next(change.value for change in recheck.changes if change.name == "zero")
         # A smaller one may be of the stage: of creep from before the record, or of a gain.
-        self.datum = -offset if abs(offset) > _KEPT * recheck.stroke else 0.0
+        self.datum = -zero if abs(zero) > _KEPT * recheck.stroke else 0.0
         known = actuator.identification
         self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
 
