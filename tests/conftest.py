@@ -13,6 +13,7 @@ import compiler_cache
 import places
 import profiles  # noqa: F401 - loads the profile of Hypothesis
 import pytest
+from workbench_page import chromium
 
 from dehyst._threads import one_thread
 from dehyst.exports.model_header import config_header
@@ -142,3 +143,9 @@ def fmus(tmp_path_factory):
         return known[key]
 
     return get
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as opened:
+        yield opened

@@ -31,58 +31,41 @@ def simulated(longest=65536, **options):
         yield rig, rig.instrument.axis
 
 
-@contextmanager
-def fake(longest=None, **options):
-    """Open the least rig there can be."""
-    with FakeRig((LOW, HIGH), longest=longest, **options) as rig:
-        yield rig, rig.instrument
+def fakes(kind=FakeRig, **device):
+    """Return a function that opens a kind of fake `device`."""
 
+    @contextmanager
+    def opened(**options):
+        with kind((LOW, HIGH), **options | device) as rig:
+            yield rig, rig.instrument
 
-@contextmanager
-def inverted(longest=None, **options):
-    """Open a rig of 1 MV/s, whose displacement is large, and falls."""
-    with FakeRig((LOW, HIGH), longest=longest, device_slew=1e6, gain=-5e-6, **options) as rig:
-        yield rig, rig.instrument
+    return opened
 
 
 class BlockRig(FakeRig):
-    """A device of 20 kV/s that plays tables of 2048 samples, and gives each when it has been played."""
+    """A device that plays tables, and gives the samples of each when it has been played."""
 
     def _wave(self, voltage, rate):
         lots = list(super()._wave(voltage, rate))
         yield Samples(*(np.concatenate([lot[k] for lot in lots]) for k in range(3)))
 
 
+class Reusing(FakeRig):
+    """It fills the same buffers again for each lot."""
+
+    def _wave(self, voltage, rate):
+        buffers = np.zeros((3, 10))
+        for lot in super()._wave(voltage, rate):
+            size = lot.time.size
+            buffers[:, :size] = lot[:3]
+            yield Samples(*buffers[:, :size])
+
+
 class SlowRig(FakeRig):
-    """A device of 40 V/s and at most 200 Hz."""
+    """A device of at most 200 Hz."""
 
     def nearest_rate(self, sample_rate):
         return min(sample_rate, 200.0)
-
-
-@contextmanager
-def blocks(longest=None, **options):
-    with BlockRig((LOW, HIGH), device_slew=20e3, longest=2048, **options) as rig:
-        yield rig, rig.instrument
-
-
-@contextmanager
-def reusing(longest=None, **options):
-    with Reusing((LOW, HIGH), longest=longest, **options) as rig:
-        yield rig, rig.instrument
-
-
-@contextmanager
-def slow(**options):
-    with SlowRig((LOW, HIGH), device_slew=40.0, **options) as rig:
-        yield rig, rig.instrument
-
-
-@contextmanager
-def slowest(longest=None, **options):
-    """Open a rig that takes two minutes for its range."""
-    with FakeRig((LOW, HIGH), longest=longest, device_slew=1.0, **options) as rig:
-        yield rig, rig.instrument
 
 
 @contextmanager
@@ -96,12 +79,14 @@ def daq_card(longest=None, **options):
 # Mean slope [m/V] of the loop of the virtual actuators.
 GAIN = -float(np.diff(PlayActuator(highest=HIGH, noise=0.0).play(np.array([80.0, 0.0])))[0]) / 80.0
 RIGS = [
-    RigCandidate("fake", fake, 1e-7),
-    RigCandidate("fake, fast and in blocks", blocks, 1e-7),
-    RigCandidate("fake, slow", slow, 1e-7),
-    RigCandidate("fake, with buffers of its own", reusing, 1e-7),
-    RigCandidate("fake, slowest", slowest, 1e-7),
-    RigCandidate("fake, inverted", inverted, -5e-6),
+    RigCandidate("fake", fakes(), 1e-7),
+    RigCandidate("fake, fast and in blocks", fakes(BlockRig, device_slew=20e3, longest=2048), 1e-7),
+    RigCandidate("fake, slow", fakes(SlowRig, device_slew=40.0), 1e-7),
+    RigCandidate("fake, with buffers of its own", fakes(Reusing), 1e-7),
+    # It takes two minutes for its range.
+    RigCandidate("fake, slowest", fakes(device_slew=1.0), 1e-7),
+    # 1 MV/s; the displacement is large, and falls.
+    RigCandidate("fake, inverted", fakes(device_slew=1e6, gain=-5e-6), -5e-6),
     RigCandidate("simulated", simulated, GAIN),
     RigCandidate("National Instruments card, fake", daq_card, 1e-7),
     # Microvolts are sent.
@@ -117,17 +102,6 @@ class TestEveryInstrument(RigContract):
     @pytest.fixture(params=RIGS, ids=lambda candidate: candidate.name)
     def candidate(self, request):
         return request.param
-
-
-class Reusing(FakeRig):
-    """It fills the same buffers again for each lot."""
-
-    def _wave(self, voltage, rate):
-        buffers = np.zeros((3, 10))
-        for lot in super()._wave(voltage, rate):
-            size = lot.time.size
-            buffers[:, :size] = lot[:3]
-            yield Samples(*buffers[:, :size])
 
 
 def test_the_rehearsal_finds_every_planted_fault():

@@ -91,20 +91,16 @@ MOVING = {
         moved.CREEP.gains.sum(),
     ),
     "datum": (lambda: moved.shifted(0.1 * STROKE), {"datum": [0, 0.09 * STROKE]}, 30, lambda at: at.datum[1], 1.6e-6),
-    "thermal gain": (
-        lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
-        {"thermal": Thermal(0.0, 0.0, 30.0), "expands": True},
-        12,
-        lambda at: at.thermal.gain,
-        moved.THERMAL.gain,
-    ),
-    "thermal offset": (
-        lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
-        {"thermal": Thermal(0.0, 0.0, 30.0), "expands": True},
-        12,
-        lambda at: at.thermal.offset,
-        moved.THERMAL.offset,
-    ),
+    **{
+        f"thermal {name}": (
+            lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
+            {"thermal": Thermal(0.0, 0.0, 30.0), "expands": True},
+            12,
+            lambda at, name=name: getattr(at.thermal, name),
+            getattr(moved.THERMAL, name),
+        )
+        for name in ("gain", "offset")
+    },
 }
 PARTS = {"lead": "delay", "damping": "inertia", "thermal gain": "thermal", "thermal offset": "thermal"}
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from workbench_page import CHROMIUM, chromium
+from workbench_page import CHROMIUM
 
 from dehyst.identification import Fit, Outcome, Trace
 from dehyst.model import Actuator, MaxwellSlip, Spring
@@ -23,12 +23,6 @@ def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(path, Fit(actuator, Outcome.IDENTIFIED, traces=(trace,)))
     return path
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from coupled_stage import excited
 from matplotlib.image import imread
 from workbench_client import held, served
-from workbench_page import CHROMIUM, chromium, visit
+from workbench_page import CHROMIUM, visit
 from workbench_tour import PICTURES, played
 
 from dehyst.records import read_table, write_record
@@ -18,12 +18,6 @@ pytest.importorskip("playwright.sync_api", reason="needs playwright")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 # Pixels of a block in which pictures are compared.
 BLOCK = 20
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture

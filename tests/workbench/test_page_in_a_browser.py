@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from workbench_client import served
-from workbench_page import CHROMIUM, chromium, visit
+from workbench_page import CHROMIUM, visit
 
 from examples import at_night
 
@@ -16,12 +16,6 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromiu
 STEPS = ("records", "model", "path", "export")
 TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 LONGEST = 60_000
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

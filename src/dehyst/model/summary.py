@@ -59,9 +59,8 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
         late = f"The measured displacement lags the voltage by {_seconds(actuator.delay)}"
         parts.append(Part("Delay", f"{late}; it is left out of the model and is not compensated."))
     if actuator.lag:
-        parts.append(
-            Part("Amplifier", f"The acting voltage lags the command by {_seconds(actuator.lag)}; it is compensated.")
-        )
+        late = f"The acting voltage lags the command by {_seconds(actuator.lag)}"
+        parts.append(Part("Amplifier", f"{late}; it is compensated."))
     if actuator.load_stiffness is not None:
         parts.append(Part("Load", f"A force of 1 N moves the actuator by {1e6 / actuator.load_stiffness:.3g} um."))
     return tuple(parts)
