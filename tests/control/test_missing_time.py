@@ -115,3 +115,10 @@ def test_short_paths_answer_or_are_refused(kind):
                 assert follow(Compensator(actuator, period=period), path).voltage.shape == (size,)
             except DehystError:
                 assert period is None or np.ndim(path) != 1 or not np.all(np.isfinite(np.array(path, dtype=float)))
+
+
+@pytest.mark.parametrize("factor", [1e9, 1e-9])
+def test_a_path_in_a_time_of_another_unit_is_refused_as_a_record_is(factor):
+    with pytest.raises(ModelError) as refused:
+        plan_path(anatomy("plain"), PATH, time=factor * TIME)
+    assert refused.value.argument == "time"

@@ -4,6 +4,7 @@ from dehyst.records.cleaning import cleaned
 from dehyst.records.columns import Columns
 from dehyst.records.events import thinned
 from dehyst.records.files import read, read_table, table_of, write_columns, write_record
+from dehyst.records.formats.column import impossible
 from dehyst.records.formats.loaders import GCS_END, GCS_SEPARATORS, LOADERS, gcs_entries
 from dehyst.records.quality import guesses
 from dehyst.records.record import Record, of_one_axis, reversals

@@ -189,9 +189,8 @@ class Table:
         example = QUANTITIES[quantity].example
         hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
         rate = " Without one, give rate=HZ." if quantity == "time" and not fits else ""
-        return ColumnError(
-            self.source, quantity, f"{count}{request}", f"the file holds {listed(self.names)}. {select}.{hint}{rate}"
-        )
+        known = f"the file holds {listed(self.names)}. {select}.{hint}{rate}"
+        return ColumnError(self.source, quantity, f"{count}{request}", known)
 
     def _fits(self, quantity: str, wanted: str | None) -> tuple[Entry, list[Column]]:
         """Return how a column is selected, and the columns that fit; a name of a column counts as it is."""

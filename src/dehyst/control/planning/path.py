@@ -36,6 +36,7 @@ from dehyst.model import (
     tested_temperatures,
     untested,
 )
+from dehyst.records import impossible
 
 # Relative difference of times, and of voltage steps, that is rounding.
 _ROUNDING = 1e-9
@@ -198,6 +199,8 @@ class Task:
             self.time = vector(time, "time")
             if self.time.size != size or np.any(np.diff(self.time) <= 0):
                 raise ModelError(untimely(self.time, size))
+            if size > 1 and (words := impossible("time", float(np.median(np.diff(self.time))))):
+                raise ModelError(words, argument="time")
         self.rates: dict[str, Array] = {}
         self.home_within: float | None = None
         self.delays, self.ahead = [0.0] * len(actuators), 0
@@ -253,10 +256,7 @@ class Task:
             elif lag_of == "actuator" or self.time is None:
                 words = "the displacement lags by {:.4g} ms: expect the path that much later"
             else:
-                words = (
-                    "the displacement lagged by {:.4g} ms in the records: expect it that much later, unless it was the "
-                    "sensor that lagged"
-                )
+                words = "the records lag by {:.4g} ms: expect the path that much later, unless their sensor lagged"
             self.remarks[j] = (words.format(1e3 * delay),)
         if self.time is None or not any(self.delays):
             return
@@ -319,9 +319,8 @@ class Task:
             return False
         if loop.slew_rate and found.clamped[0]:
             return True
-        usual = max(
-            (pace(loop) or math.inf) * usual_step(self.time), float(np.abs(np.diff(found.voltage)).max(initial=0.0))
-        )
+        step = float(np.abs(np.diff(found.voltage)).max(initial=0.0))
+        usual = max((pace(loop) or math.inf) * usual_step(self.time), step)
         return abs(float(found.voltage[0]) - volts) > usual * (1 + _ROUNDING)
 
     def after(self, ways: list[Way], begins: list[Begin]) -> tuple[list[Way], Array, list[Followed]]:
