@@ -45,13 +45,7 @@ TARGETS = {
 
 
 def target_of(path: Path, *, coupled: bool = False) -> Target:
-    """Return the kind of export for a path; several `coupled` axes are always exported as C.
-
-    Raises
-    ------
-    FileFormatError
-        If no kind ends like this.
-    """
+    """Return the kind of export for a path, C for `coupled` axes; raise FileFormatError if none ends like it."""
     target = TARGETS[""] if coupled else TARGETS.get(path.suffix, TARGETS[""])
     if target.files is None and _OF_A_FILE.fullmatch(path.suffix) and not path.is_dir():
         files = " or ".join(suffix for suffix in TARGETS if suffix)
@@ -66,9 +60,9 @@ def export(
     """Write a compensator, or a model, in the form that the suffix of `target` names.
 
     - A folder: C for a microcontroller, which computes the bits of Python. Six files go into a firmware: the core,
-      `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs it; `dehyst_config.h` with the number
-      type; and the model, NAME.c and NAME.h, with its numbers and calls. The folder also has a golden trace that
-      ``make check`` replays, and a README. It is written whole, or not at all.
+      `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs it; the number type,
+      `dehyst_config.h`; and the model, NAME.c and NAME.h. A golden trace, which ``make check`` replays, and a README
+      are beside them. The folder is written whole, or not at all.
     - FILE.wasm: WebAssembly with the same bits, and next to it the JavaScript module that calls it, and its types.
     - FILE.fmu: an FMU for co-simulation (FMI 2.0): displacement [m] in and voltage [V] out; or of an actuator, the
       virtual actuator, voltage in and displacement out, without limits. Its step is the period or a whole multiple of
@@ -110,20 +104,22 @@ def export(
     """
     path = path_of(target)
     row = target_of(path, coupled=isinstance(source, StageCompensator | Stage))
-    given = {"number": None if number == "double" else number, "name": name}
+    itself = isinstance(source, Actuator) and "kind" in row.options
+    given = {"number": None if number == "double" else number, "name": name, "kind": "actuator" if itself else None}
     options: dict[str, Any] = {option: value for option, value in given.items() if value is not None}
     for option, value in options.items():
         if option not in row.options:
             raise ModelError(argument=option, got=repr(value), need=f"none for {row.words}; only C has one")
-    if isinstance(source, Stage):
-        loop: Loop = StageCompensator(source, period=period)
-    elif isinstance(source, Actuator):
-        itself = "kind" in row.options
-        loop = Compensator(source, ANY_VOLTAGE if itself else None, period=period)
-        options |= {"kind": "actuator"} if itself else {}
-    else:
-        loop = source
-        if period is not None:
-            raise ModelError(argument="period", got=repr(period), need="none, as a compensator has its own")
-    row.write(loop, path, **options)
+    row.write(_loop_of(source, period, ANY_VOLTAGE if itself else None), path, **options)
     return path
+
+
+def _loop_of(source: Source, period: float | None, limits: tuple[float, float] | None) -> Loop:
+    """Return a compensator as it is, or that of a model, with the `limits` [V] of an actuator."""
+    if isinstance(source, Stage):
+        return StageCompensator(source, period=period)
+    if isinstance(source, Actuator):
+        return Compensator(source, limits, period=period)
+    if period is not None:
+        raise ModelError(argument="period", got=repr(period), need="none, as a compensator has its own")
+    return source
