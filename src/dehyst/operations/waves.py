@@ -46,12 +46,12 @@ _BEFORE = "Before recording, play one cycle on all axes, so that the record begi
 # Options of every excitation.
 _DRIVEN: dict[str, Declaration] = {
     "output": output("Write time and voltage here (CSV)."),
-    "frequency": number("Cycles per second [Hz]; default: the slowest that takes two minutes, or four in all."),
+    "frequency": number("Cycles per second [Hz]; default: the slowest that takes two minutes (recommended: four)."),
     "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle."),
     "base": number("Voltage [V] at which a protocol starts and ends.", default=0.0),
     "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
     "limits": pair("Voltages allowed [V]; others are refused."),
-    "slew_rate": number("Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning."),
+    "slew_rate": number("Largest abs(dv/dt) [V/s]; a low one makes the excitation longer."),
 }
 _VOLTAGE, _VOLTAGES = {"highest": argument(NUMBER)}, {"highest": argument(NUMBER, nargs=-1)}
 _TEMPERATURES = {"temperatures": pair("Range in use [degC], to say where to record.")}
@@ -82,7 +82,7 @@ def _add_excitation(
 
 _add_excitation(
     "recommended",
-    "Write all that identification needs, in one run of three minutes.\n\n"
+    "Write all that identification needs, in one run of three minutes, or longer at a low slew rate.\n\n"
     "Major loops up to HIGHEST [V], falling tops, random turns at three speeds, and two holds.",
     standard.recommended,
     _RECOMMENDED,
