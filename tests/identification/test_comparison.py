@@ -129,6 +129,13 @@ def test_a_given_structure_that_an_actuator_has_is_identified(name):
     assert np.abs(got - asked).max() < 1e-5 * plain_records.VOLTS
 
 
+def left_of(actuator, rest, state, offset):
+    """The largest error of the rest of a record as a part of the stroke, from a state."""
+    voltage = without_offset(actuator, rest.voltage, offset)
+    again = actuator.simulate(voltage, time=rest.time, state=state).displacement
+    return np.abs(again - rest.displacement).max() / plain_records.STROKE
+
+
 @pytest.mark.parametrize("name", ["plain", "graded", "smooth", "all"])
 def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
     """Half a record of a known actuator, its voltages shifted: the other half is simulated as it was measured."""
@@ -140,10 +147,7 @@ def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
     state, offset = state_after(plant.actuator, shifted[: half + 1], plain_records.STROKE)
     assert offset == pytest.approx(shift, abs=1e-6 * plain_records.VOLTS)
     rest = shifted[half:]
-    voltage = without_offset(plant.actuator, rest.voltage, offset)
-    time = rest.time
-    again = plant.actuator.simulate(voltage, time=time, state=state).displacement
-    assert np.abs(again - rest.displacement).max() < 1e-4 * plain_records.STROKE
+    assert left_of(plant.actuator, rest, state, offset) < 1e-4
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "smooth"])
@@ -153,10 +157,7 @@ def test_a_record_follows_from_the_state_in_which_it_began(name):
     record = plant.record()
     rest = record[len(record) // 3 :]
     state, offset = initial_state(plant.actuator, rest, plain_records.STROKE)
-    voltage = without_offset(plant.actuator, rest.voltage, offset)
-    time = rest.time
-    again = plant.actuator.simulate(voltage, time=time, state=state).displacement
-    assert np.abs(again - rest.displacement).max() < 1e-2 * plain_records.STROKE
+    assert left_of(plant.actuator, rest, state, offset) < 1e-2
 
 
 def test_a_lead_without_a_cycle_tells_what_it_can():

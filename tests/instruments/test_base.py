@@ -28,6 +28,15 @@ BROUGHT = "The voltage was brought to 0 V."
 finite = st.floats(-500, 500)
 
 
+def raises(error):
+    """Return a method that raises an error."""
+
+    def fail(*_):
+        raise error
+
+    return fail
+
+
 @given(st.tuples(finite, finite), st.none() | st.tuples(finite, finite), st.none() | st.floats(1e-3, 1e6))
 def test_limits_are_what_both_allow(device, limits, slew_rate):
     device = (min(device), max(device) + 1)
@@ -342,10 +351,7 @@ def test_a_retreat_goes_on_though_every_command_is_complained_of():
     rig._put = put
     rig.set_voltage(90.0)
 
-    def refusing(voltage):
-        raise DeviceError("error 302")
-
-    rig._put = refusing
+    rig._put = raises(DeviceError("error 302"))
     with pytest.raises(DeviceError, match="302"):
         rig.retreat()
     assert rig.instrument.voltage == 90.0
@@ -374,10 +380,7 @@ HOOKS = ["_read", "_put", "_wave", "_halt", "_wait", "_close", "nearest_rate"]
 def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name, error):
     rig = FakeRig((0.0, 100.0))
 
-    def fail(*_):
-        raise error
-
-    setattr(rig, name, fail)
+    setattr(rig, name, raises(error))
     with pytest.raises(DeviceError, match=f"fake: {name} .* {type(error).__name__}: "):
         {"_halt": rig.retreat, "_close": rig.close}.get(name, lambda: rig.play(replace(UP, voltage=UP.voltage + 1)))()
 
@@ -407,10 +410,7 @@ def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_r
 @pytest.mark.parametrize("silent", [0.0, 0.03, 5.0])
 def test_a_wave_timed_by_the_device_is_brought_back_from_where_it_is_by_now_if_its_reading_fails(silent):
     rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0)
-    rig._now = lambda: clock.now
-
-    def unplugged():
-        raise OSError("unplugged")
+    rig._now, unplugged = lambda: clock.now, raises(OSError("unplugged"))
 
     def wave(voltage, rate):
         begun = clock.now
@@ -437,10 +437,7 @@ def test_a_wave_that_a_device_cannot_stop_is_not_ramped_against():
     rig.set_voltage(20.0)
     sent = len(rig.instrument.sent)
 
-    def fail():
-        raise DeviceError("plays on")
-
-    rig._halt = fail
+    rig._halt = raises(DeviceError("plays on"))
     with pytest.raises(DeviceError, match="plays on"):
         rig.retreat()
     assert len(rig.instrument.sent) == sent
@@ -477,10 +474,7 @@ def test_a_reading_of_other_values_is_a_fault(values):
 def test_a_link_that_cannot_be_closed_hides_no_other_error():
     rig = FakeRig()
 
-    def fail():
-        sys.exit(3)
-
-    rig._close = fail
+    rig._close = raises(SystemExit(3))
     with pytest.raises(ValueError, match="first") as caught, rig:
         raise ValueError("first")
     (note,) = caught.value.__notes__
@@ -502,11 +496,8 @@ def test_a_rate_that_no_device_can_have_is_refused_with_nothing_sent(rate):
 def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
     rig = FakeRig()
 
-    def fail():
-        raise error
-
     def listen(_):
-        rig._halt = fail
+        rig._halt = raises(error)
         raise ValueError("first")
 
     with pytest.raises(ValueError, match="first") as caught:

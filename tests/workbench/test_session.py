@@ -161,24 +161,13 @@ async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
 
 
 @played
-async def test_a_refused_record_has_the_reason_and_options_to_try(stage):
-    entry = stage.session.add_record("uploads/a.csv", "a.csv")
-    await stage.next(Finished(error={"message": "no voltage", "suggestion": "voltage=U:V"}))
-    assert (entry.status, entry.error) == ("refused", "no voltage")
-    assert entry.hint == "voltage=U:V"
-    assert stage.session.state()["log"] == []
-    assert entry.file_columns == []
-    stage.session.read_record(entry.id, "voltage=U:V")
-    await stage.next(Finished(SHOWN))
-    assert (entry.status, entry.error, entry.columns) == ("ready", None, "voltage=U:V")
-
-
-@played
-async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage):
+async def test_a_refused_table_has_the_reason_its_columns_and_no_place_of_the_folder(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     columns = [{"name": "U", "unit": "", "range": [0, 1]}, {"name": "s", "unit": "um", "range": []}]
-    await stage.next(Finished(error={"file_columns": columns, "message": "uploads/a.csv: no voltage"}))
+    tried = {"file_columns": columns, "suggestion": "voltage=U:V"}
+    await stage.next(Finished(error={"message": "uploads/a.csv: no voltage", **tried}))
     assert (entry.status, entry.error, entry.file_columns) == ("refused", "a.csv: no voltage", columns)
+    assert entry.hint == "voltage=U:V"
     assert (stage.session.state()["jobs"][0]["status"], stage.session.state()["log"]) == ("failed", [])
     stage.session.read_record(entry.id, "voltage=U:kg")
     await stage.next(Finished(error={"message": "the unit 'kg' is unknown"}))
@@ -186,6 +175,7 @@ async def test_a_refused_table_has_its_columns_and_no_place_of_the_folder(stage)
     stage.session.read_record(entry.id, "voltage=U:V")
     await stage.next(Finished({**SHOWN, "file_columns": columns}))
     assert (entry.status, entry.file_columns) == ("ready", columns)
+    assert (entry.error, entry.columns) == (None, "voltage=U:V")
 
 
 def test_a_model_that_depends_on_temperature_is_computed_with_on_the_page(tmp_path):

@@ -45,7 +45,6 @@ def text(tmp_path, content, name="a.csv"):
 
 @pytest.mark.parametrize("name", ["a.mat", "a.npz", "a.npy", "a.h5", "a.tdms"])
 def test_a_damaged_file_is_refused_without_the_type_of_the_reader_s_error(tmp_path, name):
-    """Got, need and try name no class of Python."""
     with pytest.raises(FileFormatError) as error:
         read(text(tmp_path, b"no file of this kind" * 20, name))
     cause = error.value.__cause__
