@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from strangers.protocols import leg_samples, random_turns, through
+from strangers.protocols import branch_samples, random_turns, through
 from strangers.truths import Domains
 
 import dehyst
@@ -28,7 +28,7 @@ for cycles in (1, 2, 4):
     rises = 1 - np.abs(np.arange(2 * cycles * HALF + 1) / HALF % 2 - 1)
     LATER[f"{cycles} triangles"] = Excitation("triangles", VOLTS * rises, RATE)
 TURNS = [0.0, 1.0, 0.0, 1.0, 0.0, *random_turns(np.random.default_rng(5), 24, 0.03, 0.96), 0.0]
-PATH = Excitation("path", VOLTS * through(TURNS, leg_samples(TURNS, 400)), RATE)
+PATH = Excitation("path", VOLTS * through(TURNS, branch_samples(TURNS, 400)), RATE)
 # Changes: parts of gain and width, lag [s], zero and creep of a decade [of the stroke].
 SIZES = {"gain": (0.01, 0.08), "width": (0.1, 0.5), "lag": (0.02, 0.15)}
 SIZES |= {"zero": (0.005, 0.05), "creep": (0.003, 0.015)}

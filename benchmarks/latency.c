@@ -28,7 +28,7 @@ static void tell(const char *name, double *value, long n)
     printf("%s %.17g %.17g %.17g %.17g\n", name, value[n / 2], value[n - n / 100], value[n - n / 10000], value[n - 1]);
 }
 
-/* Legs of random lengths, one up, one down; then the same slowly. */
+/* Branches of random lengths, one up, one down; then the same slowly. */
 static double wanted(long t, unsigned long *seed, double low, double high, long sweep)
 {
     const double u = (double)((*seed = *seed * 6364136223846793005UL + 1442695040888963407UL) >> 11) / 9007199254740992.0;

@@ -1,7 +1,7 @@
 """How long a step takes: of Python's `Compensator.step`, of the exported C, and of a run per sample; N = 10, 21 knots.
 
 Ratios are to `numpy.interp` per sample on the same path in the same run. Two paths: one reverses at every step, with
-legs of random lengths; one is swept slowly. A clock around single steps also measures
+branches of random lengths; one is swept slowly. A clock around single steps also measures
 whatever else the machine does: its own cost is measured beside it. Writes `latency.json`.
 """
 

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from strangers.disturbances import QUIET, Raw, Scale, filtered
 from strangers.fresh_truths import FRESH
 from strangers.more_truths import MORE, UNSEEN
-from strangers.protocols import PROTOCOLS, Part, Protocol, leg_samples, random_turns, through
+from strangers.protocols import PROTOCOLS, Part, Protocol, branch_samples, random_turns, through
 from strangers.truths import TRUTHS, Bench
 from strangers.unspent_truths import UNSPENT
 
@@ -49,12 +49,12 @@ DRIVE = Sampling(1.0, sample_rate=200.0)
 def _tops_and_random(rng, fast):
     turns = [0.0, 1.0, 0.0, 1.0, *(t for top in np.linspace(0.85, 0.15, 5) for t in (0.0, top)), 0.0]
     turns += [*random_turns(rng, 24), 0.0]
-    return [Part(through(turns, leg_samples(turns, 200)))]
+    return [Part(through(turns, branch_samples(turns, 200)))]
 
 
 def _triangles(rng, fast):
     turns = [0.0, 1.0, 0.0, 1.0, 0.0, *(t for top in (0.8, 0.6, 0.4, 0.2) for t in (top, 0.0, top, 0.0))]
-    at = np.cumsum([0, *leg_samples(turns, 200)])
+    at = np.cumsum([0, *branch_samples(turns, 200)])
     return [Part(np.interp(np.arange(at[-1] + 1), at, turns))]
 
 
@@ -69,11 +69,11 @@ ALL_PROTOCOLS = {
 
 def joined(turns, counts):
     """Paths without velocity and acceleration at the turns."""
-    legs = [np.array([turns[0]])]
+    branches = [np.array([turns[0]])]
     for (a, b), n in zip(pairwise(turns), counts, strict=True):
         w = np.arange(1, n + 1) / n
-        legs.append(a + (b - a) * w**3 * (10 - 15 * w + 6 * w**2))
-    return np.concatenate(legs)
+        branches.append(a + (b - a) * w**3 * (10 - 15 * w + 6 * w**2))
+    return np.concatenate(branches)
 
 
 def paths(rng, n):
@@ -87,9 +87,9 @@ def paths(rng, n):
     for a, b in pairwise(levels):
         stairs += [joined([a, b], [n // 8])[1:], np.full(n // 4, b)]
     return {
-        "random": joined(anywhere, leg_samples(anywhere, n)),
-        "inner": joined(inner, leg_samples(inner, n)),
-        "loops": joined(loops, leg_samples(loops, n)),
+        "random": joined(anywhere, branch_samples(anywhere, n)),
+        "inner": joined(inner, branch_samples(inner, n)),
+        "loops": joined(loops, branch_samples(loops, n)),
         "raster": joined(raster, [n // 2] * (len(raster) - 1)),
         "stairs": np.concatenate(stairs),
     }
@@ -120,7 +120,7 @@ def recorded(stage, protocol, condition, rng):
     step, fastest = truth.period / n, max(part.speed for part in parts)
     if condition == "unknown start":
         turns = [0.0, *random_turns(rng("start"), 5), parts[0].u[0]]
-        stage.play(through(turns, leg_samples(turns, n)), step)
+        stage.play(through(turns, branch_samples(turns, n)), step)
         stage.times, stage.volts = [], []
     elif parts[0].u[0]:
         stage.play(through([0.0, parts[0].u[0]], [n // 4]), step)

@@ -56,19 +56,19 @@ def record(samples: int, wide: bool) -> dehyst.Record:
     """Descending tops of a known actuator, noise on the sensor; made in pieces, so that its making takes no room."""
     model = actuator(wide)
     turns = np.concatenate([[1, 0, 1], *([top, 0] for top in np.linspace(0.9, 0.2, 8)), [1, 0, 1, 0]])
-    leg = samples // (turns.size - 1)
-    n, state = leg * (turns.size - 1), turned(model, STROKE)
+    branch = samples // (turns.size - 1)
+    n, state = branch * (turns.size - 1), turned(model, STROKE)
     voltage, displacement = np.empty(n), np.empty(n)
     rng = np.random.default_rng(1)
-    shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(leg + 1) / leg)
+    shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(branch + 1) / branch)
     # The longer the record, the slower: creep has the same share in all.
     step = 40.0 / n if wide else 1e-4
     for k in range(turns.size - 1):
-        span = slice(k * leg, (k + 1) * leg)
+        span = slice(k * branch, (k + 1) * branch)
         y = STROKE * (turns[k] + (turns[k + 1] - turns[k]) * shape)
-        motion = model.compensate(y, time=step * np.arange(leg + 1) if wide else None, state=state)
+        motion = model.compensate(y, time=step * np.arange(branch + 1) if wide else None, state=state)
         voltage[span], state = motion.voltage[1:], motion.state
-        displacement[span] = y[1:] + NOISE * rng.normal(size=leg)
+        displacement[span] = y[1:] + NOISE * rng.normal(size=branch)
     time_ = np.arange(n) * step
     for column in (time_, voltage, displacement):
         column.flags.writeable = False

@@ -24,7 +24,7 @@ from truths import BoucWenActuator, PreisachActuator
 
 _SAMPLES_A_FAST_CYCLE = 100
 _REVERSALS = 40
-# Turning points lie within these parts of the stroke, and a leg is at least this long.
+# Turning points lie within these parts of the stroke, and a branch is at least this long.
 _LOWEST, _HIGHEST, _SHORTEST = 0.02, 0.98, 0.08
 
 
@@ -45,7 +45,7 @@ class TrackingTrial:
     """One virtual actuator and the rates at which it is driven.
 
     `truth`: noise seed -> a new actuator. `slow`, `fast`: cycles per second [Hz] of the two records with descending
-    tops; each leg of the path takes half a cycle of a rate between them. `hold`: hold at each step of the staircase
+    tops; each branch of the path takes half a cycle of a rate between them. `hold`: hold at each step of the staircase
     [s].
     """
 
@@ -86,29 +86,29 @@ class TrackingTrial:
         """Home model and actuator, compensate a random path of 40 reversals, and play the voltage on the actuator.
 
         Homing, up to the highest voltage and back, makes the state known; a creeping actuator continues to creep. The
-        first leg leads from the end of homing onto the path and does not count. A model with a delay compensates the
+        first branch leads from the end of homing onto the path and does not count. A model with a delay compensates the
         path that much earlier.
         """
         truth = self.truth(1000 + seed)
         homing = raised_cosine(truth.highest, cycles=2, drive=self._drive(self.slow)).voltage
         wanted = truth.stroke * self.path(seed)
-        first_leg = int(np.argmax(np.diff(wanted) < 0))
+        first_branch = int(np.argmax(np.diff(wanted) < 0))
         time = np.arange(homing.size + wanted.size) / self._rate
-        voltage = self._sent(model, homing, wanted, time, first_leg)
+        voltage = self._sent(model, homing, wanted, time, first_branch)
         reached = truth.play(np.concatenate([homing, voltage]), time=time, measured=False)[homing.size :]
-        error = (wanted - reached)[first_leg:]
+        error = (wanted - reached)[first_branch:]
         beyond = max(float(voltage.max()) - truth.highest, -float(voltage.min()), 0.0)
         figures = percent(largest(error), truth.stroke), percent(rms(error), truth.stroke)
         return TrackingErrors(*figures, percent(beyond, truth.highest))
 
-    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array, first_leg: int) -> Array:
+    def _sent(self, model: AbstractModel, homing: Array, wanted: Array, time: Array, first_branch: int) -> Array:
         """Return the voltage for homing and path, which are compensated in one piece to avoid a jump."""
         homed = simulated(model, homing, time[: homing.size]).displacement
         when = time[homing.size :]
         delay = float(getattr(model, "delay", 0.0))
         ahead = np.asarray(CubicSpline(when, wanted)(np.minimum(when + delay, when[-1])))
         # Begin at the model's own displacement after homing.
-        ahead[:first_leg] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(first_leg) / first_leg))
+        ahead[:first_branch] += (homed[-1] - ahead[0]) * (1 - _smooth(np.arange(first_branch) / first_branch))
         path, start = np.concatenate([homed, ahead]), beginning(model, homing)
         return model.compensate(path, state=start, **timed(model, time)).voltage[homing.size :]
 
@@ -123,12 +123,12 @@ class TrackingTrial:
                 turns.pop()
                 continue
             turns.append(float(rng.uniform(*room)))
-        legs = [np.zeros(1)]
+        branches = [np.zeros(1)]
         for a, b in pairwise(turns):
             seconds = 0.5 / float(np.exp(rng.uniform(np.log(self.slow), np.log(self.fast))))
             n = max(8, round(seconds * self._rate))
-            legs.append(a + (b - a) * _smooth(np.arange(1, n + 1) / n))
-        return np.concatenate(legs)
+            branches.append(a + (b - a) * _smooth(np.arange(1, n + 1) / n))
+        return np.concatenate(branches)
 
 
 def _smooth(u: Array) -> Array:

@@ -30,10 +30,10 @@ class Protocol:
 
 def through(turns: Sequence[float], samples: Sequence[int]) -> Array:
     """Return cosines from turn to turn, each of so many samples."""
-    legs = [np.array([turns[0]])]
+    branches = [np.array([turns[0]])]
     for (a, b), n in zip(pairwise(turns), samples, strict=True):
-        legs.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, n + 1) / n)))
-    return np.concatenate(legs)
+        branches.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(1, n + 1) / n)))
+    return np.concatenate(branches)
 
 
 def _cycles(turns: Sequence[float], samples: int = 200) -> list[Part]:
@@ -77,7 +77,7 @@ def _decaying(rng: np.random.Generator, fast: float) -> list[Part]:
 
 def _random(rng: np.random.Generator, fast: float) -> list[Part]:
     turns = [0.0, 1.0, 0.0, 1.0, 0.0, *random_turns(rng, 30), 0.0]
-    return [Part(through(turns, leg_samples(turns, 200)))]
+    return [Part(through(turns, branch_samples(turns, 200)))]
 
 
 def _two_speeds(rng: np.random.Generator, fast: float) -> list[Part]:
@@ -85,7 +85,7 @@ def _two_speeds(rng: np.random.Generator, fast: float) -> list[Part]:
 
 
 def random_turns(rng: np.random.Generator, count: int, low: float = 0.0, high: float = 1.0) -> list[float]:
-    """Return turning points that alternate, legs of at least 0.08, the first one a top."""
+    """Return turning points that alternate, branches of at least 0.08, the first one a top."""
     turns: list[float] = [low]
     while len(turns) <= count:
         rising = len(turns) % 2 == 1
@@ -97,23 +97,23 @@ def random_turns(rng: np.random.Generator, count: int, low: float = 0.0, high: f
     return turns[1:]
 
 
-def leg_samples(turns: Sequence[float], samples: int) -> list[int]:
-    """Return the samples of each leg: half a period for a long one, less for a short one."""
+def branch_samples(turns: Sequence[float], samples: int) -> list[int]:
+    """Return the samples of each branch: half a period for a long one, less for a short one."""
     return [max(8, round(0.5 * samples * (0.3 + 0.7 * abs(b - a)))) for a, b in pairwise(turns)]
 
 
 def path(rng: np.random.Generator, samples: int, speeds: Sequence[float]) -> Array:
     """Return a path from 0 through 24 turns between 0.03 and 0.96, with no velocity or acceleration at a turn.
 
-    Each leg has the speed of one of the records.
+    Each branch has the speed of one of the records.
     """
     turns = [0.0, *random_turns(rng, 24, 0.03, 0.96)]
-    legs = [np.zeros(1)]
-    for (a, b), n in zip(pairwise(turns), leg_samples(turns, samples), strict=True):
+    branches = [np.zeros(1)]
+    for (a, b), n in zip(pairwise(turns), branch_samples(turns, samples), strict=True):
         count = max(8, round(n * float(rng.choice(speeds))))
         w = np.arange(1, count + 1) / count
-        legs.append(a + (b - a) * w**3 * (10 - 15 * w + 6 * w**2))
-    return np.concatenate(legs)
+        branches.append(a + (b - a) * w**3 * (10 - 15 * w + 6 * w**2))
+    return np.concatenate(branches)
 
 
 PROTOCOLS = {

@@ -28,7 +28,7 @@ def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model)
     truth = AgeingActuator(PlayActuator(seed=1), AgeingCourse(gain=-7, seconds=60, kelvins=20))
     rig, plan = WarmRig(truth), Excitations((VoltageLimits(0.0, 200.0),), 400.0)
     rig._wait(30.0)
-    planner = PathPlanner(plan.homing(), [rig.limits], plan.leg)
+    planner = PathPlanner(plan.homing(), [rig.limits], plan.branch)
     aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []
     for trained in (model, aware):
         homed = rig.play(planner.homing)

@@ -53,7 +53,7 @@ def test_a_model_that_has_changed_is_true_again(folder):
     assert [change["counts"] for change in found["changes"] if change["name"] == "gain"] == [True]
     assert found["promise"]["largest_m"] >= found["promise"]["rms_m"] > 0
     status, out, _ = run("check", "new.json", "again.csv", "--json", cwd=folder)
-    checked = json.loads(out)
+    found = json.loads(out)
     assert status == 0
-    assert checked["without_noise_percent"] <= 100 * checked["promise"]["largest_m"] / checked["stroke_m"]
+    assert found["without_noise_percent"] <= 100 * found["promise"]["largest_m"] / found["stroke_m"]
     assert dehyst.Actuator.load(folder / "new.json").identification.validity.rms > 0

@@ -112,8 +112,8 @@ def test_each_axis_starts_as_a_record_began(folder):
     stage = Stage.load(folder / "stage.json")
 
     def played(*turns):
-        legs = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(turns)])
-        return np.column_stack([legs, 0.9 * legs + 0.05]) * np.array([100.0, 120.0])
+        branches = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(turns)])
+        return np.column_stack([branches, 0.9 * branches + 0.05]) * np.array([100.0, 120.0])
 
     lead = stage.simulate(played(0, 1, 0.25, 0.6)).state
     voltage = played(0.6, 0.1, 0.9, 0.1, 0.9, 0.3, 0.6)

@@ -91,7 +91,7 @@ def test_in_time_no_past_is_left_farther_than_said(name, seed):
     time = found.played.time
     reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
     assert abs(reached.deformation - found.state.deformation) <= found.spread + 1e-12 * plain_records.STROKE
-    further = DRIVE.play("", DRIVE.legs([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
+    further = DRIVE.play("", DRIVE.branches([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
     time = further.time
     paths = [
         actuator.simulate(further.voltage, time=time, state=state, extrapolate=True).displacement

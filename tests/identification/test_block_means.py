@@ -21,8 +21,8 @@ def voltage(seconds, rate, seed):
         turns += [rng.uniform(50, 100), rng.uniform(0, 40)]
     turns = np.array(turns[: 2 * seconds + 1])
     phase = np.arange(seconds * rate) / rate * 2
-    leg = phase.astype(int)
-    return turns[leg] + (turns[leg + 1] - turns[leg]) * 0.5 * (1 - np.cos(np.pi * (phase - leg)))
+    branch = phase.astype(int)
+    return turns[branch] + (turns[branch + 1] - turns[branch]) * 0.5 * (1 - np.cos(np.pi * (phase - branch)))
 
 
 def truth():

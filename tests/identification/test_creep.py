@@ -116,8 +116,9 @@ def with_holds(places, *, creep=0.0, drift=0.0, seed=33):
     """Random turns with holds of 40 s after two of them; the sensor drifts by a part of the stroke."""
     levels = np.concatenate([[0, 100, 0], np.random.default_rng([seed, 7]).uniform(0, 100, 24), [0]])
     counts = np.maximum(np.abs(np.diff(levels)) * (1 + np.arange(27) % 3) / 3, 4).astype(int)
-    legs = [np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(levels), counts, strict=True)]
-    voltage = np.concatenate([np.append(leg, np.full(400 * (k in places), leg[-1])) for k, leg in enumerate(legs)])
+    branches = [np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(levels), counts, strict=True)]
+    held = [np.append(branch, np.full(400 * (k in places), branch[-1])) for k, branch in enumerate(branches)]
+    voltage = np.concatenate(held)
     time = np.arange(voltage.size) / RATE
     y = actuator(creep).play(voltage, time=time)
     return Record(time, voltage, y + drift * 12e-6 * np.log10(1 + time / 5), "holds")

@@ -20,7 +20,7 @@ NOISE = 1e-3 * plain_records.STROKE
 
 
 def made(seed, *, noise=0.0, samples=40, hold=0):
-    """A record of random legs of the voltage, its displacement by play operators, and that without noise."""
+    """A record of random branches of the voltage, its displacement by play operators, and that without noise."""
     rng = np.random.default_rng(seed)
     v = plain_records.VOLTS / plain_records.STROKE * wide.wandering(12, int(rng.integers(1000)), samples, hold)
     truth = PlayActuator(noise=0.0, plays=300)
@@ -29,7 +29,7 @@ def made(seed, *, noise=0.0, samples=40, hold=0):
     return Record(np.arange(v.size) / 200.0, v, sensed, "made"), y
 
 
-def legs(record):
+def branches(record):
     turns = turning_points(record.voltage, 0.01 * plain_records.VOLTS)
     return zip(np.append(0, turns), np.append(turns, len(record)), strict=True)
 
@@ -41,18 +41,18 @@ def test_the_path_goes_where_the_voltage_goes(seed, noise, hold):
     smoothed = monotone(record)
     np.testing.assert_array_equal(smoothed.voltage, record.voltage)
     moved = np.diff(record.voltage) * np.diff(smoothed.displacement)
-    # From one leg to the next, and to a hold, there is no order to keep.
+    # From one branch to the next, and to a hold, there is no order to keep.
     place = np.arange(moved.size) % (40 + hold)
     assert np.all(moved[(place > 2) & (place < 37)] >= 0)
 
 
 @given(seed=SEEDS, noise=st.floats(0, 0.05))
 @settings(max_examples=30)
-def test_the_mean_of_a_leg_stays_and_no_error_grows(seed, noise):
+def test_the_mean_of_a_branch_stays_and_no_error_grows(seed, noise):
     """Least squares over a convex cone: means stay, and no monotone path lies farther from the result than before."""
     record, true = made(seed, noise=noise * plain_records.STROKE)
     smoothed = monotone(record).displacement
-    for a, b in legs(record):
+    for a, b in branches(record):
         assert smoothed[a:b].mean() == pytest.approx(record.displacement[a:b].mean(), abs=1e-12 * plain_records.STROKE)
     before, after = (float(np.sum((y - true) ** 2)) for y in (record.displacement, smoothed))
     assert after <= before * (1 + 1e-9)
@@ -78,13 +78,13 @@ def test_jitter_falls_without_a_bias(samples, kept):
     bias, chance = errors.mean(axis=0), errors.std() / np.sqrt(len(errors))
     assert errors.std() < 1.05 * kept**0.5
     assert abs(bias.mean()) < 5 * chance / np.sqrt(true.size / samples)
-    # Kinks, where a leg turns or an inner loop closes, are rounded off; all else is chance.
+    # Kinks, where a branch turns or an inner loop closes, are rounded off; all else is chance.
     assert np.abs(bias).max() < 0.5
     assert bias.std() < 1.25 * chance
 
 
 @pytest.mark.parametrize(("samples", "width"), [(100, 7), (200, 13)])
-def test_of_loud_noise_a_turn_is_the_mean_of_what_both_legs_show(samples, width):
+def test_of_loud_noise_a_turn_is_the_mean_of_what_both_branches_show(samples, width):
     """The end of a parabola through w samples has 3 (3 w^2 - 3 w + 2) / (w (w + 1) (w + 2)) of their variance."""
     record, true = made(0, samples=samples)
     noise = 0.05 * plain_records.STROKE

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dehyst import Record
 from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Trace, Verdict
 from dehyst.identification.checks import RemainingError
-from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, growth, new_legs, validity_of
+from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, growth, new_branches, validity_of
 from dehyst.model import Promise
 
 STROKE = 1e-5
@@ -100,19 +100,19 @@ def test_a_lag_of_unknown_cause_is_a_number_of_its_own():
     assert (open_.promise.delay, known.promise.delay) == (1e-3, 0.0)
 
 
-def test_held_out_legs_are_new_by_their_turning_points():
-    def legs(*turns):
+def test_held_out_branches_are_new_by_their_turning_points():
+    def branches(*turns):
         return np.column_stack([turns[:-1], turns[1:]]).astype(float)
 
-    assert new_legs(legs(0, 100, 0), legs(0, 100, 0)) == (0.0, 0.0)
+    assert new_branches(branches(0, 100, 0), branches(0, 100, 0)) == (0.0, 0.0)
     # The rise from 0 V passes 50 V; the fall from there begins 50 V below the only one.
-    assert new_legs(legs(0, 50, 0), legs(0, 100, 0)) == pytest.approx((0.0, 0.5))
+    assert new_branches(branches(0, 50, 0), branches(0, 100, 0)) == pytest.approx((0.0, 0.5))
     # From wherever voltages are counted.
-    assert new_legs(legs(0, 50, 0) + 70, legs(0, 100, 0) + 70) == pytest.approx((0.0, 0.5))
+    assert new_branches(branches(0, 50, 0) + 70, branches(0, 100, 0) + 70) == pytest.approx((0.0, 0.5))
     # Up to their ends all count: the fall from 100 V is a known one, the rise from 50 V begins 50 V above the only one.
-    assert new_legs(legs(50, 100, 0), legs(0, 100, 0)) == pytest.approx((0.5, 0.0))
+    assert new_branches(branches(50, 100, 0), branches(0, 100, 0)) == pytest.approx((0.5, 0.0))
     # Beyond the others nothing is known.
-    assert new_legs(legs(0, 150, 0), legs(0, 100, 0)) == (0.0, 0.0)
+    assert new_branches(branches(0, 150, 0), branches(0, 100, 0)) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("slow", "fast"), [(1e-8, 1e-8), (1e-8, 8e-8), (4e-8, 1e-8)])

@@ -19,10 +19,10 @@ PLANT = plain_records.plant(10)
 def two_speeds(actuator):
     """Loops of falling size, fast, then slow, and a hold, in one record; relaxed at the start."""
     tops = (1.0, 0.7, 0.85, 0.5, 0.65, 0.35, 0.9)
-    legs = [0.0]
+    branches = [0.0]
     for top in tops:
-        legs += [top, 0.0]
-    corners = plain_records.VOLTS * np.array(legs)
+        branches += [top, 0.0]
+    corners = plain_records.VOLTS * np.array(branches)
     parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 200) for a, b in itertools.pairwise(corners)]
     voltage = np.concatenate([corners[:1], *parts, np.full(round(20 * RATE), corners[-1])])
     time = np.arange(voltage.size) / RATE

@@ -44,9 +44,9 @@ def grid(elements):
 
 
 def straight(turns, samples=100):
-    """Displacement [m] through turning points, uniform on each leg."""
-    legs = [np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(turns)]
-    return plain_records.STROKE * np.concatenate([[float(turns[0])], *legs])
+    """Displacement [m] through turning points, uniform on each branch."""
+    branches = [np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(turns)]
+    return plain_records.STROKE * np.concatenate([[float(turns[0])], *branches])
 
 
 def clipped(y, elements):
@@ -139,7 +139,7 @@ def test_the_rank_is_that_of_a_finely_sampled_record(drawn):
 
 @pytest.mark.parametrize("turns", [MAJOR, loops(0.3), (*MAJOR, 0.6, 0.2, 0.9, 0)])
 def test_singular_values_are_volts_that_show_for_a_volt_of_breakaway(turns):
-    # The outline has 4 N + 20 samples on each leg.
+    # The outline has 4 N + 20 samples on each branch.
     left = projected(turns, samples=60)
     expected = np.linalg.svd(left, compute_uv=False) / np.sqrt(len(left))
     assert told_of(turns).values == pytest.approx(expected, rel=1e-9, abs=1e-12)

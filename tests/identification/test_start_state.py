@@ -17,10 +17,10 @@ NO_CREEP = np.zeros(0)
 
 
 def growing(loops=8, largest=12e-6, samples=20):
-    legs = [0.0]
+    branches = [0.0]
     for size in np.linspace(largest / loops, largest, loops):
-        legs += [size, -size]
-    return np.concatenate([np.linspace(a, b, samples) for a, b in itertools.pairwise(legs)])
+        branches += [size, -size]
+    return np.concatenate([np.linspace(a, b, samples) for a, b in itertools.pairwise(branches)])
 
 
 def carts_of(u, first):

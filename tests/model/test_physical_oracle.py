@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from electromechanical_oracle import charge_driven, legs, quasi_static
+from electromechanical_oracle import branches, charge_driven, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, actuator_of, assert_proportional, paper_stack
 
 from dehyst import Dynamics, State
@@ -22,7 +22,7 @@ def assert_vanishes(errors):
 @pytest.mark.parametrize("residual", [at_night(False), True], ids=["relaxed", "with residual charge"])
 def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(residual):
     actuator = actuator_of(STACK)
-    time, voltage = legs(TURNS, 40)
+    time, voltage = branches(TURNS, 40)
     reach = STACK.friction / STACK.stiffness
     carts = T * reach * np.linspace(0.9, -0.4, reach.size) if residual else 0 * reach
     errors = []
@@ -49,7 +49,7 @@ def test_the_papers_numbers_come_back():
 def test_the_voltage_along_a_path_is_the_circuits_under_a_charge():
     """y -> v: a driver of charge prescribes the displacement."""
     actuator = actuator_of(STACK)
-    time, share = legs(TURNS, 40)
+    time, share = branches(TURNS, 40)
 
     def charge(t):
         return share(t) / 200 * T * 250e-6
@@ -63,7 +63,7 @@ def test_the_voltage_along_a_path_is_the_circuits_under_a_charge():
 def test_a_load_on_a_held_charge_meets_km_and_ke():
     """Without dynamics a load moves y by F / kc: that of a driver of charge, kc = km + ke."""
     actuator = actuator_of(STACK, load_stiffness=KM + KE)
-    time, share = legs(TURNS, 40)
+    time, share = branches(TURNS, 40)
     load = 8 * np.sin(2.1 * time)
 
     def charge(t):
@@ -81,7 +81,7 @@ def test_a_load_on_a_held_charge_meets_km_and_ke():
 def test_a_slow_load_under_a_voltage_moves_the_charge_too():
     """With ke / T as series spring, and a mass so small that it follows at once."""
     actuator = actuator_of(STACK, dynamics=Dynamics(1.6e6, 1.0, KE / T), load_stiffness=KM + KE)
-    time, voltage = legs([0, 200, 0, 140, 30, 90, 0], 400)
+    time, voltage = branches([0, 200, 0, 140, 30, 90, 0], 400)
 
     def load(t):
         return 8 * np.sin(2.1 * t)

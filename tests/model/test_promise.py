@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 
 from dehyst import Actuator, ModelError
 from dehyst.model import MaxwellSlip, Spring, Thermal, Validity, with_identification
-from dehyst.model.branches import distances, legs
+from dehyst.model.branches import branches_of, distances
 from dehyst.model.promise import promise
 from dehyst.model.temperatures import temperatures_to_record
 
 SPAN, STROKE = 100.0, 1e-5
 
 
-def motion(*turns, leg=1.0, hold=0.0):
-    """Voltage with straight legs of a second, held at the end."""
+def motion(*turns, branch=1.0, hold=0.0):
+    """Voltage with straight branches of a second, held at the end."""
     voltage = np.concatenate([[turns[0]], *(np.linspace(a, b, 101)[1:] for a, b in pairwise(turns))])
-    time = 0.01 * leg * np.arange(voltage.size)
+    time = 0.01 * branch * np.arange(voltage.size)
     return np.append(time, time[-1] + hold) if hold else time, np.append(voltage, voltage[-1]) if hold else voltage
 
 
@@ -32,14 +32,14 @@ def known(*turns, **numbers):
 TOPS = known(0, 100, 0, 80, 0, 60, 0, 40, 0)
 
 
-def test_legs_are_from_turn_to_turn_and_alike_legs_are_near():
+def test_branches_are_from_turn_to_turn_and_alike_branches_are_near():
     _, voltage = motion(0, 100, 30, 70)
-    np.testing.assert_allclose(voltage[legs(voltage, SPAN)], [[0, 100], [100, 30], [30, 70]])
+    np.testing.assert_allclose(voltage[branches_of(voltage, SPAN)], [[0, 100], [100, 30], [30, 70]])
     known = np.array([[0.0, 1.0], [1.0, 0.0]])
     # Shorter ones that begin alike were passed; one begins 0.3 later; one goes on beyond the end by 0.1.
     path = np.array([[0.0, 0.5], [0.7, 0.2], [1.0, -0.1]])
     np.testing.assert_allclose(distances(path, known), [0.0, 0.3, 0.1])
-    # A leg is at most its own height away, and the other way does not help.
+    # A branch is at most its own height away, and the other way does not help.
     np.testing.assert_allclose(distances(np.array([[0.5, 0.55]]), known[1:]), [0.05])
 
 
@@ -60,11 +60,11 @@ def test_records_that_turn_at_random_promise_more():
 def test_speeds_holds_and_voltages_beyond_the_records_are_named():
     usual = motion(0, 100, 0)
     assert promise(TOPS, usual[1], usual[0]).untested == ()
-    fast, held, beyond = motion(0, 100, 0, leg=0.3), motion(0, 100, hold=10), motion(0, 110, 0)
+    fast, held, beyond = motion(0, 100, 0, branch=0.3), motion(0, 100, hold=10), motion(0, 110, 0)
     for time, voltage in (fast, held, beyond):
         assert len(promise(TOPS, voltage, time).untested) == 1
-    # A slow leg stays long at each voltage as well.
-    time, voltage = motion(0, 40, 0, leg=3)
+    # A slow branch stays long at each voltage as well.
+    time, voltage = motion(0, 40, 0, branch=3)
     assert len(promise(TOPS, voltage, time).untested) == 2
 
 
@@ -79,7 +79,7 @@ def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
 
 @pytest.mark.parametrize("growth", [0.0, 5e-8])
 def test_a_path_that_turns_faster_than_the_records_at_their_speed_is_named_and_promised_less(growth):
-    often, seldom = (motion(*[50, 55] * 8, leg=leg) for leg in (0.05, 0.8))
+    often, seldom = (motion(*[50, 55] * 8, branch=branch) for branch in (0.05, 0.8))
     usual, fast = (promise(replace(TOPS, growth=growth), voltage, time) for time, voltage in (seldom, often))
     assert fast.largest > 1.5 * usual.largest and fast.rms > 1.5 * usual.rms
     asked, named = ({gap.what for gap in found.untested} & {"speed", "rate"} for found in (fast, usual))
@@ -147,7 +147,7 @@ def test_temperatures_to_record_cover_those_in_use(tested, used, reference, need
         ("rms_m", -1.0),
         ("rms_m", "x"),
         ("limits_V", [1, 0]),
-        ("legs_V", [[0.0, float("nan")]]),
+        ("branches_V", [[0.0, float("nan")]]),
         ("new", [0]),
         ("temperatures_degC", [45.0, 15.0]),
     ],

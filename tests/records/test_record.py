@@ -135,7 +135,7 @@ def test_turns_go_back_by_more_than_the_band(corners, band, turns):
 
 
 def zigzag(heights):
-    """Alternate up and down by the heights, 40 samples a leg."""
+    """Alternate up and down by the heights, 40 samples a branch."""
     corners = np.concatenate([[0.0], np.cumsum(np.where(np.arange(len(heights)) % 2, -1, 1) * heights)])
     return np.interp(np.arange(40 * len(heights) + 1), 40 * np.arange(len(corners)), corners)
 
@@ -144,13 +144,13 @@ heights = st.lists(st.floats(1, 5), min_size=2, max_size=12).map(np.array)
 
 
 @given(heights, st.floats(0.01, 100), st.booleans(), st.integers(0, 1000))
-def test_turns_are_the_corners_whatever_noise_gain_and_sign(legs, gain, inverted, seed):
-    v = zigzag(legs)
+def test_turns_are_the_corners_whatever_noise_gain_and_sign(branches, gain, inverted, seed):
+    v = zigzag(branches)
     assert turning_points((-gain if inverted else gain) * v, 0.5 * gain).tolist() == list(range(40, len(v) - 1, 40))
     noisy = v + np.random.default_rng(seed).uniform(-0.1, 0.1, len(v))
     turns = turning_points(noisy, 0.5)
     assert np.abs(v[turns] - v[40:-1:40]).max() <= 0.2 + 1e-9
-    assert len(reversals(Record(np.arange(len(v)), noisy, v))) == len(legs) - 1
+    assert len(reversals(Record(np.arange(len(v)), noisy, v))) == len(branches) - 1
 
 
 UP, DOWN = np.linspace(0, 100, 50), np.linspace(100, 5, 50)

@@ -65,7 +65,7 @@ def line(at, places, values):
     return values[k] + slope * (at - places[k])
 
 
-def legs(turns, samples):
+def branches(turns, samples):
     """Half cosines from each turn to the next, one second each: times, and the voltage as a function of time."""
     turns = np.asarray(turns, float)
 
@@ -116,7 +116,7 @@ def _slip(stack, elongation, resistance):
 
 
 def _integrated(rates, time, start, atol):
-    # No step longer than a twentieth of a leg: at a turn everything stands still for a while.
+    # No step longer than a twentieth of a branch: at a turn everything stands still for a while.
     found = solve_ivp(
         rates, (time[0], time[-1]), start, method="LSODA", t_eval=time, rtol=1e-8, atol=atol, max_step=0.05
     )

@@ -20,7 +20,7 @@ DYNAMICS = Dynamics(25.0, 0.04)
 
 @cache
 def plant(samples=40, hold=0):
-    """The actuator, taken along random legs of so many samples with holds between them."""
+    """The actuator, taken along random branches of so many samples with holds between them."""
     return wide.plant(STRUCTURE, path=wide.wandering(40, samples=samples, hold=hold))
 
 

@@ -39,7 +39,7 @@ def plant(elements=10, *, seed=0, curved=0.3, share=0.4):
 
 
 def wild_path(seed, size, beyond, corners):
-    """Displacement [m] of legs between random corners, so many, up to a share of STROKE beyond it; half are rough."""
+    """Displacement [m] of branches between random corners, up to a share of STROKE beyond it; half are rough."""
     rng = np.random.default_rng(seed)
     count = rng.integers(*corners)
     at = np.sort(rng.choice(np.arange(1, size - 1), count, replace=False))
@@ -48,10 +48,10 @@ def wild_path(seed, size, beyond, corners):
 
 
 def path(turns, samples=100):
-    """Displacement [m] through turning points given as fractions of STROKE, half a cosine for each leg."""
+    """Displacement [m] through turning points given as fractions of STROKE, half a cosine for each branch."""
     u = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, samples + 1) / samples)
-    legs = [a + (b - a) * u for a, b in pairwise(turns)]
-    return STROKE * np.concatenate([[float(turns[0])], *legs])
+    branches = [a + (b - a) * u for a, b in pairwise(turns)]
+    return STROKE * np.concatenate([[float(turns[0])], *branches])
 
 
 def any_state(actuator, displacement, seed):

@@ -24,11 +24,11 @@ FLOOR = 0.1 * SLOPE
 RATE = 200.0
 
 
-def wandering(legs=70, seed=5, samples=30, hold=0):
-    """A path [m]: major loops, then legs between random turning points, each followed by a hold of some samples."""
+def wandering(branches=70, seed=5, samples=30, hold=0):
+    """A path [m]: major loops, then branches between random turning points, each followed by a hold of some samples."""
     rng = np.random.default_rng(seed)
     turns = [1.0, 0.0, 1.0, 0.0, 1.0]
-    for k in range(legs):
+    for k in range(branches):
         share = rng.uniform(0.2, 1.0)
         turns.append(turns[-1] + share * ((0.02 if k % 2 == 0 else 0.98) - turns[-1]))
     path = plain_records.path([*turns, 0.0], samples)

@@ -10,13 +10,13 @@ VOLTS = 200.0
 
 
 def cosine(turns, samples):
-    """Values through turning points, half a cosine of so many samples for each leg."""
+    """Values through turning points, half a cosine of so many samples for each branch."""
     u = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, samples + 1) / samples)
     return np.concatenate([[float(turns[0])], *(a + (b - a) * u for a, b in pairwise(turns))])
 
 
 def tops(steps, samples):
-    """Voltages: two major loops, then tops that descend to naught, each leg as long as the others."""
+    """Voltages: two major loops, then tops that descend to naught, each branch as long as the others."""
     lower = [VOLTS * (1 - k / steps) for k in range(steps)]
     return cosine([0, *([VOLTS, 0] * 2), *(v for top in lower for v in (top, 0))], samples)
 
@@ -30,8 +30,8 @@ def staircase(step, samples, hold):
             levels.append(levels[-1] - step)
     levels += [VOLTS - level for level in levels][1:]
     path = cosine(levels, samples)
-    legs = np.split(path[1:], np.arange(samples, path.size - 1, samples))
-    return np.concatenate([path[:1], *(np.append(leg, np.full(hold, leg[-1])) for leg in legs)])
+    branches = np.split(path[1:], np.arange(samples, path.size - 1, samples))
+    return np.concatenate([path[:1], *(np.append(branch, np.full(hold, branch[-1])) for branch in branches)])
 
 
 def records(truth, step, fast, slow, hold, steps=20):
@@ -49,10 +49,10 @@ def records(truth, step, fast, slow, hold, steps=20):
     return found
 
 
-def wanted(lowest, stroke, samples, seed, legs=40):
+def wanted(lowest, stroke, samples, seed, branches=40):
     """A random path [m] from the middle of the stroke."""
     rng, turns = np.random.default_rng(seed), [0.5]
-    for k in range(legs):
+    for k in range(branches):
         a = turns[-1]
         turns.append(rng.uniform(min(a + 0.05, 0.96), 0.97) if k % 2 == 0 else rng.uniform(0.03, max(a - 0.05, 0.04)))
     return lowest + stroke * cosine(turns, samples)

@@ -53,7 +53,7 @@ def trajectory():
 
 def test_a_lone_loop_is_something_to_beware_of():
     plant = truth("graded, transformer")
-    short = structured_records.wandering(legs=0, samples=200)
+    short = structured_records.wandering(branches=0, samples=200)
     lone, whole = replace(plant, path=short).record(noise=NOISE), plant.record(noise=NOISE)
     model = with_identification(replace(plant.actuator, limits=(0.0, plain_records.VOLTS)), validity=None)
     found = insight(model, lone)

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from dehyst.model import legs, paces_of
+from dehyst.model import branches_of, paces_of
 from dehyst.model.branches import are_tested
 from dehyst.trust.turn_plane import turn_plane
 
@@ -69,7 +69,8 @@ def test_a_path_has_the_speeds_of_the_promise():
     found = plane(0, 100, 0, 100, 0, speed=20.0, hold=3.0)
     time, voltage = played(0, 100, 0, speed=30.0, hold=6.0)
     path = found.path(voltage, time)
-    assert [turn.speed for turn in path] == pytest.approx(paces_of(time, voltage, legs(voltage, 100.0))[:, 0], rel=1e-9)
+    speeds = paces_of(time, voltage, branches_of(voltage, 100.0))[:, 0]
+    assert [turn.speed for turn in path] == pytest.approx(speeds, rel=1e-9)
     assert max(turn.held for turn in path) == pytest.approx(6, abs=0.2)
     assert all(np.isnan(turn.speed) and turn.held == 0 for turn in found.path(voltage))
 

@@ -67,7 +67,7 @@ def test_one_loop_is_enough_for_gain_and_width(old):
         and not replace(made, recheck=replace(made.recheck, goal=99 * made.promise.largest / made.stroke)).good
     )
     assert known.validity.rms >= old.identification.validity.rms
-    assert len(known.validity.legs) > len(old.identification.validity.legs)
+    assert len(known.validity.branches) > len(old.identification.validity.branches)
     assert made.actuator.provenance["updated_from"] == old.name
     assert made.actuator.limits == old.limits
 
@@ -118,7 +118,7 @@ def test_a_record_counts_in_the_promise_even_if_it_teaches_nothing(old, parts):
     assert not made.used
     assert made.promise.largest >= made.before[0] > before.validity.anywhere.largest
     assert made.promise.rms >= np.sqrt(made.before[1] ** 2 - made.recheck.noise**2)
-    assert len(after.validity.legs) > len(before.validity.legs)
+    assert len(after.validity.branches) > len(before.validity.branches)
     assert after.largest_error == before.largest_error
     assert made.actuator.thermal == model.thermal
     assert made.actuator.slip is model.slip

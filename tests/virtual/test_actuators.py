@@ -32,7 +32,7 @@ def slowly(truth, voltage, seconds=1.0):
     return truth.play(voltage, time=seconds * np.arange(1, len(voltage) + 1), measured=False)
 
 
-def legs(turns, samples=200):
+def branches(turns, samples=200):
     """Voltage through turning points, straight."""
     return np.concatenate([[turns[0]], *(np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(turns))])
 
@@ -40,7 +40,7 @@ def legs(turns, samples=200):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_major_loop_is_as_high_as_stated_and_as_wide_as_a_piezos(kind):
     truth = kind()
-    y = slowly(truth, legs([0, 200] * 3 + [0]))
+    y = slowly(truth, branches([0, 200] * 3 + [0]))
     loop = y[800:]
     up, down = loop[:201], loop[200:401][::-1]
     assert loop.min() == pytest.approx(0, abs=1e-4 * truth.stroke)
@@ -54,7 +54,7 @@ def test_the_major_loop_is_as_high_as_stated_and_as_wide_as_a_piezos(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_drive_goes_on_where_the_last_one_ended(kind):
     options = {"creep": 0.02} if kind is PlayActuator else {}
-    voltage = legs([0, 200, 30, 120, 0, 170], 37)
+    voltage = branches([0, 200, 30, 120, 0, 170], 37)
     time = np.cumsum(np.random.default_rng(1).uniform(1e-4, 2e-3, voltage.size))
     whole = kind(**options).play(voltage, time=time)
     parts = kind(**options)
@@ -71,7 +71,7 @@ def test_a_drive_goes_on_where_the_last_one_ended(kind):
 @given(SEEDS)
 def test_rate_independence(kind, seed):
     turns = np.random.default_rng(seed).uniform(-20, 220, 12)
-    fine = kind().play(legs(turns, 7), measured=False)
+    fine = kind().play(branches(turns, 7), measured=False)
     np.testing.assert_allclose(fine[::7], kind().play(turns, measured=False), rtol=0, atol=1e-12 * 16e-6)
 
 

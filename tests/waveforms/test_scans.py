@@ -53,16 +53,16 @@ def kept(path, speed, acceleration):
 @given(triangles(), st.floats(0.02, 1.0))
 def test_a_triangle_turns_exactly_and_is_straight_for_its_share(parts, turns):
     scan = Triangle(**parts, turns=turns)
-    path, (up, down) = scan.path(), scan.legs
+    path, (up, down) = scan.path(), scan.branches
     assert path.range == (scan.low, scan.high)
     assert path.displacement[0] == scan.low and path.displacement[up] == scan.high
     assert path.velocity[0] == 0 and path.velocity[up] == 0
     assert len(path) == scan.samples == up + down
     assert scan.period * scan.rate == pytest.approx(scan.samples) and 1 / scan.period <= scan.frequency * (1 + 1e-9)
-    for leg, edge in zip((slice(0, up), slice(up, None)), scan.edges, strict=True):
+    for branch, edge in zip((slice(0, up), slice(up, None)), scan.edges, strict=True):
         straight = 1 - 2 * edge.blend / edge.seconds
         assert straight == pytest.approx(1 - turns, abs=1e-9)
-        at_speed = int(np.count_nonzero(path.velocity[leg] == edge.speed))
+        at_speed = int(np.count_nonzero(path.velocity[branch] == edge.speed))
         assert abs(at_speed - straight * edge.seconds * scan.rate) <= 2
 
 
@@ -81,7 +81,7 @@ def test_turns_within_an_acceleration_keep_it_and_are_the_shortest(parts, spare)
 @given(triangles(), st.floats(1e-3, 0.99), st.floats(0.3, 3), st.booleans())
 def test_what_a_refusal_says_is_possible_is(parts, share, pace, free):
     height, seconds = parts["high"] - parts["low"], min(parts["rising"], 1 - parts["rising"]) / parts["frequency"]
-    parts.pop("sample_rate")  # 400 a cycle: legs of whole samples are nearly as asked
+    parts.pop("sample_rate")  # 400 a cycle: branches of whole samples are nearly as asked
     limits = {
         "acceleration": share * height / (EDGE * seconds**2) / 1.2,
         "speed": pace * height / seconds,
@@ -119,7 +119,7 @@ def test_a_periodic_scan_goes_on_where_it_began(name):
 
 def test_a_raster_stands_still_along_y_on_the_way_forth():
     scan = SCANS["staircase"]
-    x, y, (forth, retrace) = scan.path("x"), scan.path("y"), scan.fast.legs
+    x, y, (forth, retrace) = scan.path("x"), scan.path("y"), scan.fast.branches
     for line, level in enumerate(np.linspace(5 * UM, 45 * UM, 6)):
         start = line * (forth + retrace)
         assert np.all(y.displacement[start : start + forth] == level)
@@ -205,10 +205,10 @@ def test_a_raster_goes_back_in_as_few_lines_as_its_limits_allow(lines, accelerat
     y = raster.path("y")
 
     def hardest(back):
-        way = back * raster.fast.samples + raster.fast.legs[1]
+        way = back * raster.fast.samples + raster.fast.branches[1]
         return 10 / np.sqrt(3) * (5e-3 - 2 * UM) / (way / raster.rate) ** 2
 
     assert 1 < raster.pause < 1000
     assert hardest(raster.pause) <= acceleration * (1 + 1e-8) < hardest(raster.pause - 1)
-    way = raster.pause * raster.fast.samples + raster.fast.legs[1]
+    way = raster.pause * raster.fast.samples + raster.fast.branches[1]
     assert np.abs(y.acceleration[-way:]).max() == pytest.approx(hardest(raster.pause), rel=1e-3)

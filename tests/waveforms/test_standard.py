@@ -38,7 +38,7 @@ def log_uniform(low, high):
 
 @st.composite
 def drives(draw):
-    """Any way to play voltages of some 100 V; a slew rate that stretches nothing, some legs, or a hundredfold."""
+    """Any way to play voltages of some 100 V; a slew rate that stretches nothing, some branches, or a hundredfold."""
     frequency = draw(log_uniform(1e-4, 1e4))
     base = draw(st.sampled_from([0.0, -20.0]) | st.floats(-300, 300))
     return Sampling(
@@ -134,16 +134,16 @@ class TestLaws:
         check_laws(drive, result)
 
     @given(played())
-    def test_without_a_slew_rate_legs_take_their_time(self, case):
+    def test_without_a_slew_rate_branches_take_their_time(self, case):
         drive, made, path = case
         assert not made.warnings or drive.slew_rate is not None
         if made.warnings or made.name == "staircase" or drive.start != drive.base:
             return
-        legs = np.count_nonzero(np.diff(path))
-        assert made.duration == pytest.approx(legs * drive.half, abs=legs * 0.5 / drive.rate)
+        branches = np.count_nonzero(np.diff(path))
+        assert made.duration == pytest.approx(branches * drive.half, abs=branches * 0.5 / drive.rate)
 
     @given(played())
-    def test_a_leg_mirrored_is_the_leg_back(self, case):
+    def test_a_branch_mirrored_is_the_branch_back(self, case):
         """Up and down take the same voltages in turn."""
         drive, _, _ = case
         loop = homing(drive.base + 100, drive=Sampling(drive.frequency, drive.sample_rate, drive.base))
@@ -222,16 +222,16 @@ class TestRamps:
         begin = len(ramped) - len(plain)
         np.testing.assert_array_equal(ramped.voltage[begin:], plain.voltage)
         assert np.all(np.diff(ramped.voltage[: begin + 1]) > 0)
-        # As steep on average as the highest leg, of 200 V in 50 s.
+        # As steep on average as the highest branch, of 200 V in 50 s.
         assert begin == 40
 
 
 class TestSlewRate:
-    def test_a_leg_that_meets_it_exactly_is_left_alone(self):
+    def test_a_branch_that_meets_it_exactly_is_left_alone(self):
         cosine = raised_cosine(200.0, drive=Sampling(slew_rate=2 * math.pi))
         assert (cosine.warnings, cosine.duration) == ((), 100.0)
 
-    def test_only_legs_that_are_too_steep_take_longer(self):
+    def test_only_branches_that_are_too_steep_take_longer(self):
         made = raised_cosine([200.0, 50.0], drive=Sampling(slew_rate=math.pi))
         assert made.duration == pytest.approx(300.0, abs=0.5)
         assert len(made.warnings) == 1

@@ -174,8 +174,7 @@ async def test_a_refused_table_has_the_reason_its_columns_and_no_place_of_the_fo
     assert (entry.status, entry.file_columns) == ("refused", columns)
     stage.session.read_record(entry.id, "voltage=U:V")
     await stage.next(Finished({**SHOWN, "file_columns": columns}))
-    assert (entry.status, entry.file_columns) == ("ready", columns)
-    assert (entry.error, entry.columns) == (None, "voltage=U:V")
+    assert (entry.status, entry.error, entry.columns, entry.file_columns) == ("ready", None, "voltage=U:V", columns)
 
 
 def test_a_model_that_depends_on_temperature_is_computed_with_on_the_page(tmp_path):

@@ -37,8 +37,8 @@ def relaxed_plant(seed=0, *, elements=N, curve=0.0, at=0.0):
 def path(turns, grid):
     """A path [m]: the rise, with samples at and between the places `grid` [m], then turns in fractions of HEIGHT."""
     rise = np.unique(np.concatenate([[0.0], grid, 0.5 * grid, [HEIGHT]]))
-    legs = [a + (b - a) * np.arange(1, 101) / 100 for a, b in pairwise((1.0, *turns))]
-    return np.concatenate([rise, *[HEIGHT * leg for leg in legs]])
+    branches = [a + (b - a) * np.arange(1, 101) / 100 for a, b in pairwise((1.0, *turns))]
+    return np.concatenate([rise, *[HEIGHT * branch for branch in branches]])
 
 
 def played(actuator, displacement, *, start=None, name="played"):

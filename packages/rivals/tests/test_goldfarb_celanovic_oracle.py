@@ -1,7 +1,7 @@
 """Goldfarb and Celanovic's identification on records of their own electric circuit, integrated by SciPy."""
 
 import numpy as np
-from electromechanical_oracle import legs, moving, quasi_static
+from electromechanical_oracle import branches, moving, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, assert_proportional, paper_stack
 
 from dehyst import Record
@@ -17,13 +17,13 @@ TURNS = [0, 200, 0, 140, 30, 90, 60, 150, 0]
 def instants(samples, peak=200.0):
     """Times of samples, with those at which dry elements break on the first rise, of one second, to the peak [V]."""
     force = KEQ * REACH + np.minimum.outer(REACH, REACH) @ STACK.stiffness
-    times, _ = legs(TURNS, samples)
+    times, _ = branches(TURNS, samples)
     return np.union1d(times, np.arccos(1 - 2 * force / T / peak) / np.pi)
 
 
 def recorded(resistance, samples=500):
     """A record from the relaxed state, and its charges."""
-    time, voltage = instants(samples), legs(TURNS, 1)[1]
+    time, voltage = instants(samples), branches(TURNS, 1)[1]
     q, y = quasi_static(STACK, time, voltage, resistance)
     return Record(time, voltage(time), y, "circuit"), q
 
@@ -74,7 +74,7 @@ def test_the_slower_a_mass_is_moved_the_less_it_matters():
     """Their full model, at a fiftieth of the resonance and slower."""
     omega = 2 * np.pi * 1000
     mass, errors = (KM + KE) / omega**2, []
-    shape = legs(TURNS[:3], 1)[1]
+    shape = branches(TURNS[:3], 1)[1]
     for speed in (40.0, 20.0, 10.0):
         time = instants(1000)
         time = time[time <= 1.2] / speed

@@ -134,7 +134,7 @@ def test_a_time_that_begins_anew_follows_by_its_first_interval():
     np.testing.assert_allclose(anew, on, rtol=1e-14)
 
 
-def test_descended_is_where_a_long_leg_ends():
+def test_descended_is_where_a_long_branch_ends():
     bank = random_bank(2, 8, 3)
     _, down = bank.simulate(np.array([400.0, 60]), bank.state_after_descent(0.0), None)
     np.testing.assert_array_equal(down.plays, bank.state_after_descent(60.0).plays)

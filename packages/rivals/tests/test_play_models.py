@@ -34,7 +34,7 @@ CURVES = (0, 1, 0, 1, *(x for low in np.arange(0.95, 0, -0.05) for x in (low, 1)
 
 
 def through(turns, samples=100, volts=VOLTS):
-    """Voltage [V] through turning points given as fractions, half a cosine for each leg."""
+    """Voltage [V] through turning points given as fractions, half a cosine for each branch."""
     u = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, samples + 1) / samples)
     return volts * np.concatenate([[turns[0]], *(a + (b - a) * u for a, b in pairwise(turns))])
 
@@ -197,7 +197,7 @@ def test_low_passes_are_kept_where_there_is_creep_and_only_there():
     assert fitted(GeneralizedPrandtlIshlinskii, BoucWenActuator).bank.times.size == 0
 
 
-def test_low_passes_of_a_record_are_exact_for_straight_legs():
+def test_low_passes_of_a_record_are_exact_for_straight_branches():
     time, v = np.array([0.0, 1, 3, 3.5]), np.array([2.0, 5, 5, -1])
     fine = np.linspace(0, 3.5, 70001)
     expected, q = [2.0], 2.0

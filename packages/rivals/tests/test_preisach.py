@@ -107,8 +107,8 @@ def recorded(model, tops):
     """Major loops, then cycles from the bottom with these tops, by the model itself."""
     turns = np.concatenate([[0.0], *[[top, 0.0] for top in (VOLTS, VOLTS, VOLTS, *tops)]])
     u = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 201) / 200)
-    legs = [a + (b - a) * u for a, b in pairwise(turns)]
-    voltage = np.concatenate([[0.0], *legs])
+    branches = [a + (b - a) * u for a, b in pairwise(turns)]
+    voltage = np.concatenate([[0.0], *branches])
     return Record(np.arange(voltage.size) / 100, voltage, model.simulate(voltage).displacement)
 
 

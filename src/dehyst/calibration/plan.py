@@ -34,9 +34,9 @@ _UNEVEN = 1e-3
 class Excitations:
     """The excitations of a calibration of one axis or several, with one column for each of several `axes`.
 
-    `limits`: voltages and slew rate of each axis. A leg takes half a cycle of the `frequency` [Hz], or longer if a slew
-    rate requires it; the path and the homing before it are `faster`. Raise `RecordError` if a number is impossible, or
-    there are fewer than 8 samples per cycle.
+    `limits`: voltages and slew rate of each axis. A branch takes half a cycle of the `frequency` [Hz], or longer if a
+    slew rate requires it; the path and the homing before it are `faster`. Raise `RecordError` for an impossible number,
+    and for fewer than 8 samples per cycle.
     """
 
     limits: tuple[VoltageLimits, ...]
@@ -70,7 +70,7 @@ class Excitations:
         return Excitation("axes", played.voltage, played.sample_rate)
 
     @property
-    def leg(self) -> int:
+    def branch(self) -> int:
         """Samples between two turns of a path: half a faster cycle, or more to use at most half of each slew rate."""
         seconds = [np.pi * (bounds.high - bounds.low) / (bounds.slew_rate or np.inf) for bounds in self.limits]
         return int(np.ceil(self.sample_rate * max(0.5 / (self.faster * self.frequency), *seconds)))
@@ -168,7 +168,7 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     excitations = plan.excitations(rig)
     planned = [PlannedStep(*step) for step in plan.training(excitations)]
     homing = excitations.homing()
-    path = PathPlanner(homing, excitations.limits, excitations.leg).samples
+    path = PathPlanner(homing, excitations.limits, excitations.branch).samples
     for name, words in (("nominal", "by a constant ratio"), ("compensated", "by the model")):
         what = f"homing, then a path of nine reversals {words}; its voltages follow"
         planned.append(PlannedStep(name, what, homing, path))

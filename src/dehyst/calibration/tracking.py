@@ -81,7 +81,7 @@ class PathPlanner:
     """A planner of a path through most of the stroke after a homing, for one axis or several that move together.
 
     `homing`: two major cycles, from and to the lowest voltage: after them the state is known; it also sets the sample
-    rate. `limits`: allowed voltages and slew rate of each axis. `leg`: samples between turning points of the first
+    rate. `limits`: allowed voltages and slew rate of each axis. `branch`: samples between turning points of the first
     axis; several axes have periods that do not repeat together.
 
     Models that depend on temperature move in that of the last record, which goes on as it drifted.
@@ -89,12 +89,12 @@ class PathPlanner:
 
     homing: Excitation
     limits: Sequence[VoltageLimits]
-    leg: int = 200
+    branch: int = 200
 
     @property
     def samples(self) -> int:
         """Samples of a path with the way to it, after the homing."""
-        return self.leg + (len(TURNS) - 1) * max(self._legs)
+        return self.branch + (len(TURNS) - 1) * max(self._branches)
 
     def nominal(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a constant ratio of voltage to displacement, without coupling.
@@ -133,9 +133,9 @@ class PathPlanner:
         return self._run("compensated", homed, voltage, plan.warnings)
 
     @property
-    def _legs(self) -> list[int]:
+    def _branches(self) -> list[int]:
         """Samples between two turning points of each axis."""
-        return [round(self.leg * RATIO**j) for j in range(len(self.limits))]
+        return [round(self.branch * RATIO**j) for j in range(len(self.limits))]
 
     def _homed(self, model: Actuator | Stage, before: Sequence[Record], seen: SeenTemperature | None) -> _Homed:
         """Return what the records `before` tell of the next homing, at the temperature that was `seen` last."""
@@ -144,7 +144,7 @@ class PathPlanner:
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]
         options: dict[str, Any] = {"temperature": None if seen is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
-        late = (len(TURNS) - 1) * self.leg if len(stage.axes) == 1 else len(before[-1]) // 2
+        late = (len(TURNS) - 1) * self.branch if len(stage.axes) == 1 else len(before[-1]) // 2
         datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
@@ -164,16 +164,16 @@ class PathPlanner:
 
     def _wanted(self, origin: Array, reach: Array, start: Array) -> Array:
         """Return the way from the `start` [m] after the homing to the path (n, axes) [m], and the path."""
-        legs = self._legs
+        branches = self._branches
         # As many samples as the slowest axis needs for all its turning points.
-        count = (len(TURNS) - 1) * max(legs) + 1
+        count = (len(TURNS) - 1) * max(branches) + 1
         paths = []
-        for j, leg in enumerate(legs):
-            later = islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // leg + 2)
-            turns = TURNS if len(legs) == 1 else tuple(later)
-            paths.append(wanted_path(1.0, turns, leg=leg)[:count])
+        for j, branch in enumerate(branches):
+            later = islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // branch + 2)
+            turns = TURNS if len(branches) == 1 else tuple(later)
+            paths.append(wanted_path(1.0, turns, branch=branch)[:count])
         path = origin + reach * np.column_stack(paths)
-        way = [wanted_path(1.0, ends, leg=self.leg) for ends in zip(start.tolist(), path[0].tolist(), strict=True)]
+        way = [wanted_path(1.0, ends, branch=self.branch) for ends in np.column_stack([start, path[0]]).tolist()]
         return np.vstack([np.column_stack(way)[1:], path[1:]])
 
     def _run(self, name: str, homed: _Homed, voltage: Array, warnings: tuple[str, ...] = ()) -> PlannedRun:
@@ -182,7 +182,7 @@ class PathPlanner:
         excitation = Excitation(name, np.concatenate([home.voltage, voltage.reshape(shape)]), home.sample_rate)
         shown = np.concatenate([np.full(home.voltage.shape, np.nan), homed.wanted.reshape(shape)])
         stroke = homed.stroke if several else float(homed.stroke[0])
-        return PlannedRun(shown, len(home) + self.leg - 1, excitation, stroke, warnings)
+        return PlannedRun(shown, len(home) + self.branch - 1, excitation, stroke, warnings)
 
 
 def _seen(model: Actuator | Stage, records: Sequence[Record]) -> SeenTemperature | None:

@@ -22,8 +22,8 @@ Loop: TypeAlias = Compensator | StageCompensator
 
 # How far turning points may lie beyond the reach, as a share of it: such displacements are clamped.
 _BEYOND = 0.25
-_LEGS, _JUMPS, _VOLTAGES = 14, 80, 80
-_LEAST_LEG, _MOST_LEG = 25, 400
+_BRANCHES, _JUMPS, _VOLTAGES = 14, 80, 80
+_LEAST_BRANCH, _MOST_BRANCH = 25, 400
 _COMMITS, _NONSENSE, _HELD, _OFFERED, _STEPS = 13, 29, 17, 11, 255
 _HEADER = Template("""/* What Python computed with this model. */
 #ifndef TRACE_H
@@ -151,11 +151,11 @@ def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
 def _shares(axes: int, slowest: float) -> Array:
     """Return a path (n, axes) in shares of the reach: half cosines of `slowest` samples or more, then jumps."""
     rng = np.random.default_rng(20)
-    leg = int(np.clip(slowest, _LEAST_LEG, _MOST_LEG))
-    turns = rng.uniform(-_BEYOND, 1 + _BEYOND, (_LEGS, axes))
-    shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
-    legs = [a + (b - a) * shape[:, None] for a, b in pairwise(turns)]
-    return np.vstack([*legs, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, axes))])
+    branch = int(np.clip(slowest, _LEAST_BRANCH, _MOST_BRANCH))
+    turns = rng.uniform(-_BEYOND, 1 + _BEYOND, (_BRANCHES, axes))
+    shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, branch + 1) / branch)
+    branches = [a + (b - a) * shape[:, None] for a, b in pairwise(turns)]
+    return np.vstack([*branches, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, axes))])
 
 
 def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:

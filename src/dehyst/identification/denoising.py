@@ -84,7 +84,7 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
 
     `piece`: its delay removed. `noise`, `stroke`: standard deviation of the sensor [m], and range of the widest loop
     [m]: if the noise is significant, parabolas through neighbours, over a part of a cycle, come first; of loud noise
-    over wider parts, each leg by itself, or a turn would lie beyond what the actuator reaches.
+    over wider parts, each branch by itself, or a turn would lie beyond what the actuator reaches.
     """
     part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
     if disturbs(noise, stroke):
@@ -100,13 +100,13 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
 def _between_turns(piece: Record, window: int) -> Record:
     """Return a piece whose displacement is smooth and monotone from turn to turn.
 
-    An error at a turn stays in the elements for the whole leg after it. So a turn is the mean of what both legs show,
-    and no sample of a leg lies beyond its turns, as the ends of a monotone fit to noise do.
+    An error at a turn stays in the elements for the whole branch after it. So a turn is the mean of what both branches
+    show, and no sample of a branch lies beyond its turns, as the ends of a monotone fit to noise do.
     """
-    y, legs = piece.displacement.copy(), _counted_legs(piece)
+    y, branches = piece.displacement.copy(), _counted_branches(piece)
     sums, counts = np.zeros(y.size), np.zeros(y.size)
-    for start, stop, _ in legs:
-        # The turn is the first sample of the next leg.
+    for start, stop, _ in branches:
+        # The turn is the first sample of the next branch.
         own = slice(start, min(stop + 1, y.size))
         values = piece.displacement[own]
         width = min(window, 2 * ((values.size - 1) // 2) + 1)
@@ -114,17 +114,17 @@ def _between_turns(piece: Record, window: int) -> Record:
         counts[own] += 1
     smooth = np.divide(sums, counts, out=y, where=counts > 0)
     path = monotone(replace(piece, displacement=smooth)).displacement.copy()
-    for start, stop, _ in legs:
+    for start, stop, _ in branches:
         ends = smooth[[start, min(stop, y.size - 1)]]
         path[start:stop] = np.clip(path[start:stop], ends.min(), ends.max())
     path.flags.writeable = False
     return replace(piece, displacement=path)
 
 
-def _counted_legs(piece: Record) -> list[tuple[int, int, bool | None]]:
-    """Return the legs of `_legs` within what counts."""
+def _counted_branches(piece: Record) -> list[tuple[int, int, bool | None]]:
+    """Return the branches of `_branches` within what counts."""
     parts = (
-        (max(a, start), min(b, stop), rising) for a, b, rising in _legs(piece) for start, stop in _stretches(piece)
+        (max(a, start), min(b, stop), rising) for a, b, rising in _branches(piece) for start, stop in _stretches(piece)
     )
     return [(start, stop, rising) for start, stop, rising in parts if start < stop]
 
@@ -145,7 +145,7 @@ def monotone(piece: Record) -> Record:
     from scipy.optimize import isotonic_regression
 
     y = piece.displacement.copy()
-    for start, stop, rising in _counted_legs(piece):
+    for start, stop, rising in _counted_branches(piece):
         part, quarter = y[start:stop], max((stop - start) // 4, 1)
         upward = bool(part[-quarter:].mean() >= part[:quarter].mean()) if rising is None else rising
         y[start:stop] = isotonic_regression(part, increasing=upward).x
@@ -153,16 +153,16 @@ def monotone(piece: Record) -> Record:
     return replace(piece, displacement=y)
 
 
-def _legs(piece: Record) -> list[tuple[int, int, bool | None]]:
-    """Return the first and last sample of each leg, and whether it rises; None for holds."""
+def _branches(piece: Record) -> list[tuple[int, int, bool | None]]:
+    """Return the first and last sample of each branch, and whether it rises; None for holds."""
     v = piece.voltage
     least = max(_TURN * float(np.ptp(v)), 6 * white_noise(v))
     cuts = np.unique(np.concatenate([[0, v.size], turning_points(v, least), _holds(v, least)]))
-    legs: list[tuple[int, int, bool | None]] = []
+    branches: list[tuple[int, int, bool | None]] = []
     for a, b in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
         change = float(v[min(b, v.size - 1)] - v[a])
-        legs.append((a, b, None if abs(change) < least else change > 0))
-    return legs
+        branches.append((a, b, None if abs(change) < least else change > 0))
+    return branches
 
 
 def _holds(v: Array, least: float) -> NDArray[np.intp]:

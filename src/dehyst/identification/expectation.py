@@ -15,12 +15,12 @@ from dehyst._views.lines import percent
 from dehyst.identification.checks import RemainingError
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict
 from dehyst.identification.rules import RULES
-from dehyst.model import Outcome, Promise, Validity, distances, legs, paces_of, temperature_range
+from dehyst.model import Outcome, Promise, Validity, branches_of, distances, paces_of, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
 # The subtracted noise is known to this part.
 _NOISE_KNOWN = 0.1
-# Held-out legs may go beyond the voltages of the others by this part of the range.
+# Held-out branches may go beyond the voltages of the others by this part of the range.
 _BEYOND = 0.02
 # Branches below this part of the fastest pace are slow; how many slow and fast ones show how an error grows.
 _SLOW, _FEW = 1 / 3, 6
@@ -185,8 +185,8 @@ def validity_of(
     span = float(np.ptp(np.concatenate([voltage for _, voltage in voltages])))
     if validation and validated:
         judged = validation
-        pairs = ([records[q].voltage[legs(records[q].voltage, span)] for q in part] for part in (validation, training))
-        other = new_legs(*map(np.concatenate, pairs))
+        pairs = [record.voltage[branches_of(record.voltage, span)] for record in records]
+        other = new_branches(*(np.concatenate([pairs[q] for q in part]) for part in (validation, training)))
         new = max(new[0], other[0]), max(new[1], other[1])
     vibration = max(remaining[q].vibration_amplitude for q in judged)
     # A path does not have the sensor's noise, as far as that is known.
@@ -217,7 +217,7 @@ def growth(traces: Sequence[Trace], span: float) -> tuple[float, float]:
     """
     found = []
     for trace in (trace.settled for trace in traces):
-        at, error = legs(trace.voltage, span), np.square(trace.residual - trace.residual.mean())
+        at, error = branches_of(trace.voltage, span), np.square(trace.residual - trace.residual.mean())
         squares = [error[first : last + 1].mean() for first, last in at.tolist()]
         found.append(np.column_stack([paces_of(trace.time, trace.voltage, at), squares, np.diff(at, axis=1)]))
     every = np.concatenate(found)
@@ -229,10 +229,10 @@ def growth(traces: Sequence[Trace], span: float) -> tuple[float, float]:
     return float(grown**0.5), float(min(grown * (pace**2 @ samples) / max(square @ samples, 1e-300), 1.0))
 
 
-def new_legs(held_out: Array, others: Array) -> tuple[float, float]:
+def new_branches(held_out: Array, others: Array) -> tuple[float, float]:
     """Return the distances of held-out rises, and of held-out falls, from others: `Validity.new`.
 
-    Both are legs (k, 2) [V]. Held-out ones beyond the others' voltages do not count.
+    Both are branches (k, 2) [V]. Held-out ones beyond the others' voltages do not count.
     """
     if not len(others):
         return 0.0, 0.0

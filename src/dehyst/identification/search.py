@@ -17,14 +17,14 @@ import numpy as np
 
 from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
-from dehyst.identification.expectation import new_legs
+from dehyst.identification.expectation import new_branches
 from dehyst.identification.frame import FOLDS, Frame, part_of, tuned, zero_of
 from dehyst.identification.motion import creep_times, moved
 from dehyst.identification.program import Program, Solution, with_folds
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.rules import RULES
 from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, legs
+from dehyst.model import Actuator, branches_of
 from dehyst.records import bandwidth, rms
 
 _PLAIN = Structure(elements=20, knots=21, smoothing=1e-3)
@@ -52,7 +52,7 @@ _WORSE = 0.5
 # A larger disagreement, as a part of the stroke, indicates a failed fit.
 _FAILED = 0.2
 # Random turning points of the path on which models are compared, and its samples from one to the next.
-_PATH_TURNS, _LEG = 40, 24
+_PATH_TURNS, _BRANCH = 40, 24
 
 
 @dataclass(frozen=True)
@@ -364,12 +364,12 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
     """
     low, high = frame.voltages
     turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _PATH_TURNS)])
-    voltage = np.concatenate([np.linspace(a, b, _LEG, endpoint=False) for a, b in pairwise(turns)])
+    voltage = np.concatenate([np.linspace(a, b, _BRANCH, endpoint=False) for a, b in pairwise(turns)])
     time = np.arange(voltage.size) * frame.times[0]
 
     def played(one: Actuator) -> Array:
         path = one.simulate(voltage, time=time, extrapolate=True).displacement
-        return path[4 * _LEG :]
+        return path[4 * _BRANCH :]
 
     mine, squares, weights = played(actuator), [], []
     # Another smoothing is no other structure.
@@ -392,11 +392,11 @@ def new_in_time(frame: Frame) -> tuple[float, float]:
     part, pairs = [], []
     for item in frame.training:
         voltage = item.record.voltage
-        at = legs(voltage, high - low)
+        at = branches_of(voltage, high - low)
         # A branch is in the part that its middle is in.
         part.append(part_of(np.asarray(at.mean(axis=1) / len(voltage))) % FOLDS)
         pairs.append(voltage[at])
     of, every = np.concatenate(part), np.concatenate(pairs)
-    squares = [np.square(new_legs(every[of == k], every[of != k])) for k in range(FOLDS)]
+    squares = [np.square(new_branches(every[of == k], every[of != k])) for k in range(FOLDS)]
     rising, falling = np.sqrt(np.mean(squares, axis=0)).tolist()
     return rising, falling

@@ -17,11 +17,11 @@ from dehyst.waveforms import FASTER, STEEPEST
 if TYPE_CHECKING:
     from dehyst.model.promise import Validity
 
-# A voltage turns where it goes back by this part of the range; legs that differ by less than a quarter are one.
+# A voltage turns where it goes back by this part of the range; branches that differ by less than a quarter are one.
 BAND = 0.02
 # Cells of the plane of turning points on each side, and how many around a passed one are tested: 5 % of the range.
 CELLS, _AROUND = 40, 2
-# A voltage rests where it moves at less than this part of the mean speed of its leg.
+# A voltage rests where it moves at less than this part of the mean speed of its branch.
 _AT_REST = 0.1
 # Paces and holds count as tested up to this ratio, and voltages within this part of the range.
 ALIKE, _BEYOND = 1.5, 0.02
@@ -29,7 +29,7 @@ ALIKE, _BEYOND = 1.5, 0.02
 _NARROWEST = 0.1
 
 
-def legs(voltage: Array, span: float) -> NDArray[np.intp]:
+def branches_of(voltage: Array, span: float) -> NDArray[np.intp]:
     """Return the first and last samples (k, 2) of each rise and fall of a voltage (n,) [V]; `span`: the range [V].
 
     A first one that begins between the ends of the voltage does not count, as the voltage before is not known.
@@ -43,7 +43,7 @@ def legs(voltage: Array, span: float) -> NDArray[np.intp]:
 
 
 def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
-    """Return mean speed [V/s] and rate of turns [1/s] of each of the `legs` (k, 2), without the time at rest."""
+    """Return mean speed [V/s] and rate of turns [1/s] of each of the `branches` (k, 2), without the time at rest."""
     if not len(at):
         return np.zeros((0, 2))
     step, height = np.diff(time), np.abs(np.diff(voltage[at], axis=1)[:, 0])
@@ -55,7 +55,7 @@ def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     return np.column_stack([height / seconds, 1 / seconds])
 
 
-def longest_hold(time: Array, voltage: Array, span: float) -> float:
+def hold_of(time: Array, voltage: Array, span: float) -> float:
     """Return the longest time [s] that a voltage stays within a fiftieth of the `span`, which includes slow motion."""
     place = np.round(voltage / (BAND * span))
     begins = np.append(0, np.flatnonzero(np.diff(place)) + 1)
@@ -63,10 +63,10 @@ def longest_hold(time: Array, voltage: Array, span: float) -> float:
 
 
 def distances(path: Array, others: Array) -> Array:
-    """Return the distance (k,) of each leg (k, 2) from the nearest of the `others` (m, 2) in the same direction.
+    """Return the distance (k,) of each branch (k, 2) from the nearest of the `others` (m, 2) in the same direction.
 
     The distance combines, by root of squares, the distance of the first turning points and the overrun beyond the other
-    leg's end. It is at most the leg's own height.
+    branch's end. It is at most the branch's own height.
     """
     found = np.abs(path[:, 1] - path[:, 0])
     for sign in (1.0, -1.0):
@@ -81,13 +81,13 @@ def distances(path: Array, others: Array) -> Array:
     return np.asarray(found)
 
 
-def tested_loops(legs_: Array, edges: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the cells (n, n) of a plane that test a rise, and those that test a fall, from legs (k, 2) [V].
+def tested_loops(branches: Array, edges: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the cells (n, n) of a plane that test a rise, and those that test a fall, from branches (k, 2) [V].
 
-    `edges` (n + 1,) [V]: of the cells. A row belongs to an upper voltage, a column to a lower one. A leg tests the
+    `edges` (n + 1,) [V]: of the cells. A row belongs to an upper voltage, a column to a lower one. A branch tests the
     cells within two of where it begins, from there to two beyond where it ends.
     """
-    cells, rising, places = _cells(legs_, edges), legs_[:, 1] > legs_[:, 0], np.arange(len(edges) - 1)
+    cells, rising, places = _cells(branches, edges), branches[:, 1] > branches[:, 0], np.arange(len(edges) - 1)
     low, high = np.sort(cells, axis=1).T[:, :, None]
     passed = (places >= low - _AROUND) & (places <= high + _AROUND)
     beside = np.abs(places - cells[:, :1]) <= _AROUND
@@ -97,14 +97,14 @@ def tested_loops(legs_: Array, edges: Array) -> tuple[NDArray[np.bool_], NDArray
 
 
 def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_], edges: Array) -> NDArray[np.bool_]:
-    """Return for each leg (k, 2) [V] whether its cell is tested; the others are as in `tested_loops`."""
+    """Return for each branch (k, 2) [V] whether its cell is tested; the others are as in `tested_loops`."""
     lower, upper = _cells(np.sort(path, axis=1), edges).T
     return np.asarray(np.where(path[:, 1] > path[:, 0], rising[upper, lower], falling[upper, lower]))
 
 
-def _cells(legs_: Array, edges: Array) -> NDArray[np.intp]:
-    """Return the cells of the ends of legs (k, 2)."""
-    return np.clip(np.searchsorted(edges, legs_, side="right") - 1, 0, len(edges) - 2)
+def _cells(branches: Array, edges: Array) -> NDArray[np.intp]:
+    """Return the cells of the ends of branches (k, 2)."""
+    return np.clip(np.searchsorted(edges, branches, side="right") - 1, 0, len(edges) - 2)
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def untested_by(
         yield Untested("voltages", words, excite_command(*ends))
     path = voltage[at]
     edges = np.linspace(low, high, CELLS + 1)
-    outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.legs, edges), edges)))
+    outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Random turns are a test of those between them.
     if outside and not validity.turns_anywhere:
         yield Untested(
@@ -167,7 +167,7 @@ def untested_by(
         half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
         yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
-    hold = max(waits, longest_hold(time, voltage, validity.span))
+    hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
         yield Untested("hold", words, excite_command(high, low, f"--hold {hold:.2g} ", "staircase"))
@@ -179,10 +179,10 @@ def not_recorded(validity: Validity) -> Iterator[Untested]:
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
         yield Untested("turns", words, excite_command(high, low))
-    leg = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
-    if leg and validity.hold < leg:
+    branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
+    if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * leg):.2g} ", "staircase"))
+        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * branch):.2g} ", "staircase"))
 
 
 def _paced(high: float, low: float, speed: float, faster: float) -> str:

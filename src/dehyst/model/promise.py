@@ -23,7 +23,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import keep, number
 from dehyst._views.fields import json_values
-from dehyst.model.branches import BAND, Untested, distances, legs, longest_hold, not_recorded, paces_of, untested_by
+from dehyst.model.branches import BAND, Untested, branches_of, distances, hold_of, not_recorded, paces_of, untested_by
 from dehyst.model.dynamics import Thermal
 from dehyst.model.entries import demand_keys
 from dehyst.model.states import stroke_of
@@ -42,7 +42,7 @@ _BEGINS = {
     "bottom": " from the bottom, after a fall,",
     "fitted": " from its fitted start",
 }
-# Legs that are kept of the records.
+# Branches that are kept of the records.
 _MOST = 600
 # Records whose promise any path like them is so new for, as a part of the range, do not turn at random.
 _NEW = 0.02
@@ -50,7 +50,7 @@ _NEW = 0.02
 _TURNS = 60
 # The bound of the largest error, and that of the RMS error: what the records show, times these.
 LARGEST, RMS = 5.5, 2.2
-# Factors of the promised errors where the path closes loops and fewer legs of the records than this part do; and
+# Factors of the promised errors where the path closes loops and fewer branches of the records than this part do; and
 # where the records leave open who lags.
 _CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
 # The largest constant offset of a path, of its largest error, if the sensor is zeroed at its first sample.
@@ -74,7 +74,7 @@ _RESTS = 0.02
 # Entries of a validity in a file, and their names.
 _ENTRIES = (
     "rms_m=rms largest_m=largest disagreement_m=disagreement growth_m=growth stroke_m=stroke limits_V=limits new "
-    "speeds_V_per_s=speeds rates_per_s=rates hold_s=hold lag_s=lag temperatures_degC=temperatures legs_V=legs"
+    "speeds_V_per_s=speeds rates_per_s=rates hold_s=hold lag_s=lag temperatures_degC=temperatures branches_V=branches"
 )
 
 
@@ -94,16 +94,16 @@ class Validity:
         Range of the widest loop [m].
     limits : (float, float)
         Lowest and highest voltage of the records [V].
-    legs : (k, 2) array
+    branches : (k, 2) array
         Voltages between which the records went [V].
     new : (float, float)
         RMS distance of held-out rises, and of held-out falls, from all others, as a part of the voltage range.
     speeds : (float, float)
-        Lowest and highest mean speed of a leg [V/s].
+        Lowest and highest mean speed of a branch [V/s].
     rates : (float, float)
-        Lowest and highest rate of turns: the reciprocal time of a leg without the time at rest [1/s].
+        Lowest and highest rate of turns: the reciprocal time of a branch without the time at rest [1/s].
     growth : float
-        Increase of the RMS error [m] from slow legs to the fastest one.
+        Increase of the RMS error [m] from slow branches to the fastest one.
     hold : float
         Longest time at one voltage [s].
     lag : float
@@ -117,7 +117,7 @@ class Validity:
     disagreement: float
     stroke: float
     limits: tuple[float, float]
-    legs: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    branches: Array = field(default_factory=lambda: np.zeros((0, 2)))
     new: tuple[float, float] = (0.0, 0.0)
     speeds: tuple[float, float] = (0.0, 0.0)
     rates: tuple[float, float] = (0.0, 0.0)
@@ -127,7 +127,7 @@ class Validity:
     temperatures: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        kept = np.array(self.legs, dtype=np.float64).reshape(-1, 2)
+        kept = np.array(self.branches, dtype=np.float64).reshape(-1, 2)
         names = "rms", "largest", "disagreement", "stroke", "growth", "hold", "lag"
         numbers = {name: number(getattr(self, name), name) for name in names}
         given = {name: getattr(self, name) for name in ("limits", "new", "speeds", "rates", "temperatures")}
@@ -136,11 +136,11 @@ class Validity:
         }
         wrong = [name for name, value in numbers.items() if value < 0]
         if wrong or not np.isfinite(kept).all() or not self.stroke or any(p and len(p) != 2 for p in pairs.values()):
-            raise ModelError(f"validity: {', '.join(wrong) or 'legs or pairs'}: need finite numbers of 0 or more")
+            raise ModelError(f"validity: {', '.join(wrong) or 'branches or pairs'}: need finite numbers of 0 or more")
         low, high = pairs["temperatures"] or (0.0, 0.0)
         if not (pairs["limits"][0] < pairs["limits"][1] and low <= high):
             raise ModelError(f"validity: limits or temperatures: got {pairs}, need the lower one first")
-        keep(self, legs=kept, **numbers, **pairs)
+        keep(self, branches=kept, **numbers, **pairs)
 
     @classmethod
     def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
@@ -150,15 +150,15 @@ class Validity:
         limits = min(ends), max(ends)
         span, pairs, paces, hold = limits[1] - limits[0], [], [], 0.0
         for time, voltage in given:
-            at = legs(voltage, span)
+            at = branches_of(voltage, span)
             pairs.append(voltage[at])
             paces.append(paces_of(time, voltage, at))
-            hold = max(hold, longest_hold(time, voltage, span))
+            hold = max(hold, hold_of(time, voltage, span))
         every = np.concatenate(paces)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * BAND * span)), axis=0) * (0.25 * BAND * span)
         kept = kept[:: 1 + len(kept) // _MOST]
         speeds, rates = np.array([every.min(axis=0), every.max(axis=0)]).T if len(every) else np.zeros((2, 2))
-        return cls(limits=limits, legs=kept, speeds=speeds, rates=rates, hold=hold, **numbers)
+        return cls(limits=limits, branches=kept, speeds=speeds, rates=rates, hold=hold, **numbers)
 
     @property
     def span(self) -> float:
@@ -174,7 +174,7 @@ class Validity:
 
     @property
     def turns_anywhere(self) -> bool:
-        """Whether held-out legs differ from the others as those of any path do, as with random turning points."""
+        """Whether held-out branches differ from the others as those of any path do, as with random turning points."""
         return newness(self, _anywhere(self))[2] <= _NEW
 
     @cached_property
@@ -374,28 +374,28 @@ def _anywhere(validity: Validity) -> Array:
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
-    """Return the legs (k, 2) of a voltage (n,) [V], and the newness of each leg (k,) and of all.
+    """Return the branches (k, 2) of a voltage (n,) [V], and the newness of each branch (k,) and of all.
 
-    Newness is the distance from the records' legs minus the distance of the held-out legs, as a part of the range. The
-    newness of all legs is the larger of two root mean squares, of rises and of falls.
+    Newness is the distance from the records' branches minus that of the held-out branches, as a part of the range. The
+    newness of all branches is the larger of two root mean squares, of rises and of falls.
     """
-    at = legs(voltage, validity.span) if voltage.size > 1 else np.zeros((0, 2), dtype=np.intp)
+    at = branches_of(voltage, validity.span) if voltage.size > 1 else np.zeros((0, 2), dtype=np.intp)
     path = voltage[at]
-    apart, rising = distances(path / validity.span, validity.legs / validity.span), path[:, 1] > path[:, 0]
+    apart, rising = distances(path / validity.span, validity.branches / validity.span), path[:, 1] > path[:, 0]
     ways = (rising, validity.new[0]), (~rising, validity.new[1])
     means = [float(np.sqrt(np.mean(apart[way] ** 2))) - held_out for way, held_out in ways if way.any()]
     return at, apart - np.where(rising, *validity.new), max(0.0, *means, 0.0)
 
 
-def _closing(legs_: Array, span: float) -> float:
-    """Return the share of legs (k, 2) [V] that one from their end retraces to their beginning, or beyond."""
-    (begin, end), band = legs_.T, BAND * span
+def _closing(branches: Array, span: float) -> float:
+    """Return the share of branches (k, 2) [V] that one from their end retraces to their beginning, or beyond."""
+    (begin, end), band = branches.T, BAND * span
     back = np.sign(end - begin)[:, None] * (end - begin[:, None]) <= band
-    return float(np.mean((back & (np.abs(begin - end[:, None]) <= band)).any(axis=1))) if len(legs_) else 0.0
+    return float(np.mean((back & (np.abs(begin - end[:, None]) <= band)).any(axis=1))) if len(branches) else 0.0
 
 
 def _grown(new: Array | float) -> Array:
-    """Return how many times the bound is larger of legs with a newness (k,), a part of the range."""
+    """Return how many times the bound is larger of branches with a newness (k,), a part of the range."""
     return np.asarray(np.exp(_GROWS * np.clip(new, 0.0, _NEWEST)))
 
 
@@ -403,14 +403,14 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
     """Return the factor of the kind of a path: at how many places its branches (k, 2) are, and its holds."""
     if not len(at):
         return 1.0
-    opens = _closing(validity.legs, validity.span) < _CLOSING <= _closing(voltage[at], validity.span)
+    opens = _closing(validity.branches, validity.span) < _CLOSING <= _closing(voltage[at], validity.span)
     range_, height = float(np.ptp(voltage)), float(np.abs(np.diff(voltage[at], axis=1)).mean())
     factor = (_OPEN if opens else 1.0) * (range_ / height) ** _PLACES * min(range_ / validity.span, 1.0) ** _RANGE
     if time is None or time.size < 2:
         return float(factor)
     seconds, speed = np.diff(time), np.abs(np.diff(voltage) / np.diff(time))
     resting = float(seconds[speed < _RESTS * speed.max()].sum() / seconds.sum())
-    longer = longest_hold(time, voltage, validity.span) / validity.hold if validity.hold else 1.0
+    longer = hold_of(time, voltage, validity.span) / validity.hold if validity.hold else 1.0
     return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import ModelError, RecordError
 from dehyst.control import shortest_homing
 from dehyst.control.planning.ways import MOST_ROWS
-from dehyst.model import legs, paces_of, temperatures_to_record, words_of
+from dehyst.model import branches_of, paces_of, temperatures_to_record, words_of
 from dehyst.operations.command import (
     INPUT,
     NUMBER,
@@ -168,7 +168,7 @@ def _excited(
     degrees = temperatures_to_record(None, temperatures)
     if frequency is not None:
         return _written(make(frequency), output, temperatures=degrees)
-    # The slowest one that is short enough, or one hardly longer than the fastest; with a warning, legs are lengthened.
+    # The slowest one that is short enough, or hardly longer than the fastest; with a warning, branches are lengthened.
     possible = [(make(hertz), hertz) for hertz in _FREQUENCIES]
     possible = [each for each in possible if not each[0].warnings] or possible
     most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
@@ -230,7 +230,7 @@ def _written(
         what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
         advice = (_BEFORE,)
     else:
-        branches = paces_of(excitation.time, excitation.voltage, legs(excitation.voltage, high - low))[:, 0]
+        branches = paces_of(excitation.time, excitation.voltage, branches_of(excitation.voltage, high - low))[:, 0]
         what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
         what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"

@@ -387,18 +387,18 @@ class Record(Plotted):
     def cycles(self) -> list[Span]:
         """Return the full cycles between successive voltage minima, or maxima if these give more.
 
-        The record's start (or end) counts as an extreme if its leg covers 0.9 of the next leg, so that one excursion up
-        and down is one cycle. A slice includes both its turning points: neighbours share one sample.
+        The record's start (or end) counts as an extreme if its branch covers 0.9 of the next branch, so that one
+        excursion up and down is one cycle. A slice includes both its turning points: neighbours share one sample.
         """
         turns = reversals(self)
         if not len(turns):
             return []
-        # The outermost sample of the first and of the last leg.
+        # The outermost sample of the first and of the last branch.
         ends = self.voltage[turns[0] :: -1], self.voltage[turns[-1] :]
-        before, after = (int(np.argmax(np.abs(leg - leg[0]))) for leg in ends)
+        before, after = (int(np.argmax(np.abs(branch - branch[0]))) for branch in ends)
         points = np.concatenate(([turns[0] - before], turns, [turns[-1] + after]))
-        legs = np.abs(np.diff(self.voltage[points]))
-        points = points[int(legs[0] < 0.9 * legs[1]) : len(points) - int(legs[-1] < 0.9 * legs[-2])]
+        branches = np.abs(np.diff(self.voltage[points]))
+        points = points[int(branches[0] < 0.9 * branches[1]) : len(points) - int(branches[-1] < 0.9 * branches[-2])]
         # An odd number has one more of the outer kind; otherwise there are as many minima as maxima, and minima count.
         first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
         return [slice(int(a), int(b) + 1) for a, b in pairwise(points[first::2])]

@@ -50,8 +50,8 @@ def excitation(rig: AbstractRig, *corners: float, name: str = "corners", step: f
     """Return straight lines from one voltage to the next, of 0.8 `step` [V] and 0.8 of the slew rate at most."""
     rate = rig.nearest_rate(min(_RATE, rig.slew_rate / step))
     most = 0.8 * min(step, rig.slew_rate / rate)
-    legs = [np.linspace(a, b, int(np.ceil(abs(b - a) / most)) + 1)[1:] for a, b in pairwise(corners)]
-    return Excitation(name, np.concatenate([[corners[0]], *legs]), rate)
+    branches = [np.linspace(a, b, int(np.ceil(abs(b - a) / most)) + 1)[1:] for a, b in pairwise(corners)]
+    return Excitation(name, np.concatenate([[corners[0]], *branches]), rate)
 
 
 def _fine_step(rig: AbstractRig) -> float:

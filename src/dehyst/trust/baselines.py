@@ -25,11 +25,11 @@ from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import demand_result, keep, number, vector
 from dehyst.identification import Prepared, as_list, prepare
-from dehyst.model import AbstractModel, Motion, State, legs, on_curve
+from dehyst.model import AbstractModel, Motion, State, branches_of, on_curve
 from dehyst.records import Record
 
 _PLACES = 50
-# A leg of the major loop covers this part of the longest one; least slope of a branch as a part of the mean slope.
+# A branch of the major loop covers this part of the longest one; least slope of a branch as a part of the mean slope.
 _WIDE, _LEAST_SLOPE = 0.9, 0.05
 
 
@@ -193,13 +193,13 @@ class TwoBranches(AbstractBaseline):
 
     @classmethod
     def fit(cls, records: Record | Sequence[Record]) -> TwoBranches:
-        """Tabulate the means of the longest legs of the widest record, rising and falling, at 51 voltages.
+        """Tabulate the means of the longest branches of the widest record, rising and falling, at 51 voltages.
 
-        Raise `RecordError` if a record cannot be used, and `IdentifyError` if there is none, or no leg in a direction.
+        Raise `RecordError` if a record cannot be used, `IdentifyError` if there is none, or no branch in a direction.
         """
         record = widest_record(records)
         low, high = record.voltage_range
-        at = legs(record.voltage, high - low)
+        at = branches_of(record.voltage, high - low)
         height = np.diff(record.voltage[at], axis=1)[:, 0]
         wide = np.abs(height) >= _WIDE * np.abs(height).max(initial=0.0)
         places = np.linspace(low, high, _PLACES + 1)
@@ -207,7 +207,7 @@ class TwoBranches(AbstractBaseline):
         branches = []
         for direction, name in ((1, "rises"), (-1, "falls")):
             chosen = at[wide & (direction * height > 0)]
-            # The first leg may begin anywhere in the hysteresis.
+            # The first branch may begin anywhere in the hysteresis.
             chosen = chosen[1:] if len(chosen) > 1 and not chosen[0, 0] else chosen
             if not len(chosen):
                 raise IdentifyError(
@@ -228,5 +228,5 @@ def _tabulated(voltage: Array, displacement: Array, places: Array, slope: float)
     x, y = (np.bincount(part, values, places.size - 1)[seen] / count[seen] for values in (voltage, displacement))
     ramp = _LEAST_SLOPE * slope * places
     if x.size < 2:
-        raise IdentifyError("two branches: too few samples between the ends of a leg; sample faster")
+        raise IdentifyError("two branches: too few samples between the ends of a branch; sample faster")
     return np.asarray(isotonic_regression(on_curve(x, y, places) - ramp).x + ramp)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
-from dehyst.model import CELLS, legs, paces_of, tested_loops
+from dehyst.model import CELLS, branches_of, paces_of, tested_loops
 
 # Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn
 # and in which a voltage is held.
@@ -121,7 +121,7 @@ def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
     The first rise or fall begins at the first turning point, because the voltage before the record is unknown. A record
     that begins at an end of its range has its first turning point there.
     """
-    at, band = legs(voltage, span), _BAND * span
+    at, band = branches_of(voltage, span), _BAND * span
     alike: dict[tuple[int, int], list[Turn]] = {}
     for (first, last), speed in zip(at.tolist(), paces_of(time, voltage, at)[:, 0].tolist(), strict=True):
         begin, end = float(voltage[first]), float(voltage[last])

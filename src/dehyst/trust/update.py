@@ -422,7 +422,7 @@ def _with_record(old: Validity, record: Record, missed: float, most: float) -> V
     pairs = {name: (min(ends), max(ends)) for name, ends in both.items()}
     names = "rms", "largest", "disagreement", "hold"
     numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
-    return replace(old, legs=np.concatenate([old.legs, new.legs]), temperatures=warmth, **pairs, **numbers)
+    return replace(old, branches=np.concatenate([old.branches, new.branches]), temperatures=warmth, **pairs, **numbers)
 
 
 def _grown(actuator: Actuator, factor: float, fixed: float) -> Actuator:

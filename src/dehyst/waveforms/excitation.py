@@ -1,4 +1,4 @@
-"""Voltages to play on uniform samples: legs between turning points, within limits and a slew rate."""
+"""Voltages to play on uniform samples: branches between turning points, within limits and a slew rate."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def refuse_long(samples: int, rate: float) -> None:
     if samples > _MOST_SAMPLES:
         raise RecordError(
             f"got {samples:.4g} samples, {samples / rate:.4g} s at {rate:g} Hz, need {_MOST_SAMPLES:g} at most; lower "
-            "the sample rate, or request fewer or faster legs"
+            "the sample rate, or request fewer or faster branches"
         )
 
 
@@ -49,7 +49,7 @@ class Excitation:
     sample_rate : float
         [Hz].
     warnings : tuple of str
-        Sentences about legs that take longer than requested.
+        Sentences about branches that take longer than requested.
     axes : tuple of str
         Names of several axes.
     parts : tuple of (str, int, int)
@@ -105,16 +105,16 @@ class Excitation:
         return self.voltage[[0, *turning, -1]]
 
 
-_CYCLE_SAMPLES, _LEG_SAMPLES = 400, 4
-# Largest slope of a leg over its mean slope.
+_CYCLE_SAMPLES, _BRANCH_SAMPLES = 400, 4
+# Largest slope of a branch over its mean slope.
 STEEPEST = math.pi / 2
 # The share of the largest voltage that rounding may add to a step: the cosine's argument, up to 2 pi, rounded twice.
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)
-# A slew rate may be exceeded by this share, so that a leg that meets it exactly is not changed.
+# A slew rate may be exceeded by this share, so that a branch that meets it exactly is not changed.
 _SLACK = 9e-10
 
 
-class Leg(NamedTuple):
+class Branch(NamedTuple):
     """A monotone stretch of a voltage from `start` to `end` [V], or a hold; `seconds`: as `requested`, or free."""
 
     start: float
@@ -143,7 +143,7 @@ class Sampling:
     Parameters
     ----------
     frequency : float
-        Cycles per second [Hz]; a leg between two turning points takes half a cycle, regardless of its height, to the
+        Cycles per second [Hz]; a branch between two turning points takes half a cycle, regardless of its height, to the
         nearest sample, and is half a cosine (paper, Sec. 3).
     sample_rate : float, optional
         [Hz]; by default 400 samples a cycle.
@@ -155,7 +155,7 @@ class Sampling:
         Lowest and highest voltage [V] allowed. A voltage outside is an error, because clipped tops would be another
         protocol.
     slew_rate : float, optional
-        Largest abs(dv/dt) [V/s]; legs that would be steeper take longer, with a warning.
+        Largest abs(dv/dt) [V/s]; branches that would be steeper take longer, with a warning.
 
     Raises
     ------
@@ -175,7 +175,7 @@ class Sampling:
         for name in ("frequency", "sample_rate", "slew_rate"):
             if name == "frequency" or getattr(self, name) is not None:
                 keep(self, **{name: positive(getattr(self, name), name)})
-        if self.rate < 2 * _LEG_SAMPLES * self.frequency:
+        if self.rate < 2 * _BRANCH_SAMPLES * self.frequency:
             got, hint = f"{self.rate:g} Hz for {self.frequency:g} Hz", f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
             raise RecordError(argument="sample_rate", got=got, need="8 samples a cycle at least", hint=hint)
         if self.limits is not None:
@@ -207,16 +207,16 @@ class Sampling:
         pace = f" --base {self.base:g} --frequency {self.frequency:.3g}"
         return f"dehyst excite {protocol}{pace}{limits} -o voltage.csv"
 
-    def lead_in(self, highest: float) -> list[Leg]:
-        """Return the leg from the present voltage to the base, at the mean speed of a leg of `highest` [V].
+    def lead_in(self, highest: float) -> list[Branch]:
+        """Return the branch from the present voltage to the base, at the mean speed of a branch of `highest` [V].
 
-        It takes at most half a cycle; there is no leg if the present voltage is the base.
+        It takes at most half a cycle; there is no branch if the present voltage is the base.
         """
         way = abs(self.start - self.base)
-        return [Leg(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
+        return [Branch(self.start, self.base, self.half * way / max(way, highest), requested=False)] if way else []
 
-    def legs(self, path: Sequence[float]) -> list[Leg]:
-        """Return the legs between the voltages of a `path` (m,) [V], m >= 2.
+    def branches(self, path: Sequence[float]) -> list[Branch]:
+        """Return the branches between the voltages of a `path` (m,) [V], m >= 2.
 
         Raise `RecordError` if two successive voltages are equal.
         """
@@ -224,44 +224,44 @@ class Sampling:
             if a == b:
                 got = f"{a:.9g} V twice in a row"
                 raise RecordError(argument="turns", got=got, need="different voltages", hint="leave one out")
-        return [Leg(a, b, self.half) for a, b in pairwise(path)]
+        return [Branch(a, b, self.half) for a, b in pairwise(path)]
 
-    def play(self, name: str, legs: Sequence[Leg]) -> Excitation:
-        """Return the excitation `name` of successive `legs`; all checks come before memory is allocated.
+    def play(self, name: str, branches: Sequence[Branch]) -> Excitation:
+        """Return the excitation `name` of successive `branches`; all checks come before memory is allocated.
 
         Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate
         is so low that steps between samples are lost in rounding.
         """
-        ends = [legs[0].start, *(leg.end for leg in legs)]
+        ends = [branches[0].start, *(branch.end for branch in branches)]
         self._refuse_outside(ends, name)
         step = self._largest_step(max(map(abs, ends)))
-        requested = [self._requested(leg) for leg in legs]
-        steepest = [STEEPEST * abs(leg.end - leg.start) for leg in legs]
+        requested = [self._requested(branch) for branch in branches]
+        steepest = [STEEPEST * abs(branch.end - branch.start) for branch in branches]
         counts = [max(n, math.ceil(height / step)) for n, height in zip(requested, steepest, strict=True)]
         total = sum(counts)
         refuse_long(1 + total, self.rate)
-        parts = (leg.sampled(count) for leg, count in zip(legs, counts, strict=True))
+        parts = (branch.sampled(count) for branch, count in zip(branches, counts, strict=True))
         voltage = np.concatenate([ends[:1], *parts])
-        planned = zip(legs, requested, counts, strict=True)
-        longer = [(n, m) for leg, n, m in planned if leg.requested and m > 1.000001 * n]
+        planned = zip(branches, requested, counts, strict=True)
+        longer = [(n, m) for branch, n, m in planned if branch.requested and m > 1.000001 * n]
         if not longer:
             return Excitation(name, voltage, self.rate)
         n, m = max(longer, key=lambda pair: pair[1] / pair[0])
-        moving = sum(leg.requested and leg.start != leg.end for leg in legs)
+        moving = sum(branch.requested and branch.start != branch.end for branch in branches)
         intended = total - sum(m - n for n, m in longer)
         warning = (
-            f"{len(longer)} of {moving} legs are slower than requested, to keep {self.slew_rate:g} V/s: up to "
+            f"{len(longer)} of {moving} branches are slower than requested, to keep {self.slew_rate:g} V/s: up to "
             f"{m / self.rate:.4g} s instead of {n / self.rate:.4g} s, and {total / self.rate:.5g} s instead of "
             f"{intended / self.rate:.5g} s in all"
         )
         return Excitation(name, voltage, self.rate, (warning,))
 
-    def _requested(self, leg: Leg) -> int:
+    def _requested(self, branch: Branch) -> int:
         """Return the number of samples for the requested time."""
-        samples = leg.seconds * self.rate
-        if leg.start == leg.end:
+        samples = branch.seconds * self.rate
+        if branch.start == branch.end:
             return max(1, math.ceil(samples * (1 - 1e-12)))
-        return max(_LEG_SAMPLES, math.floor(samples + 0.5))
+        return max(_BRANCH_SAMPLES, math.floor(samples + 0.5))
 
     def _largest_step(self, highest: float) -> float:
         """Return the largest step [V] from one sample to the next, for voltages up to `highest`."""

@@ -18,7 +18,7 @@ from dehyst._validation import Numbers, choice, count, keep, vector
 from dehyst.waveforms.excitation import positive, refuse_long
 
 # Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
-CYCLE_SAMPLES, LEG_SAMPLES = 400, 4
+CYCLE_SAMPLES, BRANCH_SAMPLES = 400, 4
 # Largest speed and acceleration of the least jerk, over height per time and per time squared.
 FASTEST, HARDEST = 1.875, 10 / sqrt(3)
 # A limit may be exceeded by this share, so that a motion that meets it exactly passes.
@@ -53,17 +53,17 @@ def rounded(value: float, towards: Callable[[float], int]) -> str:
 
 
 def samples_of(seconds: float, rate: float) -> int:
-    """Return the samples of a duration [s], rounded up; raise `RecordError` for too few for a leg, or over 5e7."""
+    """Return the samples of a duration [s], rounded up; raise `RecordError` for too few for a branch, or over 5e7."""
     samples = seconds * rate * (1 - 1e-12)
-    if samples > LEG_SAMPLES - 1:
+    if samples > BRANCH_SAMPLES - 1:
         refuse_long(int(min(samples, 1e15)) + 1, rate)
         return ceil(samples)
     few = f"{samples:.3g}"
     raise RecordError(
         argument="sample_rate",
         got=f"{rate:g} Hz, {few} sample{'s' * (few != '1')} for {seconds:.4g} s",
-        need=f"{LEG_SAMPLES} at least",
-        hint=f"try {LEG_SAMPLES / seconds:.4g} Hz",
+        need=f"{BRANCH_SAMPLES} at least",
+        hint=f"try {BRANCH_SAMPLES / seconds:.4g} Hz",
     )
 
 

@@ -24,15 +24,15 @@ _TURNS = 0.1
 class Triangle(Scan):
     """A path up and down between two displacements; it begins at rest at the lower displacement.
 
-    Both legs are whole numbers of samples. See `Scan` for the fields that are not listed.
+    Both branches are whole numbers of samples. See `Scan` for the fields that are not listed.
 
     Parameters
     ----------
     low, high : float
         Turning points [m], met exactly.
     turns : float, optional
-        Share of the time of each leg that is spent turning, half of it at either end; above 0 and up to 1. By default
-        as short as the acceleration allows, or 0.1 without a limit.
+        Share of the time of each branch that is spent turning, half of it at either end; above 0 and up to 1. By
+        default as short as the acceleration allows, or 0.1 without a limit.
     rising : float
         Share of the period in which the path rises; other than 1/2: a saw-tooth.
     """
@@ -52,7 +52,7 @@ class Triangle(Scan):
         if self.rising == 1:
             need = "a share below 1, because the way back takes time"
             raise RecordError(argument="rising", got="1", need=need, hint="try 0.9")
-        _ = self.legs
+        _ = self.branches
         what = f"a triangle of {self.height * 1e6:.6g} um at {self.frequency:.6g} Hz"
         self.limits.refuse(what, self.peaks, self.frequency, self.height)
 
@@ -66,20 +66,20 @@ class Triangle(Scan):
         return base.CYCLE_SAMPLES * self.frequency
 
     @cached_property
-    def legs(self) -> tuple[int, int]:
-        """Samples of the rising and of the falling leg."""
+    def branches(self) -> tuple[int, int]:
+        """Samples of the rising and of the falling branch."""
         up, down = (base.samples_of(share / self.frequency, self.rate) for share in (self.rising, 1 - self.rising))
         return up, down
 
     @property
     def samples(self) -> int:
         """Samples of a period."""
-        return sum(self.legs)
+        return sum(self.branches)
 
     @cached_property
     def edges(self) -> tuple[Edge, Edge]:
-        """The rising and the falling leg."""
-        up, down = (count / self.rate for count in self.legs)
+        """The rising and the falling branch."""
+        up, down = (count / self.rate for count in self.branches)
         return self._edge(self.low, self.high, up), self._edge(self.high, self.low, down)
 
     def _edge(self, start: float, end: float, seconds: float) -> Edge:
@@ -95,8 +95,8 @@ class Triangle(Scan):
         return max(abs(edge.speed) for edge in self.edges), max(edge.acceleration for edge in self.edges)
 
     def _travel(self, axis: str) -> Travel:
-        legs = zip(self.edges, self.legs, strict=True)
-        return Travel.joined(edge.at(np.arange(count) / self.rate) for edge, count in legs)
+        branches = zip(self.edges, self.branches, strict=True)
+        return Travel.joined(edge.at(np.arange(count) / self.rate) for edge, count in branches)
 
 
 _EDGE_SAMPLES = 50
@@ -279,7 +279,7 @@ class Raster(Scan):
     def _travel(self, axis: str) -> Travel:
         if axis == "x":
             return Travel(*(np.tile(row, self.lines + self.pause) for row in self.fast.path().rows))
-        forth, retrace = self.fast.legs
+        forth, retrace = self.fast.branches
         still, levels = np.zeros(forth), np.linspace(*self._ends, self.lines)
         line = Travel.joined([Travel(still, still, still), self._step.at(np.arange(retrace) / self.rate)])
         y = levels[:-1, None] + line.displacement
@@ -295,11 +295,11 @@ class Raster(Scan):
     @property
     def _step(self) -> Step:
         """Return y of a staircase from one line to the next, from 0."""
-        return Step(0.0, self._height / (self.lines - 1), self.fast.legs[1] / self.rate)
+        return Step(0.0, self._height / (self.lines - 1), self.fast.branches[1] / self.rate)
 
     def _return(self, back: int) -> Step:
         """Return y on its way back to the first line, in `back` periods of x and the rest of the last line."""
-        seconds = (back * self.fast.samples + self.fast.legs[1]) / self.rate
+        seconds = (back * self.fast.samples + self.fast.branches[1]) / self.rate
         low, high = self._ends
         return Step(high, low, seconds)
 

@@ -20,7 +20,7 @@ from dehyst._errors import RecordError
 from dehyst._types import Array
 from dehyst._validation import DEFAULT_AXES, axis_names
 from dehyst._validation import count as whole
-from dehyst.waveforms.excitation import STEEPEST, Excitation, Leg, Sampling, positive, voltages, volts
+from dehyst.waveforms.excitation import STEEPEST, Branch, Excitation, Sampling, positive, voltages, volts
 
 _PAPER, _PACE = Sampling(), Sampling(0.1)
 # The recommended excitation: major loops, falling tops, cycles that each of its two holds lasts, random turning points
@@ -29,8 +29,8 @@ _LOOPS, _TOPS, _HOLD, _TURNS, _HELD, FASTER = 2, 5, 3.0, (12, 12, 24), 10, 25.0
 # Least samples of a cycle at the largest speed.
 _FEWEST = 16
 _MOST_TURNS = 1_000_000
-# Least height of a leg between random turning points, as a part of the range; its time, as a part of half a cycle.
-_LEAST_LEG, _SHORT = 0.08, 0.3
+# Least height of a branch between random turning points, as a part of the range; its time, as a part of half a cycle.
+_LEAST_BRANCH, _SHORT = 0.08, 0.3
 # Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
 # Periods of the axes of a stage moving together, in those of the first one: powers of the plastic number repeat never.
@@ -50,18 +50,18 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     """
     top, hold = _top(highest, drive), _HOLD / drive.frequency
     height, tops = top - drive.base, [*(top,) * _LOOPS, *_tops(top, _TOPS, drive)[1:]]
-    legs = drive.legs([drive.base, *(v for peak in tops for v in (peak, drive.base))])
-    legs.insert(2 * _LOOPS - 1, Leg(top, top, hold))
+    branches = drive.branches([drive.base, *(v for peak in tops for v in (peak, drive.base))])
+    branches.insert(2 * _LOOPS - 1, Branch(top, top, hold))
     steepest = math.inf if drive.slew_rate is None else drive.slew_rate / (2 * STEEPEST * drive.frequency * height)
     fastest = max(1.0, min(FASTER, drive.rate / (_FEWEST * drive.frequency), steepest))
     speeds = np.repeat(fastest ** np.array([0.0, 0.5, 1.0]), _TURNS).tolist()
     now = drive.base
     for k, (turn, speed) in enumerate(zip([*_random_turns(len(speeds)), 0.0], [*speeds, 1.0], strict=True), 1):
         end = drive.base + height * turn
-        legs.append(Leg(now, end, drive.half * (_SHORT + (1 - _SHORT) * abs(end - now) / height) / speed))
-        legs += [Leg(end, end, hold)] if k == _HELD else []
+        branches.append(Branch(now, end, drive.half * (_SHORT + (1 - _SHORT) * abs(end - now) / height) / speed))
+        branches += [Branch(end, end, hold)] if k == _HELD else []
         now = end
-    return drive.play("recommended", drive.lead_in(height) + legs)
+    return drive.play("recommended", drive.lead_in(height) + branches)
 
 
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
@@ -112,7 +112,7 @@ def staircase(
             places.append(places[-1] - 1)
     levels = np.linspace(drive.base, top, number + 1).tolist()
     path = [levels[i] for i in places] + [levels[number - i] for i in places[1:]]
-    stairs = [part for a, b in pairwise(path) for part in (Leg(a, b, moving), Leg(b, b, waiting))]
+    stairs = [part for a, b in pairwise(path) for part in (Branch(a, b, moving), Branch(b, b, waiting))]
     return drive.play("staircase", drive.lead_in(top - drive.base) + stairs)
 
 
@@ -134,7 +134,7 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     if not 0 < len(stops) <= _MOST_TURNS:
         got = f"{len(stops)} beside the present {drive.start:g} V"
         raise RecordError(argument="turns", got=got, need=f"1 to {_MOST_TURNS} voltages")
-    return drive.play("homing", drive.legs([drive.start, *stops]))
+    return drive.play("homing", drive.branches([drive.start, *stops]))
 
 
 def stage_excitation(
@@ -202,18 +202,18 @@ def stage_excitation(
     return Excitation("stage", np.concatenate(blocks), drives[0].rate, axes=names, parts=tuple(parts))
 
 
-def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, leg: int = 200) -> Array:
-    """Return a path through turning points in shares of the stroke, joined by cosines of `leg` samples."""
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, leg + 1) / leg)
-    legs = [start + (end - start) * rise for start, end in pairwise(turns)]
-    return stroke * np.concatenate([[turns[0]], *legs])
+def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, branch: int = 200) -> Array:
+    """Return a path through turning points in shares of the stroke, joined by cosines of `branch` samples."""
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, branch + 1) / branch)
+    branches = [start + (end - start) * rise for start, end in pairwise(turns)]
+    return stroke * np.concatenate([[turns[0]], *branches])
 
 
 def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
     """Return the excitation from the present voltage to the base and on through the turning points."""
     path = [drive.base, *turns]
-    legs = drive.legs(path)
-    return drive.play(name, drive.lead_in(max(path) - min(path)) + legs)
+    branches = drive.branches(path)
+    return drive.play(name, drive.lead_in(max(path) - min(path)) + branches)
 
 
 def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
@@ -230,7 +230,7 @@ def _random_turns(count: int) -> list[float]:
     """Return a number of alternating top and bottom turning points, as parts of the range."""
     rng, turns = np.random.default_rng(0), [0.0]
     for k in range(count):
-        below, above = (turns[-1] + _LEAST_LEG, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_LEG)
+        below, above = (turns[-1] + _LEAST_BRANCH, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_BRANCH)
         turns.append(float(rng.uniform(below, above)))
     return turns[1:]
 

@@ -258,7 +258,7 @@ def _everett_table(training: Training, n: int, least: float) -> Array:
 
 
 def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tuple[bool, _Curve]]:
-    """Yield, for each leg after `first` that leaves the major loop, whether it falls, and its curve."""
+    """Yield, for each branch after `first` that leaves the major loop, whether it falls, and its curve."""
     v, y, near = piece.voltage, piece.displacement, _NEAR * (high - low)
     turns = reversals(piece)
     ends = np.append(turns, len(v) - 1)
@@ -270,11 +270,11 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
         outermost = v[a] > high - near if falls else v[a] < low + near
         from_end = before < low + near if falls else before > high - near
         if outermost or (k and from_end):
-            leg = slice(a, b + 1)
-            order = np.argsort(v[leg], kind="stable")
-            everett = y[a] - y[leg] if falls else y[leg] - y[a]
+            branch = slice(a, b + 1)
+            order = np.argsort(v[branch], kind="stable")
+            everett = y[a] - y[branch] if falls else y[branch] - y[a]
             rate = float(abs(v[b] - v[a]) / (piece.time[b] - piece.time[a]))
-            yield falls, _Curve(float(v[a]), v[leg][order], everett[order], rate)
+            yield falls, _Curve(float(v[a]), v[branch][order], everett[order], rate)
 
 
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:

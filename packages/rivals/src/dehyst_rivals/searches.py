@@ -25,8 +25,8 @@ def searched_delay(
     answer is good to 1 % of a sample. `voltage` (n,): of the samples that count [V]: loops of one height have to
     explain more. `stroke`: [m]. `points`: delays of the first, even scan.
     """
-    legs = np.abs(np.diff(voltage[turning_points(voltage, 0.02 * float(np.ptp(voltage)))]))
-    one_height = legs.size < 2 or legs.min() > _ONE_HEIGHT * legs.max()
+    branches = np.abs(np.diff(voltage[turning_points(voltage, 0.02 * float(np.ptp(voltage)))]))
+    one_height = branches.size < 2 or branches.min() > _ONE_HEIGHT * branches.max()
     share = _AT_TURNS if one_height else _GAIN
     cost = cache(cost)
 

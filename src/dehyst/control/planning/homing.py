@@ -1,7 +1,7 @@
 """Homing: a voltage through the limits that leads from any state to a known state.
 
-It is simulated in time from the states that bound all histories; the number of its legs and its holds follow from the
-tolerance, or from the time that it may take.
+It is simulated in time from the states that bound all histories; the number of its branches and its holds follow from
+the tolerance, or from the time that it may take.
 
 If the order of voltages alone determines the state, every voltage keeps the order of states. Then the two extreme
 equilibria, on either branch of the major loop, bound every state at rest, and two simulations propagate the bounds
@@ -40,19 +40,19 @@ from dehyst.model import (
     turned,
     voltages_of,
 )
-from dehyst.waveforms import Excitation, Leg, Sampling
+from dehyst.waveforms import Branch, Excitation, Sampling
 
-# Least duration of a leg of a homing [s].
-FASTEST_LEG = 0.5
+# Least duration of a branch of a homing [s].
+FASTEST_BRANCH = 0.5
 # Share of the range of the spring's knots: the error of a good model; creep takes long to leave less.
 _TOLERANCE = 1e-3
-# Duration of a leg: this share of the longest time constant, and at least this many periods of a resonance.
-_LEG, _PERIODS = 0.05, 50.0
+# Duration of a branch: this share of the longest time constant, and at least this many periods of a resonance.
+_BRANCH, _PERIODS = 0.05, 50.0
 # A mass and a lag are at rest after this many of their time constants.
 _RESTS = 12.0
-# Most legs; two more are added if they reduce the spread to less than this share.
-_MOST_LEGS, _FEWER = 12, 0.7
-# Samples of a leg in rough simulations; fewest samples that a `Sampling` takes for a cycle.
+# Most branches; two more are added if they reduce the spread to less than this share.
+_MOST_BRANCHES, _FEWER = 12, 0.7
+# Samples of a branch in rough simulations; fewest samples that a `Sampling` takes for a cycle.
 _SAMPLES, _LEAST_CYCLE = 60, 8
 # Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
 _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
@@ -109,7 +109,7 @@ def shortest_homing(
     """Find a short voltage that leads from any state to a known state.
 
     It goes through the limits, or only through the range of the model's records where that is narrower and suffices.
-    Its legs and holds are just long enough for the model. For a real actuator, a larger excursion homes it too.
+    Its branches and holds are just long enough for the model. For a real actuator, a larger excursion homes it too.
 
     Parameters
     ----------
@@ -122,14 +122,14 @@ def shortest_homing(
         Allowed difference of the displacement [m] between any two histories; default: 1e-3 of the range of the
         spring's knots.
     drive : Sampling, optional
-        Speed and shape of the legs; default: legs of 50 s, or a twentieth of the longest creep time constant, and no
-        shorter than fifty periods of a resonance.
+        Speed and shape of the branches; default: branches of 50 s, or a twentieth of the longest creep time constant,
+        and no shorter than fifty periods of a resonance.
     hold : float, optional
         Time [s] to wait at the last visit of either limit. Default: as long as the tolerance requires; if no hold
         suffices, the longest time constant of creep.
     within : float, optional
-        Longest duration [s]: holds are shorter, and legs faster, than the tolerance requires. Default: as long as the
-        tolerance requires.
+        Longest duration [s]: holds are shorter, and branches faster, than the tolerance requires. Default: as long as
+        the tolerance requires.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def shortest_homing(
     ModelError
         If there are no limits, `present` or `end` lies outside them, or a number is impossible.
     RecordError
-        If the legs cannot be short enough within the slew rate of `drive`.
+        If the branches cannot be short enough within the slew rate of `drive`.
     """
     if not isinstance(actuator, Actuator):
         raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
@@ -156,7 +156,7 @@ def shortest_homing(
     if hold is not None and number(hold, "hold") < 0:
         raise ModelError(argument="hold", got=hold, need="0 or more seconds")
     within = time_allowed(within)
-    sampling = drive or Sampling(frequency=0.5 / leg_seconds(actuator))
+    sampling = drive or Sampling(frequency=0.5 / branch_seconds(actuator))
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
     for through in (recorded, allowed) if recorded[0] < recorded[1] and recorded != allowed else (allowed,):
@@ -170,7 +170,7 @@ def shortest_homing(
 class _TimedHoming:
     """A homing over time through both `limits`, from the states that bound all histories within what is allowed.
 
-    Its parameters are the number of legs, and the holds [s] at the last visit of either limit.
+    Its parameters are the number of branches, and the holds [s] at the last visit of either limit.
     """
 
     def __init__(
@@ -187,29 +187,29 @@ class _TimedHoming:
         self.states = possible_states(actuator, ends[0], allowed, sampling.half)
         # The longest time constant of creep [s].
         self.longest = float(creep_times(actuator).max(initial=0.0))
-        self._cycle = self._few(self.sampling.legs(_way_through(limits, ends[1], ends[1], 2)))
+        self._cycle = self._few(self.sampling.branches(_way_through(limits, ends[1], ends[1], 2)))
 
     def homing(self, hold: float | None, within: float | None) -> Homing:
         """Return the shortest homing; with a `hold` [s] this is given, and it may take no longer than `within` [s]."""
         start, stop = self.ends
         known, spread = self.left(np.array([start]), np.zeros(1))
         if start == stop and spread <= self.tolerance and hold is None:
-            return Homing((start,), known, True, (), self.sampling.play("homing", [Leg(start, start, 0.0)]), spread)
+            return Homing((start,), known, True, (), self.sampling.play("homing", [Branch(start, start, 0.0)]), spread)
         wait = _rest_seconds(self.actuator) if hold is None else float(hold)
         if hold is None and self.longest:
             needed = self.needed(wait)
             wait = self.longest if needed is None else needed
-        legs = self.best(wait)[0]
-        excitation = self.sampling.play("homing", self.path(legs, wait))
+        branches = self.best(wait)[0]
+        excitation = self.sampling.play("homing", self.path(branches, wait))
         if within is not None and excitation.duration > within:
-            legs, wait, excitation = self.shortened(within)
+            branches, wait, excitation = self.shortened(within)
         state, spread = self.left(excitation.voltage, excitation.time)
         return Homing(
-            self.turns(legs), state, spread <= self.tolerance, tuple(self.remarks(wait, spread)), excitation, spread
+            self.turns(branches), state, spread <= self.tolerance, tuple(self.remarks(wait, spread)), excitation, spread
         )
 
     def shortened(self, within: float) -> tuple[int, float, Excitation]:
-        """Return legs, holds [s] and voltage of a homing that takes no longer than `within` [s]."""
+        """Return branches, holds [s] and voltage of a homing that takes no longer than `within` [s]."""
         excitation = self.sampling.play("homing", self.path(2, 0.0))
         if excitation.duration > within:
             frequency = self.sampling.frequency * excitation.duration / within
@@ -243,16 +243,16 @@ class _TimedHoming:
             )
 
     def best(self, hold: float) -> tuple[int, float]:
-        """Return the best number of legs with these holds, and roughly the spread [m]."""
-        legs, spread = 2, self._rough_spread(2, hold)
-        for more in range(4, _MOST_LEGS + 1, 2):
+        """Return the best number of branches with these holds, and roughly the spread [m]."""
+        branches, spread = 2, self._rough_spread(2, hold)
+        for more in range(4, _MOST_BRANCHES + 1, 2):
             if spread <= self.tolerance:
                 break
             less = self._rough_spread(more, hold)
             if less > _FEWER * spread:
                 break
-            legs, spread = more, less
-        return legs, spread
+            branches, spread = more, less
+        return branches, spread
 
     def needed(self, hold: float) -> float | None:
         """Return holds [s] that keep the tolerance; None if there are none. `hold` [s]: tried first."""
@@ -274,24 +274,24 @@ class _TimedHoming:
             low, high = (middle, high) if misses(middle) else (low, middle)
         return high
 
-    def turns(self, legs: int) -> tuple[float, ...]:
+    def turns(self, branches: int) -> tuple[float, ...]:
         """Return the voltages [V] to visit, the present voltage first."""
-        return _way_through(self.limits, *self.ends, legs)
+        return _way_through(self.limits, *self.ends, branches)
 
-    def path(self, legs: int, hold: float) -> list[Leg]:
-        """Return the legs through the turns, with a hold at the last visit of either limit."""
-        turns = self.turns(legs)
+    def path(self, branches: int, hold: float) -> list[Branch]:
+        """Return the branches through the turns, with a hold at the last visit of either limit."""
+        turns = self.turns(branches)
         # A hold below a sample is none.
         last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold * self.sampling.rate > 1}
-        path: list[Leg] = []
-        for k, leg in enumerate([None, *self.sampling.legs(turns)]):
-            path += [] if leg is None else [leg]
-            path += [Leg(turns[k], turns[k], hold)] if last.get(turns[k]) == k else []
+        path: list[Branch] = []
+        for k, branch in enumerate([None, *self.sampling.branches(turns)]):
+            path += [] if branch is None else [branch]
+            path += [Branch(turns[k], turns[k], hold)] if last.get(turns[k]) == k else []
         return path
 
-    def holds(self, legs: int) -> int:
+    def holds(self, branches: int) -> int:
         """Return the number of holds in a path, or 1."""
-        return max(1, len(self.path(legs, math.inf)) - len(self.path(legs, 0.0)))
+        return max(1, len(self.path(branches, math.inf)) - len(self.path(branches, 0.0)))
 
     def left(self, voltage: Array, time: Array) -> tuple[State, float]:
         """Return the middle of the states at the end, and the spread [m] there and along a further cycle."""
@@ -302,19 +302,19 @@ class _TimedHoming:
             paths.append(np.append(self._played(*self._cycle, end)[0], end.deformation))
         return middle_of(ends), float(np.ptp(paths, axis=0).max())
 
-    def _rough_spread(self, legs: int, hold: float) -> float:
-        return self.left(*self._few(self.path(legs, hold)))[1]
+    def _rough_spread(self, branches: int, hold: float) -> float:
+        return self.left(*self._few(self.path(branches, hold)))[1]
 
-    def _few(self, legs: Sequence[Leg]) -> tuple[Array, Array]:
-        """Return a coarse sampling of legs: voltage [V] and time [s]."""
-        voltage, time = [np.array([legs[0].start])], [np.zeros(1)]
-        for leg in legs:
+    def _few(self, branches: Sequence[Branch]) -> tuple[Array, Array]:
+        """Return a coarse sampling of branches: voltage [V] and time [s]."""
+        voltage, time = [np.array([branches[0].start])], [np.zeros(1)]
+        for branch in branches:
             share = np.arange(1, _SAMPLES + 1) / _SAMPLES
-            if leg.start == leg.end:
+            if branch.start == branch.end:
                 # Creep is fastest at the beginning.
                 share = share**3
-            voltage.append(leg.start + (leg.end - leg.start) * share)
-            time.append(time[-1][-1] + leg.seconds * share)
+            voltage.append(branch.start + (branch.end - branch.start) * share)
+            time.append(time[-1][-1] + branch.seconds * share)
         return np.concatenate(voltage), np.concatenate(time)
 
     def _played(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
@@ -322,26 +322,26 @@ class _TimedHoming:
         return motion.displacement, motion.state
 
 
-def _way_through(limits: tuple[float, float], start: float, stop: float, legs: int) -> tuple[float, ...]:
-    """Return the voltages [V] of the shorter way through both limits with `legs` visits; up first if both are equal."""
+def _way_through(limits: tuple[float, float], start: float, stop: float, branches: int) -> tuple[float, ...]:
+    """Return the voltages [V] of the shorter way through both limits in `branches` visits; up first if equal."""
     low, high = limits
     ways = []
     for first, second in ((high, low), (low, high)):
         visited = [start]
-        for turn in [*[first, second] * (legs // 2), stop]:
+        for turn in [*[first, second] * (branches // 2), stop]:
             if turn != visited[-1]:
                 visited.append(turn)
         ways.append(tuple(visited))
     return min(ways, key=lambda way: sum(abs(b - a) for a, b in pairwise(way)))
 
 
-def leg_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
-    """Return the default duration [s] of a leg: a share of the longest creep time constant; without creep, `otherwise`.
+def branch_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
+    """Return the default duration [s] of a branch: a share of the longest creep time constant, or `otherwise`.
 
     It is long enough for an amplifier's lag and a resonance to follow.
     """
     times = creep_times(actuator)
-    seconds = _LEG * float(times.max()) if times.size else otherwise
+    seconds = _BRANCH * float(times.max()) if times.size else otherwise
     if actuator.dynamics is not None:
         seconds = max(seconds, _PERIODS / actuator.dynamics.frequency)
     return max(seconds, _RESTS * actuator.lag)
@@ -419,8 +419,8 @@ def possible_states(
     There are two states, the lower one first, if these provably bound all others. There are more for an actuator with
     smooth elements or a mass that acts on the voltage. `limits` [V]: range of all earlier voltages, widened to include
     the `voltage` [V], for an actuator that depends on time; default: the actuator's limits. `half` [s]:
-    approximate duration of the legs of random histories. Raise `ModelError` if the voltage is not finite, or the limits
-    are no interval.
+    approximate duration of the branches of random histories. Raise `ModelError` if the voltage is not finite, or the
+    limits are no interval.
     """
     v = number(voltage, "voltage")
     lengths = np.zeros(0) if actuator.smooth is None else actuator.smooth.length
@@ -440,7 +440,7 @@ def possible_states(
         for end in (_on_major_loop(actuator, low, 1), _on_major_loop(actuator, high, -1))
         for share in ((1.0, 0.0, -1.0) if lengths.size else (1.0,))
     ]
-    # The last leg takes no time.
+    # The last branch takes no time.
     now = np.zeros(1)
     states = [played(state, [v], now) for state in rested]
     if not keeps_order(actuator):

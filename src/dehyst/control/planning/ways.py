@@ -14,13 +14,13 @@ from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import VoltageLimits
-from dehyst.control.planning.homing import FASTEST_LEG, Homing, leg_seconds, shortest_homing
+from dehyst.control.planning.homing import FASTEST_BRANCH, Homing, branch_seconds, shortest_homing
 from dehyst.control.planning.plan import HOMING, WAY
 from dehyst.control.planning.start import PossibleStart, model_error
 from dehyst.model import Actuator, State, slew_rate_of_records, state_at, stroke_of
-from dehyst.waveforms import Leg, Sampling, volts
+from dehyst.waveforms import Branch, Sampling, volts
 
-# Fewest samples of a leg at the path's sample rate, and samples of a leg where a path has no time.
+# Fewest samples of a branch at the path's sample rate, and samples of a branch where a path has no time.
 _FEWEST, _TIMELESS = 25, 100
 # Share of the range of the spring's knots: a homing in time must leave no more, if the model is better than that; and
 # where there is no promise, a path that is missed by more is not followed.
@@ -29,8 +29,8 @@ TOLERANCE = 1e-3
 _ROUNDS = 3
 # Relative difference of times that is rounding.
 _ROUNDING = 1e-9
-# A homing of more samples has longer steps: this many a leg, and a period of a resonance.
-_EVEN_SAMPLES, _LEG_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
+# A homing of more samples has longer steps: this many a branch, and a period of a resonance.
+_EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
 # If these are still too many, most samples of a hold are left out: their times grow by this factor.
 _SPARSER = 1.02
 # A homing is long if it takes this many times the path that follows; a shorter one has this many times its error.
@@ -94,7 +94,7 @@ def usual_step(time: Array | None) -> float:
     """Return the usual step [s] of a path at `time` (n,) [s]; 1 if the path has no time."""
     if time is None:
         return 1.0
-    return float(np.median(np.diff(time))) if time.size > 1 else FASTEST_LEG / _FEWEST
+    return float(np.median(np.diff(time))) if time.size > 1 else FASTEST_BRANCH / _FEWEST
 
 
 def way_to(
@@ -107,9 +107,9 @@ def way_to(
     """
     actuator, (low, high), state, step = loop.actuator, loop.limits, begin.state, usual_step(time)
     now, rate = loop._held(state) if begin.volts is None else begin.volts, 1 / step
-    leg = max(FASTEST_LEG, _FEWEST * step)
-    leg = float(_TIMELESS) if time is None else max(leg, leg_seconds(actuator, leg))
-    drive = Sampling(0.5 / leg, rate, base=now, present=now, limits=(low, high), slew_rate=pace(loop))
+    branch = max(FASTEST_BRANCH, _FEWEST * step)
+    branch = float(_TIMELESS) if time is None else max(branch, branch_seconds(actuator, branch))
+    drive = Sampling(0.5 / branch, rate, base=now, present=now, limits=(low, high), slew_rate=pace(loop))
     if not home:
         ramp, goal, reached = _ramp(actuator, drive, state, first)
         start = PossibleStart(begin.start.name, (state,))
@@ -188,7 +188,7 @@ def _before_path(homed: Way, ramp: Array, rate: float, rows: int) -> Way:
 def _ramp(actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
     """Return the voltages [V] before the first sample [m] of a path, its own voltage, and the state before it.
 
-    The way takes a share of a leg's duration, but at least enough time for a mass and an amplifier to follow.
+    The way takes a share of a branch's duration, but at least enough time for a mass and an amplifier to follow.
     """
     low, high = drive.limits or (-np.inf, np.inf)
     still = replace(actuator, displacement_creep=None, state=None)  # type: ignore[arg-type]
@@ -197,8 +197,8 @@ def _ramp(actuator: Actuator, drive: Sampling, state: State, first: float) -> tu
         end = min(max(actuator.voltage(state_at(actuator, reached, first)), low), high)
         if end == begin:
             return EMPTY, end, state
-        seconds = max(drive.half * abs(end - begin) / (high - low), leg_seconds(still, 0.0))
-        voltage = drive.play("way", [Leg(begin, end, seconds, requested=False)]).voltage
+        seconds = max(drive.half * abs(end - begin) / (high - low), branch_seconds(still, 0.0))
+        voltage = drive.play("way", [Branch(begin, end, seconds, requested=False)]).voltage
         time = np.arange(voltage.size) / drive.rate
         reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
         ramp = voltage[:-1]
@@ -227,7 +227,7 @@ def played_homing(
     """
     rate = drive.rate
     # A long homing has a sample rate of its own: that of the path over a whole number.
-    needed = 2 * _LEG_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
+    needed = 2 * _BRANCH_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
     if actuator.dynamics is not None:
         needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
     drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
@@ -242,7 +242,7 @@ def played_homing(
         homing = found(drive)
     if within is not None or len(homing.turns) < 2 or homing.played.duration <= _LONG * path:
         return homing, None
-    # Without holds, and with the fewest legs as no tolerance asks for more.
+    # Without holds, and with the fewest branches as no tolerance asks for more.
     short = found(drive, hold=0.0, tolerance=1.0)
     return homing, short if short.played.duration < homing.played.duration / _LONG else None
 
