@@ -161,7 +161,7 @@ def test_less_weight_for_large_residuals_is_robust():
     voltage[::50] += 0.2 * VOLTS * np.random.default_rng(0).uniform(0, 1, voltage[::50].size)
     outliers = replace(program, rows=replace(program.rows, voltage=voltage))
     squares = outliers.solved()
-    robust = outliers.reweighted(squares)
+    robust = outliers.reweighted(squares)[1]
     errors = [np.abs(found.stiffness - plant.actuator.slip.stiffness[:, None]).max() for found in (squares, robust)]
     assert errors[1] < 0.2 * errors[0]
 

@@ -115,6 +115,8 @@ class Program:
         says too how elements respond where the path moves.
     folds : int
         Parts of the rows that can be held out, by `fold` (n,).
+    weights : (n,) array, optional
+        Of the rows.
     toward : (q,) array, optional
         Unknowns of static columns: differences from them are alike, and small; by default the unknowns are alike.
     """
@@ -127,6 +129,7 @@ class Program:
     near: Solution | None = None
     folds: int = 1
     fold: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    weights: Array | None = None
     toward: Array | None = None
 
     def __len__(self) -> int:
@@ -299,16 +302,13 @@ class Program:
     @cached_property
     def sums(self) -> list[NormalEquations]:
         """Weighted sums of the rows of each fold."""
-        return self._sums_of(None)
-
-    def _sums_of(self, weights: Array | None) -> list[NormalEquations]:
         found = [NormalEquations.none(self.size, self.free_columns.shape[1]) for _ in range(self.folds)]
         fold = self.fold if self.fold.size else np.zeros(len(self), dtype=np.intp)
         for part, own in self._weighted():
             goal, number = self.target[part], fold[part]
-            if weights is not None:
-                goal = goal * weights[part]
-                np.multiply(own, weights[part, None], out=own)
+            if self.weights is not None:
+                goal = goal * self.weights[part]
+                np.multiply(own, self.weights[part, None], out=own)
             for k in np.unique(number).tolist():
                 rows = slice(None) if np.all(number == k) else number == k
                 found[k] = found[k].with_rows(own[rows], goal[rows])
@@ -321,16 +321,15 @@ class Program:
             total, count = total - self.sums[without], int(np.count_nonzero(self.fold != without))
         return self._solve(total, count, like)
 
-    def reweighted(self, like: Solution) -> Solution:
-        """Return nearly the solution of least absolute residuals, by less weight for larger ones."""
-        found = like
+    def reweighted(self, like: Solution) -> tuple[Program, Solution]:
+        """Return nearly the program of least absolute residuals, by less weight for larger ones, and its solution."""
+        program, found = self, like
         for _ in range(_REWEIGHTED):
-            missed = np.abs(self.residual(found))
-            middle = float(np.median(missed))
-            weights = np.sqrt(middle / np.maximum(missed, _LEAST_MISSED * middle))
-            sums = self._sums_of(weights)
-            found = self._solve(sum(sums[1:], sums[0]), len(self.rows), found)
-        return found
+            missed = np.abs(program.residual(found))
+            program = replace(self, weights=np.sqrt(1 / np.maximum(missed / np.median(missed), _LEAST_MISSED)))
+            program.__dict__.update({name: getattr(self, name) for name in ("scale", "responses", "target")})
+            found = program.solved(found)
+        return program, found
 
     def unknowns_of(self, model: Solution) -> Array:
         """Return the unknowns (q,) of elements, spring, smooth elements and tau that a model has."""

@@ -319,8 +319,9 @@ def static(
     if swings:
         frame = tuned(best.frame, best.source, best.program, best.found)
         best = replace(best, frame=frame)
-    final = fitted(best.frame, best.structure, _MOST, free, int(bool(free)), best.found)
-    final = replace(final, names=names, found=final.program.reweighted(final.found))
+    final = replace(fitted(best.frame, best.structure, _MOST, free, int(bool(free)), best.found), names=names)
+    program, found = final.program.reweighted(final.found)
+    final = min(final, replace(final, program=program, found=found), key=lambda made: made.held_out)
     final.__dict__["held_out"] = best.held_out
     return final, trials, made
 
