@@ -181,7 +181,7 @@ class Program:
     def size(self) -> int:
         """Number of all columns."""
         bounded = sum(part.value.size for part in self._split[1])
-        return self.free_columns.shape[1] + self.grid.places["transformer"].stop + bounded
+        return int(self.free_columns.shape[1] + self.grid.places["transformer"].stop + bounded)
 
     def _write_static(self, out: Array, part: slice) -> None:
         """Write the columns of elements, spring, smooth elements and tau, in the order of `Grid.places`, of some rows.

@@ -212,10 +212,10 @@ def moving(
             search.always = (*search.always, "thermal")
         else:
             frame = cold(frame)
-    # Drifts by the logarithm of time or in proportion to it, and creep.
+    # Creep, and drifts by the logarithm of time or in proportion to it.
     items, steady = frame.training, [replace(item, steady=True) for item in frame.training]
-    ways = [(("drift",), items, ""), (("drift",), steady, ", in proportion to time")] if drift else []
-    ways += [(("creep", "begun"), items, "")] if more else []
+    ways = list[tuple[tuple[str, ...], Any, str]]([(("creep", "begun"), items, "")] if more else [])
+    ways += [(("drift",), items, ""), (("drift",), steady, ", in proportion to time")] if drift else []
     base = search.better(best, frame, ("delay",)) if lag else best
     beside = [
         search.tried(replace(base.frame, training=items), (*search.own(base), *names), words, base.found)

@@ -137,8 +137,8 @@ class Validity:
         wrong = [name for name, value in numbers.items() if value < 0]
         if wrong or not np.isfinite(kept).all() or not self.stroke or any(p and len(p) != 2 for p in pairs.values()):
             raise ModelError(f"validity: {', '.join(wrong) or 'branches or pairs'}: need finite numbers of 0 or more")
-        low, high = pairs["temperatures"] or (0.0, 0.0)
-        if not (pairs["limits"][0] < pairs["limits"][1] and low <= high):
+        (low, high), (cold, warm) = pairs["limits"] or (0.0, 0.0), pairs["temperatures"] or (0.0, 0.0)
+        if not (low < high and cold <= warm):
             raise ModelError(f"validity: limits or temperatures: got {pairs}, need the lower one first")
         keep(self, branches=kept, **numbers, **pairs)
 
@@ -156,9 +156,9 @@ class Validity:
             hold = max(hold, hold_of(time, voltage, span))
         every = np.concatenate(paces)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * BAND * span)), axis=0) * (0.25 * BAND * span)
-        kept = kept[:: 1 + len(kept) // _MOST]
-        speeds, rates = np.array([every.min(axis=0), every.max(axis=0)]).T if len(every) else np.zeros((2, 2))
-        return cls(limits=limits, branches=kept, speeds=speeds, rates=rates, hold=hold, **numbers)
+        least, most = (every.min(axis=0), every.max(axis=0)) if len(every) else np.zeros((2, 2))
+        numbers |= {"speeds": (least[0], most[0]), "rates": (least[1], most[1]), "hold": hold}
+        return cls(limits=limits, branches=kept[:: 1 + len(kept) // _MOST], **numbers)
 
     @property
     def span(self) -> float:

@@ -107,7 +107,7 @@ def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
 def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:
     sentence = f"{len(slip)} elements, {int(np.count_nonzero(slip.friction > 0))} of them with stiffness"
     if isinstance(slip, GradedSlip):
-        y = np.linspace(*spring.displacement[[0, -1]], _PLACES)
+        y = np.linspace(spring.displacement[0], spring.displacement[-1], _PLACES)
         slopes = spring.slopes[segment_of(spring.displacement, y)] + slip.slopes_at(y[:, None]).sum(axis=1)
         y, k, least, most = 1e6 * y, 1e-6 * slopes, int(np.argmin(slopes)), int(np.argmax(slopes))
         sentence += (

@@ -419,7 +419,7 @@ def _with_record(old: Validity, record: Record, missed: float, most: float) -> V
         warmth = min(warmth[0], float(record.temperature.min())), max(warmth[1], float(record.temperature.max()))
     new = Validity.by_records(played, rms=missed, largest=most, disagreement=missed, stroke=old.stroke)
     both = {name: (*getattr(old, name), *getattr(new, name)) for name in ("limits", "speeds", "rates")}
-    pairs = {name: (min(ends), max(ends)) for name, ends in both.items()}
+    pairs: dict[str, Any] = {name: (min(ends), max(ends)) for name, ends in both.items()}
     names = "rms", "largest", "disagreement", "hold"
     numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
     return replace(old, branches=np.concatenate([old.branches, new.branches]), temperatures=warmth, **pairs, **numbers)
