@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, packed, path_of, reading_errors, write_atomically
+from dehyst._io import COMPUTED, PathLike, packed, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
@@ -89,11 +89,13 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     found |= {channel.name: column.name for channel, column in others}
     if columns.rate is not None:
         found["time"] = f"index / {columns.rate:.9g} Hz"
+    planned = [name for name in table.names if name.endswith(COMPUTED) and columns.displacement is None]
     meta = {
         "source": f"{table.source}{''.join(f', {quantity} {words}' for quantity, words in scales.items())}",
         "sha256": table.sha256,
         **({"axes": [f"{axis}={text}" for axis, text in columns.axes.items()]} if columns.axes else {"columns": found}),
         **({"scales": scales} if scales else {}),
+        **({"computed": planned} if planned else {}),
         **({"guesses": known} if (known := {key: guess for key, guess in guesses.items() if guess}) else {}),
         **({"remarks": sentences} if (sentences := [*table.remarks, *remarks]) else {}),
     }
@@ -102,7 +104,6 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
         if any(part.entry.scale is not None and part.entry.scale.kind for part in used_as.values()):
             need = "one voltage and one displacement; read each axis by itself"
             raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
-        # Each axis is checked by itself.
         records = [
             Record(time, part["voltage"].values, part["displacement"].values, f"{name} ({axis})")
             for axis, part in parts.items()
@@ -178,9 +179,8 @@ def write_record(path: PathLike, record: Record) -> None:
     CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
     displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
     Guesses from reading (``record.meta["guesses"]``), a `hold` other than "line", and the names of channels other than
-    temperatures are kept in a comment above the table or in an additional array; cells of the displacement
-    are blank (NaN) where it is not measured. An existing file is replaced. The new file is a
-    measurement, not an output: no command replaces it without --force.
+    temperatures are kept in a comment above the table or in an additional array; cells of the displacement are blank
+    (NaN) where it is not measured. An existing file is replaced; commands replace a measurement with --force only.
 
     Raises
     ------
@@ -210,10 +210,9 @@ def write_columns(
 ) -> None:
     """Write named (n,) arrays as CSV.
 
-    `path` is the file's. `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default
-    as many as give the same numbers when read; rounding never widens the range of a column. `head` has lines to
-    write before the names. Raise `FileFormatError` if the suffix is not one of text, the columns differ in length, or
-    the file cannot be written.
+    `columns` maps names to arrays. `digits` are the significant digits of the numbers, by default as many as give the
+    same numbers when read; rounding never widens the range of a column. `head` has lines to write before the names.
+    Raise `FileFormatError` if the suffix is not one of text, columns differ in length, or the file cannot be written.
     """
     write_atomically(path, _blocks(path, columns, digits, head))
 

@@ -412,10 +412,11 @@ class Record(Plotted):
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
         That is so with fewer than 20 samples or one cycle, constant voltage or displacement, an echo of the voltage,
-        fringes, a stroke over 0.1 m, an inverted or clipped sensor, a butterfly loop, or swapped, reversed or sorted
-        columns.
+        fringes, a stroke over 0.1 m, an inverted or clipped sensor, a butterfly loop, swapped, reversed or sorted
+        columns, or displacements that dehyst computed.
         """
-        for words in quality.reasons_against(of_one_axis(self)):
+        computed = "its displacements are computed: play its voltages, and give a file of what the sensor reads"
+        for words in (*[computed] * ("computed" in self.meta), *quality.reasons_against(of_one_axis(self))):
             raise self._error(words)
 
 
