@@ -5,8 +5,6 @@ import pytest
 from strangers.cases import named
 from strangers.truths import TRUTHS, Bench
 
-STILL = [truth for truth in TRUTHS.values() if not truth.parts]
-
 
 def loops(truth, turns, samples=100):
     """Times and voltages through turns, given as parts of the range."""
@@ -21,7 +19,7 @@ def test_a_truth_has_its_stroke_and_a_hysteresis(truth):
     assert 0.05 < (y[150] - y[49]) / truth.stroke < 0.25
 
 
-@pytest.mark.parametrize("truth", STILL, ids=lambda truth: truth.name)
+@pytest.mark.parametrize("truth", [t for t in TRUTHS.values() if not t.parts], ids=lambda truth: truth.name)
 def test_no_susceptibility_is_negative(truth):
     time, voltage = loops(truth, [0, 1, 0, 0.7, 0.2, 0.5, 0.3, 0.6, 0.1, 0.9, 0])
     y = Bench(truth).play(time, voltage)

@@ -54,7 +54,7 @@ def of_lag(delay: float, lag: float, moved: float, stroke: float) -> str:
         f"The displacement lags by {1e3 * (delay + lag):.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of "
         f"the stroke (RMS); the records do not show whether the sensor or the actuator lags. "
         f"{late if delay else ''}{early if lag else ''}The expected error includes both. Look up the time constant of "
-        "the sensor, or record a step with a faster sensor, and give it (0: none) as the lag of the sensor."
+        "the sensor, or record a step with a faster sensor, and give it (sensor_lag, --sensor-lag; 0: none)."
     )
 
 

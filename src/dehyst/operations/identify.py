@@ -109,11 +109,10 @@ def identify(
         quick = deadline.ended or not isinstance(fit, Fit)
         found = None if quick else insight(fit.actuator, training)
         write_report(report, fit, command=run.command, insight=found)
-    warnings = []
-    if deadline.ended:
-        where = "was printed" if output is None else f"is in {output}"
-        warnings = [f"stopped by Ctrl-C; the best model so far {where}"]
-    written = files(Model=output, Report=report)
+    where = "was printed" if output is None else f"is in {output}"
+    warnings = [f"stopped by Ctrl-C; the best model so far {where}"] * deadline.ended
+    # A wrong unit shows in the ranges.
+    written = [*(repr(record)[1:-1] for record in training), *files(Model=output, Report=report)]
     lines, more = [*_answer(fit), *written], [*fit.summary(full=True).split("\n"), *written]
     return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
 

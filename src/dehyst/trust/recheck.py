@@ -194,7 +194,7 @@ class Recheck(Plotted):
         )
 
     def _advice(self) -> str:
-        learns = "dehyst update can learn the change from this record" if self.advises_update else ""
+        learns = "dehyst update may learn the change from this record" if self.advises_update else ""
         again = "Identify the model again from new records."
         if learns:
             again = f"{learns}; otherwise identify the model again from new records."

@@ -102,13 +102,12 @@ class Update:
     @property
     def sentence(self) -> str:
         """The result and its numbers in one line."""
-        old, held = (lines.percent(largest_, self.stroke) for largest_ in (self.before[0], self.held_out[0]))
+        lengths = self.held_out[1], self.before[1], self.recheck.settled
+        held, old, most = (lines.percent(length, self.stroke) for length in lengths)
         if self.used:
-            return (
-                f"Updated: the largest error is {held} of the stroke on parts held out, where the old model has {old}."
-            )
+            return f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
         kept = "which its promise allows: it stays as it is" if self.recheck.kept else "which its promise now counts"
-        return f"Not updated: no other model predicts the record better. The old one has {old} of the stroke, {kept}."
+        return f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
 
     @property
     def promise(self) -> Promise | None:
