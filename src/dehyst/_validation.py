@@ -100,7 +100,7 @@ def spanned(values: ArrayLike, what: str, *, error: type[DehystError] = ModelErr
     low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
     if not (math.isfinite(low) and math.isfinite(high)):
         bad = np.flatnonzero(~np.isfinite(array))
-        raise error(f"{what}: {bad.size} of {array.size} values are not finite, the first at index {bad[0]}")
+        raise error(f"{what}: {bad.size} of {array.size} values are not finite, first at index {bad[0]}; fill them in")
     return array, low, high
 
 

@@ -92,7 +92,7 @@ class Change:
         """
         if len(self.parts) > 1:
             words = _AND.join(self.parts)
-            text = f"The loop has changed its shape by {self.amount(stroke)}; this record cannot tell {words} apart."
+            text = f"The loop has changed by {self.amount(stroke)}; this record cannot tell {words} apart."
             return f"{text} Record the loops of `{tells}`, which tell them apart." if tells else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
