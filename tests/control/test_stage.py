@@ -267,7 +267,7 @@ def test_a_file_keeps_every_bit(tmp_path):
     [
         ({"format": "dehyst-actuator"}, "need 'dehyst-stage'"),
         ({"recorded_columns": "x_um"}, "recorded_columns: got 'x_um'"),
-        ({"extra": 1}, "unknown keys"),
+        ({"extra": 1}, "unknown entries"),
         ({"axes": ["x", "x", "z"]}, "different names"),
         ({"coupling": [[1, 0], [0, 1]]}, "got 2 x 2 numbers for 3 axes"),
         ({"coupling": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]}, "need 1 for each axis"),
