@@ -71,7 +71,7 @@ def write_atomically(path: PathLike, data: str | bytes | Iterable[str]) -> None:
     Raise `FileFormatError` if the folder is missing or not writable, or the path is a folder or a disk.
     """
     blocks = [data] if isinstance(data, str | bytes) else data
-    content = (one.encode(errors="backslashreplace") if isinstance(one, str) else one for one in blocks)
+    content = (block.encode(errors="backslashreplace") if isinstance(block, str) else block for block in blocks)
     try:
         mode = _mode_of(path)
         if mode is not None and stat.S_ISDIR(mode):

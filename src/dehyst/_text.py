@@ -19,8 +19,8 @@ def escaped(text: object) -> str:
         return string
     # Spaces other than ' ' count as not printable, but are harmless.
     return "".join(
-        one if one.isprintable() or unicodedata.category(one) == "Zs" else one.encode("unicode_escape").decode("ascii")
-        for one in string
+        c if c.isprintable() or unicodedata.category(c) == "Zs" else c.encode("unicode_escape").decode("ascii")
+        for c in string
     )
 
 

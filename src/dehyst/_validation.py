@@ -155,7 +155,7 @@ def for_each(values: Any, count: int, what: str, *, error: type[DehystError] = M
     """
     alone = isinstance(values, str) or not isinstance(values, Iterable) or getattr(values, "ndim", 1) == 0
     given = [values] if alone else list(values)
-    if what == "limits" and len(given) == 2 and all(one is not None and np.ndim(one) == 0 for one in given):
+    if what == "limits" and len(given) == 2 and all(end is not None and np.ndim(end) == 0 for end in given):
         given = [values]
     if len(given) not in (1, count):
         raise error(argument=what, got=f"{len(given)} for {count}", need="one, or one for each")

@@ -18,13 +18,7 @@ REPLACED = {
 TEXTS = [places.ROOT / "README.md", *(path for path in places.DOCS.rglob("*.md") if "decisions" not in path.parts)]
 ROOMS = ("cli", "operations", "report", "web", "workbench")
 SOURCES = [path for room in ROOMS for path in (places.SOURCES / room).rglob("*.[jp][sy]")]
-# How many variables of a room are called `one`: numbers may only be lowered.
-ONES = {"control": 2}
 REST = [places.TESTS, places.BENCHMARKS, places.ROOT / "examples", places.ROOT / "packages"]
-NAMED = [
-    *(places.SOURCES / room for room in (*ROOMS, "calibration", "control", "exports", "paper", "waveforms")),
-    *REST,
-]
 
 
 @pytest.mark.parametrize("path", [*TEXTS, *SOURCES], ids=lambda path: path.name)
@@ -40,10 +34,10 @@ def named_one(node):
     return stored or (isinstance(node, ast.arg) and node.arg == "one")
 
 
-@pytest.mark.parametrize("folder", NAMED, ids=lambda folder: folder.name)
+@pytest.mark.parametrize("folder", [places.SOURCES, *REST], ids=lambda folder: folder.name)
 def test_variables_name_their_thing(folder):
     trees = (ast.parse(path.read_text()) for path in folder.rglob("*.py"))
-    assert sum(named_one(node) for tree in trees for node in ast.walk(tree)) <= ONES.get(folder.name, 0)
+    assert not any(named_one(node) for tree in trees for node in ast.walk(tree))
 
 
 def test_a_comment_begins_with_its_subject():

@@ -37,5 +37,5 @@ def json_value(value: Any) -> Any:
     if hasattr(value, "as_dict"):
         return value.as_dict()
     if isinstance(value, Mapping):
-        return {str(key): json_value(one) for key, one in value.items()}
-    return [json_value(one) for one in value] if isinstance(value, tuple | list) else value
+        return {str(key): json_value(entry) for key, entry in value.items()}
+    return [json_value(entry) for entry in value] if isinstance(value, tuple | list) else value

@@ -13,7 +13,7 @@ from dehyst._types import Array
 
 def brief(owner: object) -> str:
     """Describe a dataclass in one line, with arrays by shape and range; a class may use this as its `__repr__`."""
-    parts = [f"{one.name}={_shown(getattr(owner, one.name))}" for one in fields(owner) if one.repr]  # type: ignore[arg-type]
+    parts = [f"{each.name}={_shown(getattr(owner, each.name))}" for each in fields(owner) if each.repr]  # type: ignore[arg-type]
     return f"<{type(owner).__name__}: {', '.join(parts)}>"
 
 

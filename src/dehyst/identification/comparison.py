@@ -177,7 +177,7 @@ class RecordComparison:
             return state
         clock, m = self.before.with_lead
         strains = creep.strains(clock, m, self.motion.begun[0] / creep.gains)
-        return replace(state, displacement_creep=np.array([np.interp(time, clock, one) for one in strains.T]))
+        return replace(state, displacement_creep=np.array([np.interp(time, clock, strain) for strain in strains.T]))
 
 
 def compare(
@@ -228,7 +228,7 @@ def _compared(
             f"{actuator.delay + actuator.lag:.3g} s. Record longer, or check the unit of the time"
         )
     rows, shift = source.thinned(MOST_ROWS), frame.shift(0)
-    whole = [replace(one, displacement=one.displacement + shift) for one in before.acting(motion.delay, motion.lag)]
+    whole = [replace(part, displacement=part.displacement + shift) for part in before.acting(motion.delay, motion.lag)]
     least = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
     program = Program(rows, grid, least, 0.0)
     parts = tuple(Parts(motion, frame.training, rows).of(names))
@@ -290,9 +290,9 @@ def _datum(compared: RecordComparison, actuator: Actuator) -> float:
 
     def cost(shift: float) -> float:
         rows = replace(few, displacement=few.displacement + shift)
-        one = Program(rows, program.grid, program.floor, 0.0)
-        one = replace(one, near=model)
-        return rms(_with_nuisances(one, model).unknowns)
+        fresh = Program(rows, program.grid, program.floor, 0.0)
+        fresh = replace(fresh, near=model)
+        return rms(_with_nuisances(fresh, model).unknowns)
 
     return compared.motion.at_rest * zero_of(cost, stroke, 1e-9)
 

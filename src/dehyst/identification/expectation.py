@@ -179,7 +179,7 @@ def validity_of(
     `lag` [s] that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out
     parts.
     """
-    training, validation = ([q for q, one in enumerate(errors) if one.role == r] for r in ("training", "validation"))
+    training, validation = ([q for q, each in enumerate(errors) if each.role == r] for r in ("training", "validation"))
     new, judged = held_out.new, training
     voltages = [(records[q].time, records[q].voltage) for q in training]
     span = float(np.ptp(np.concatenate([voltage for _, voltage in voltages])))
@@ -257,13 +257,13 @@ def expectation(
     `errors`, `checks`: as in `Fit`. `validity`: see `validity_of`. `noise`: standard deviation of the sensor [m].
     `goal`: [% of the stroke]. `caveats`: more reasons for care, in words.
     """
-    training, validation = ([one for one in errors if one.role == role] for role in ("training", "validation"))
+    training, validation = ([error for error in errors if error.role == role] for role in ("training", "validation"))
     # A model that misses its own records by too much is of no use, however well it predicts others.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
     judged, basis = (
         (validation, "validation records") if by_others else (training, "parts of the records held out in turn")
     )
-    measured = max(one.settled_rms for one in judged)
+    measured = max(error.settled_rms for error in judged)
     reasons = [*caveats]
     aside = sum(error.left_out for error in training) / sum(error.left_out + error.samples for error in training)
     if aside > RULES.most_set_aside:
@@ -271,7 +271,7 @@ def expectation(
     drifted = max(abs(error.drifted_percent) for error in errors)
     if drifted > goal:
         reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
-    fitted = max(one.settled_rms for one in training)
+    fitted = max(error.settled_rms for error in training)
     if by_others and measured > RULES.widest_gap * fitted:
         reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
     if outcome is Outcome.UNDETERMINED:

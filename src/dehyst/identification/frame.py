@@ -64,7 +64,7 @@ class Frame:
     def times(self) -> tuple[float, float]:
         """Shortest sample time and longest record [s]."""
         records = [item.record for item in self.training]
-        return min(one.sample_time for one in records), max(float(np.ptp(one.time)) for one in records)
+        return min(record.sample_time for record in records), max(float(np.ptp(record.time)) for record in records)
 
     @cached_property
     def rests(self) -> list[list[tuple[float, float]]]:
@@ -182,7 +182,7 @@ class Frame:
                 kept = own[~away[own]]
                 left[own] -= left[kept if kept.size else own].mean()
             missed = [left[counted & away & (rows.record == q)] for q in range(len(self.training))]
-            errors += [rms(one) for one in missed if one.size]
+            errors += [rms(part) for part in missed if part.size]
         return self.motion.at_rest * float(np.median(errors)) if errors else 0.0
 
     def residual(
@@ -200,11 +200,11 @@ class Frame:
         offsets = {e: whole.offsets[e] if e in lost else offset for e, offset in found.offsets.items()}
         actuator = self.actuator(program, replace(found, offsets=offsets))
         base, left = float(actuator.spring.voltage[0]), np.full(len(rows), np.nan)
-        for one in self.judged(source):
-            own = np.flatnonzero(rows.epoch == one.number)
+        for place in self.judged(source):
+            own = np.flatnonzero(rows.epoch == place.number)
             if own.size:
-                state = self.state(source, one.piece, one.epoch, actuator)
-                time, missed = self.missed(one.piece, one.epoch, actuator, state, offsets[one.number] - base)
+                state = self.state(source, place.piece, place.epoch, actuator)
+                time, missed = self.missed(place.piece, place.epoch, actuator, state, offsets[place.number] - base)
                 left[own] = np.interp(rows.time[own], time, missed)
         for part in program.parts:
             # The numbers of a fold move the path, too; a resonance is in the simulation.
@@ -216,8 +216,8 @@ class Frame:
     def judged(self, source: RowSource) -> list[NumberedEpoch]:
         """Return the last epoch of each piece, or all epochs where the last ones are short."""
         epochs = list(source.numbered())
-        last = [one for one in epochs if one.epoch is source.epochs[one.piece][-1]]
-        samples = sum(one.epoch.stop - one.epoch.start for one in last)
+        last = [place for place in epochs if place.epoch is source.epochs[place.piece][-1]]
+        samples = sum(place.epoch.stop - place.epoch.start for place in last)
         return last if samples >= _SOON * sum(len(path) for _, _, path in self.paths) else epochs
 
     def state(self, source: RowSource, place: int, epoch: Epoch, actuator: Actuator) -> State:
@@ -269,8 +269,8 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
     if start is None:
         return frame
     base = float(actuator.spring.voltage[0])
-    epochs = [one for one in frame.judged(source) if one.number in found.offsets]
-    states = [frame.state(source, one.piece, one.epoch, actuator) for one in epochs]
+    epochs = [place for place in frame.judged(source) if place.number in found.offsets]
+    states = [frame.state(source, place.piece, place.epoch, actuator) for place in epochs]
 
     def numbers(x: Array) -> tuple[float, float, float]:
         # Numbers near 1, because finite differences are relative to them.
@@ -289,15 +289,15 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
         frequency, damping, delay = numbers(x)
         model, at_rows, played = replace(actuator, dynamics=Dynamics(frequency, damping)), np.zeros(len(rows)), []
         late = [path.voltage for item in frame.training for path in item.acting(delay, motion.lag)]
-        for one, state in zip(epochs, states, strict=True):
-            offset, own = found.offsets[one.number] - base, rows.epoch == one.number
-            time, missed = frame.missed(one.piece, one.epoch, model, state, offset, late[one.piece])
+        for place, state in zip(epochs, states, strict=True):
+            offset, own = found.offsets[place.number] - base, rows.epoch == place.number
+            time, missed = frame.missed(place.piece, place.epoch, model, state, offset, late[place.piece])
             at_rows[own] = np.interp(rows.time[own], time, missed)
             played.append((own, time, missed))
         # The part that the other coefficients would follow does not belong to the resonance.
         followed = columns @ (follow @ at_rows)
         left = [missed - np.interp(time, rows.time[own], followed[own]) for own, time, missed in played]
-        return np.concatenate([one - one.mean() for one in left]) / frame.stroke
+        return np.concatenate([part - part.mean() for part in left]) / frame.stroke
 
     # A delay by the resonance is no lead: only a lead that was there before stays.
     lead = max(motion.delay, 0.0)

@@ -153,11 +153,11 @@ class _Run:
         """Prepare all records; samples in which the displacement rings drive the elements or not."""
         most = sum(map(len, self.records)) / ENOUGH
 
-        def one(record: Record) -> Prepared:
+        def ready(record: Record) -> Prepared:
             return prepare(record, ringing=ringing).with_block(most).without_lag(self.settings.sensor_lag or 0.0)
 
         self.ringing = ringing
-        self.training, self.held_out = ([one(record) for record in part] for part in (self.records, self.others))
+        self.training, self.held_out = ([ready(record) for record in part] for part in (self.records, self.others))
         spans = [item.span() for item in self.training]
         self.widest = int(np.argmax([high - low for low, high in spans]))
         self.stroke = spans[self.widest][1] - spans[self.widest][0]

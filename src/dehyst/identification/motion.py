@@ -150,7 +150,7 @@ class Parts:
             own = rows.record == q
             if found is None:
                 found = np.zeros((len(rows), values.shape[1]))
-            found[own] = np.column_stack([np.interp(rows.time[own], time, one) for one in values.T])
+            found[own] = np.column_stack([np.interp(rows.time[own], time, column) for column in values.T])
         assert found is not None
         return found
 
@@ -303,7 +303,7 @@ def temperatures_of(records: Sequence[Record]) -> tuple[Temperatures | None, str
     low, high = float(every.min()), float(every.max())
     if high - low < RULES.temperatures:
         return None, ""
-    within = max(float(np.ptp(np.quantile(one, [0.05, 0.95]))) for one in known)
+    within = max(float(np.ptp(np.quantile(degrees, [0.05, 0.95]))) for degrees in known)
     found = Temperatures(low, high, float(every.mean()), within >= RULES.temperatures)
     if len(known) < len(records):
         missing = next(record.name for record in records if record.temperature is None)

@@ -263,7 +263,7 @@ class Program:
         if near.smooth.size:
             shares = self._shares @ near.smooth
             volts += shares[:, None] * (columns - columns[since[:, 0]] if len(kappa) else columns)
-        ends = np.cumsum([one.shape[1] for one in moved.values()])[:-1]
+        ends = np.cumsum([block.shape[1] for block in moved.values()])[:-1]
         return found | dict(zip(moved, np.split(volts, ends, axis=1), strict=True))
 
     @cached_property

@@ -311,10 +311,10 @@ def static(
         # Creep that was found beside smooth elements is not that beside others: both move on their own.
         closed = solved(replace(first, smooth=False), None if free else best)
         if best.held_out >= RULES.static_gain * closed.held_out:
-            best, others = closed, [replace(one, smooth=False) for one in others]
+            best, others = closed, [replace(structure, smooth=False) for structure in others]
     made = [best, *(solved(structure, best) for structure in others)]
     if structures is not OPEN:
-        best = min(made, key=lambda one: one.held_out)
+        best = min(made, key=lambda each: each.held_out)
     report("solving the program of all samples")
     if swings:
         frame = tuned(best.frame, best.source, best.program, best.found)
@@ -368,18 +368,18 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
     voltage = np.concatenate([np.linspace(a, b, _BRANCH, endpoint=False) for a, b in pairwise(turns)])
     time = np.arange(voltage.size) * frame.times[0]
 
-    def played(one: Actuator) -> Array:
-        path = one.simulate(voltage, time=time, extrapolate=True).displacement
+    def played(model: Actuator) -> Array:
+        path = model.simulate(voltage, time=time, extrapolate=True).displacement
         return path[4 * _BRANCH :]
 
     mine, squares, weights = played(actuator), [], []
     # Another smoothing is no other structure.
-    grids = {replace(one.structure, smoothing=0.0): one for one in reversed(others)}
-    for one in grids.values():
-        apart = float(np.std(played(one.actuator) - mine))
-        if one.structure != chosen.structure and apart < _FAILED * frame.stroke:
+    grids = {replace(other.structure, smoothing=0.0): other for other in reversed(others)}
+    for other in grids.values():
+        apart = float(np.std(played(other.actuator) - mine))
+        if other.structure != chosen.structure and apart < _FAILED * frame.stroke:
             squares.append(apart**2)
-            weights.append(float(np.exp(-max(one.held_out / max(chosen.held_out, 1e-300) - 1, 0.0) / _WORSE)))
+            weights.append(float(np.exp(-max(other.held_out / max(chosen.held_out, 1e-300) - 1, 0.0) / _WORSE)))
     rest = max(1.0 - sum(weights), 0.0)
     return float(np.average([*squares, chosen.held_out**2], weights=[*weights, rest]) ** 0.5)
 

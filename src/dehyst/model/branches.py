@@ -126,7 +126,7 @@ class Untested:
 
 def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
     """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
-    top, base = (float(f"{one:.3g}") for one in (highest, lowest if abs(lowest) > 1e-3 * highest else 0.0))
+    top, base = (float(f"{volts:.3g}") for volts in (highest, lowest if abs(lowest) > 1e-3 * highest else 0.0))
     return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o excitation.csv"
 
 

@@ -90,7 +90,7 @@ class DisplacementCreep(Entries):
             first = (path[0] + float(self.gains @ start)) / self.at_rest
             return output_creep(path, pace, self.gains, first, start, inverse=True)
 
-        kept = np.column_stack([played(np.zeros(y.size), one)[1] for one in np.eye(size)])
+        kept = np.column_stack([played(np.zeros(y.size), unit)[1] for unit in np.eye(size)])
         begun = np.asarray(np.linalg.solve(np.eye(size) - kept, played(y, np.zeros(size))[1]), dtype=np.float64)
         return played(y, begun)[0], begun
 
@@ -303,7 +303,7 @@ def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *,
         meant = np.ones(w.size) if preview else omega**2 * (line - mirrored) / (pole - np.conj(pole))
         near = [held(omega * shift) * ahead for shift in (1 - _ASTRAY, 1.0, 1 + _ASTRAY)]
         # A reading comes up to half a step sooner or a step later than identified.
-        wrong = np.max([np.abs(one * np.exp(-1j * w * late) - meant) for one in near for late in (-0.5, 0, 1)], axis=0)
+        wrong = np.max([np.abs(h * np.exp(-1j * w * late) - meant) for h in near for late in (-0.5, 0, 1)], axis=0)
         # At the limit |gain / (z - 1 + gain)| times wrong is 1 / margin.
         over, step = (margin * wrong) ** 2 - 1, np.abs(z - 1) ** 2
         gains = 2 * step / (step + np.sqrt(step**2 + 4 * np.maximum(over, 0) * step))

@@ -147,7 +147,7 @@ class Curve(Entries):
 
     @property
     def _points(self) -> tuple[Array, Array]:
-        x, y = (getattr(self, one.name) for one in fields(self))  # type: ignore[arg-type]
+        x, y = (getattr(self, entry.name) for entry in fields(self))  # type: ignore[arg-type]
         return x, y
 
     @property

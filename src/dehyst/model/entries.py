@@ -75,9 +75,9 @@ class Entries:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        for one in _described(type(self)):
-            where = f"{self._part} {one.name}".strip()
-            keep(self, **{one.name: one.metadata["read"](getattr(self, one.name), where)})
+        for entry in _described(type(self)):
+            where = f"{self._part} {entry.name}".strip()
+            keep(self, **{entry.name: entry.metadata["read"](getattr(self, entry.name), where)})
         self._demand_together()
 
     def _demand_together(self) -> None:
@@ -85,7 +85,7 @@ class Entries:
 
     def _demand_one_size(self) -> None:
         """Raise `ModelError` unless all arrays have the same number of numbers."""
-        sizes = {one.name: getattr(self, one.name).size for one in _described(type(self))}
+        sizes = {entry.name: getattr(self, entry.name).size for entry in _described(type(self))}
         if len(set(sizes.values())) > 1:
             got = ", ".join(f"{size} {name}" for name, size in sizes.items())
             raise ModelError(argument=self._part, got=got, need="the same number of each")
@@ -93,7 +93,7 @@ class Entries:
     @classmethod
     def _keys(cls) -> dict[str, str]:
         """Return the field name of each key in a file, in the order of the file."""
-        keys = {one.name: one.metadata["key"] for one in _described(cls)}
+        keys = {entry.name: entry.metadata["key"] for entry in _described(cls)}
         return {keys[name]: name for name in cls._order.split() or keys}
 
     def as_dict(self) -> dict[str, Any]:
@@ -115,15 +115,15 @@ class Entries:
             if not _same(data[key], value):
                 need = "the value as it is written: a number is no flag, and nothing is left to a default"
                 raise ModelError(argument=f"{where}.{key}", got=f"{data[key]!r:.60}", need=need)
-        for one in _described(cls):
-            key, read = one.metadata["key"], one.metadata["read"]
+        for entry in _described(cls):
+            key, read = entry.metadata["key"], entry.metadata["read"]
             if isinstance(read, Numbers):
-                _demand_plausible(read, getattr(made, one.name), f"{cls._part}.{key}" if cls._part else key)
+                _demand_plausible(read, getattr(made, entry.name), f"{cls._part}.{key}" if cls._part else key)
         return made
 
 
 def _described(kind: type) -> list[Field[Any]]:
-    return [one for one in fields(kind) if one.metadata]
+    return [entry for entry in fields(kind) if entry.metadata]
 
 
 def _demand_plausible(read: Numbers, found: Any, where: str) -> None:
@@ -176,7 +176,7 @@ def texts(value: object, where: str) -> tuple[str, ...]:
     """Return texts as a tuple; raise `ModelError` for anything else."""
     if not isinstance(value, list | tuple):
         raise ModelError(argument=where, got=repr(value), need="a list of text")
-    return tuple(text(one, where) for one in value)
+    return tuple(text(word, where) for word in value)
 
 
 def demand_format(data: Mapping[str, Any], name: str) -> None:

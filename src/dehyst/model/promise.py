@@ -169,7 +169,7 @@ class Validity:
     def shown(self) -> float:
         """The error [m] that the records show, from the held-out error and twice as much from the disagreement."""
         both = self.rms, max(self.disagreement, _AGREES * self.rms)
-        held_out, apart = (float(np.hypot(one, _LEAST * self.stroke)) for one in both)
+        held_out, apart = (float(np.hypot(error, _LEAST * self.stroke)) for error in both)
         return float((held_out * apart**2) ** (1 / 3))
 
     @property
@@ -358,7 +358,7 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
 
 def unusable(actuator: Actuator, found: Promise | None) -> str:
     """Return a sentence if an `actuator` is not usable for a path with a promise, or for any path; else nothing."""
-    useless = next((one for one in (found, promised(actuator)) if one is not None and one.useless), None)
+    useless = next((known for known in (found, promised(actuator)) if known is not None and known.useless), None)
     if useless is None:
         return ""
     share = 100 * useless.parts["model"] / useless.stroke

@@ -92,7 +92,7 @@ _ACTUATOR = instance(Actuator)
 def _actuators(value: Sequence[Any], where: str) -> tuple[Actuator, ...]:
     if not isinstance(value, list | tuple) or not value:
         raise ModelError(argument=where, got=type(value).__name__, need="one Actuator for each axis")
-    return tuple(_ACTUATOR(one, where) for one in value)
+    return tuple(_ACTUATOR(actuator, where) for actuator in value)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,8 +177,8 @@ class Stage(JsonFile):
         """Return the coupling matrix and the summary of each actuator, in lines."""
         lines = [f"Stage '{self.name}' of the axes {', '.join(self.axes)}, condition {self.condition:.4g}"]
         lines += matrix_lines(self.axes, self.coupling)
-        for axis, one in zip(self.axes, self.actuators, strict=True):
-            lines += [f"Axis {axis}:", *(f"  {line}" for line in one.summary().split("\n"))]
+        for axis, actuator in zip(self.axes, self.actuators, strict=True):
+            lines += [f"Axis {axis}:", *(f"  {line}" for line in actuator.summary().split("\n"))]
         return "\n".join(lines)
 
     def simulate(
@@ -217,8 +217,8 @@ class Stage(JsonFile):
         """
         v = self.columns(voltage, "voltage")
         motions = self._each("simulate", v, time, temperature, states, extrapolate)
-        moved = np.column_stack([one.displacement for one in motions])
-        return Motion(v, apply(self.coupling, moved), tuple(one.state for one in motions))
+        moved = np.column_stack([motion.displacement for motion in motions])
+        return Motion(v, apply(self.coupling, moved), tuple(motion.state for motion in motions))
 
     def compensate(
         self,
@@ -252,7 +252,7 @@ class Stage(JsonFile):
         """
         y = self.columns(displacement, "displacement")
         motions = self._each("compensate", apply(self.decoupling, y), time, temperature, states, extrapolate)
-        return Motion(np.column_stack([one.voltage for one in motions]), y, tuple(one.state for one in motions))
+        return Motion(np.column_stack([each.voltage for each in motions]), y, tuple(each.state for each in motions))
 
     def _each(
         self,
@@ -268,10 +268,10 @@ class Stage(JsonFile):
         if states is not None and len(states) != count:
             raise ModelError(f"states: got {len(states)}, need {count}, one an axis")
         columns = given.T, self.temperatures(temperature, len(given)), states or [None] * count
-        for axis, one, column, degrees, state in zip(self.axes, self.actuators, *columns, strict=True):
+        for axis, actuator, column, degrees, state in zip(self.axes, self.actuators, *columns, strict=True):
             options = {"time": time, "temperature": degrees, "state": state}
             try:
-                motions.append(getattr(one, call)(column, **options, extrapolate=extrapolate))
+                motions.append(getattr(actuator, call)(column, **options, extrapolate=extrapolate))
             except ModelError as error:
                 raise of_part(error, f"axis {axis}") from error
         return motions
@@ -285,9 +285,9 @@ class Stage(JsonFile):
         """
         if temperature is None:
             return [None] * len(self.actuators)
-        demand_thermal(*(one.thermal for one in self.actuators))
+        demand_thermal(*(actuator.thermal for actuator in self.actuators))
         table = temperature_columns(temperature, samples, len(self.actuators))
-        return [column if one.thermal else None for one, column in zip(self.actuators, table.T, strict=True)]
+        return [column if actuator.thermal else None for actuator, column in zip(self.actuators, table.T, strict=True)]
 
     def columns(self, values: ArrayLike, what: str) -> Array:
         """Return `values` (n, axes) as an array; raise `ModelError` that names `what` if they are not."""
@@ -303,7 +303,7 @@ class Stage(JsonFile):
 
 def by_axis(axes: Sequence[str], results: Sequence[Any]) -> dict[str, Any]:
     """Return the JSON values of results, one for each axis, by its name."""
-    return {axis: one.as_dict() for axis, one in zip(axes, results, strict=True)}
+    return {axis: result.as_dict() for axis, result in zip(axes, results, strict=True)}
 
 
 def matrix_lines(axes: tuple[str, ...], matrix: Array, uncertainty: Array | None = None) -> Iterator[str]:

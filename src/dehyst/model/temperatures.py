@@ -34,7 +34,7 @@ def temperature_range(records: Iterable[Record]) -> tuple[float, float] | None:
     known = [values for values in found if values is not None]
     if not known or len(known) < len(found):
         return None
-    return min(float(one.min()) for one in known), max(float(one.max()) for one in known)
+    return min(float(values.min()) for values in known), max(float(values.max()) for values in known)
 
 
 def tested_temperatures(actuator: Actuator) -> tuple[float, float] | None:
@@ -71,7 +71,7 @@ def temperatures_to_record(
 
 def words_of(temperatures: Iterable[float]) -> str:
     """Return temperatures as text: "10, 35 and 60 degC"."""
-    *some, last = [f"{one:.3g}" for one in temperatures]
+    *some, last = [f"{degrees:.3g}" for degrees in temperatures]
     return f"{', '.join(some)}{' and ' if some else ''}{last} degC"
 
 

@@ -202,15 +202,15 @@ def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list
     """Return the turns of the displacement after a step that the voltage does not have, while they follow closely."""
     turns = [int(turn) for turn in turning_points(y, least) if turn >= jump]
     own: list[int] = []
-    for last, one in pairwise([jump, *turns]):
+    for last, turn in pairwise([jump, *turns]):
         half = float(np.median(np.diff(own))) if len(own) > 1 else float("inf")
-        if one - last > _LATE * max(half, 2):
+        if turn - last > _LATE * max(half, 2):
             break
         # The displacement must leave the turn by far more than the voltage explains, over some of the samples.
-        away, moved = (np.maximum.accumulate(np.abs(signal[one:] - signal[one])) for signal in (y, v))
+        away, moved = (np.maximum.accumulate(np.abs(signal[turn:] - signal[turn])) for signal in (y, v))
         if not np.any((away > least) & (away > _STEEP * gain * moved)):
             break
-        own.append(one)
+        own.append(turn)
     return own
 
 

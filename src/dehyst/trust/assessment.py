@@ -149,13 +149,13 @@ class Insight(Plotted):
     @cached_property
     def misfit(self) -> float:
         """Largest error of the model on the records [m]."""
-        return max(largest(errors_of(self.actuator, one, "training")[1].settled.residual) for one in self.comparisons)
+        return max(largest(errors_of(self.actuator, each, "training")[1].settled.residual) for each in self.comparisons)
 
     @property
     def turns(self) -> TurnPlane | None:
         """The plane of turning points: where the records turned, and which regions they test."""
-        records = (one.given.reduced.record for one in self.comparisons)
-        return turn_plane(((one.name, one.time, one.voltage) for one in records), self.actuator.limits)
+        records = (comparison.given.reduced.record for comparison in self.comparisons)
+        return turn_plane(((record.name, record.time, record.voltage) for record in records), self.actuator.limits)
 
     def __repr__(self) -> str:
         directions = f"{self.identifiability.determined} of {self.identifiability.of} directions determined"
@@ -185,7 +185,7 @@ class Insight(Plotted):
         if self.promise is None:
             low, high = voltages_of(self.actuator)
             return (excite_command(high, low),) if self._open() else ()
-        return tuple(dict.fromkeys(one.command for one in self.promise.untested if one.command))
+        return tuple(dict.fromkeys(gap.command for gap in self.promise.untested if gap.command))
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
@@ -209,7 +209,7 @@ class Insight(Plotted):
     def _open(self) -> str:
         """Return a warning if the records leave combinations of stiffnesses open that the turns of the path need."""
         found, promise = self.identifiability, self.promise
-        turned = promise is not None and all(one.what != "turns" for one in promise.untested)
+        turned = promise is not None and all(gap.what != "turns" for gap in promise.untested)
         if self.trustworthy or turned:
             return ""
         return (
@@ -283,8 +283,8 @@ def _stage_insight(
     _, uncertainty = coupling_of(stage, records)
     half = _DEVIATIONS * uncertainty
     insights = tuple(
-        insight(one, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], **options)
-        for j, one in enumerate(stage.actuators)
+        insight(actuator, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], **options)
+        for j, actuator in enumerate(stage.actuators)
     )
     remarks = tuple(
         f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{half[i, j]:.2g} only: "

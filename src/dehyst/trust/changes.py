@@ -158,7 +158,7 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
         Effect [m] from which a change counts.
     """
     loop = _SimulatedLoop.of(trace)
-    fit = min((_fitted(loop, known, name) for name in (SLOW if known.slow else (None,))), key=lambda one: one.squares)
+    fit = min((_fitted(loop, known, name) for name in (SLOW if known.slow else (None,))), key=lambda made: made.squares)
     covariance = fit.covariance(loop, known)
     found, open_ = list[Change](), list[int]()
     for place, name in enumerate(fit.names):
@@ -171,7 +171,7 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
     # If not with the zero, then apart from a constant, as an error is.
     shape = [place for place in open_ if fit.names[place] != "zero"]
     joint = [_together(fit, covariance, places, known, least) for places in (open_, shape) if len(places) > 1]
-    return *found, *([one for one in joint if one.counts] or joint)[:1]
+    return *found, *([change for change in joint if change.counts] or joint)[:1]
 
 
 def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:

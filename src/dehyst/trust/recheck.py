@@ -153,7 +153,7 @@ class Recheck(Plotted):
     @property
     def mismatch(self) -> str:
         """A sentence on why the record clearly belongs to another actuator; empty if it may belong to the model's."""
-        gain = next((one.value for one in self.changed if one.name == "gain"), 0.0)
+        gain = next((change.value for change in self.changed if change.name == "gain"), 0.0)
         reasons = []
         if 100 * abs(gain) > ANOTHER:
             reasons.append(f"the gain differs by {100 * gain:+.3g} %")
@@ -256,7 +256,7 @@ class StageRecheck:
     @property
     def good(self) -> bool:
         """Whether the model of each actuator and the coupling are still true."""
-        return all(one.good for one in self.rechecks) and not self.changes
+        return all(recheck.good for recheck in self.rechecks) and not self.changes
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -354,7 +354,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
 def _check_stage(stage: Stage, record: Record, goal: float | None) -> StageRecheck:
     """Check each actuator of a stage, and estimate its coupling with plays of the voltages."""
     coupling, uncertainty = coupling_of(stage, [record])
-    rechecks = tuple(check(one, stage.alone(record, j), goal=goal) for j, one in enumerate(stage.actuators))
+    rechecks = tuple(check(actuator, stage.alone(record, j), goal=goal) for j, actuator in enumerate(stage.actuators))
     away, changes = coupling - stage.coupling, list[str]()
     for i, j in np.argwhere((np.abs(away) > _COUPLED) & (np.abs(away) > _ERRORS * uncertainty)).tolist():
         changes.append(

@@ -107,7 +107,7 @@ def turn_plane(
     found = [turn for name, time, voltage in kept if voltage.size > 1 for turn in _turns(name, time, voltage, span)]
     if not found:
         return None
-    rising, falling = tested_loops(np.array([(one.begin, one.end) for one in found]), edges)
+    rising, falling = tested_loops(np.array([(branch.begin, branch.end) for branch in found]), edges)
     return TurnPlane(tuple(found[:_MOST]), edges, rising, falling)
 
 

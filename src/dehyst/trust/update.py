@@ -136,7 +136,7 @@ class Update:
             **json_values(self, "used good sentence promise missing datum_m=datum stroke_m=stroke"),
             "sentences": list(self.sentences()),
             "changes": [change.as_dict(self.stroke) for change in self.changes],
-            **{f"{name}_percent": [percent(one, self.stroke) for one in pair] for name, pair in pairs.items()},
+            **{f"{name}_percent": [percent(length, self.stroke) for length in pair] for name, pair in pairs.items()},
         }
 
 
@@ -160,7 +160,7 @@ class StageUpdate:
     @property
     def good(self) -> bool:
         """Whether the error of each actuator is within the goal, and the coupling has not changed."""
-        return all(one.good for one in self.updates) and not self.coupling_changes
+        return all(updated.good for updated in self.updates) and not self.coupling_changes
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the stage."""
@@ -209,8 +209,8 @@ def update(model: Actuator | Stage, record: Record, *, goal: float | None = None
     if isinstance(model, Actuator):
         return _update_actuator(model, record, goal)
     changes = check(model, record, goal=goal).changes
-    found = tuple(_update_actuator(one, model.alone(record, j), goal) for j, one in enumerate(model.actuators))
-    return StageUpdate(replace(model, actuators=tuple(one.actuator for one in found)), found, changes)
+    found = tuple(_update_actuator(axis, model.alone(record, j), goal) for j, axis in enumerate(model.actuators))
+    return StageUpdate(replace(model, actuators=tuple(updated.actuator for updated in found)), found, changes)
 
 
 def _update_actuator(actuator: Actuator, record: Record, goal: float | None) -> Update:
@@ -313,7 +313,7 @@ class _Refit:
         program = replace(program, toward=toward)
         whole = program.solved()
         others = [program.solved(whole, without=k) for k in range(FOLDS)]
-        return self._model(program, whole, whole), [self._model(program, one, whole) for one in others]
+        return self._model(program, whole, whole), [self._model(program, solution, whole) for solution in others]
 
     @staticmethod
     def _in_common(program: Program, unknowns: Array, beside: float = 0.0) -> tuple[Array, float]:
