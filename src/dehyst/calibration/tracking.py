@@ -138,7 +138,7 @@ class PathPlanner:
         return [round(self.branch * RATIO**j) for j in range(len(self.limits))]
 
     def _homed(self, model: Actuator | Stage, before: Sequence[Record], seen: SeenTemperature | None) -> _Homed:
-        """Return what the records `before` tell of the next homing, at the temperature that was `seen` last."""
+        """Return what the records `before` show about the next homing, at the temperature that was `seen` last."""
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]

@@ -135,7 +135,7 @@ def _branches(trace: Trace) -> list[slice]:
 
 
 def _averaged(rows: Sequence[Array], usual: float) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return mean, standard error and number of the rows' values at each place (K,); NaN is none.
+    """Return mean, standard error and number of the rows' values at each place (K,); NaN is left out.
 
     `usual`: standard deviation of a value where too few make one.
     """

@@ -64,7 +64,7 @@ def identify(
         Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown.
         Any other lag is then the actuator's.
     lag_of : {"actuator", "sensor"}, optional
-        Whose the lag is that the records show, which they do not tell; default: not known, and the promise has two
+        Who causes the lag that the records show; default: not known, and the promise has two
         numbers. A path that an actuator delays is planned earlier; a path that only a sensor sees late is not.
     shared_datum : bool, optional
         State that the sensor kept its zero in all records; default: the datum of each record is searched for.

@@ -110,7 +110,7 @@ class NormalEquations:
         """
         matrix, lower = inequalities
         size = np.sqrt(np.maximum(np.diag(self.gram), 0.0))
-        # Columns have units of their own: only one without rows is none.
+        # Columns have units of their own: only a column without rows is left out.
         kept = size > 0
         places, scale = np.flatnonzero(kept), size[kept]
         # An inequality of a free coefficient without rows has nothing to hold.

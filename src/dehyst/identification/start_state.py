@@ -173,7 +173,7 @@ class _Problem:
             target = np.concatenate([triangle[:, -1], -alike @ u])
             step = lsq_linear(rows, target, bounds=(-1.0 - u - 1e-12, 1.0 - u + 1e-12), method="bvls").x
             if not np.isfinite(step).all():
-                # No sample tells the carts apart.
+                # No sample separates the carts.
                 break
             for length in (1.0, 0.5, 0.25, 0.0):
                 trial = np.clip(u + length * step, -1.0, 1.0)

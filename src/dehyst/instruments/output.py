@@ -116,7 +116,7 @@ class Output:
             return f"{self._unconfirmed:.6g} V was sent last, and no answer confirms it"
         if self._sent.size == 1:
             return f"{self.likely:.6g} V was the last that it confirmed"
-        # Samples that came are certain; where the device was since, and stops, its clock alone tells.
+        # Samples that came are certain; the later voltages depend on the clock of the device alone.
         left = self._sent[self._arrived[-1][1] - 1 if self._arrived else 0 :]
         way = f"between {left.min():.6g} and {left.max():.6g} V"
         return f"a wave went on from {left[0]:.6g} V, {way}, to its end at {left[-1]:.6g} V"

@@ -177,7 +177,7 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
 def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:
     """Return the common effect of changes that the record cannot tell apart."""
     columns, names = fit.columns[:, places], [fit.names[place] for place in places]
-    # Without a change of the zero, what is the same everywhere is none.
+    # Without a change of the zero, an effect that is the same everywhere does not count.
     columns = columns if "zero" in names else columns - columns.mean(axis=0)
     values = fit.values[places] - np.where([name == "zero" for name in names], known.datum, 0.0)
     row = columns[int(np.argmax(np.abs(columns @ values)))]

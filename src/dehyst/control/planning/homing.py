@@ -281,7 +281,7 @@ class _TimedHoming:
     def path(self, branches: int, hold: float) -> list[Branch]:
         """Return the branches through the turns, with a hold at the last visit of either limit."""
         turns = self.turns(branches)
-        # A hold below a sample is none.
+        # A hold shorter than a sample is left out.
         last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold * self.sampling.rate > 1}
         path: list[Branch] = []
         for k, branch in enumerate([None, *self.sampling.branches(turns)]):

@@ -74,7 +74,7 @@ def plan_path(
         [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag. Default: a
         sample every `period`, if the compensator has one.
     limits, slew_rate : optional
-        As in `Compensator` or `StageCompensator`, if `model` is none.
+        As in `Compensator` and `StageCompensator`; only for an actuator or a stage.
     velocity, acceleration : (n,) array_like, optional
         Of the path of a single axis, per second and per second squared, used with dynamics; default: those of its
         cubic spline.
