@@ -32,15 +32,33 @@ PROGRAM = r"""
 int main(void)
 {
     static piezo p;
-    double wanted;
+    double wanted, degrees;
     if (piezo_begin(&p) != DEHYST_OK) return 1;
-    while (scanf("%lf", &wanted) == 1) printf("%.17g\n", (double)piezo_step(&p, wanted));
+    while (scanf("%lf %lf", &wanted, &degrees) == 2) {
+#ifdef WARM
+        if (piezo_temperature(&p, degrees) != DEHYST_OK) return 2;
+#endif
+        printf("%.17g ", (double)piezo_step(&p, wanted));
+        printf("%.17g\n", (double)piezo_displacement(&p));
+    }
+#ifdef WARM
+    if (piezo_temperature(&p, 1000.0) != DEHYST_ERR_SIGN) return 3;
+#endif
     return 0;
 }
 """
 STEPS = """
-const compensator = new Compensator(module);
-write("voltage", read("wanted").map((one) => compensator.step(one)));
+const compensator = new Compensator(module), degrees = read("degrees");
+const warm = (celsius) => {
+    try { return compensator.setTemperature(celsius), true; } catch (error) { return !(error instanceof RangeError); }
+};
+let taken = 0;
+const answers = [...read("wanted")].map((wanted, k) => {
+    taken += warm(degrees[k]);
+    return [compensator.step(wanted), compensator.displacement];
+});
+write("answers", answers.flat());
+console.log(taken, warm(1000));
 """
 PERIOD = 1e-3
 PLAIN = Actuator(
@@ -60,7 +78,8 @@ PARTS = {
     "load_stiffness": 1e7,
     "smooth": SmoothSlip([2e-6], [0.8], [2e6]),
     "displacement_creep": DisplacementCreep([0.01, 1.0], [0.02, 0.03]),
-    "thermal": Thermal(1e-3, 1e-8),
+    # 1000 degC would reverse the motion.
+    "thermal": Thermal(-0.0037, 3.3e-9, 24.7),
 }
 
 
@@ -86,19 +105,21 @@ BEGINNINGS = {
 }
 
 
-def by_c(folder, wanted):
+def by_c(folder, wanted, degrees, warm):
     compiled_exports.need("gcc")
+    assert ("piezo_temperature" in (folder / "piezo.h").read_text()) == warm
     (folder / "run.c").write_text(PROGRAM)
-    command = ["gcc", "-O1", "-ffp-contract=off", "-o", "run", "run.c", *SOURCES]
+    command = ["gcc", "-O1", "-ffp-contract=off", *["-DWARM"] * warm, "-o", "run", "run.c", *SOURCES]
     subprocess.run(command, cwd=folder, check=True)
-    given = "\n".join(map(repr, wanted.tolist()))
+    given = "".join(f"{y!r} {celsius!r}\n" for y, celsius in zip(wanted.tolist(), degrees.tolist(), strict=True))
     done = subprocess.run([folder / "run"], input=given, check=True, capture_output=True, text=True)
-    return np.array(done.stdout.split(), dtype=float)
+    return done.stdout.split()
 
 
-def by_node(path, wanted):
-    node_programs.node(path.parent, STEPS, wanted=wanted)
-    return node_programs.column(path.parent, "voltage").view(float)
+def by_node(path, wanted, degrees, warm):
+    taken = node_programs.node(path.parent, STEPS, wanted=wanted, degrees=degrees)
+    assert taken == f"{wanted.size if warm else 0} false"
+    return node_programs.column(path.parent, "answers").view(float)
 
 
 # Voltages of an FMU are compared in tests/exports/test_fmu.py.
@@ -169,9 +190,12 @@ def test_an_export_begins_as_the_compensator(suffix, kind, tmp_path):
 
 
 def compare(suffix, folder, **options):
-    """Assert that an export, which leaves its compensator alone, has its voltages."""
+    """Assert that an export, which leaves its compensator alone, has its voltages and displacements."""
     compensator, path = Compensator(**options, period=PERIOD), folder / f"stage{suffix}"
     export(compensator, path)
-    wanted = wanted_of(compensator)
-    got = RUNS[suffix](path, wanted)
-    assert np.array_equal(got, [compensator.step(y) for y in wanted.tolist()])
+    wanted, warm = wanted_of(compensator), compensator.actuator.thermal is not None
+    degrees = np.random.default_rng(6).uniform(10, 60, wanted.size)
+    got = np.array(RUNS[suffix](path, wanted, degrees, warm), dtype=float).reshape(-1, 2)
+    temperatures = degrees.tolist() if warm else [None] * wanted.size
+    rows = zip(wanted.tolist(), temperatures, strict=True)
+    assert np.array_equal(got, [(compensator.step(*row), compensator.displacement) for row in rows])

@@ -8,14 +8,11 @@ import golden_core
 import numpy as np
 import places
 import pytest
-import sanitized
 from packaging.version import Version
 
 import dehyst
 from dehyst import ModelError
-from dehyst.exports.model_header import config_header
 from dehyst.model import turned
-from examples import at_night
 
 
 def test_a_release_has_the_version_of_its_core():
@@ -36,20 +33,6 @@ def test_what_c_replays_is_what_python_computes(tmp_path):
     kept = golden_core.TARGET.read_text()
     for name in ("wanted", "sent"):
         np.testing.assert_allclose(golden_core.numbers(name, kept), golden_core.numbers(name, fresh), rtol=1e-9)
-
-
-@pytest.mark.parametrize("number", ["double", at_night("float")])
-def test_broken_blocks_are_refused_or_keep_to_their_limits(tmp_path, number):
-    if missing := sanitized.runtime_missing():
-        pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
-    (tmp_path / "dehyst_config.h").write_text(config_header(number))
-    for name in ("dehyst.h", "dehyst_model.h"):
-        (tmp_path / name).write_text((places.CORE / "include" / name).read_text())
-    sources = [*sorted((places.CORE / "src").glob("*.c")), places.CORE / "tests" / "blocks.c"]
-    strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-I", tmp_path]
-    command = ["gcc", *strict, *sanitized.SANITIZE, *sources, "-lm", "-o", tmp_path / "blocks"]
-    subprocess.run(list(map(str, command)), check=True, timeout=300)
-    subprocess.run([tmp_path / "blocks", "500", "7"], check=True, timeout=120)
 
 
 @pytest.mark.parametrize("kind", ["slewing", "moving"])

@@ -5,7 +5,6 @@ import subprocess
 
 import places
 import pytest
-import sanitized
 
 USER = """
 cmake_minimum_required(VERSION 3.18)
@@ -40,17 +39,6 @@ def tools():
     for tool in ("cmake", "ctest", "cc"):
         if shutil.which(tool) is None:
             pytest.skip(f"{tool} is not installed: the core cannot be built alone")
-
-
-# At night: `make check` runs the programs of the laws on each push, under sanitizers.
-@pytest.mark.nightly
-@pytest.mark.parametrize("sanitize", ["OFF", "ON"])
-def test_its_laws_hold(tmp_path, sanitize):
-    if sanitize == "ON" and (missing := sanitized.runtime_missing()):
-        pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
-    build(places.CORE, tmp_path, f"-DDEHYST_SANITIZE={sanitize}")
-    told = run("ctest", "--test-dir", tmp_path)
-    assert "100% tests passed" in told and "out of 12" in told
 
 
 def test_a_project_of_its_own_finds_it(tmp_path):

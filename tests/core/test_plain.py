@@ -1,10 +1,6 @@
 """The C core: two evaluators and the oracle give one answer, a record may be cut anywhere, memory stays bounded."""
 
-import re
-import subprocess
-
 import numpy as np
-import plain_records
 import pytest
 import reference_model
 import strategies as our
@@ -14,10 +10,9 @@ from hypothesis import strategies as st
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
 from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, slip_elongations
 from dehyst.model import evaluator_of, turned
-from examples import at_night, examples
+from examples import examples
 
 RANGE = 1e-12
-SOURCES = plain_records.CORE_SOURCES
 SLIP = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6])
 SPRING = Spring([0, 4e-6, 1e-5], [0, 30, 100])
 ACTUATOR = Actuator(SLIP, SPRING)
@@ -270,13 +265,3 @@ STEPS = StepCoefficients(np.array([0, 1]), *[np.zeros((1, 0))] * 3)
 def test_the_core_itself_refuses_what_python_did_not(make, message):
     with pytest.raises(ModelError, match=message):
         make()
-
-
-@pytest.mark.parametrize("level", [at_night("-O0"), "-O2", at_night("-Os")])
-def test_the_core_needs_nothing(compiled, level):
-    """Firmware without a C library links it: no heap, no input or output, no mathematics library."""
-    compiled.compile(level, "-ffreestanding", "-flto", "-c", *SOURCES)
-    compiled.compile(level, "-ffreestanding", "-fno-pic", "-nostdlib", "-r", *SOURCES, "-o", "core.o")
-    command = ["nm", "-u", "core.o"]
-    listing = subprocess.run(command, cwd=compiled.folder, capture_output=True, text=True, check=True).stdout
-    assert set(re.findall(r"\bU (\w+)", listing)) <= {"memcpy", "memset"}

@@ -190,46 +190,6 @@ def test_strict_compilers_find_nothing_and_nothing_is_needed(tmp_path, kind, num
             assert flags is CORTEX_M4 or not needed
 
 
-HELD = r"""
-#include <stdio.h>
-#include "piezo.h"
-
-int main(void)
-{
-    static piezo p;
-    long t;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    printf("%a\n", piezo_displacement(&p));
-    for (t = 0; t < SAMPLES; t++) {
-        piezo_step(&p, MIDDLE);
-        if (t == SAMPLES / 2) dehyst_loop_scale(&p.loop, 1.05, 1e-7);
-        if (t % EVERY == 0) printf("%a\n", piezo_displacement(&p));
-    }
-    return HALF < 0;
-}
-"""
-
-
-@pytest.mark.parametrize("kind", ["plain", "creep", "moving"])
-def test_displacement_is_that_of_the_compiled_export_to_the_bit(tmp_path, kind):
-    need("gcc")
-    loop = KINDS[kind]()
-    samples = round(20 / (loop.period or 0.01))
-    folder = written(tmp_path / "c", loop)
-    lines = compiled_exports.driven(folder, loop, samples, every=samples // 100, program=HELD)
-    middle = compiled_exports.spread(loop)[0]
-    displacements = [loop.displacement]
-    for t in range(samples):
-        loop.step(middle)
-        if t == samples // 2:
-            loop.scale(1.05, 1e-7)
-        if t % (samples // 100) == 0:
-            displacements.append(loop.displacement)
-    assert [float.fromhex(line) for line in lines] == displacements
-    assert displacements[-1] == pytest.approx(middle, abs=1e-12)
-    assert loop._clone("um").displacement == pytest.approx(1e6 * displacements[0], rel=1e-15)
-
-
 @pytest.mark.parametrize("flag", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
 def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag):
     need("gcc")
@@ -429,38 +389,3 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
     status, said = make(folder, *shlex.split(example))
     assert status == 0, said
     assert "no symbol is needed from outside" in said
-
-
-WARMING = r"""
-#include <stdio.h>
-#include "piezo.h"
-
-int main(void)
-{
-    static piezo p;
-    double wanted, degrees;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    while (scanf("%lf %lf", &wanted, &degrees) == 2) {
-        if (piezo_temperature(&p, degrees) != DEHYST_OK) return 2;
-        printf("%a\n", piezo_step(&p, wanted));
-    }
-    return piezo_temperature(&p, 1000.0) == DEHYST_ERR_SIGN ? 0 : 3;
-}
-"""
-
-
-def test_a_temperature_gives_the_bits_of_python(tmp_path):
-    need("gcc")
-    cold = compiled_exports.plain()
-    actuator = replace(cold.actuator, thermal=dehyst.Thermal(-0.0037, 3.3e-9, 24.7))
-    folder = written(tmp_path / "c", dehyst.Compensator(actuator, cold.limits))
-    assert "piezo_temperature" not in (written(tmp_path / "cold", cold) / "piezo.h").read_text()
-    (folder / "warming.c").write_text(WARMING)
-    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
-    subprocess.run(["gcc", *flags, "warming.c", "piezo.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)
-    rng, (low, high) = np.random.default_rng(5), cold.reach
-    rows = np.column_stack([rng.uniform(low, high, 2000), rng.uniform(10, 60, 2000)]).tolist()
-    given = "".join(f"{y!r} {degrees!r}\n" for y, degrees in rows)
-    done = subprocess.run([folder / "warming"], input=given, capture_output=True, text=True, check=True)
-    loop = dehyst.Compensator(actuator, cold.limits, warns=False)
-    assert [float.fromhex(word) for word in done.stdout.split()] == [loop.step(*row) for row in rows]

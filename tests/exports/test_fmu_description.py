@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,6 @@ from fmu_runner import (
     PERIOD,
     Slave,
     actuator_voltages,
-    compensators,
     fmpy,
     voltages,
 )
@@ -84,20 +82,6 @@ def test_no_memory_is_lost_or_overrun(fmus, tmp_path):
     ran = subprocess.run([str(tmp_path / "life")], capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout == "alike\n"
-
-
-@pytest.mark.nightly
-def test_the_same_model_makes_the_same_file(fmus, tmp_path):
-    path, _ = fmus("creep", "compensator")
-    again = compensators()["creep"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        again.run(PATH)  # where it is now does not matter, where it was fmus does
-    export(again, tmp_path / "again.fmu")
-    assert (tmp_path / "again.fmu").read_bytes() == path.read_bytes()
-    tokens = {fmpy.read_model_description(fmus(model, kind)[0]).guid for model in MODELS for kind in KINDS}
-    # But for a delay, "mass" and "preview" have one actuator, and an actuator does not look ahead.
-    assert len(tokens) == len(MODELS) * len(KINDS) - 1
 
 
 def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):

@@ -18,38 +18,43 @@ pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
 PERIOD = 1 / structured_records.RATE
 COUPLING = np.array([[1.0, 0.05, -0.03], [-0.06, 1.0, 0.04], [0.02, -0.045, 1.0]])
-# Steps of a program of its own, of random displacements; what it prints are the bits of its voltages.
 STEPS = 20_000
-DRIVER = """#include "stage.h"
+# Reads what is wanted of each axis, and with WARM its temperature; prints voltage, displacement and what was clamped.
+PROGRAM = r"""#include "stage.h"
 #include <stdio.h>
-#include <stdint.h>
-#include <string.h>
+
+static int read(double *numbers)
+{
+    int j;
+    for (j = 0; j < STAGE_AXES; j++)
+        if (scanf("%lf", numbers + j) != 1) return 0;
+    return 1;
+}
 
 int main(void)
 {
     static stage body;
-    uint64_t x = 18, told = 14695981039346656037u, bits;
-    long t;
+    double wanted[STAGE_AXES], degrees[STAGE_AXES], volts[STAGE_AXES], moved[STAGE_AXES];
     int j;
     if (stage_begin(&body) != DEHYST_OK) return 1;
-    for (t = 0; t < STEPS; t++) {
-        dehyst_real wanted[STAGE_AXES], volts[STAGE_AXES];
-        for (j = 0; j < STAGE_AXES; j++) {
-            x = x * 6364136223846793005u + 1442695040888963407u;
-            wanted[j] = middle[j] + half[j] * (2 * ((double)(x >> 11) * 0x1p-53) - 1);
-        }
+    while (read(wanted) && read(degrees)) {
+#ifdef WARM
+        if (stage_temperature(&body, degrees) != DEHYST_OK) return 2;
+#endif
         stage_step(&body, wanted, volts);
-        for (j = 0; j < STAGE_AXES; j++) {
-            memcpy(&bits, &volts[j], sizeof bits);
-            told = (told ^ bits) * 1099511628211u;
-            told = (told ^ (uint64_t)body.clamped[j]) * 1099511628211u;
-        }
+        stage_displacement(&body, moved);
+        for (j = 0; j < STAGE_AXES; j++) printf("%a %a %d ", volts[j], moved[j], body.clamped[j]);
     }
-    printf("%016llx\\n", (unsigned long long)told);
+#ifdef WARM
+    {
+        const double gain = body.loop[0].gain;
+        degrees[STAGE_AXES - 1] = 1000;
+        if (stage_temperature(&body, degrees) != DEHYST_ERR_SIGN || body.loop[0].gain != gain) return 3;
+    }
+#endif
     return 0;
 }
 """
-WORD = 2**64 - 1
 
 
 def plain_stage(**options):
@@ -68,6 +73,14 @@ def wide_stage():
     return StageCompensator(stage, limits=limits, period=PERIOD, slew_rate=[None, 5e3, 8e3], states=states)
 
 
+def warm_stage():
+    """Of each axis another effect of the temperature."""
+    thermals = Thermal(-0.004, 3.3e-9, 24.7), Thermal(-0.002, 0.0, 21.0)
+    plants = [plain_records.plant(count, seed=count) for count in (6, 10)]
+    actuators = tuple(replace(plant, thermal=part) for plant, part in zip(plants, thermals, strict=True))
+    return StageCompensator(Stage(actuators, COUPLING[:2, :2]), limits=[(20.0, 180.0), (0.0, 150.0)])
+
+
 def single_axis():
     return StageCompensator(Stage((plain_records.plant(5),)), limits=[(0.0, 190.0)])
 
@@ -77,6 +90,7 @@ STAGES = {
     "slewing": lambda: plain_stage(period=1e-3, slew_rate=[2e4, None, 4e4]),
     "wide": wide_stage,
     "one axis": single_axis,
+    "warm": warm_stage,
 }
 
 
@@ -110,36 +124,28 @@ def test_the_golden_trace_clamps_no_axis_some_and_all(compensator):
     assert set(Call) == {row.what for row in golden_trace(compensator).rows}
 
 
-def told_by_python(compensator, middle, half):
-    """What DRIVER prints."""
-    loop, x, told = compensator._clone(), 18, 14695981039346656037
-    for _ in range(STEPS):
-        wanted = []
-        for m, h in zip(middle, half, strict=True):
-            x = (x * 6364136223846793005 + 1442695040888963407) & WORD
-            wanted.append(m + h * (2 * ((x >> 11) * 2.0**-53) - 1))
-        volts = np.array(loop.step(wanted)).view(np.uint64).tolist()
-        for bits, clamped in zip(volts, loop.clamped, strict=True):
-            told = ((told ^ bits) * 1099511628211) & WORD
-            told = ((told ^ int(clamped)) * 1099511628211) & WORD
-    return f"{told:016x}"
-
-
 def test_random_steps_have_the_same_bits(compensator, tmp_path):
     need("gcc")
-    reach = np.array([axis.reach for axis in compensator.compensators])
-    middle = (compensator.stage.coupling @ reach.mean(axis=1)).tolist()
-    half = np.ptp(reach, axis=1).tolist()
-    constants = "".join(
-        f"static const double {name}[] = {{{', '.join(value.hex() for value in values)}}};\n"
-        for name, values in (("middle", middle), ("half", half))
-    )
+    warm = any(actuator.thermal for actuator in compensator.stage.actuators)
     for name, text in code(compensator).items():
         (tmp_path / name).write_text(text)
-    (tmp_path / "driver.c").write_text(DRIVER.replace("int main", f"{constants}\nint main"))
-    command = ["gcc", *STRICT, "-O2", f"-DSTEPS={STEPS}L", "driver.c", "stage.c", "dehyst.c", "-o", "driver"]
+    assert ("stage_temperature" in (tmp_path / "stage.h").read_text()) == warm
+    (tmp_path / "run.c").write_text(PROGRAM)
+    command = ["gcc", *STRICT, "-O2", *["-DWARM"] * warm, "run.c", "stage.c", "dehyst.c", "-o", "run"]
     compiled_exports.must_run(command, tmp_path)
-    assert compiled_exports.must_run(["./driver"], tmp_path).strip() == told_by_python(compensator, middle, half)
+    # Wide enough that each axis and all are clamped.
+    reach, rng = np.array([axis.reach for axis in compensator.compensators]), np.random.default_rng(5)
+    middle, half = compensator.stage.coupling @ reach.mean(axis=1), np.ptp(reach, axis=1)
+    wanted = (middle + half * rng.uniform(-1, 1, (STEPS, half.size))).tolist()
+    degrees = rng.uniform(10, 60, (STEPS, half.size)).tolist()
+    given = "\n".join(" ".join(map(repr, [*path, *celsius])) for path, celsius in zip(wanted, degrees, strict=True))
+    words = compiled_exports.must_run(["./run"], tmp_path, input=given).split()
+    loop, expected = compensator._clone(), []
+    for path, celsius in zip(wanted, degrees, strict=True):
+        volts = loop.step(path, celsius) if warm else loop.step(path)
+        expected += [number for row in zip(volts, loop.displacement, loop.clamped, strict=True) for number in row]
+    assert list(map(float.fromhex, words)) == expected
+    assert len(set(zip(*(words[2 + 3 * j :: 3 * half.size] for j in range(half.size)), strict=True))) >= 2**half.size
 
 
 def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
@@ -170,49 +176,3 @@ def test_creep_in_displacement_is_refused():
     stage = Stage(actuators, COUPLING)
     with pytest.raises(ModelError, match="creep in displacement"):
         code(StageCompensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))
-
-
-WARMING = r"""#include "stage.h"
-#include <stdio.h>
-
-int main(void)
-{
-    static stage body;
-    double wanted[2], degrees[2], volts[2], moved[2], hot[2] = {30.0, 1000.0};
-    if (stage_begin(&body) != DEHYST_OK) return 1;
-    while (scanf("%lf %lf %lf %lf", wanted, wanted + 1, degrees, degrees + 1) == 4) {
-        if (stage_temperature(&body, degrees) != DEHYST_OK) return 2;
-        stage_step(&body, wanted, volts);
-        stage_displacement(&body, moved);
-        printf("%a %a %a %a\n", volts[0], volts[1], moved[0], moved[1]);
-    }
-    if (stage_temperature(&body, hot) != DEHYST_ERR_SIGN) return 3;
-    return body.loop[0].gain == 1 - 0.004 * (degrees[0] - 24.7) ? 0 : 4;
-}
-"""
-
-
-def test_temperatures_give_the_bits_of_python(tmp_path):
-    need("gcc")
-    plants = [plain_records.plant(count, seed=count) for count in (6, 10)]
-    thermals = Thermal(-0.004, 3.3e-9, 24.7), Thermal(-0.002, 0.0, 21.0)
-    stage = Stage(tuple(plants), COUPLING[:2, :2])
-    warm = tuple(replace(plant, thermal=part) for plant, part in zip(plants, thermals, strict=True))
-    loop = StageCompensator(replace(stage, actuators=warm), limits=[(20.0, 180.0), (0.0, 150.0)])
-    cold = export(StageCompensator(stage, limits=loop.limits), tmp_path / "cold")
-    assert "stage_temperature" not in (cold / "stage.h").read_text()
-    folder = export(loop, tmp_path / "c")
-    (folder / "warming.c").write_text(WARMING)
-    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Werror", "-pedantic"]
-    subprocess.run(["gcc", *flags, "warming.c", "stage.c", "dehyst.c", "-o", "warming"], cwd=folder, check=True)
-    rng, reach = np.random.default_rng(5), np.array([compensator.reach for compensator in loop.compensators])
-    # Wide enough that each axis and both are clamped.
-    rows = np.column_stack([rng.uniform(*(reach.T * 1.1), (2000, 2)), rng.uniform(10, 60, (2000, 2))]).tolist()
-    given = "".join(f"{' '.join(map(repr, row))}\n" for row in rows)
-    done = subprocess.run([folder / "warming"], input=given, capture_output=True, text=True, check=True)
-    clamped = set()
-    for line, row in zip(done.stdout.splitlines(), rows, strict=True):
-        expected = [*loop.step(row[:2], row[2:]).tolist(), *loop.displacement.tolist()]
-        assert [float.fromhex(word) for word in line.split()] == expected
-        clamped.add(loop.clamped)
-    assert len(clamped) == 4

@@ -1,6 +1,5 @@
 """Where an exported compensator's memory begins, and the way there: the words lead to the state."""
 
-import compiled_exports
 import numpy as np
 import plain_records
 import pytest
@@ -41,14 +40,3 @@ def test_the_way_to_where_memory_begins_leads_there(rising):
     path = [actuator.voltage(elsewhere), *np.linspace(first, outset.voltage, 50)]
     reached = actuator.simulate(path, state=elsewhere).displacement[-1]
     assert reached == pytest.approx(outset.displacement, abs=1e-9 * plain_records.STROKE)
-
-
-def test_each_kind_of_start_has_its_own_instructions():
-    actuator = plain_records.plant(10, seed=4)
-    odd = actuator.simulate([0.0, 120.0, 60.0], state=actuator.relaxed()).state
-    ways = [
-        ExportedStart.of(Compensator(actuator, compiled_exports.LIMITS, state=state)).way
-        for state in (actuator.relaxed(80), odd)
-    ]
-    assert ways[0].startswith("swing the voltage about 80 V, each swing smaller")
-    assert ways[1].startswith("play the voltages that lead to this state")

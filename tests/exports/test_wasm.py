@@ -351,30 +351,6 @@ def test_the_types_have_every_member():
         assert about["needsPeriod"] == (kind in ("creep", "all", "moving"))
 
 
-def test_a_temperature_gives_the_bits_of_python(tmp_path):
-    warm = replace(KINDS["plain"]().actuator, thermal=Thermal(-0.0037, 3.3e-9, 24.7))
-    compensator = Compensator(warm, (0, 100))
-    low, high = compensator.reach
-    rng = np.random.default_rng(5)
-    wanted, degrees = rng.uniform(low, high, 2000), rng.uniform(10, 60, 2000)
-    program = """
-    const compensator = new Compensator(module), degrees = read("degrees");
-    const answer = read("wanted").map((y, k) => (compensator.setTemperature(degrees[k]), compensator.step(y)));
-    write("answer", answer);
-    let refused = 0;
-    try { compensator.setTemperature(1000); } catch (error) { refused = error instanceof RangeError ? 1 : 0; }
-    console.log(refused);
-    """
-    folder = exported(tmp_path / "warm", compensator)
-    assert node(folder, program, wanted=wanted, degrees=degrees) == "1"
-    loop = Compensator(warm, (0, 100), warns=False)
-    sent = [loop.step(*pair) for pair in zip(wanted.tolist(), degrees.tolist(), strict=True)]
-    np.testing.assert_array_equal(column(folder, "answer"), np.array(sent).view(np.uint64))
-    plain = exported(tmp_path / "plain", KINDS["plain"]())
-    with pytest.raises(AssertionError, match="RangeError"):
-        node(plain, "new Compensator(module).setTemperature(20);")
-
-
 def test_an_fmu_has_no_temperature(tmp_path):
     warm = replace(KINDS["plain"]().actuator, thermal=Thermal(0.004))
     with pytest.raises(ModelError, match="temperature"):

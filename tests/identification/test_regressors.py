@@ -89,21 +89,6 @@ def test_a_record_that_only_ever_grows_has_no_row():
     assert rows.elongation.shape == (0, 5)
 
 
-def test_elongations_of_known_elements_are_the_true_ones():
-    actuator = plain_records.plant(8)
-    y = plain_records.path((0.2, *plain_records.THREE_LOOPS))
-    state = plain_records.any_state(actuator, float(y[0]), 4)
-    rows, (epoch, *_) = rows_of(actuator, plain_records.record(actuator, y, state=state))
-    s, truth = state.deformation - state.carts, []
-    for step in np.diff(y, prepend=y[0]):
-        s = np.clip(s + step, -actuator.slip.breakaway, actuator.slip.breakaway)
-        truth.append(s)
-    number = rows.epoch.max()
-    last = np.array(truth)[-int(np.count_nonzero(rows.epoch == number)) :]
-    np.testing.assert_allclose(rows.elongation[rows.epoch == number], last, atol=1e-12 * plain_records.STROKE)
-    assert epoch.turn < epoch.start
-
-
 def test_carts_that_stand_still_add_displacement_less_the_middle():
     actuator = plain_records.plant(10)
     record = plain_records.loops(
@@ -143,22 +128,6 @@ def test_noise_of_the_sensor_cuts_the_reach():
     assert clean.reach == pytest.approx(plain_records.STROKE, rel=1e-12)
     assert cut.reach == pytest.approx(plain_records.STROKE - 4e-8, rel=1e-12)
     assert clean.middle == pytest.approx(0.5 * plain_records.STROKE, rel=1e-12)
-
-
-def test_pieces_of_several_records_are_stacked_and_told_apart():
-    actuator = plain_records.plant(4)
-    direct, second = (
-        plain_records.loops(actuator, plain_records.MAJOR),
-        plain_records.loops(actuator, (0.2, *plain_records.MAJOR)),
-    )
-    pieces = [(0, direct), (1, second)]
-    rows, found = collect(pieces, actuator.slip.breakaway, [0.0, 0.0])
-    assert [len(own) >= 1 for own in found] == [True, True]
-    first = len(found[0])
-    assert set(rows.epoch[rows.record == 0]) == set(range(first))
-    assert set(rows.epoch[rows.record == 1]) == set(range(first, first + len(found[1])))
-    taken = np.concatenate([np.arange(e.start, e.stop) for e in found[1]])
-    np.testing.assert_array_equal(rows.time[rows.record == 1], second.time[taken])
 
 
 @pytest.mark.parametrize("name", ["plain", "smooth", "all"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import LinearConstraint, lsq_linear, minimize, nnls
+from scipy.optimize import LinearConstraint, minimize, nnls
 
 from dehyst import IdentifyError
 from dehyst.identification import solver
@@ -98,32 +98,6 @@ def test_the_conditions_of_an_optimum_hold(program):
     assert_least(program, program.least()[0])
 
 
-@examples(50, nightly=200)
-@given(st.integers(0, 10**9), st.integers(1, 20))
-def test_without_free_columns_and_inequalities_it_is_scipys_nnls(seed, bounded):
-    program = random(seed, 0, bounded)
-    np.testing.assert_allclose(program.least()[0], nnls(program.rows, program.target)[0], rtol=1e-7, atol=1e-9)
-
-
-@examples(50, nightly=200)
-@given(st.integers(0, 10**9), st.integers(0, 3), st.integers(1, 12))
-def test_without_inequalities_it_is_scipys_bounded_least_squares(seed, free, bounded):
-    program = random(seed, free, bounded)
-    below = np.append(np.full(free, -np.inf), np.zeros(bounded))
-    expected = lsq_linear(program.rows, program.target, (below, np.inf), method="bvls", tol=1e-14)
-    np.testing.assert_allclose(program.least()[0], expected.x, rtol=1e-7, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_with_inequalities_it_is_scipys_sequential_quadratic_program(seed):
-    program = random(seed, 1, 5, 4, spread=0.0)
-    bounds = [(None, None), *[(0, None)] * 5]
-    limits = LinearConstraint(program.matrix, program.lower)
-    options = {"ftol": 1e-14, "maxiter": 500}
-    best = minimize(program.objective, np.ones(6), bounds=bounds, constraints=limits, method="SLSQP", options=options)
-    assert program.objective(program.least()[0]) == pytest.approx(best.fun, rel=1e-8)
-
-
 @examples(60, nightly=200)
 @given(PROGRAMS, st.integers(0, 10**9))
 def test_any_start_gives_the_same_answer(program, seed):
@@ -137,12 +111,6 @@ def test_any_start_gives_the_same_answer(program, seed):
     np.testing.assert_allclose(again * scale, x * scale, atol=1e-6 * size)
     np.testing.assert_array_equal(same.moving, found.moving)
     np.testing.assert_array_equal(same.active, found.active)
-
-
-def test_a_start_with_fewer_inequalities_is_one_for_more():
-    program = random(3, limits=6)
-    _, few = program._replace(matrix=program.matrix[:2], lower=program.lower[:2]).least()
-    np.testing.assert_allclose(program.least(few)[0], program.least()[0], rtol=1e-9)
 
 
 @examples(40, nightly=150)
@@ -203,15 +171,6 @@ def test_degenerate_programs_end(seed):
     options = {"ftol": 1e-13, "maxiter": 1000}
     best = minimize(program.objective, np.ones(16), bounds=bounds, constraints=limits, method="SLSQP", options=options)
     assert program.objective(x) <= best.fun + 1e-5
-
-
-def test_sums_of_fewer_rows_are_differences():
-    program = random(1, 1, 6)
-    part = NormalEquations.none(program.rows.shape[1], 1).with_rows(program.rows[:20], program.target[:20]).whole
-    rest = program._replace(rows=program.rows[20:], target=program.target[20:])
-    none = np.zeros((0, 7)), NONE
-    np.testing.assert_allclose((program.sums - part).minimum(none)[0], rest.least()[0], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose((rest.sums + part).minimum(none)[0], program.least()[0], rtol=1e-9, atol=1e-12)
 
 
 def test_a_column_whose_rows_left_gets_nothing():

@@ -58,12 +58,6 @@ def test_the_grid_goes_with_the_units(structure, scale):
     np.testing.assert_array_equal(scaled.closings, grid.closings)
 
 
-def test_the_default_is_the_papers_class_on_its_uniform_grid():
-    grid = Structure().grid((0.0, 16e-6), (0.0, 200.0))
-    np.testing.assert_allclose(grid.breakaway, 16e-6 / 40 * np.arange(1, 21))
-    assert (grid.segments, grid.lengths.size, grid.drive.size) == (1, 0, 0)
-
-
 def test_spacing_makes_the_grid_dense_where_loops_are_small():
     grid = Structure(elements=10, spacing=2.0).grid((0.0, 2.0), VOLTS)
     np.testing.assert_allclose(grid.breakaway, (np.arange(1, 11) / 10) ** 2)
