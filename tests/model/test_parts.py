@@ -8,7 +8,7 @@ import pytest
 
 from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, Spring, State, Thermal
 from dehyst._native import CoreState
-from dehyst.model import GradedSlip, Identification, Physical, SmoothSlip, Transformer, evaluator_of
+from dehyst.model import GradedSlip, Identification, Physical, SmoothSlip, Transformer, evaluator_of, turned
 
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
 PARTS = {
@@ -164,6 +164,10 @@ def test_a_part_comes_back_from_a_file_and_no_other_object_is_one(part):
         lambda: State(0, [[0]]),
         lambda: State(0, [0], motion=[1]),
         lambda: Actuator(MaxwellSlip([1e200], [1e200]), SPRING),
+        lambda: Actuator(SLIP, SPRING, State(0, [0])),
+        *(lambda limits=limits: Actuator(SLIP, SPRING, limits=limits) for limits in ((5, 5), ("a", "b"), (1,), 3)),
+        *(lambda place=place: turned(Actuator(SLIP, SPRING), place) for place in ("far", np.nan)),
+        lambda: Actuator(SLIP, SPRING).relaxed("off"),
     ],
 )
 def test_shapes_that_do_not_fit_are_refused(make):

@@ -2,49 +2,22 @@
 
 import math
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import plain_records
 import pytest
 import reference_model
 import strategies as our
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring, State
-from dehyst.model import GradedSlip, SmoothSlip, Transformer, turned
+from dehyst import Actuator, MaxwellSlip, Spring, State
+from dehyst.model import SmoothSlip, turned
 
 EXACT = 1e-12
 SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
 SMOOTH = SmoothSlip([1e-6, 3e-6], [1, 0.7], [4e6, 2e6])
 ACTUATOR = Actuator(SLIP, SPRING, smooth=SMOOTH)
-
-
-def make_smooth(seed, span, volts, count):
-    """Return elements whose lengths lie between a thousandth and ten times the span, some without stiffness."""
-    rng = np.random.default_rng([seed, 4])
-    closing = rng.choice([0.5, 1.0, rng.uniform(0.5, 1)], count)
-    stiffness = volts / span * 10 ** rng.uniform(-2, 1.5, count) * (rng.random(count) < 0.9)
-    return SmoothSlip(span * 10 ** rng.uniform(-3, 1, count), closing, stiffness)
-
-
-@st.composite
-def motions(draw, max_elements=20, max_samples=120):
-    """Draw a plain actuator with smooth elements, a state in which they are elongated, and a path."""
-    plain, state, path = draw(our.motions(our.actuators(0, max_elements), max_samples=max_samples))
-    seed, count = draw(our.SEEDS), draw(st.integers(1, 5))
-    smooth = make_smooth(seed, our.span_of(plain), our.volts_of(plain), count)
-    strained = np.random.default_rng([seed, 5]).uniform(-1, 1, count).round(draw(st.integers(0, 3)))
-    state = State(state.deformation, state.carts, smooth=strained * smooth.length)
-    return Actuator(plain.slip, plain.spring, smooth=smooth), state, path
-
-
-def scales(actuator, state, path):
-    """Rounding of a motion: 1e-12 of the voltage at most held over its range [V], and of that range [m]."""
-    metres = max(our.span_of(actuator), float(np.ptp(np.append(path, state.deformation))))
-    slopes = actuator.spring.slopes.max() + np.sum(actuator.slip.stiffness) + actuator.smooth.stiffness.sum()
-    return EXACT * slopes * metres, EXACT * metres
 
 
 MATHEMATICS = r"""
@@ -86,7 +59,7 @@ def test_its_exponential_and_logarithm(compiled, single, ulps):
 
 @given(our.SEEDS, st.integers(1, 5), st.integers(0, 60), st.sampled_from([1e-3, 0.1, 1, 30]))
 def test_elongations_agree_with_the_oracle(seed, count, samples, reach):
-    rng, smooth = np.random.default_rng(seed), make_smooth(seed, 1.0, 1.0, count)
+    rng, smooth = np.random.default_rng(seed), our.make_smooth(seed, 1.0, 1.0, count)
     path = reach * rng.normal(size=samples).round(rng.integers(0, 4))
     steps, q, expected = np.diff(path, prepend=path[:1]), np.zeros(count), []
     for step in steps:
@@ -112,17 +85,6 @@ def test_elongations_agree_with_an_ode_solver(closing):
         assert abs(got - q) < 1e-7 * 0.7  # the right-hand side has a corner that the solver steps over
 
 
-def test_with_closing_1_it_is_dahls():
-    """dq = dy (1 - sgn(dy) q / length): one exponential a step, whatever the sign of q."""
-    length, path = 0.4, np.random.default_rng(0).normal(size=300)
-    q, expected = 0.0, [0.0]
-    for step in np.diff(path):
-        end = length * np.sign(step)
-        q = end + (q - end) * math.exp(-abs(step) / length)
-        expected.append(q)
-    plain_records.assert_close(SmoothSlip([length], [1], [1]).elongations(path)[:, 0], expected, 1e-14)
-
-
 @given(our.SEEDS, st.integers(2, 40))
 def test_an_element_only_takes_work(seed, samples):
     """From none elongated, the work done on it is at least what it can give back, and it is never longer than it is.
@@ -130,7 +92,7 @@ def test_an_element_only_takes_work(seed, samples):
     It can give back int r / (1 + rate r) dr, r from 0 to |q|, rate = (2 closing - 1) / length. Along the motion q is
     concave, so that the trapezoidal rule gives too little: at most the sum of h^3 / 12 of its curvature, 2 / length.
     """
-    smooth = make_smooth(seed, 1.0, 1.0, 1)
+    smooth = our.make_smooth(seed, 1.0, 1.0, 1)
     length, rate = smooth.length[0], (2 * smooth.closing[0] - 1) / smooth.length[0]
     turns = np.random.default_rng(seed).normal(size=samples)
     path = np.interp(np.linspace(0, samples - 1, 400 * (samples - 1) + 1), np.arange(samples), turns)
@@ -141,67 +103,6 @@ def test_an_element_only_takes_work(seed, samples):
     r = np.linspace(0, abs(q[-1]), 2001)
     stored = np.trapezoid(r / (1 + rate * r), r)
     assert np.sum(np.diff(path) * (q[1:] + q[:-1]) / 2) + lacking >= stored * (1 - 1e-6) - EXACT * length * h.sum()
-
-
-@pytest.mark.parametrize("stack", [True, False])
-@given(motion=motions())
-def test_compensate_agrees_with_the_oracle(stack, motion):
-    actuator, state, path = motion
-    volts, metres = scales(actuator, state, path)
-    got, known = (
-        actuator.compensate(path, state=state, stack=stack, extrapolate=True),
-        reference_model.Smooth(actuator, state),
-    )
-    plain_records.assert_close(got.voltage, known.compensate(path), volts)
-    plain_records.assert_close(got.state.carts, known.y - known.elongation, metres)
-    plain_records.assert_close(got.state.smooth, known.q, EXACT * actuator.smooth.length.max())
-
-
-@given(motion=motions(max_elements=6, max_samples=20))
-@settings(max_examples=40)
-def test_simulate_agrees_with_the_oracle(motion):
-    actuator, state, path = motion
-    v = actuator.compensate(path, state=state, extrapolate=True).voltage
-    v = v + 0.1 * np.ptp(v) * np.random.default_rng(1).normal(size=v.size) if v.size else v
-    got, known = actuator.simulate(v, state=state, extrapolate=True), reference_model.Smooth(actuator, state)
-    expected = known.simulate(v)
-    plain_records.assert_close(got.displacement, expected, 10 * scales(actuator, state, expected)[1])
-
-
-def everything(seed, graded):
-    """Return an actuator of every part, and its times and path."""
-    rng = np.random.default_rng(seed)
-    slip = GradedSlip([1e-6, 2e-6], [0, 5e-6, 1e-5], [[1e6, 2e6], [2e6, 3e6]]) if graded else SLIP
-    actuator = Actuator(
-        slip,
-        SPRING,
-        transformer=Transformer([0, 50, 100], [0, 60, 100]),
-        smooth=SMOOTH,
-        displacement_creep=DisplacementCreep([0.1, 1, 7], [0.1, 0.2, 0.05]),
-    )
-    steps = rng.choice([0.01, 0.02, rng.uniform(0.01, 3)], 400)
-    return actuator, np.cumsum(steps), 5e-6 + np.cumsum(rng.normal(scale=2e-7, size=400))
-
-
-@pytest.mark.parametrize("graded", [True, False])
-@pytest.mark.parametrize("seed", range(5))
-def test_beside_every_other_part(graded, seed):
-    actuator, time, path = everything(seed, graded)
-    sent = actuator.compensate(path, time=time)
-    came = actuator.simulate(sent.voltage, time=time)
-    plain_records.assert_close(came.displacement, path, 1e-11 * np.ptp(path))
-    plain_records.assert_close(came.state.smooth, sent.state.smooth, 1e-11 * np.ptp(path))
-    bare, none = replace(actuator, smooth=None, transformer=None, state=None), MaxwellSlip([], [])
-    held = [
-        plant.compensate(path, time=time, state=replace(actuator.state, carts=carts, smooth=smooth)).voltage
-        for plant, carts, smooth in (
-            (bare, actuator.state.carts, []),
-            (replace(bare, slip=none, smooth=SMOOTH, state=None), [], actuator.state.smooth),
-            (replace(bare, slip=none, state=None), [], []),
-        )
-    ]
-    plain_records.assert_close(actuator.transformer(sent.voltage), held[0] + held[1] - held[2], 1e-10)
-    plain_records.assert_close(actuator.voltage(sent.state), sent.voltage[-1], 1e-10)
 
 
 @pytest.mark.parametrize("seed", range(60))

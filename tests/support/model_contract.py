@@ -107,7 +107,7 @@ class ModelContract:
             with pytest.raises(ModelError, match=r"(voltage|displacement).*index 7"):
                 run(np.where(np.arange(drive.size) == 7, bad, drive))
 
-    @pytest.mark.parametrize("bad", [[[0.0]], "text", None, [1j]])
+    @pytest.mark.parametrize("bad", [[[0.0]], "text", ["1"], None, [1j], 3.0])
     def test_what_is_not_a_path_is_refused(self, model, bad):
         for run in (_timed(model.simulate), _timed(model.compensate)):
             with pytest.raises(ModelError, match=r"voltage|displacement"):

@@ -4,11 +4,13 @@ Hypothesis draws few small numbers (a seed, sizes, a kind); NumPy makes the arra
 and lets an example shrink to few elements, few knots and a short path of a named kind.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import strategies as st
 
 from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring, State
-from dehyst.model import GradedSlip, Transformer, turned
+from dehyst.model import GradedSlip, SmoothSlip, Transformer, turned
 
 SEEDS = st.integers(0, 2**32 - 1)
 STATE_KINDS = ("relaxed", "turned up", "turned down", "reached", "arbitrary", "extreme")
@@ -168,6 +170,14 @@ def make_wider(actuator, seed, *, graded, transformer, creep):
     return Actuator(slip, spring, **parts)
 
 
+def make_smooth(seed, span, volts, count):
+    """Return elements whose lengths lie between a thousandth and ten times the span, some without stiffness."""
+    rng = np.random.default_rng([seed, 4])
+    closing = rng.choice([0.5, 1.0, rng.uniform(0.5, 1)], count)
+    stiffness = volts / span * 10 ** rng.uniform(-2, 1.5, count) * (rng.random(count) < 0.9)
+    return SmoothSlip(span * 10 ** rng.uniform(-3, 1, count), closing, stiffness)
+
+
 def make_time(seed, n):
     """Return n times [s]: even steps, uneven ones, or runs of even ones."""
     rng = np.random.default_rng([seed, 5])
@@ -185,14 +195,20 @@ def make_time(seed, n):
 def wider_motions(draw, parts=None, max_elements=20, states=STATE_KINDS, max_samples=120):
     """Draw an actuator of the wider class, a state of it, time [s] and a path [m]."""
     plain = draw(actuators(0, max_elements))
-    seed, flags = draw(SEEDS), draw(st.tuples(st.booleans(), st.booleans(), st.booleans()))
-    named = dict(zip(("graded", "transformer", "creep"), flags, strict=True)) | (parts or {})
+    seed, flags = draw(SEEDS), draw(st.tuples(*[st.booleans()] * 4))
+    named = dict(zip(("graded", "transformer", "creep", "smooth"), flags, strict=True)) | (parts or {})
+    count = draw(st.integers(1, 5)) if named.pop("smooth") else 0
     actuator = make_wider(plain, seed, **named)
     state = make_state(plain, seed, draw(st.sampled_from(states)))
+    rng, inner = np.random.default_rng([seed, 6]), {}
     if actuator.displacement_creep is not None:
-        rng = np.random.default_rng([seed, 6])
         strains = 0.1 * span_of(plain) * rng.normal(size=len(actuator.displacement_creep)) * rng.choice([0, 1])
-        state = State(state.deformation, state.carts, displacement_creep=strains)
+        inner["displacement_creep"] = strains
+    if count:
+        smooth = make_smooth(seed, span_of(plain), volts_of(plain), count)
+        actuator = replace(actuator, smooth=smooth, state=None)
+        inner["smooth"] = rng.uniform(-1, 1, count).round(draw(st.integers(0, 3))) * smooth.length
+    state = State(state.deformation, state.carts, **inner)
     path = make_path(
         plain, state.deformation, seed, draw(st.sampled_from(PATH_KINDS)), draw(st.integers(0, max_samples))
     )

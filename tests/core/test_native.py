@@ -1,4 +1,4 @@
-"""A sample that is not a number moves nothing, in the core of every class."""
+"""The core by itself: a sample that is not a number moves nothing, and it refuses what Python did not."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import plain_records
 import pytest
 import strategies as our
 
-from dehyst import Dynamics
-from dehyst._native import StepCoefficients
+from dehyst import Actuator, Dynamics, MaxwellSlip, ModelError, Spring
+from dehyst._native import EMPTY, Core, CoreState, StepCoefficients, slip_elongations
 from dehyst.model import SmoothSlip, evaluator_of
 
 
@@ -75,3 +75,38 @@ def test_a_sample_that_is_not_a_number_moves_nothing(kind, stack, bad):
         plain_records.assert_close(sent[there], good, 1e-12 * np.ptp(good))
         for first, second in zip(reached, end, strict=True):
             plain_records.assert_close(first, second, 1e-12 * np.ptp(path[there]))
+
+
+SLIP, SPRING = MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100])
+CORE = evaluator_of(Actuator(SLIP, SPRING)).core
+KNOTS, VOLTS = SPRING.displacement, SPRING.voltage
+ZERO, TWO = np.zeros(1), np.zeros(2)
+STEPS = StepCoefficients(np.array([0, 1]), *[np.zeros((1, 0))] * 3)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Core(SLIP.breakaway, ZERO, KNOTS, VOLTS), "different lengths"),
+        (lambda: Core(SLIP.breakaway, -SLIP.stiffness, KNOTS, VOLTS), "must be >= 0"),
+        (lambda: Core(SLIP.breakaway[::-1], SLIP.stiffness, KNOTS, VOLTS), "strictly increase"),
+        (lambda: Core(SLIP.breakaway, np.nan * SLIP.stiffness, KNOTS, VOLTS), "not finite"),
+        (lambda: Core(SLIP.breakaway, SLIP.stiffness, KNOTS, VOLTS[::-1]), "strictly increase"),
+        (lambda: Core(SLIP.breakaway, SLIP.stiffness, KNOTS[:1], VOLTS[:1]), "fewer than two knots"),
+        (
+            lambda: CORE.compensate(ZERO, STEPS, CoreState(0.0, ZERO, EMPTY, EMPTY)),
+            "different lengths",
+        ),
+        (
+            lambda: CORE.simulate(ZERO, STEPS, CoreState(0.0, TWO + 1, EMPTY, EMPTY)),
+            "farther from the disp",
+        ),
+        (lambda: CORE.voltage(CoreState(np.nan, TWO, EMPTY, EMPTY)), "not finite"),
+        (lambda: CORE.depth(ZERO, 0.0, TWO + 1), "farther from the displacement"),
+        (lambda: CORE.depth(ZERO, 0.0, np.array([1e-6, -2e-6])), "no history from rest"),
+        (lambda: slip_elongations(SLIP.breakaway, ZERO, ZERO), "different lengths"),
+    ],
+)
+def test_the_core_itself_refuses_what_python_did_not(make, message):
+    with pytest.raises(ModelError, match=message):
+        make()
