@@ -11,8 +11,7 @@ import strategies as our
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dehyst import Actuator, MaxwellSlip, Spring, State
-from dehyst._native import slip_elongations
+from dehyst import State
 from dehyst.model import Physical, turned
 
 EXACT = 1e-12
@@ -49,12 +48,6 @@ def scales(actuator):
     bottom, top = major(actuator, 3)
     volts = actuator.spring(top) - actuator.spring(bottom) + 2 * actuator.slip.friction.sum()
     return EXACT * float(volts), EXACT * (top - bottom)
-
-
-def at_rest(actuator, elongation):
-    """Return the equilibrium at 0 V with these elongations (Sec. 2): h(x(0)) = -sum k_i s_i."""
-    y = actuator.relaxed(-float(actuator.slip.stiffness @ elongation)).deformation
-    return State(y, y - elongation)
 
 
 @given(our.motions(max_samples=12), our.SEEDS)
@@ -108,20 +101,6 @@ def test_break_points(actuator):
     assert close(compensated(actuator, up, at_bottom), f_up / T, volts)
 
 
-@given(our.SEEDS, st.integers(1, 20))
-def test_break_points_of_a_uniform_grid(seed, n):
-    """Eqs. 8 and 9, Remark 2: N equal segments between the ends, whose second differences are the stiffnesses."""
-    actuator = our.make_actuator(seed, n, 2, uniform=True)
-    delta, kappa = actuator.slip.breakaway[0], actuator.slip.stiffness
-    falling = actuator.spring.displacement[-1] - 2 * delta * np.arange(n + 1)
-    down = compensated(actuator, falling, turned(actuator, falling[0]))
-    up = compensated(actuator, falling[::-1], turned(actuator, falling[-1], rising=False))
-    allowance = n * scales(actuator)[0] / delta
-    assert close(np.diff(down, 2) / (2 * delta), kappa[:-1], allowance)
-    assert close(-np.diff(up, 2) / (2 * delta), kappa[:-1], allowance)
-    assert close((down[-2] - down[-1]) / (2 * delta) - actuator.spring.slopes[0], kappa[-1], allowance)
-
-
 @given(SOME, our.SEEDS, our.SEEDS)
 def test_lemma_1(actuator, seed, other):
     """Once every element has slid, the state does not depend on the start."""
@@ -138,54 +117,14 @@ def test_lemma_1(actuator, seed, other):
     assert close(first.voltage[-2:], second.voltage[-2:], v)
 
 
-def asymmetry(actuator):
-    """Return v_up(yc + d) + v_down(yc - d) - v(top) - v(bottom) over a major loop about yc."""
+@given(AFFINE)
+def test_lemma_2(actuator):
+    """With an affine spring the loop is anti-symmetric about its centre."""
     bottom, top = major(actuator)
     rise = np.linspace(bottom, top, 101)
     up = compensated(actuator, rise, turned(actuator, bottom, rising=False))
     down = compensated(actuator, rise[::-1], turned(actuator, top))
-    even = actuator.spring(rise) + actuator.spring(rise[::-1]) - actuator.spring(top) - actuator.spring(bottom)
-    return up + down - up[-1] - down[-1], even
-
-
-@given(AFFINE)
-def test_lemma_2(actuator):
-    """With an affine spring the loop is anti-symmetric about its centre."""
-    assert close(asymmetry(actuator)[0], 0.0, scales(actuator)[0])
-
-
-@given(SOME)
-def test_lemma_2_has_a_false_converse(actuator):
-    """A spring that is odd about the centre is anti-symmetric too; of any other the even part is what is seen."""
-    y, v = actuator.spring.displacement - actuator.spring.displacement[0], actuator.spring.voltage
-    odd = Spring(np.concatenate([-y[:0:-1], y]), np.concatenate([2 * v[0] - v[:0:-1], v]))
-    assert close(asymmetry(Actuator(actuator.slip, odd))[0], 0.0, 4 * scales(actuator)[0])
-    seen, even = asymmetry(actuator)
-    assert close(seen, even, scales(actuator)[0])
-
-
-def test_a_curved_spring_breaks_lemma_2():
-    curved = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 5e-6, 1e-5], [0, 20, 100]))
-    assert np.abs(asymmetry(curved)[0]).max() > 50
-
-
-@given(SOME, our.SEEDS)
-def test_residual_strain_shifts_the_loop(actuator, seed):
-    """Eq. 10 and Sec. 2: another start at 0 V shifts the rest of the loop, in y - y(0), by exactly the difference of
-    y(0); x(0) lies in h^-1([-sum f, sum f]) and never beyond x(T0).
-    """
-    rng, rho = np.random.default_rng(seed), actuator.slip.breakaway
-    starts = [at_rest(actuator, rho * rng.uniform(-1, 1, rho.size)) for _ in range(2)]
-    highest = max(start.deformation for start in starts) + 2 * rho[-1]
-    v = actuator.voltage(turned(actuator, highest)) * (0.5 - 0.5 * np.cos(np.linspace(0, 4 * np.pi, 121)))
-    loops = [actuator.simulate(v, state=s, extrapolate=True).displacement - s.deformation for s in starts]
-    allowance, force = 4 * scales(actuator)[1], actuator.slip.friction.sum()
-    shift = starts[1].deformation - starts[0].deformation
-    assert close(loops[0][30:] - loops[1][30:], shift, allowance)
-    for start, loop in zip(starts, loops, strict=True):
-        ends = actuator.relaxed(-force).deformation, actuator.relaxed(force).deformation
-        assert ends[0] - allowance <= start.deformation <= ends[1] + allowance
-        assert loop[60] >= -allowance
+    assert close(up + down, up[-1] + down[-1], scales(actuator)[0])
 
 
 @given(our.motions(max_samples=30), our.SEEDS, st.floats(0, 1))
@@ -283,76 +222,6 @@ def test_dissipation_is_what_friction_takes(actuator, width):
     v = np.array_split(compensated(actuator, np.tile(loop, 2), turned(actuator, bottom)), 2)[1]
     lost = 2 * friction @ np.maximum(0, size - 2 * rho)
     assert close(loop_area(v, loop), lost, EXACT * loop.size * size * np.ptp(v) + scales(actuator)[0] * size)
-
-
-@given(our.motions(SOME, max_samples=60), our.SEEDS)
-def test_superposition(motion, seed):
-    """The elements do not know each other: two halves sharing the spring add up to the whole."""
-    actuator, state, path = motion
-    slip, spring = actuator.slip, actuator.spring
-    mine, share = np.random.default_rng(seed).random(len(slip)) < 0.5, 0.3
-    whole, halves = compensated(actuator, path, state), 0
-    for chosen, part in ((mine, share), (~mine, 1 - share)):
-        half = Actuator(
-            MaxwellSlip(slip.breakaway[chosen], slip.stiffness[chosen]),
-            Spring(spring.displacement, part * spring.voltage),
-        )
-        halves = halves + compensated(half, path, State(state.deformation, state.carts[chosen]))
-    elongations, _ = slip_elongations(slip.breakaway, state.carts, path)
-    volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(whole, 0)))
-    assert close(whole, halves, volts)
-    assert close(whole, elongations @ slip.stiffness + spring(path), volts)
-
-
-@given(our.motions(SOME, states=("relaxed",), max_samples=60))
-def test_what_is_known_of_the_state(motion):
-    """Sec. 11: from total ignorance the width of s_i is max(0, 2 rho_i - R), R the running range of y; after an
-    excursion of 2 rho_N the state is certain.
-    """
-    actuator, state, path = motion
-    rho, y0 = actuator.slip.breakaway, state.deformation
-    low, high = (slip_elongations(rho, y0 + side * rho, path)[0] for side in (1, -1))
-    seen = np.append(y0, path)
-    ranges = (np.maximum.accumulate(seen) - np.minimum.accumulate(seen))[1:, None]
-    metres = EXACT * (our.span_of(actuator) + np.ptp(seen))
-    assert close(high - low, np.maximum(0, 2 * rho - ranges), metres)
-    sweep = y0 + np.array([0.5, 0, 2.0]) * rho[-1]
-    first, second = (slip_elongations(rho, y0 + side * rho, sweep)[1] for side in (1, -1))
-    assert close(first, second, metres)
-
-
-@given(our.motions(SOME, states=("arbitrary", "reached", "extreme"), max_samples=60), our.SEEDS)
-def test_order_is_preserved_under_voltage(motion, seed):
-    """Sec. 11: of two states under the same voltage, the one whose carts all lie higher stays the higher one."""
-    actuator, lower, path = motion
-    y, rho = lower.deformation, actuator.slip.breakaway
-    higher = State(y, lower.carts + np.random.default_rng(seed).uniform(0, 1, rho.size) * (y + rho - lower.carts))
-    v = our.voltages_like(actuator, lower, path, seed)
-    for voltage in v:
-        first, second = (
-            actuator.simulate([voltage], state=lower, extrapolate=True),
-            actuator.simulate([voltage], state=higher, extrapolate=True),
-        )
-        metres = EXACT * (our.span_of(actuator) + abs(first.displacement[0]))
-        assert second.displacement[0] - first.displacement[0] >= -metres
-        assert np.all(second.state.carts - first.state.carts >= -metres)
-        lower, higher = first.state, second.state
-
-
-@given(our.motions(SOME, states=("relaxed", "turned up", "reached"), max_samples=60), our.SEEDS)
-def test_carts_slide_in_increasing_order(motion, seed):
-    """Sec. 2: every state that a history can reach has |b_i - b_{i+1}| <= rho_{i+1} - rho_i (b_0 = y, rho_0 = 0), so
-    on a rise element i + 1 never slides before element i.
-    """
-    actuator, state, path = motion
-    state = actuator.simulate(our.voltages_like(actuator, state, path, seed), state=state, extrapolate=True).state
-    rho = actuator.slip.breakaway
-    metres = EXACT * (our.span_of(actuator) + abs(state.deformation))
-    gaps = np.diff(np.append(state.deformation, state.carts))
-    assert np.all(np.abs(gaps) <= np.diff(np.append(0, rho)) + metres)
-    _, after = slip_elongations(rho, state.carts, state.deformation + np.array([rho[-1] / 2]))
-    moved = after - state.carts > metres
-    assert not np.any(~moved[:-1] & (after - state.carts > 2 * metres)[1:])
 
 
 @given(our.motions(SOME, max_samples=1), our.SEEDS)

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
-from scipy.signal import lsim
 
 from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, Thermal
 from dehyst.control import shortest_homing
 from dehyst.control.following import follow
 from dehyst.model import knots_of, turned, voltages_of
-from dehyst.model.dynamics import low_pass_tables
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -33,18 +31,6 @@ def smooth(time):
     """A smooth path [m] within the reach."""
     low, high = CREEPING.reach
     return low + (high - low) * (0.5 + 0.3 * np.sin(3 * time) + 0.1 * np.sin(11 * time))
-
-
-def test_it_is_the_sum_of_low_passes_behind_the_elements():
-    """By SciPy's simulation of linear systems, exact for inputs that are straight between samples."""
-    time = np.arange(2000) * 1e-3
-    voltage = 100 * plain_records.path((0, 1, 0.2, 0.8), 700)[:2000] / plain_records.STROKE
-    m = PLANT.simulate(voltage, time=time, state=PLANT.relaxed(0.0)).displacement
-    y = CREEPING.simulate(voltage, time=time, state=CREEPING.relaxed(0.0)).displacement
-    wanted = m.copy()
-    for tau, gain in zip(PART.time_constants, PART.gains, strict=True):
-        wanted += gain * lsim(([1.0], [tau, 1.0]), m, time, X0=[m[0] * tau])[1]
-    np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -88,37 +74,6 @@ def test_a_held_voltage_ends_at_the_displacement_at_rest():
     held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
     assert held.displacement[-1] == pytest.approx(1.09 * held.state.deformation, rel=1e-12)
     assert CREEPING.displacement(held.state) == pytest.approx(held.displacement[-1], rel=1e-14)
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_loop_is_the_equation_to_the_bit():
-    """A loop without this creep, and the equation of `dehyst_model.h` in Python, for 1e5 random steps with clamps."""
-    period, samples = 1e-3, 10**5
-    start = turned(PLANT, 0.3 * plain_records.STROKE)
-    loop, inner = (Compensator(actuator, (10, 130), 3e4, period=period, state=start) for actuator in (CREEPING, PLANT))
-    gains = PART.gains.tolist()
-    decay, rise = (table[0].tolist() for table in low_pass_tables(PART.time_constants, np.array([period])))
-    at_once = 1.0
-    for g, r in zip(gains, rise, strict=True):
-        at_once += g * (1 - r)
-    rng = np.random.default_rng(7)
-    low, high = loop.reach
-    path = rng.uniform(low, high, samples) * (1 + 0.1 * rng.normal(size=samples))
-    e, driven, sent, clamped = [0.0] * 3, inner.state.deformation, np.empty(samples), 0
-    for t, u in enumerate(path.tolist()):
-        goal = u
-        for g, d, r, element in zip(gains, decay, rise, e, strict=True):
-            goal += g * (d * element - r * driven)
-        goal /= at_once
-        before = inner.clamps
-        sent[t] = inner.step(goal)
-        if inner.clamps != before:
-            goal, clamped = inner.state.deformation, clamped + 1
-        e = [d * element + r * (goal - driven) for d, r, element in zip(decay, rise, e, strict=True)]
-        driven = goal
-    np.testing.assert_array_equal(loop.run(path), sent)
-    assert loop.state.displacement_creep.tolist() == e
-    assert 1000 < clamped < samples - 1000
 
 
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")

@@ -135,7 +135,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
     v = v + 0.1 * np.ptp(v) * np.random.default_rng(seed).normal(size=v.size) if v.size else v
     known = reference_model.Reference(actuator, state)
     expected = known.simulate(v, time)
-    # Of a wider class the voltages of the path were rounded too.
+    # The voltages of a wider class were rounded too.
     metres = (1 if is_plain(actuator) else 10) * scales(actuator, state, expected, v)[1]
     got = actuator.simulate(v, time=time, state=state, stack=stack, extrapolate=True)
     assert_close(got.displacement, expected, metres)
