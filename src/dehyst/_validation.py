@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from inspect import isroutine
@@ -50,7 +51,8 @@ def untimely(time: Array, samples: int) -> str:
     if time.size != samples:
         return f"time: got {time.size} values for {samples} samples, need one a sample"
     k = int(np.argmax(np.diff(time) <= 0)) + 1
-    return f"time: got {time[k]:.9g} s after {time[k - 1]:.9g} s at value {k}, need strictly increasing times"
+    got = f"got {time[k]:.9g} s after {time[k - 1]:.9g} s at value {k}"
+    return f"time: {got}, need strictly increasing times; sort the rows, and leave out those that repeat a time"
 
 
 def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> Any:
@@ -129,12 +131,9 @@ def number(value: object, what: str, *, error: type[DehystError] = ModelError) -
     """Return `value` as a finite float; raise `error` for anything else."""
     bare = plain(value, what, error=error)
     if isinstance(bare, Real) and not isinstance(bare, bool):
-        try:
-            as_float = float(bare)
-        except OverflowError:
-            as_float = math.inf
-        if math.isfinite(as_float):
-            return as_float
+        with suppress(OverflowError):
+            if math.isfinite(as_float := float(bare)):
+                return as_float
     raise error(argument=what, got=repr(value), need="a finite number")
 
 

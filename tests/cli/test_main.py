@@ -69,6 +69,7 @@ def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
     status, got = result("compensate", "model.json", "path.csv", "-o", "low.csv", "--limits", "0", "100", cwd=folder)
     assert status == 1 and got["clamped"] > 0 and any("CLAMPED" in warning for warning in got["warnings"])
     assert read_table(folder / "low.csv").column("voltage").max() <= 100
+    assert got["promise"]["apart"].startswith("with the offset")
 
 
 def test_the_measured_lag_is_said_and_can_be_put_in(folder):
@@ -121,6 +122,9 @@ def test_the_newcomers_trap_is_caught(folder):
     np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
     out = run("identify", "major.csv", "-o", "major.json", "--verbose", cwd=folder)[1]
     assert "do not determine all stiffnesses" in out
+    promise = result("compensate", "major.json", "path.csv", "-o", "v.csv", cwd=folder)[1]["promise"]
+    shown = run("compensate", "major.json", "path.csv", "-o", "v.csv", cwd=folder)[1].splitlines()
+    assert promise["largest_percent"] > 1 and shown[1] == promise["untested"][0]["sentence"]
     status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
     found = json.loads(out)
     assert status == 1

@@ -1,5 +1,6 @@
 """What a command refuses: status 2, the parameter at fault, by its option in the sentence, and nothing written."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from command_line import refused, run
 from virtual_loops import record_loops
 
 import dehyst
+from dehyst.model import Identification
+from dehyst.model.promise import Validity
 from dehyst.records import write_columns, write_record
 
 TRIANGLE = "scan triangle --low 2 --high 12 --frequency 10"
@@ -55,6 +58,8 @@ REFUSED = {
     "compensate model.json loops.csv -o out.csv --limits 0 inf": "limits",
     "compensate model.json absent.csv -o out.csv": ("", "absent.csv"),
     "compensate model.json far.csv -o out.csv": ("", "far.csv"),
+    "compensate model.json back.csv -o out.csv": ("", "sort the rows"),
+    "simulate damaged.json loops.csv -o out.csv": ("", "damaged.json: validity: rms:"),
     "compensate creep.json untimed.csv -o out.csv": ("", "--columns rate=HZ"),
     "compensate model.json path.csv -o out.csv --slew-rate -1": "slew_rate",
     "compensate model.json path.csv -o out.csv --slew-rate 1 --slew-rate 2": "slew_rate",
@@ -101,6 +106,8 @@ REFUSED = {
     "scan steps --levels 2,6 --dwell 0.1 --edge 1e-3 --acceleration 10 -o out.csv": "edge",
     "excite raised-cosine 0 -o out.csv": ("peaks", "PEAKS"),
     "excite raised-cosine -20 100 -o out.csv --count=10": ("count", "--count"),
+    "excite recommended 1e9 -o out.csv": ("highest", "HIGHEST"),
+    "excite raised-cosine 1e9 5 -o out.csv": ("peaks", "PEAKS"),
     "excite recommended inf -o out.csv": ("highest", "HIGHEST"),
     "excite recommended 100 -o out.csv --limits -inf inf": "limits",
     "excite recommended 100 -o out.csv --base -1e5": "base",
@@ -133,6 +140,10 @@ def folder(tmp_path_factory):
     thermal = replace(model, thermal=dehyst.Thermal(-2.5e-3, 4e-9, 30.0))
     thermal.save(place / "thermal.json")
     replace(model, displacement_creep=dehyst.DisplacementCreep([0.1], [0.01])).save(place / "creep.json")
+    tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0))
+    given = replace(model, identification=Identification(validity=tested)).as_dict()
+    given["identification"]["validity"]["rms_m"] = -1.0
+    (place / "damaged.json").write_text(json.dumps(given))
     dehyst.Stage((model, model), np.eye(2), ("x", "y")).save(place / "stage.json")
     training = record_loops()[0]
     write_record(place / "loops.csv", training)
@@ -152,6 +163,7 @@ def folder(tmp_path_factory):
     write_columns(place / "untimed.csv", {"displacement_um": path})
     write_columns(place / "timeless.csv", {"voltage_V": 10 * path})
     write_columns(place / "volts.csv", {"voltage_V": np.array([0.0, 2e5, 3e4])})
+    write_columns(place / "back.csv", {"time_s": np.roll(time, 1), "displacement_um": path})
     write_columns(place / "fast.csv", {"time_s": 0.1 * time, "displacement_um": path})
     write_columns(place / "point.csv", {"time_s": np.zeros(1), "displacement_um": np.ones(1)})
     (place / "never.py").write_text("def make(**options):\n    raise SystemError\n")

@@ -309,16 +309,16 @@ def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple
     Returns
     -------
     tuple of RecordComparison, float
-        One for each record, and the range of the widest loop [m].
+        One for each record, and the stroke of the promise, or else the range of the widest loop [m].
     """
     prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification or Identification()
-    stroke = max(high - low for low, high in (item.span() for item in prepared))
+    spans = (high - low for low, high in (item.span() for item in prepared))
+    stroke = max(spans) if known.validity is None else known.validity.stroke
     datum = 0.0 if known.shared_datum else None
-    drift = known.drift
     with one_thread():
         compared = tuple(
-            compare(actuator, item, stroke, datum=datum, drifting=drift and item.can_drift) for item in prepared
+            compare(actuator, item, stroke, datum=datum, drifting=known.drift and item.can_drift) for item in prepared
         )
     return compared, stroke
 

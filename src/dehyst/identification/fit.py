@@ -136,7 +136,7 @@ class Fit(Plotted):
         return json_values(self, f"{keys} options trials")
 
 
-_HEAD = ("record", "role", "samples", "left out", "largest, % of stroke", "RMS, % of stroke", "largest", "RMS")
+_HEAD = ("record", "role", "samples", "left out", "largest with noise, % stroke", "RMS, % of stroke", "largest", "RMS")
 # Number of candidates in a summary.
 _SHOWN = 5
 _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}

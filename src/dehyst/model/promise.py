@@ -136,10 +136,10 @@ class Validity:
         }
         wrong = [name for name, value in numbers.items() if value < 0]
         if wrong or not np.isfinite(kept).all() or not self.stroke or any(p and len(p) != 2 for p in pairs.values()):
-            raise ModelError(f"validity: {', '.join(wrong) or 'branches or pairs'}: need finite numbers of 0 or more")
+            raise ModelError(f"{', '.join(wrong) or 'branches or pairs'}: need finite numbers of 0 or more")
         (low, high), (cold, warm) = pairs["limits"] or (0.0, 0.0), pairs["temperatures"] or (0.0, 0.0)
         if not (low < high and cold <= warm):
-            raise ModelError(f"validity: limits or temperatures: got {pairs}, need the lower one first")
+            raise ModelError(f"limits or temperatures: got {pairs}, need the lower one first")
         keep(self, branches=kept, **numbers, **pairs)
 
     @classmethod
@@ -206,7 +206,7 @@ class Promise:
     path : str
         The path, in words: any path like the records, or this path from its start.
     rms, largest : float
-        RMS and largest error of the path without its mean error [m].
+        RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
     parts : mapping of str to float
         What `largest` is the sum of [m]: "model"; and, where they add something, "temperature", "start" and "clamped".
     half : (n,) array
@@ -239,7 +239,8 @@ class Promise:
     def apart(self) -> str:
         """What the errors leave out, in words."""
         late = f" and a delay of up to {1e3 * self.delay:.3g} ms: the records leave open who lags" if self.delay else ""
-        return f"apart from a constant offset{late}"
+        kept = "with the offset of clamped voltages" if "clamped" in self.parts else "apart from a constant offset"
+        return f"{kept}{late}"
 
     @property
     def useless(self) -> bool:
@@ -350,8 +351,7 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     Without a promise they are those on its `temperature`.
     """
     if found is not None:
-        useless = unusable(actuator, found)
-        return *([useless] if useless else []), *(condition.sentence for condition in found.untested)
+        return *filter(None, [unusable(actuator, found)]), *(condition.sentence for condition in found.untested)
     sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
     return (sentence,) if sentence else ()
 

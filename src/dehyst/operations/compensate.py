@@ -52,6 +52,7 @@ from dehyst.operations.paths import (
     coverage_remarks,
     reach_remarks,
     read_path,
+    reason_of,
     temperature_column,
     temperature_of,
     zeros_of_path,
@@ -287,8 +288,9 @@ class _Task:
             for request, plan in each
         )
         said = known.prefixed(plan.warnings for plan in plans)
+        reasons = known.prefixed(reason_of(request.actuator, plan.promise) for request, plan in each)
         urgent += [sentence for sentence in said if _CLAMPED in sentence]
-        others = [*self.remarks, *(sentence for sentence in said if _CLAMPED not in sentence)]
+        others = [*self.remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
         fields = {
             "samples": samples,
             "clamped": known.by_axis(int(plan.clamped.sum()) for plan in plans),
@@ -299,7 +301,7 @@ class _Task:
             **known.merged([request.slew.fields() for request in self.axes]),
             **known.merged([starts.path_start_fields(plan) for plan in plans]),
             "promise": known.by_axis(plan.promise and plan.promise.as_dict() for plan in plans),
-            "warnings": [*urgent, *others],
+            "warnings": [*urgent, *reasons, *others],
             "state": known.by_axis(plan.state.as_dict() for plan in plans),
             "output": str(output),
         }
@@ -311,6 +313,7 @@ class _Task:
         words = known.prefixed([f"{span} {begin}"] for span, begin in zip(spans, begins, strict=True))
         lines = [
             *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
+            *reasons,
             *known.prefixed(map(starts.open_start, plans)),
             f"{counted(samples, 'sample')}, {', '.join(words)}: {output}",
             *files(Picture=self.plot),

@@ -33,7 +33,7 @@ from dehyst.operations.command import (
     switch,
 )
 from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns
-from dehyst.operations.paths import ZERO, Zero
+from dehyst.operations.paths import ZERO, Zero, reason_of
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, read
 from dehyst.report import write_report
@@ -131,7 +131,8 @@ def _answer(fit: Fit | StageFit) -> list[str]:
     brief = fit.summary().split("\n")
     if not isinstance(fit, Fit) or not fit.good or fit.promise is None:
         return brief
-    return [brief[0], *(f"  - {escaped(remark)}" for remark in (*fit.promise.reservations, *fit.remarks)[:_REMARKS])]
+    remarks = (*reason_of(fit.actuator, fit.promise.promise), *fit.promise.reservations, *fit.remarks)
+    return [brief[0], *(f"  - {escaped(remark)}" for remark in remarks[:_REMARKS])]
 
 
 def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -> tuple[list[Record], list[Record]]:

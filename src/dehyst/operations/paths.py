@@ -14,7 +14,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import Actuator, demand_thermal, evaluator_of, tested_temperatures
+from dehyst.model import Actuator, Promise, demand_thermal, evaluator_of, tested_temperatures, unusable
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
 from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
@@ -24,6 +24,8 @@ from dehyst.records.formats.column import listed
 TEMPERATURE = "Temperature [degC]; default: the column temperature_C, or the reference of the model."
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
+# Part of the stroke above which the reason of a promised error is given.
+_LARGE = 0.01
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,20 @@ def coverage_remarks(actuator: Actuator, limits: Limits) -> list[str]:
         return []
     allowed = f"limits: {limits[0]:.6g} to {limits[1]:.6g} V is used"
     return [f"{allowed}, but the model's records cover {low:.6g} to {high:.6g} V: outside, the model is extrapolated"]
+
+
+def reason_of(actuator: Actuator, promise: Promise | None) -> list[str]:
+    """Return why a model is not usable for a path, or what a promise above 1 % of the stroke comes from."""
+    if useless := unusable(actuator, promise):
+        return [useless]
+    if promise is None or promise.largest <= _LARGE * promise.stroke:
+        return []
+    cause = max(promise.parts, key=promise.parts.__getitem__)
+    known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
+    if cause == "model" and not known:
+        return ["The model misses held-out parts of its records that far: dehyst insight says what to record next."]
+    # The error of a start and of clamped voltages is remarked by the plan.
+    return known[:1] if cause in ("model", "temperature") else []
 
 
 def temperature_of(

@@ -32,6 +32,7 @@ from dehyst.operations.command import (
 from dehyst.operations.files import read_model, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
+from dehyst.waveforms.excitation import voltages
 from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 
 # Cycles a second [Hz] that are tried, the longest time [s] that a recording may take, and the pace of a model's homing.
@@ -74,7 +75,7 @@ def _add_excitation(
 
     def written(run: Run, output: Path, **given: Any) -> Result:
         (name,) = {"highest", "peaks"} & {*given}
-        return _excited(protocol, given.pop(name), output=output, longest=longest, **given)
+        return _excited(protocol, given.pop(name), name=name, output=output, longest=longest, **given)
 
     written.__doc__ = text
     command(kind, {**options, **_DRIVEN, **_TEMPERATURES}, excite)(written)
@@ -152,15 +153,17 @@ def _excited(
     frequency: float | None,
     temperatures: tuple[float, float] | None = None,
     longest: float = _LONGEST,
+    name: str = "highest",
     **options: Any,
 ) -> Result:
-    """Write an excitation to one or several highest voltages [V].
+    """Write an excitation to one or several highest voltages [V], the parameter `name`.
 
     Without a `frequency`, it takes at most the `longest` time [s], if it can, and the advice is given.
     """
     sampled = {name: options.pop(name) for name in ("sample_rate", "base", "present", "limits", "slew_rate")}
-    if sampled["limits"] is None and (top := np.max(highest)) > 0:
-        sampled["limits"] = -float(top), float(top)
+    top = float(voltages(np.ravel(highest), name).max())
+    if sampled["limits"] is None and top > 0:
+        sampled["limits"] = -top, top
 
     def make(hertz: float) -> Excitation:
         return protocol(highest, drive=Sampling(hertz, **sampled), **options)
@@ -205,8 +208,8 @@ def _written(
     """Write an excitation of one axis or several."""
     names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
     rate, (low, high) = excitation.sample_rate, excitation.voltage_range
-    voltages = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
-    write_table(output, {"time_s": excitation.time, **voltages})
+    columns = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
+    write_table(output, {"time_s": excitation.time, **columns})
     first, last = (excitation.voltage[k].tolist() for k in (0, -1))
     steepest = rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
     fields = {

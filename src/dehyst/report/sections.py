@@ -149,7 +149,7 @@ def errors_table(fit: Fit) -> str:
         rows.append(((row.record, row.role), *cells, str(row.samples), str(row.left_out)))
     return (
         "<h2>Errors by record</h2>\n"
-        '<p class="muted">Measured minus simulated displacement, simulated from the voltage alone, in % of the stroke '
+        '<p class="muted">Measured displacement, with noise, minus that of the voltage alone, in % of the stroke '
         f"({length(fit.errors[0].stroke)}, the range of the widest training loop). Validation records took no part in "
         f"the fit of the model.</p>\n{html.table(('Record', *kinds, 'Samples counted', 'Left out'), rows, texts=1)}"
     )
