@@ -8,7 +8,7 @@ import sys
 import places
 import pytest
 from click.shell_completion import BashComplete
-from command_line import commands, run, run_as_process
+from command_line import commands, run
 
 from dehyst.cli import main
 from dehyst.operations.registry import ENTRIES
@@ -74,14 +74,6 @@ def test_completion_offers_commands_and_options():
     assert "--structure" in {item.value for item in complete.get_completions(["identify"], "--st")}
     assert "staircase" in {item.value for item in complete.get_completions(["excite"], "st")}
     assert {item.type for item in complete.get_completions(["identify"], "lo")} == {"file"}
-
-
-def test_ctrl_c_while_the_library_is_imported_ends_without_a_traceback(tmp_path):
-    (tmp_path / "click.py").write_text("raise KeyboardInterrupt")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    status, _, err = run_as_process("--help", env=environment)
-    assert status == 130
-    assert err == "dehyst: stopped by Ctrl-C\n"
 
 
 def test_the_documented_completion_script_is_printed():

@@ -97,7 +97,7 @@ REFUSED = {
     f"{TRIANGLE} -o out.csv --turns 2": "turns",
     f"{TRIANGLE} -o out.csv --acceleration 1000": "acceleration",
     f"{TRIANGLE} -o out.csv --sample-rate 20": "sample_rate",
-    f"{TRIANGLE} -o out.csv --sample-rate 1e8": ("scan", "rows"),
+    f"{TRIANGLE} -o out.csv --sample-rate 1e8": "cycles",
     "scan triangle --low 12 --high 2 --frequency 10 -o out.csv": ("low, high", "--low, --high"),
     "scan triangle --low 2 --high 12e6 --frequency 10 -o out.csv": "high",
     "scan triangle --low 2 --high 12 -o out.csv": "frequency",

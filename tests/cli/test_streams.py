@@ -14,7 +14,6 @@ from command_line import run_as_process as run
 
 import dehyst.cli.commands
 import dehyst.operations
-from dehyst.records import read_table
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="devices, pipes and names of POSIX")
 
@@ -37,14 +36,7 @@ def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path):
 
 FULL = Path("/dev/full")
 full = pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
-PRINTING = [
-    ["--help"],
-    ["--version"],
-    ["excite", "staircase", "--help"],
-    ["excite", "raised-cosine", "10", "-o", "v.csv"],
-    ["excite", "raised-cosine", "10", "-o", "v.csv", "--json"],
-    ["simulate", "model.json", "voltage.csv", "-o", "o.csv"],
-]
+PRINTING = [["--help"], ["excite", "raised-cosine", "10", "-o", "v.csv", "--json"]]
 
 
 @full
@@ -60,16 +52,6 @@ def test_a_full_disk_under_standard_output_is_a_sentence(folder, command):
 
 @posix
 @pytest.mark.parametrize("command", PRINTING, ids=" ".join)
-def test_a_closed_standard_output_is_a_sentence(folder, command):
-    status, _, err = run(*command, cwd=folder, stdout=None, preexec_fn=lambda: os.close(1))
-    assert status == 1
-    assert "dehyst: standard output cannot be written (Bad file descriptor)" in err
-    if "-o" in command:
-        assert read_table(folder / command[command.index("-o") + 1]).columns
-
-
-@posix
-@pytest.mark.parametrize("command", PRINTING, ids=" ".join)
 def test_a_reader_that_has_gone_is_left_quietly(folder, command):
     read, write = os.pipe()
     os.close(read)
@@ -79,16 +61,13 @@ def test_a_reader_that_has_gone_is_left_quietly(folder, command):
 
 
 @full
-def test_a_standard_error_that_is_full_or_closed_changes_no_result(folder):
+def test_a_standard_error_that_is_full_changes_no_result(folder):
     command = ["compensate", "model.json", "path.csv", "-o", "o.csv", "--limits", "0", "0.5", "--force"]
     status, out, err = run(*command, cwd=folder)
     assert status == 1 and "CLAMPED" in err
     with FULL.open("wb") as stream:
         assert run(*command, cwd=folder, stderr=stream)[:2] == (status, out)
         assert run("simulate", "absent", "absent", "-o", "x.csv", cwd=folder, stderr=stream)[0] == 2
-        assert run("--wrong", cwd=folder, stderr=stream)[0] == 2
-        assert run("--help", stdout=stream, stderr=stream)[0] == 1
-    assert run(*command, cwd=folder, stderr=None, preexec_fn=lambda: os.close(2))[:2] == (status, out)
 
 
 @full
@@ -156,8 +135,7 @@ def test_a_model_of_gigabytes_is_refused_by_its_size(folder):
 
 def test_commands_print_by_one_door():
     rooms = Path(dehyst.cli.commands.__file__).parent, Path(dehyst.operations.__file__).parent
-    doors = {rooms[0] / f"{name}.py" for name in ("terminal", "entry")}
-    paths = {path for room in rooms for path in room.glob("*.py")} - doors
+    paths = {path for room in rooms for path in room.glob("*.py")} - {rooms[0] / "terminal.py"}
     assert len(paths) > 8
     for path in paths:
         assert not re.search(r"click\.s?echo|\bprint\(|sys\.std(out|err)\.write", path.read_text()), path.name

@@ -1,5 +1,5 @@
 """The command line: the operations as commands."""
 
-from dehyst.cli.entry import main
+from dehyst.cli.commands import main
 
 __all__ = ["main"]

@@ -14,11 +14,11 @@ from dehyst._io import unwritten, write_atomically
 from dehyst.control import PathPlan, plan_path
 from dehyst.operations.axes import AxesModel, AxisNumbers, of_one_axis, slew_option
 from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, number, option, output, page, pair
-from dehyst.operations.files import COLUMNS, RECORD, Columns, clock_of
-from dehyst.operations.paths import ZERO, Zero, reach_remarks, temperature_of, zero_of_path
+from dehyst.operations.files import COLUMNS, RECORD, Columns
+from dehyst.operations.paths import ZERO, Zero, reach_remarks, read_path, zero_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start, starts_of
-from dehyst.records import percent, read_table
+from dehyst.records import percent
 from dehyst.report import write_insight
 from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
@@ -87,18 +87,15 @@ def _planned(
 ) -> PathPlan:
     """Return the plan of a trajectory, as compensate makes it."""
     (actuator,) = known.actuators
-    table = read_table(trajectory, columns)
-    # Columns are those of the records, and of the path where it has them.
-    own, clock = (name if name in table.names else None for name in (columns.displacement, columns.time))
-    path = table.column("displacement", columns.wanted or own)
-    time = clock_of(table, Columns(time=clock)).get("time_s")
+    # Columns are those of the records, but for the wanted displacement.
+    own = Columns(displacement=columns.wanted, temperature=columns.temperature)
+    rows, warmth, clock = read_path(known, trajectory, own, remark=run.note)
     begins, remarks = starts_of(known, start, [limits], columns)
-    path = path + zero_of_path(actuator, limits, zero, begins[0])
-    warmth = temperature_of(known, None, columns, table, path.size, remark=run.note)
+    path = rows[:, 0] + zero_of_path(actuator, limits, zero, begins[0])
     for remark in [*remarks, *reach_remarks(actuator, path, limits, zero, warmth)]:
         run.note(remark)
-    rows = path[:, None]
-    return known.planned(plan_path, rows, [limits], [slew_rate], time=time, temperature=warmth, start=begins)[0]
+    when = {"time": clock.get("time_s"), "temperature": warmth}
+    return known.planned(plan_path, path[:, None], [limits], [slew_rate], start=begins, **when)[0]
 
 
 @command("check")

@@ -17,7 +17,7 @@ from dehyst.control import Compensator, PathPlan, StageCompensator
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Condition, Values, option
-from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, implausible, is_model, read_model, values_of
+from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, is_model, read_model, values_of
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import Entry, columns_of_axis
@@ -134,10 +134,7 @@ class AxesModel:
         if not is_stage(path):
             return cls(None, (read_model(run, path),), ("",))
         stage = Stage.load(path)
-        known = cls(stage, stage.actuators, stage.axes)
-        for sentence in known.prefixed(map(implausible, stage.actuators)):
-            run.note(f"{path}: {sentence}")
-        return known
+        return cls(stage, stage.actuators, stage.axes)
 
     def slews(self, given: AxisNumbers) -> list[PathSlew]:
         """Return the slew rate of each axis: the given one, the one that its model keeps, or none."""

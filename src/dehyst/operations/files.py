@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dehyst._errors import FileFormatError
 from dehyst._io import SCAN, demand_version, format_of
-from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.operations.command import Parsed, option
 from dehyst.operations.run import MODELS, Run
@@ -45,41 +42,25 @@ def clock_of(table: Table, columns: Columns) -> dict[str, Array]:
     return {"time_s": table.column("time", columns.time)}
 
 
-def warmth_of(table: Table, samples: int, columns: Columns) -> Array | None:
+def warmth_of(table: Table, columns: Columns) -> Array | None:
     """Return the temperatures (n,) [degC] in a table: the named column, or the only one that is a temperature.
 
     None if there is no such column. Raise an error if there are several, or one that cannot be used.
     """
-    if columns.temperature is not None:
-        values = values_of(table, "temperature", columns)
-        found = [Channel("temperature", "degC", "temperature", "", values)]
-    else:
-        known = [column for column in table.columns if column.role == "temperature"]
-        if len(known) > 1:
-            raise FileFormatError(
-                f"{table.source}: {listed(tuple(column.name for column in known))} are temperatures",
-                argument="columns",
-                hint=f"select one by temperature={known[0].name}",
-            )
-        if known and known[0].fault:
-            raise FileFormatError(f"{table.source}: column '{known[0].name}': {known[0].fault}")
-        found = [Channel.of(column) for column in known]
-    if not found:
+    known = [column.name for column in table.columns if column.role == "temperature"]
+    if columns.temperature is None and not known:
         return None
-    fault = found[0].fault
-    if found[0].values.size != samples:
-        fault = f"it has {counted(found[0].values.size, 'value')} for {counted(samples, 'sample')}"
-    if fault:
+    if columns.temperature is None and len(known) > 1:
+        words = f"{table.source}: {listed(tuple(known))} are temperatures"
+        raise FileFormatError(words, argument="columns", hint=f"select one by temperature={known[0]}")
+    values = table.column("temperature", columns.temperature or known[0])
+    if fault := Channel("temperature", "degC", "temperature", "", values).fault:
         raise FileFormatError(f"{table.source}: temperature: {fault}")
-    return found[0].values
+    return values
 
 
 # Significant digits of a table: 0.1 nV of 100 V.
 _DIGITS = 12
-# A start that is farther from the limits by this multiple of their range is impossible.
-_IMPOSSIBLE = 100.0
-# The steepest part of a record is at most this much faster than its fastest branch.
-_FASTER = 100.0
 _LONGEST = 1_000_000
 
 
@@ -90,36 +71,15 @@ def is_model(path: Path, *formats: str) -> bool:
 
 def read_model(run: Run, path: Path) -> Actuator:
     """Read a model; warn if its identification was not usable, or did not end."""
-    from dehyst.model import Actuator, voltages_of
+    from dehyst.model import Actuator
 
     actuator = Actuator.load(path)
-    low, high = voltages_of(actuator)
-    start = actuator.voltage(actuator.state)
-    if not np.ptp(actuator.reach) > 0 or abs(start - low) > _IMPOSSIBLE * (high - low):
-        raise FileFormatError(
-            f"{path}: is no model of an actuator from {low:.6g} to {high:.6g} V: it moves by "
-            f"{1e6 * float(np.ptp(actuator.reach)):.3g} um and begins at {start:.3g} V; was the file edited?"
-        )
     known = actuator.identification
     if known is not None and known.outcome is not None and not known.outcome.good:
         run.note(f"{path}: when this model was identified: {known.outcome.value}")
     if known is not None and known.provisional:
         run.note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
-    for sentence in implausible(actuator):
-        run.note(f"{path}: {sentence}")
     return actuator
-
-
-def implausible(actuator: Actuator) -> Iterator[str]:
-    """Yield warnings of a delay and a slew rate in a model file that its records cannot have shown."""
-    known, lag = actuator.identification, actuator.delay + actuator.lag
-    if known is None or known.validity is None or not (fastest := known.validity.speeds[1]):
-        return
-    if lag * fastest > (span := known.validity.span):
-        yield f"its delay, {lag:.4g} s, is longer than its records took over {span:.6g} V: correct it"
-    if (rate := known.slew_rate) is not None and rate > _FASTER * fastest:
-        times = f"{rate / fastest:.3g} times the fastest branch of its records, {fastest:.4g} V/s"
-        yield f"its slew rate, {rate:.4g} V/s, is {times}: correct it"
 
 
 def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:

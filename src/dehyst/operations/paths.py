@@ -93,11 +93,10 @@ def temperature_of(
     constant: float | None,
     columns: Columns,
     table: Table | None = None,
-    samples: int = 0,
     *,
     remark: Callable[[str], object],
 ) -> float | Array | None:
-    """Return the temperature of a path [degC]: `constant`, or the column (samples,) of its `table`; or None.
+    """Return the temperature of a path [degC]: `constant`, or the column (n,) of its `table`; or None.
 
     A column that was not asked for is left out if the model does not know of temperatures. `remark` is called with a
     sentence if there is a column that is not used.
@@ -113,7 +112,7 @@ def temperature_of(
             remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
         return check.number(constant, "temperature")
     if table is not None and any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
-        return warmth_of(table, samples, columns)
+        return warmth_of(table, columns)
     if own:
         remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
     return None
@@ -126,7 +125,7 @@ def read_path(
     known.demand(columns, PATH, "on a path")
     table = table_of(path, columns)
     wanted = known.values(table, "displacement", columns)
-    warmth = temperature_of(known, constant, columns, table, len(wanted), remark=remark)
+    warmth = temperature_of(known, constant, columns, table, remark=remark)
     return wanted, warmth, clock_of(table, columns)
 
 

@@ -20,9 +20,7 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
 
-# Mark of a guess, the factor and unit in which a quantity is shown, and sizes of the list and the drawing.
-_GUESSED = "guessed, verify"
-_SHOWN = {"time": (1.0, "s"), "voltage": (1.0, "V"), "displacement": (1e6, "um")}
+# Sizes of the list and the drawing.
 _MOST, _WIDTH, _HEIGHT = 40, 60, 16
 
 
@@ -58,7 +56,7 @@ def show(
         run.say(line)
     record = record_of(table, columns, file.stem)
     own = columns.of_axes() if columns.axes else {"": columns}
-    axes = {axis: _AxisView(record.axis(axis), table, own[axis], axis) for axis in record.axes or ("",)}
+    axes = {axis: _AxisView(record.axis(axis), own[axis], axis) for axis in record.axes or ("",)}
     if output is not None:
         write_record(output, record)
     if save is not None:
@@ -100,12 +98,8 @@ class _AxisView:
     """How an axis of a record is understood."""
 
     record: Record
-    table: Table
     columns: Columns
     name: str
-
-    def _guessed(self, quantity: str) -> bool:
-        return not {quantity, f"{quantity} of {self.name}"}.isdisjoint(self.record.meta.get("guesses", {}))
 
     def understood(self) -> list[tuple[str, str, str]]:
         """Return each quantity, its column and its range, in words."""
@@ -113,9 +107,9 @@ class _AxisView:
         used = {**{channel.name: channel.column for channel in record.others}, **record.meta.get("columns", {})}
 
         def origin(quantity: str) -> str:
-            scales = record.meta.get("scales", {})
-            scale = scales.get(f"{quantity} of {self.name}" if self.name else quantity)
-            mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
+            key = f"{quantity} of {self.name}" if self.name else quantity
+            scale = record.meta.get("scales", {}).get(key)
+            mark = " (guessed, verify)" if {quantity, key} & {*record.meta.get("guesses", ())} else ""
             column = used.get(quantity) or getattr(self.columns, quantity) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
@@ -139,9 +133,6 @@ class _AxisView:
             yield f"Axis {self.name}"
         for quantity, column, words in rows:
             yield f"{quantity + ':':<14}{column:<{width}}  {words}"
-        yield ""
-        yield "First and last value, as written and as understood:"
-        yield from self._ends()
         problems = self.problems()
         yield ""
         yield "Notes:" if problems else "No problems found."
@@ -149,20 +140,6 @@ class _AxisView:
         yield ""
         shown = self.record if self.record.measured is None else self.record[self.record.measured]
         yield from _drawing(shown.voltage, shown.displacement * 1e6, "voltage (V)", "displacement (um)")
-
-    def _ends(self) -> Iterator[str]:
-        """Yield the first and last value of each used column, as in the file and as in the record."""
-        without = {"time": self.columns.rate is not None, "displacement": self.record.measured is not None}
-        for quantity in (name for name in _SHOWN if not without.get(name)):
-            column = self.table.select(quantity, getattr(self.columns, quantity)).column
-            # Joining cuts and interpolates rows.
-            cells = ("", "") if self.columns.join else column.ends
-            first, last = (cell or f"{value:.9g}" for cell, value in zip(cells, column.data[[0, -1]], strict=True))
-            stated, (factor, unit) = column.parts[1], _SHOWN[quantity]
-            name = column.name if not stated or stated in column.name else f"{column.name} [{stated}]"
-            a, b = (factor * float(value) for value in getattr(self.record, quantity)[[0, -1]])
-            mark = f" ({_GUESSED})" if self._guessed(quantity) else ""
-            yield f"  {name}: {first} ... {last} -> {a:.6g} ... {b:.6g} {unit}{mark}"
 
     @cached_property
     def unusable(self) -> str:

@@ -46,7 +46,7 @@ def simulate(
     given = known.values(table, "voltage", columns)
     time = clock_of(table, columns)
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
-    warmth = temperature_of(known, temperature, columns, table, len(given), remark=warnings.append)
+    warmth = temperature_of(known, temperature, columns, table, remark=warnings.append)
     ranges = [voltages_of(actuator) for actuator in known.actuators]
     known_path = {"time": time.get("time_s"), "temperature": warmth, "start": begins}
     paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **known_path)

@@ -244,13 +244,9 @@ def _written(
 
 def refuse_cycles(made: Scan, cycles: int) -> None:
     """Raise an error for a number of cycles that is too large for a file."""
-    most = MOST_ROWS // made.samples
-    if not most:
-        got, hint = f"{made.samples} rows a period at {made.rate:g} Hz", "try a lower sample rate, or fewer lines"
-        raise RecordError(argument="scan", got=got, need=f"at most {MOST_ROWS:g}", hint=hint)
-    if not 1 <= cycles <= most:
-        need = f"1 to {most}, of {made.samples} rows each ({MOST_ROWS:g} rows in all)"
-        raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle instead")
+    if not 1 <= cycles <= MOST_ROWS // made.samples:
+        need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {made.samples} a cycle"
+        raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle, or lower the sample rate")
 
 
 class Numbers(tuple[float, ...]):
