@@ -16,15 +16,15 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1161,
-    "cli": 457,
+    "cli": 401,
     "control": 4222,
     "exports": 1284,
     "fleet": 311,
-    "foundation": 1413,
+    "foundation": 1412,
     "identification": 6019,
     "instruments": 2645,
     "model": 3517,
-    "operations": 3595,
+    "operations": 3544,
     "paper": 983,
     "records": 4641,
     "report": 1494,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2318,
 }
 HOUSE = {
-    "lines of Python": 38797,
-    "files of Python": 192,
+    "lines of Python": 38689,
+    "files of Python": 191,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 37274,
+    "lines of tests": 37254,
     "lines of benchmarks": 4958,
     "words of docs": 27704,
     "public names": 112,
