@@ -107,9 +107,11 @@ def make(folder, *targets):
 def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
     need("gcc", "make", "arm-none-eabi-gcc", "qemu-system-arm")
     export(compensator, tmp_path / "c")
-    status, words = make(tmp_path / "c", "check", "symbols", "worst")
+    # The steps of the largest model are counted on an emulated processor, too.
+    counted = ["worst"] * (compensator.period == PERIOD)
+    status, words = make(tmp_path / "c", "check", "symbols", *counted)
     assert status == 0, words
-    assert " instructions\n" in words
+    assert (" instructions\n" in words) == bool(counted)
     assert "double: 0 of" in words
     assert "no symbol is needed from outside" in words
 

@@ -14,6 +14,7 @@ import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
 from dehyst.identification import Deadline, Outcome, Structure
 from dehyst.model import turned
+from examples import at_night
 
 PLANT, STROKE = plain_records.plant(10), plain_records.STROKE
 TEN = Structure(elements=10, knots=11, smoothing=0.0)
@@ -233,7 +234,7 @@ def steps():
     return len(said)
 
 
-@pytest.mark.parametrize("place", [0.0, 0.2, 0.5, 0.8, 1.0])
+@pytest.mark.parametrize("place", [0.0, at_night(0.2), 0.5, at_night(0.8), 1.0])
 def test_the_model_at_a_deadline_is_usable(place):
     """A request ends the searches at one of the steps, from the first to the last."""
     said, deadline = [], Deadline()

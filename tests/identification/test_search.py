@@ -14,6 +14,7 @@ from dehyst import Dynamics, Record
 from dehyst.identification import Structure, search
 from dehyst.identification.denoising import derivatives, remove_dynamics
 from dehyst.identification.motion import creep_times
+from examples import spanning
 
 STROKE, STEP = plain_records.STROKE, moved.STEP
 NOISE = 1e-4 * STROKE
@@ -32,9 +33,10 @@ def tops(seed=0, noise=NOISE):
     return plain_records.loops(PLANT, plain_records.DESCENDING_TOPS, noise=noise, seed=seed)
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("turns", [plain_records.DESCENDING_TOPS, plain_records.REVERSAL_CURVES])
-def test_nothing_moves_in_a_static_truth_with_noise(turns, seed):
+@pytest.mark.parametrize(
+    ("seed", "turns"), spanning(range(3), [plain_records.DESCENDING_TOPS, plain_records.REVERSAL_CURVES])
+)
+def test_nothing_moves_in_a_static_truth_with_noise(seed, turns):
     motion, names = found([plain_records.loops(PLANT, turns, noise=NOISE, seed=seed)])
     assert names == set()
     assert (motion.delay, motion.lag, motion.mass, motion.creep, motion.drift.any()) == (0, 0, 0, None, False)
