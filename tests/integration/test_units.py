@@ -42,18 +42,12 @@ class Quantity:
         return np.asarray(self.data, dtype=dtype)
 
 
-def test_micrometres_given_for_metres_are_refused():
-    """It returned 780 kV."""
-    with pytest.raises(
-        ModelError,
-        match=r"displacement: got 2 to 12 m, the model reaches -1\S+ to -7\S+ um; is this "
-        r"in micrometres\? .* extrapolate",
-    ):
-        ACTUATOR.compensate([2, 12])
-    with pytest.raises(ModelError, match="nanometres"):
-        ACTUATOR.compensate([12e3])
-    with pytest.raises(ModelError, match=r"got 2 to 12 um, .* both count from the sensor's zero"):
-        ACTUATOR.compensate([2e-6, 12e-6])
+@pytest.mark.parametrize(
+    ("given_as", "hint"), [([2, 12], "micrometres"), ([12e3], "nanometres"), ([2e-6, 12e-6], "zero")]
+)
+def test_a_displacement_in_another_unit_or_from_another_zero_is_refused(given_as, hint):
+    with pytest.raises(ModelError, match=hint):
+        ACTUATOR.compensate(given_as)
 
 
 @pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
@@ -75,12 +69,12 @@ def test_one_stroke_is_the_border(actuator):
     actuator.compensate([low - 0.999 * stroke, high + 0.999 * stroke])
     actuator.simulate([first - 0.999 * (last - first), last + 0.999 * (last - first)])
     for y in (low - 1.001 * stroke, high + 1.001 * stroke):
-        with pytest.raises(ModelError, match="model reaches"):
+        with pytest.raises(ModelError, match="displacement"):
             actuator.compensate([0.5 * (low + high), y])
     for v in (first - 1.001 * (last - first), last + 1.001 * (last - first)):
-        with pytest.raises(ModelError, match="model was identified"):
+        with pytest.raises(ModelError, match="voltage"):
             actuator.simulate([first, v])
-        with pytest.raises(ModelError, match="model was identified"):
+        with pytest.raises(ModelError, match="voltage"):
             actuator.relaxed(v)
         actuator.relaxed(v, extrapolate=True)
 
@@ -103,7 +97,7 @@ def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited
         actuator.simulate(v).displacement, actuator.simulate(v, extrapolate=True).displacement
     )
     widest = actuator._plausible.high - actuator._plausible.low
-    with pytest.raises(ModelError, match="model reaches"):
+    with pytest.raises(ModelError, match="displacement"):
         actuator.compensate([actuator._plausible.high + 1.01 * widest])
 
 
@@ -122,7 +116,7 @@ def test_limits_too_wide_to_be_computed_with_leave_the_spring():
 def test_a_load_moves_the_reach():
     force = np.full(2, 100.0)
     y = np.array([HIGH, HIGH + 1.9 * STROKE])
-    with pytest.raises(ModelError, match="model reaches"):
+    with pytest.raises(ModelError, match="displacement"):
         ACTUATOR.compensate(y)
     ACTUATOR.compensate(y, load=force)
 
@@ -151,34 +145,35 @@ def test_a_loop_does_not_raise_but_asks(method, slew):
         assert np.all(np.abs(Compensator(ACTUATOR).run([2.0, 12.0])) <= 3.6)
 
 
-# Quantities with units
+NO_NUMBERS = {
+    "a quantity": Quantity(PATH, units="metre"),
+    "of another library": Quantity(PATH, unit="um"),
+    "within another": Quantity(Quantity(PATH, units="metre")),
+    "in a list": [*PATH[1:], Quantity(PATH[0], unit="m")],
+    "masked": np.ma.array(PATH, mask=PATH > -90e-6),
+    "masked in a list": [*PATH[:-1], np.ma.masked],
+    "complex": PATH + 0j,
+    "complex in a list": [*PATH[:-1], np.complex128(PATH[-1])],
+}
 
 
-@pytest.mark.parametrize(
-    "given_as",
-    [
-        Quantity(PATH, units="metre"),
-        Quantity(PATH, unit="um"),
-        Quantity(Quantity(PATH, units="metre")),
-        [*PATH[1:], Quantity(PATH[0], unit="m")],
-    ],
-)
-def test_a_quantity_is_refused_with_what_to_give(given_as):
-    with pytest.raises(ModelError, match=r"displacement: .*magnitude"):
-        ACTUATOR.compensate(given_as)
-    with pytest.raises(RecordError, match="displacement: got a quantity"):
-        dehyst.Record(np.arange(PATH.size), PATH * 1e5, given_as)
+@pytest.mark.parametrize("kind", NO_NUMBERS)
+def test_what_is_no_plain_number_is_refused(kind):
+    with pytest.raises(ModelError, match="displacement"):
+        ACTUATOR.compensate(NO_NUMBERS[kind])
+    with pytest.raises(RecordError, match="displacement"):
+        dehyst.Record(np.arange(PATH.size), PATH * 1e5, NO_NUMBERS[kind])
 
 
 def test_a_quantity_is_no_voltage_limit_or_step():
     volts = Quantity(np.array([0.0, 3.0]), units="volt")
-    with pytest.raises(ModelError, match="limits: got a quantity"):
+    with pytest.raises(ModelError, match="limits"):
         Compensator(ACTUATOR, volts)
-    with pytest.raises(ModelError, match="displacement: got a quantity"):
+    with pytest.raises(ModelError, match="displacement"):
         Compensator(ACTUATOR).step(Quantity(-1e-4, unit="m"))
-    with pytest.raises(RecordError, match="peaks: got a quantity"):
+    with pytest.raises(RecordError, match="peaks"):
         standard.raised_cosine(volts)
-    with pytest.raises(dehyst.DehystError, match=r"fake.*displacement.*volt"):
+    with pytest.raises(dehyst.DehystError, match=r"fake.*displacement"):
         admitted(FakeRig(), Samples([2.0, 3.0], [0.0, 1.0], volts), np.zeros(2), 0, -np.inf)
 
 
@@ -187,20 +182,3 @@ def test_a_quantity_is_no_voltage_limit_or_step():
 )
 def test_other_arrays_of_numbers_are_taken(given_as):
     np.testing.assert_array_equal(ACTUATOR.compensate(given_as).voltage, ACTUATOR.compensate(PATH).voltage)
-
-
-@pytest.mark.parametrize("values", [np.ma.array(PATH, mask=PATH > -90e-6), [PATH[0], np.ma.masked]])
-def test_masked_values_are_refused(values):
-    with pytest.raises(ModelError, match="masked"):
-        ACTUATOR.compensate(values)
-    if len(values) == len(PATH):
-        with pytest.raises(RecordError, match="displacement: got an array"):
-            dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)
-
-
-@pytest.mark.parametrize("values", [PATH + 0j, [*PATH[:-1], np.complex128(PATH[-1])]])
-def test_complex_numbers_are_refused(values):
-    with pytest.raises(ModelError, match="displacement: got complex numbers"):
-        ACTUATOR.compensate(values)
-    with pytest.raises(RecordError, match="displacement: got complex numbers"):
-        dehyst.Record(np.arange(PATH.size), PATH * 1e5, values)

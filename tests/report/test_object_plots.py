@@ -56,7 +56,10 @@ def axes():
 
 
 @pytest.mark.parametrize(("name", "kind"), PICTURES)
-def test_it_draws_on_the_given_axes_with_units_and_returns_them(things, name, kind):
+def test_it_draws_on_the_given_axes_with_units_and_changes_nothing_global(things, name, kind):
+    from matplotlib import pyplot
+
+    before, figures = dict(matplotlib.rcParams), pyplot.get_fignums()
     ax = axes()
     assert things[name].plot(kind, ax=ax) is ax
     assert ax.has_data()
@@ -64,15 +67,6 @@ def test_it_draws_on_the_given_axes_with_units_and_returns_them(things, name, ki
     assert all("(" in label or label == "sample" for label in labels)
     assert ax.get_title()
     ax.figure.canvas.draw()
-
-
-@pytest.mark.parametrize(("name", "kind"), PICTURES)
-def test_nothing_global_changes(things, name, kind):
-    from matplotlib import pyplot
-
-    before, figures = dict(matplotlib.rcParams), pyplot.get_fignums()
-    ax = axes()
-    things[name].plot(kind, ax=ax)
     assert dict(matplotlib.rcParams) == before
     assert pyplot.get_fignums() == figures
 
