@@ -69,35 +69,3 @@ def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
     loop.reset(turned(loop.actuator, 0.5 * sum(loop.reach), rising=False))
     assert loop._model_block() != block
     assert loop._model_ids() == numbers != compiled_exports.KINDS["creep"]()._model_ids()
-
-
-@pytest.mark.parametrize("kind", ["slewing", "creep", "moving"])
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning", "ignore::dehyst.control.SensorWarning")
-def test_feedback_gives_pythons_bits(tmp_path, kind):
-    compiled_exports.need("gcc")
-    samples, every, loop = 20_000, 500, compiled_exports.KINDS[kind]()
-    fed = dehyst.Feedback(loop)
-    late = loop.samples_ahead
-    program = compiled_exports.DRIVER.replace('#include "piezo.h"', '#include "dehyst_model.h"\n#include "piezo.h"', 1)
-    program = program.replace(
-        "if (piezo_begin(&p) != DEHYST_OK) return 1;",
-        f"""dehyst_feedback fed;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    if (dehyst_feedback_begin(piezo_exported(), &p.loop, p.memory, {fed.gain!r}, {fed.bound!r}, {late}, &fed))
-        return 2;""",
-    )
-    step = "piezo_step(&p, (dehyst_real)(MIDDLE + HALF * (2 * share - 1) * wide))"
-    assert step in program
-    reading = "0.98 * piezo_displacement(&p) + 1e-8 * (t % 7)"
-    program = program.replace(
-        step,
-        f"""dehyst_feedback_step(piezo_exported(), &p.loop, p.memory, &fed,
-            MIDDLE + HALF * (2 * share - 1) * wide, t % 3 ? {reading} : 0.0 / 0.0)""",
-    )
-    folder = compiled_exports.written(tmp_path / "export", loop)
-    lines = compiled_exports.driven(folder, loop, samples, every=every, program=program)
-    sent = np.empty(samples)
-    for t, wish in enumerate(compiled_exports.wishes(loop, samples).tolist()):
-        sent[t] = fed.step(wish, 0.98 * loop.displacement + 1e-8 * (t % 7) if t % 3 else None)
-    assert lines == compiled_exports.told(sent, loop.clamps, every=every)
-    assert kind == "moving" or (fed.believed and fed.correction != 0)

@@ -108,7 +108,8 @@ for (const wrong of [() => compensator.scale(-1), () => compensator.feedback(2, 
 """
 
 
-@pytest.mark.parametrize("kind", ["slewing", "creep"])
+@pytest.mark.parametrize("kind", ["slewing", "creep", "moving"])
+@pytest.mark.filterwarnings("ignore::dehyst.control.SensorWarning")
 def test_feedback_is_pythons_to_the_bit(tmp_path, kind):
     compensator = KINDS[kind]()
     folder = exported(tmp_path / kind, compensator)

@@ -1,14 +1,9 @@
-"""The notebook and the page on Python keep their word: their code runs, and the stored output is of this code."""
+"""The notebook keeps its word: its code runs, and the stored output is of this code."""
 
 import ast
-import re
 
 import places
 import pytest
-
-from dehyst.operations import demo
-from dehyst.records import write_record
-from dehyst.virtual import PlayActuator
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("pandas")
@@ -49,21 +44,3 @@ def test_no_cell_converts_a_length_by_hand_but_where_the_library_is_in_metres():
     source = "\n".join(cell.source for cell in nbformat.read(NOTEBOOK, as_version=4).cells if cell.cell_type == "code")
     numbers = [node.value for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Constant)]
     assert 1e-6 not in numbers
-
-
-@pytest.mark.nightly
-def test_the_page_on_python_runs(tmp_path, monkeypatch):
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    record = demo.record_loops(PlayActuator(plays=60))[0]
-    write_record(tmp_path / "loops.csv", record)
-    monkeypatch.chdir(tmp_path)
-    space = {}
-    for code in re.findall(r"```python\n(.*?)```", (places.DOCS / "how_to" / "python.md").read_text(), re.DOTALL):
-        exec(code, space)
-    pyplot.close("all")
-    assert space["plan"].units == "um"
-    assert len(space["same"]) == len(record)

@@ -15,6 +15,7 @@ from virtual_loops import record_loops
 
 import dehyst
 from dehyst.records import write_record
+from examples import at_night
 
 PAGES = sorted(places.DOCS.rglob("*.md"))
 EXAMPLES = sorted((places.EXAMPLES / "gallery").glob("*.py"))
@@ -27,6 +28,7 @@ RUN_HERE = (
     "how_to/check.md",
     "how_to/coupled_axes.md",
     "how_to/many_actuators.md",
+    "how_to/python.md",
     "how_to/scans.md",
     "how_to/start_states.md",
 )
@@ -34,7 +36,6 @@ RUN_ELSEWHERE = (
     "how_to/control.md",
     "how_to/fleet.md",
     "how_to/instruments.md",
-    "how_to/python.md",
     "how_to/simulink.md",
     "tutorials/first_calibration.md",
     "tutorials/learning_scan.md",
@@ -76,10 +77,11 @@ def laboratory(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("page", RUN_HERE)
+@pytest.mark.parametrize("page", [at_night(page) if page == "how_to/python.md" else page for page in RUN_HERE])
 def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
     shutil.copytree(laboratory, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
     # Files that the code of a page needs.
     actuator = dehyst.Actuator.load("model.json")
     device = SimpleNamespace(write=lambda voltage: None, read=lambda: 5e-6)
@@ -88,6 +90,8 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
         exec(code, space)
     if page == "how_to/scans.md":
         assert space["table"].settled and not space["table"].plan.clamped.any()
+    if page == "how_to/python.md":
+        assert space["plan"].units == "um" and len(space["same"]) == len(space["record"])
     if page == "tutorials/first_stage.md":
         assert np.loadtxt("path.csv", delimiter=",", skiprows=1).shape == (400, 2)
 
