@@ -12,7 +12,6 @@ import structured_records as wide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst import Thermal
 from dehyst.identification import Structure, search
 from dehyst.identification.program import _alike, with_folds
 from dehyst.identification.regressors import Rows, epochs
@@ -94,7 +93,7 @@ MOVING = {
     **{
         f"thermal {name}": (
             lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
-            {"thermal": Thermal(0.0, 0.0, 30.0), "expands": True},
+            {"reference": 30.0},
             12,
             lambda at, name=name: getattr(at.thermal, name),
             getattr(moved.THERMAL, name),
@@ -102,14 +101,15 @@ MOVING = {
         for name in ("gain", "offset")
     },
 }
-PARTS = {"lead": "delay", "damping": "inertia", "thermal gain": "thermal", "thermal offset": "thermal"}
+WARMS = "thermal", "expansion"
+PARTS = {"lead": ("delay",), "damping": ("inertia",), "thermal gain": WARMS, "thermal offset": WARMS}
 
 
 @pytest.mark.parametrize("name", MOVING)
 def test_numbers_of_what_moves_are_recovered(name):
     records, start, turns, number, true = MOVING[name]
     start = {key: np.asarray(value) if key == "datum" else value for key, value in start.items()}
-    made = search.fitted(wide.frame(records(), **start), moved.STRUCTURE, 4000, (PARTS.get(name, name),), turns)
+    made = search.fitted(wide.frame(records(), **start), moved.STRUCTURE, 4000, PARTS.get(name, (name,)), turns)
     assert number(made.frame.motion) == pytest.approx(true, rel=0.03)
     assert made.rms < 2e-4 * STROKE
 

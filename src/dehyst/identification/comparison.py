@@ -11,7 +11,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst.identification.denoising import disturbs
 from dehyst.identification.frame import Frame, without_offset, zero_of
 from dehyst.identification.motion import Motion, Parts, moved
@@ -89,11 +89,6 @@ class RecordComparison:
     def motion(self) -> Motion:
         """Its datum, drift and creep from before it."""
         return self.frame.motion
-
-    @property
-    def drift(self) -> float:
-        """Drift [m a unit of the record's drift curve]."""
-        return float(self.motion.drift[0])
 
     @property
     def offsets(self) -> list[float]:
@@ -408,11 +403,12 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     if known is not None:
         turns = turning_points(record.record.voltage, _TURN * float(np.ptp(record.record.voltage)))
         events = np.setdiff1d(np.flatnonzero(known), turns)
-        trace = _at(trace, np.isin(time, record.record.time[events]))
+        at = np.isin(time, record.record.time[events])
+        trace = Trace(record.name, role, time[at], voltage[at], measured[at], simulated[at], record.start)
     settled, error, time = np.abs(trace.settled.residual), trace.residual, trace.time
-    curve = record.drift_curve(record.record)
+    curve, slope = record.drift_curve(record.record), float(compared.motion.drift[0])
     drift = np.interp(time, record.record.time, curve)
-    drifting = error + compared.drift * (drift - drift.mean())
+    drifting = error + slope * (drift - drift.mean())
     return RecordErrors(
         record=record.name,
         role=role,
@@ -425,19 +421,13 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         stroke=compared.frame.stroke,
         offset=float(np.median(list(compared.found.offsets.values()))) - compared.base,
         datum=float(compared.motion.datum[0]),
-        drift=compared.drift,
+        drift=slope,
         decades=float(np.ptp(curve)),
         steady=record.steady,
         starts=tuple(starts),
         settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
         settled_rms=rms(settled),
     ), whole
-
-
-def _at(trace: Trace, some: Mask) -> Trace:
-    """Return some samples of a trace."""
-    columns = {name: getattr(trace, name)[some] for name in ("time", "voltage", "measured", "simulated")}
-    return replace(trace, **columns)
 
 
 def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:

@@ -166,11 +166,11 @@ class Frame:
         return fold
 
     def held_out_error(self, source: RowSource, program: Program, whole: Solution) -> float:
-        """Return the error [m] of held-out parts of the time, simulated from the voltages alone.
+        """Return the error [m] of the displacement in held-out parts of the time, simulated from the voltages alone.
 
         It is the median RMS error of the parts, because a part with the only loops of their size is not representative.
         """
-        errors, rows = list[float](), program.rows
+        errors, rows, creep = list[float](), program.rows, self.motion.creep
         for k in range(FOLDS):
             found = program.solved(whole, without=k)
             left = self.residual(source, program, found, whole, k)
@@ -181,9 +181,12 @@ class Frame:
                 own = np.flatnonzero(counted & (rows.epoch == epoch))
                 kept = own[~away[own]]
                 left[own] -= left[kept if kept.size else own].mean()
-            missed = [left[counted & away & (rows.record == q)] for q in range(len(self.training))]
-            errors += [rms(part) for part in missed if part.size]
-        return self.motion.at_rest * float(np.median(errors)) if errors else 0.0
+            for q in range(len(self.training)):
+                own = np.flatnonzero(counted & (rows.record == q))
+                if creep is not None and own.size > 1:
+                    left[own], _ = creep.added(rows.time[own], left[own], np.zeros(len(creep)))
+                errors += [rms(left[own[away[own]]])] if away[own].any() else []
+        return float(np.median(errors)) if errors else 0.0
 
     def residual(
         self, source: RowSource, program: Program, found: Solution, whole: Solution, without: int | None = None

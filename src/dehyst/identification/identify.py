@@ -29,7 +29,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, Identification, Outcome, Thermal, with_identification
+from dehyst.model import Actuator, Identification, Outcome, with_identification
 from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
 
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
@@ -183,8 +183,7 @@ class _Run:
         demand_short(settings.delay or 0.0, "delay", min(item.cycle for item in (*self.training, *self.held_out)))
         self.temperatures, self.left_out = temperatures_of(self.records)
         if (found := self.temperatures) is not None:
-            thermal, low = Thermal(0.0, 0.0, found.reference), self.frame.span[0]
-            motion = replace(self.frame.motion, thermal=thermal, lowest=low, expands=found.within)
+            motion = replace(self.frame.motion, reference=found.reference, lowest=self.frame.span[0])
             # A zero that was moved explains a part of the gain: the gain comes first.
             step = partial(search.warmed, replace(self.frame, motion=motion))
             self.frame = self.deadline.attempt(step, self.frame, "the search for an effect of temperature")
@@ -303,12 +302,11 @@ class _Run:
 
     def _warms(self, made: Fitted) -> str:
         """Return the sentence on temperature."""
-        thermal, temperatures = made.frame.motion.thermal, self.temperatures
-        assert thermal is not None
-        assert temperatures is not None
-        cold = next(trial.held_out for trial in self.trials if trial.words == "moves: nothing")
-        warm = next(trial.held_out for trial in self.trials if trial.words == "moves: thermal")
-        return temperatures.sentence(thermal, made.frame.motion.lowest, made.spread("thermal"), warm / cold)
+        assert self.temperatures is not None
+        names = [name for name in ("thermal", "expansion") if name in made.names]
+        by_words = {trial.words: trial.held_out for trial in self.trials}
+        better = by_words[f"moves: {' and '.join(names)}"] / by_words["moves: nothing"]
+        return self.temperatures.sentence(made.frame.motion, {name: made.spread(name) for name in names}, better)
 
     def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], float]:
         """Return reasons for care, and the lag [s] in the records that may be the sensor's."""

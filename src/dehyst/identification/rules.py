@@ -25,7 +25,9 @@ class DecisionRules:
         0.1, "samples", "Shorter delays are not found: straight lines between samples round turns as a delay does."
     )
     moving_gain: float = _rule(
-        0.95, "ratio of held-out errors", "A delay or a drift must lower the error of held-out time to this part."
+        0.95,
+        "ratio of held-out errors",
+        "Delay, drift, thermal expansion must lower the held-out error to this.",
     )
     lag_gain: float = _rule(0.97, "ratio of errors", "A first-order lag must lower the error of a delay to this part.")
     datum_gain: float = _rule(

@@ -97,10 +97,10 @@ class Fitted:
         """RMS residual of the rows [m]."""
         return rms(self.program.residual(self.found))
 
-    def spread(self, name: str) -> Array:
-        """Return the standard errors of the numbers of a part, by solutions without a fold."""
-        numbers = [self.program.solved(self.found, without=k).numbers[name] for k in range(FOLDS)]
-        return np.asarray(np.sqrt((FOLDS - 1) * np.var(numbers, axis=0)))
+    def spread(self, name: str) -> float:
+        """Return the standard error of the number of a part, by solutions without a fold."""
+        numbers = [float(self.program.solved(self.found, without=k).numbers[name][0]) for k in range(FOLDS)]
+        return float(np.sqrt((FOLDS - 1) * np.var(numbers)))
 
     def with_structure(self, structure: Structure) -> Fitted:
         """Return the solution of another structure for the same samples; what moves stays."""
@@ -133,6 +133,7 @@ _GAINS = {
     "inertia": RULES.inertia_gain,
     "drift": RULES.moving_gain,
     "thermal": RULES.temperature_helps,
+    "expansion": RULES.moving_gain,
 }
 
 
@@ -207,9 +208,10 @@ def moving(
     frame = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun))
     best = search.tried(cold(frame), ())
     if frame.motion.thermal is not None:
-        best = search.better(best, frame, ("thermal",))
+        warm = [search.tried(frame, names) for names in (("thermal",), ("thermal", "expansion"))]
+        best = _best([best, *warm])
         if "thermal" in best.names:
-            search.always = (*search.always, "thermal")
+            search.always = (*search.own(best), *search.always)
         else:
             frame = cold(frame)
     # Creep, and drifts by the logarithm of time or in proportion to it.
@@ -242,7 +244,7 @@ def moving(
 
 def cold(frame: Frame) -> Frame:
     """Return the records without an effect of temperature."""
-    return replace(frame, motion=replace(frame.motion, thermal=None))
+    return replace(frame, motion=replace(frame.motion, reference=None))
 
 
 def _tuned(made: Fitted) -> Fitted:
