@@ -9,7 +9,7 @@ from model_contract import ModelCandidate, ModelContract
 
 from dehyst import Actuator, DisplacementCreep, MaxwellSlip, Spring
 from dehyst.model import GradedSlip, SmoothSlip, Transformer
-from dehyst.trust.baselines import Linear
+from dehyst.trust.baselines import Linear, TwoBranches
 
 VOLTS = 100.0
 
@@ -39,6 +39,13 @@ def smooth():
     return Actuator(plain.slip, plain.spring, smooth=SmoothSlip([3e-7, 1e-6, 4e-6], [1, 0.5, 0.8], [5e6, 3e6, 2e6]))
 
 
+def two_branches():
+    """Return a table of a loop whose branches are parabolas."""
+    volts = np.linspace(0, VOLTS, 11)
+    bend = 1e-8 * volts * (1 - volts / VOLTS)
+    return TwoBranches(volts, 1e-7 * volts - bend, 1e-7 * volts + bend)
+
+
 MODELS = [
     ModelCandidate("spring alone", lambda: actuator(0, [0, 4e-6, 1e-5], [0, 60, 100])),
     ModelCandidate("one element", lambda: actuator(1, [0, 1e-5], [0, 80])),
@@ -55,6 +62,7 @@ MODELS = [
     ),
     ModelCandidate("linear ratio", lambda: Linear(1e-7, 1e-6)),
     ModelCandidate("smooth elements", smooth, wipes_out=False),
+    ModelCandidate("two branches", two_branches, wipes_out=False, moves=False),
 ]
 
 

@@ -48,11 +48,3 @@ def test_a_project_of_its_own_finds_it(tmp_path):
     (tmp_path / "main.c").write_text(PROGRAM)
     build(tmp_path, tmp_path / "user", f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}")
     run(tmp_path / "user" / "user")
-
-
-@pytest.mark.nightly
-def test_the_same_sources_make_the_same_files(tmp_path):
-    for name in ("one", "two"):
-        build(places.CORE, tmp_path / name, target="dehyst")
-    first, second = ((tmp_path / name / "amalgamation" / "dehyst.c").read_bytes() for name in ("one", "two"))
-    assert first == second

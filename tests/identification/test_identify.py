@@ -95,16 +95,6 @@ def test_the_papers_class_is_twenty_elements_and_a_spring():
     assert fit.errors[0].largest_percent < 1
 
 
-@pytest.mark.parametrize("shared", [False, True])
-def test_records_with_and_without_zeros_of_their_own(shared):
-    three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", datum=0.1 * STROKE)
-    fit = dehyst.identify([TOPS, three], structure=TEN, shared_datum=shared)
-    assert [(error.record, error.role) for error in fit.errors] == [("tops", "training"), ("three", "training")]
-    assert fit.errors[0].datum == 0
-    assert fit.errors[1].datum == (0 if shared else pytest.approx(0.1 * STROKE, abs=2e-3 * STROKE))
-    assert fit.options["shared_datum"] is shared
-
-
 def test_validation_records_get_errors_of_their_own():
     y = plain_records.path((0.3, 0.8, 0.2, 0.65, 0.1, 0.9, 0.3, 0.8, 0.35, 0.75))
     state = plain_records.any_state(PLANT, float(y[0]), 5)

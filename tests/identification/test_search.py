@@ -49,13 +49,6 @@ def test_a_delay_and_a_lead_of_half_a_sample_are_found_and_no_other_lead(samples
     assert motion.delay == (pytest.approx(samples * STEP, abs=0.05 * STEP) if "delay" in names else 0)
 
 
-@pytest.mark.parametrize("rate", [0.02, -0.05])
-def test_a_drift_is_found(rate):
-    motion, names = found([moved.drifting(rate, NOISE)])
-    assert names == {"drift"}
-    assert motion.drift[0] == pytest.approx(rate * STROKE, rel=0.1)
-
-
 @pytest.mark.parametrize("which", ["lag", "drift", "more"])
 def test_what_must_not_move_does_not(which):
     record = {"lag": moved.delayed(3), "drift": moved.drifting(0.02), "more": driven(DYNAMICS)}[which]
@@ -123,17 +116,6 @@ def test_derivatives_of_a_quartic_are_exact(seed):
     time = np.linspace(-1, 1, 60)
     for order, values in enumerate(derivatives(Record(time, time, curve(time))), start=1):
         np.testing.assert_allclose(values, curve.deriv(order)(time), rtol=0, atol=1e-9 * 1e-5 * 60**order)
-
-
-@pytest.mark.parametrize(("shift", "tolerance"), [(0.1, 0.005), (-0.07, 0.005), (0.0, 0.0)])
-def test_the_zero_of_a_sensor_is_found(shift, tolerance):
-    three = plain_records.loops(
-        PLANT, plain_records.THREE_LOOPS, noise=NOISE, name="three", datum=shift * STROKE, seed=3
-    )
-    frame = search.with_datums(wide.frame([tops(), three]), lambda _: None)
-    datum = frame.motion.datum
-    assert datum[frame.widest] == 0
-    assert datum[1] - datum[0] == pytest.approx(shift * STROKE, abs=tolerance * STROKE)
 
 
 @pytest.mark.parametrize(("fastest", "longest"), [(0.01, 50.0), (1.0, 2.0)])

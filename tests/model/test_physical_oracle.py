@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from electromechanical_oracle import branches, charge_driven, quasi_static
+from electromechanical_oracle import branches, quasi_static
 from paper_stacks import CONSTANTS, KE, KEQ, KM, T, actuator_of, assert_proportional, paper_stack
 
 from dehyst import Dynamics, State
@@ -44,38 +44,6 @@ def test_the_papers_numbers_come_back():
     np.testing.assert_allclose(paper.friction, STACK.friction, rtol=1e-12)
     np.testing.assert_allclose(paper.deformation, STACK.x, rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(paper.nonlinear, STACK.g, rtol=1e-12, atol=1e-12)
-
-
-def test_the_voltage_along_a_path_is_the_circuits_under_a_charge():
-    """y -> v: a driver of charge prescribes the displacement."""
-    actuator = actuator_of(STACK)
-    time, share = branches(TURNS, 40)
-
-    def charge(t):
-        return share(t) / 200 * T * 250e-6
-
-    path = STACK.displacement(charge(time))
-    sent = actuator.compensate(path, state=actuator.relaxed()).voltage
-    voltages = [charge_driven(STACK, time, charge, resistance) for resistance in RESISTANCES]
-    assert_vanishes([np.abs(v - sent).max() / np.ptp(sent) for v in voltages])
-
-
-def test_a_load_on_a_held_charge_meets_km_and_ke():
-    """Without dynamics a load moves y by F / kc: that of a driver of charge, kc = km + ke."""
-    actuator = actuator_of(STACK, load_stiffness=KM + KE)
-    time, share = branches(TURNS, 40)
-    load = 8 * np.sin(2.1 * time)
-
-    def charge(t):
-        return share(t) / 200 * T * 250e-6
-
-    expected = STACK.displacement(charge(time), load)
-    errors = []
-    for resistance in RESISTANCES:
-        unloaded = charge_driven(STACK, time, charge, resistance)
-        got = actuator.simulate(unloaded, load=load, state=actuator_of(STACK).relaxed()).displacement
-        errors.append(np.abs(got - expected).max() / np.ptp(expected))
-    assert_vanishes(errors)
 
 
 def test_a_slow_load_under_a_voltage_moves_the_charge_too():

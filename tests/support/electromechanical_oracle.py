@@ -98,18 +98,6 @@ def quasi_static(stack, time, voltage, resistance, *, carts=None, load=lambda t:
     return q, stack.displacement(q, np.array([load(t) for t in time]))
 
 
-def charge_driven(stack, time, charge, resistance):
-    """Voltages (n,) of a relaxed stack without mass or load on which a driver puts a charge, a function of time."""
-    b = _integrated(
-        lambda t, b: _slip(stack, charge(t) - b, resistance),
-        time,
-        np.zeros(stack.friction.size),
-        1e-12 * stack.ratio * np.ptp(stack.x),
-    )
-    q = charge(time)
-    return stack.volts_per_charge @ (q - b) + stack.circuit_voltage(q, stack.displacement(q))
-
-
 def _slip(stack, elongation, resistance):
     u = stack.volts_per_charge * elongation
     return (u - np.clip(u, -stack.break_volts, stack.break_volts)) / resistance

@@ -20,12 +20,14 @@ class ModelCandidate(NamedTuple):
     `name`: in the reports of pytest. `make`: function that returns a model, which has a displacement for each voltage
     between 0 and 100 V, and a voltage for each of these. `tolerance`: how far its inverse may be from exact, as a
     fraction of the range. `wipes_out`: whether closed inner loops leave no trace, as in the models of Preisach's class.
+    `moves`: whether each change of the voltage moves it.
     """
 
     name: str
     make: Callable[[], AbstractModel]
     tolerance: float = 1e-12
     wipes_out: bool = True
+    moves: bool = True
 
 
 def _walk(n, seed=0):
@@ -157,6 +159,8 @@ class ModelContract:
         assert _close(reached, path, candidate.tolerance)
 
     def test_compensating_the_simulation_gives_the_voltage(self, model, candidate):
+        if not candidate.moves:
+            pytest.skip("many voltages lead to a displacement")
         simulate = _timed(model.simulate)
         state = simulate(_walk(30, seed=3)).state
         voltage = _walk(1000, seed=4)

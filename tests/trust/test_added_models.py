@@ -5,7 +5,6 @@ import subprocess
 import sys
 
 from command_line import run
-from plugged_in import write_distribution
 
 import dehyst
 from dehyst.trust.comparison import OURS, contenders
@@ -30,7 +29,11 @@ def test_a_library_that_is_imported_looks_for_no_entry_point():
 
 
 def test_a_model_of_a_package_is_a_row_and_a_faulty_one_fails_alone(tmp_path, monkeypatch):
-    write_distribution(tmp_path, "rival", {"baselines": ENTRIES}, FITS)
+    information = tmp_path / "rival-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: rival\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[dehyst.baselines]\n{ENTRIES}\n")
+    (tmp_path / "rival.py").write_text(FITS)
     monkeypatch.syspath_prepend(tmp_path)
     assert list(contenders())[:3] == [OURS, "two branches", "linear ratio"]
     excitation = descending_tops(100.0, steps=4, drive=Sampling(sample_rate=50.0))

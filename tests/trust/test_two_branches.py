@@ -3,39 +3,14 @@
 import numpy as np
 import plain_records
 import pytest
-from hypothesis import given
-from strategies import SEEDS
 
 from dehyst import IdentifyError, ModelError, Record, RecordError
-from dehyst.trust.baselines import BranchState, TwoBranches
+from dehyst.trust.baselines import TwoBranches
 
 VOLTS = np.linspace(0, 100, 11)
 TABLE = TwoBranches(
     VOLTS, 1e-7 * VOLTS - 1e-8 * VOLTS * (1 - VOLTS / 100), 1e-7 * VOLTS + 1e-8 * VOLTS * (1 - VOLTS / 100)
 )
-
-
-def walk(seed, n=200):
-    return np.random.default_rng(seed).uniform(-0.2e-5, 1.2e-5, n)
-
-
-@given(SEEDS)
-def test_simulating_the_compensation_gives_the_path(seed):
-    wanted = walk(seed)
-    sent = TABLE.compensate(wanted)
-    np.testing.assert_allclose(TABLE.simulate(sent.voltage).displacement, wanted, atol=1e-18)
-    assert np.all(np.diff(sent.voltage) * np.diff(wanted) > 0)
-
-
-@given(SEEDS)
-def test_the_state_handed_back_carries_on(seed):
-    for run in (TABLE.compensate, TABLE.simulate):
-        drive = walk(seed) * (1e7 if run == TABLE.simulate else 1)
-        whole, first = run(drive), run(drive[:70])
-        rest = run(drive[69:], state=first.state)
-        assert (rest.state, whole.state) == (whole.state, BranchState(whole.voltage[-1], whole.displacement[-1]))
-        for column in ("voltage", "displacement"):
-            assert np.array_equal(getattr(rest, column)[1:], getattr(whole, column)[70:])
 
 
 def test_each_direction_has_its_branch_and_between_them_nothing_moves():
