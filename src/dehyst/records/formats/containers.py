@@ -1,6 +1,6 @@
 """Columns of binary files: NumPy, MATLAB, HDF5 and TDMS; what record files of dehyst state about theirs.
 
-A library reads each of them. Sizes that a file declares are checked here before its samples are read.
+A library reads each of them. A size that a small file can declare is checked here before its samples are read.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
+from math import prod
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ _UNNAMED = (
 )
 # Rows or columns of one array that are taken for series of samples.
 _MOST_SERIES = 32
+# Bytes in which the header of an array of NumPy states its type.
+_HEADER = 4096
 
 
 def restored(columns: Sequence[Column], text: str) -> list[Column]:
@@ -62,30 +64,23 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
     ]
 
 
-def _product(shape: Iterable[int]) -> int:
-    """Return the number of elements, however large; negative if a size is."""
-    sizes = [int(size) for size in shape]
-    return -1 if min(sizes, default=1) < 0 else int(np.prod(sizes, dtype=object))
-
-
-class _Declared(NamedTuple):
-    """An array that is not yet read: what the file declares, how to read it, and why it cannot be used."""
+class _Array(NamedTuple):
+    """An array of a file, which HDF5 has not yet read: its name, its numbers, its unit, and why it cannot be used."""
 
     name: str
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    read: Callable[[], Any]
+    values: Any
     unit: str = ""
     fault: str = ""
 
     @property
     def kind(self) -> str:
         """What it may hold: "series" of samples, a "table" of several, or "" for anything else."""
-        many = max(self.shape, default=0)
-        if many > 1 and _product(self.shape) == many and (self.dtype.names or self.dtype.kind in "fiu"):
+        shape, dtype = self.values.shape, self.values.dtype
+        many = max(shape, default=0)
+        if many > 1 and self.values.size == many and (dtype.names or dtype.kind in "fiu"):
             return "series"
-        table = len(self.shape) == 2 and 1 < min(self.shape) <= _MOST_SERIES and many >= 2 * min(self.shape)
-        return "table" if table and self.dtype.kind in "fiu" else ""
+        table = len(shape) == 2 and 1 < min(shape) <= _MOST_SERIES and many >= 2 * min(shape)
+        return "table" if table and dtype.kind in "fiu" else ""
 
     def columns(self, allowance: Allowance, alone: bool = False) -> list[Column]:
         """Return the columns: rows or columns of a table, fields of a structure; `alone`: without its name."""
@@ -93,16 +88,14 @@ class _Declared(NamedTuple):
             return [Column(self.name, np.empty(0), fault=self.fault, group=_group(self.name))]
         if not self.kind:
             return []
-        count, what, fields = _product(self.shape), f"array '{shortened(self.name)}'", {}
-        allowance.check(count * self.dtype.itemsize, what)
-        allowance.take(count * len(self.dtype.names or "1"), what)
-        values = np.asarray(self.read())
+        allowance.take(self.values.size * len(self.values.dtype.names or "1"), f"array '{shortened(self.name)}'")
+        values, fields = _unpacked(self.values), {}
         if self.kind == "table":
             fields = {str(k): row for k, row in enumerate(values if values.shape[0] < values.shape[1] else values.T, 1)}
         elif values.dtype.names:
             fields = {name: values[name] for name in values.dtype.names}
         named = {key if alone else f"{self.name}/{key}": row for key, row in fields.items()} or {self.name: values}
-        unnamed = _UNNAMED.format(self.shape) if alone and self.kind == "table" else ""
+        unnamed = _UNNAMED.format(self.values.shape) if alone and self.kind == "table" else ""
         columns = [column for name, field in named.items() for column in _vector(name, field, self.unit, _group(name))]
         return [replace(column, unnamed=unnamed) for column in columns]
 
@@ -119,14 +112,14 @@ def _vector(name: str, values: Any, unit: str = "", group: str = "") -> list[Col
         return [Column(name, np.ascontiguousarray(values.ravel(), dtype=np.float64), unit, group=group)]
 
 
-def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Column]:
-    """Read all series, and the tables with as many samples as one of them, or all if there is no series."""
+def _columns_of(arrays: Sequence[_Array], allowance: Allowance) -> list[Column]:
+    """Return all series, and the tables with as many samples as one of them, or all if there is no series."""
     tables = [array for array in arrays if array.kind == "table" and not array.fault]
     alone = len(arrays) == 1
     columns = [column for array in arrays if array not in tables for column in array.columns(allowance, alone)]
     lengths = {column.data.size for column in columns} - {0}
     alone = len(tables) == 1 and not lengths
-    fit = [table for table in tables if not lengths or max(table.shape) in lengths]
+    fit = [table for table in tables if not lengths or max(table.values.shape) in lengths]
     # A column without a name is the first one, so that its file says so.
     columns = [column for table in fit for column in table.columns(allowance, alone)] + columns
     if columns and not (lengths or fit):
@@ -134,84 +127,72 @@ def _columns_of(arrays: Sequence[_Declared], allowance: Allowance) -> list[Colum
     return columns
 
 
-def apart(names: Iterable[str], what: str) -> FileFormatError:
-    """Return the error for channels with clocks of their own, which differ in `what`."""
-    return FileFormatError(
-        f"the channels {listed(tuple(names))} have clocks of their own: {what} differ",
-        hint="save each in a file of its own with its time, and join the second one",
-        change=("columns",),
-    )
-
-
-def _npy(opened: Callable[[], IO[bytes]], name: str) -> _Declared:
-    """Read the header of an array."""
-    with opened() as stream:
-        first = np.lib.format.read_magic(stream) == (1, 0)
-        # Version 3 differs from 2 in the letters of fields, whose names are those that are read with the array.
-        read_header = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(stream)
-
-    def read() -> Any:
-        with opened() as stream:
-            return np.lib.format.read_array(stream, allow_pickle=False)
-
-    return _Declared(name, shape, dtype, read, fault=_PYTHON if dtype.hasobject else "")
+def _npy(name: str, stream: IO[bytes]) -> _Array:
+    """Return an array of NumPy; one of Python objects has a fault."""
+    head = stream.read(_HEADER)
+    if b"'|O'" in head:
+        return _Array(name, np.empty(0), fault=_PYTHON)
+    stream.seek(0)
+    return _Array(name, np.lib.format.read_array(stream, allow_pickle=False))
 
 
 def read_npy(data: bytes, allowance: Allowance) -> list[Column]:
     """Read one array of NumPy: the fields of a structured one by their names, else its rows or columns."""
-    return _columns_of([_npy(partial(io.BytesIO, data), allowance.stem)], allowance)
+    return _columns_of([_npy(allowance.stem, io.BytesIO(data))], allowance)
 
 
 def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
     """Read arrays of an NPZ archive."""
+    arrays = []
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = [member for member in archive.infolist() if member.filename.endswith(".npy")]
-        arrays = [_npy(partial(archive.open, member), member.filename.removesuffix(".npy")) for member in members]
-        columns = _columns_of(arrays, allowance)
-        texts = [array for array in arrays if array.name == MEMBER and (array.dtype.kind, array.shape) == ("U", ())]
-        return restored(columns, "".join(str(array.read()) for array in texts if array.dtype.itemsize <= 4 * LONGEST))
+        for member in archive.infolist():
+            allowance.check(member.file_size, f"array '{shortened(member.filename)}'")
+            if member.filename.endswith(".npy"):
+                with archive.open(member) as stream:
+                    arrays.append(_npy(member.filename.removesuffix(".npy"), stream))
+    texts = [str(array.values) for array in arrays if array.name == MEMBER and array.values.dtype.kind == "U"]
+    return restored(_columns_of(arrays, allowance), "".join(texts))
 
 
 def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
     """Read the datasets of all groups, each once; those with samples elsewhere have a fault. Links are not followed."""
     import h5py
 
-    arrays: list[_Declared] = []
+    arrays: list[_Array] = []
 
     def keep(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.shape is not None and not name.startswith("#"):
-            arrays.append(_dataset(name, item, allowance))
+            arrays.extend(_dataset(name, item, allowance))
 
     with h5py.File(io.BytesIO(data), "r") as file:
         file.visititems(keep)
         return _columns_of(arrays, allowance)
 
 
-def _dataset(name: str, item: Any, allowance: Allowance) -> _Declared:
-    """Return what a dataset declares."""
-    shape, matlab = item.shape, _attribute(item, "MATLAB_class")
+def _dataset(name: str, item: Any, allowance: Allowance) -> list[_Array]:
+    """Return a dataset; none for text, an empty array of MATLAB, and a dimension of netCDF without coordinates."""
+    matlab = _attribute(item, "MATLAB_class")
+    # They are numbers in the file: of letters, of a shape, and zeros.
+    if matlab == [b"char"] or "MATLAB_empty" in item.attrs or "not a netCDF variable" in str(_attribute(item, "NAME")):
+        return []
     fault = _ELSEWHERE if item.is_virtual or item.external else _CELL if matlab == [b"cell"] else ""
     fault = _OBJECT if "MATLAB_object_decode" in item.attrs else fault
-    # MATLAB writes text and the shape of an empty array as numbers; netCDF writes a dimension without coordinates as
-    # zeros.
-    if matlab == [b"char"] or "MATLAB_empty" in item.attrs or "not a netCDF variable" in str(_attribute(item, "NAME")):
-        shape = ()
+    if item.chunks:
+        # A chunk is read as a whole.
+        allowance.check(prod(item.chunks) * item.dtype.itemsize, f"a chunk of dataset '{shortened(name)}'")
     # The unit of the group, unless the dataset has one, or the name of another quantity.
     unit, group = _unit(item), _unit(item.parent)
     column = Column(name.rsplit("/", 1)[-1], np.empty(0), unit)
     if group and not symbol_of(column.parts[1]) and (not column.quantities or quantity_of(group) in column.quantities):
         unit = group
-    return _Declared(name, shape, item.dtype, partial(_unpacked, item, name, allowance), unit, fault)
+    return [_Array(name, item, unit, fault)]
 
 
-def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
-    """Read a dataset, unpacked as netCDF packs it, after a check of its chunks; fill values become NaN."""
-    if dataset.chunks:
-        allowance.check(_product(dataset.chunks) * dataset.dtype.itemsize, f"a chunk of dataset '{shortened(name)}'")
-    values = np.asarray(dataset[()])
+def _unpacked(array: Any) -> Any:
+    """Return the numbers of an array, unpacked if it is a dataset as netCDF packs it; fill values become NaN."""
+    values = np.asarray(array[()])
     keys = "scale_factor", "add_offset", "_FillValue", "missing_value"
-    scale, offset, *fills = ([x for x in _attribute(dataset, key) if isinstance(x, int | float)][:1] for key in keys)
+    scale, offset, *fills = ([x for x in _attribute(array, key) if isinstance(x, int | float)][:1] for key in keys)
     if values.dtype.kind not in "fiu" or not any((scale, offset, *fills)):
         return values
     with np.errstate(all="ignore"):
@@ -220,8 +201,9 @@ def _unpacked(dataset: Any, name: str, allowance: Allowance) -> Any:
 
 
 def _attribute(item: Any, name: str) -> list[Any]:
-    """Return the values of an attribute; none if it is absent."""
-    return np.ravel(item.attrs[name]).tolist() if name in item.attrs else []
+    """Return the values of an attribute of a dataset; none if it is absent."""
+    attributes = getattr(item, "attrs", {})
+    return np.ravel(attributes[name]).tolist() if name in attributes else []
 
 
 def _unit(item: Any) -> str:
@@ -232,8 +214,6 @@ def _unit(item: Any) -> str:
 
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_MAT_NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-_MAT_FAULTS = {"object": _OBJECT, "opaque": _OBJECT, "cell": _CELL}
 
 
 def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
@@ -241,32 +221,21 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
     if data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5:
         return read_hdf5(data, allowance)
     import scipy.io
-    from scipy.io.matlab import varmats_from_mat
 
-    arrays: list[_Declared] = []
-    streams: Any = varmats_from_mat(io.BytesIO(data)) if data[126:128] in (b"MI", b"IM") else [("", io.BytesIO(data))]
-    for _, stream in streams:
-        try:
-            variables = scipy.io.whosmat(stream)
-        except TypeError:
-            # SciPy lists no objects of classes that MATLAB defines in its own language, nor their names.
-            variables = [("object", (1, 1), "opaque")]
-        for name, shape, kind in variables:
-            declared = _Declared(name, shape, np.dtype("f8"), tuple, fault=_MAT_FAULTS.get(kind, ""))
-            if declared.fault:
-                arrays.append(declared)
-            elif kind == "struct" or (kind in _MAT_NUMBERS and declared.kind and not name.startswith("__")):
-                allowance.check(_product(shape) * np.dtype("f8").itemsize, f"variable '{shortened(name)}'")
-                arrays += _fields(name, scipy.io.loadmat(stream, variable_names=[name], simplify_cells=True)[name])
-    return _columns_of(arrays, allowance)
+    variables = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    named = [(name, value) for name, value in variables.items() if not name.startswith("__")]
+    return _columns_of([array for name, value in named for array in _arrays(name, value)], allowance)
 
 
-def _fields(name: str, value: Any) -> list[_Declared]:
-    """Return the arrays in a structure, and in the structures in it, as data/t."""
+def _arrays(name: str, value: Any) -> list[_Array]:
+    """Return the arrays in a variable, and in the structures in it, as data/t."""
     if isinstance(value, dict):
-        return [array for key, field in value.items() for array in _fields(f"{name}/{key}", field)]
-    array = value if isinstance(value, np.ndarray) else np.empty(0)
-    return [_Declared(name, array.shape, array.dtype, partial(np.asarray, array))]
+        return [array for key, field in value.items() for array in _arrays(f"{name}/{key}", field)]
+    if not isinstance(value, np.ndarray):
+        return []
+    # SciPy returns arrays of classes of its own for the objects of MATLAB.
+    fault = _OBJECT if type(value) is not np.ndarray else _CELL if value.dtype == object else ""
+    return [_Array(name, value, fault=fault)]
 
 
 # The start of a waveform, and the part by which the clocks of a computer and of a converter differ.
@@ -293,7 +262,11 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     keys = {"wf_increment": 0.0, "wf_start_offset": 0.0, _START: ""}
     runs = {(len(wave), *(wave.properties.get(key, empty) for key, empty in keys.items())) for wave in waves.values()}
     if len(runs) > 1 and all(step > 0 for _, step, _, _ in runs):
-        raise apart(waves, f"number of samples, {', '.join(keys)}")
+        raise FileFormatError(
+            f"the channels {listed(tuple(waves))} have clocks of their own: number of samples, {', '.join(keys)} differ",
+            hint="save each in a file of its own with its time, and join the second one",
+            change=("columns",),
+        )
     count, step, start, _ = next(iter(runs)) if len(runs) == 1 else (0, 0.0, 0.0, "")
     if step > 0:
         allowance.take(count, "the time of its waveforms")
