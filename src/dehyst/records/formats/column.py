@@ -155,10 +155,10 @@ class Column:
     """One named column of a file.
 
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
-    outside of the name. `fault`: why the column cannot be used, and what to try.
-    `unnamed`: if the file has no names and the name is therefore a number: the reason, and what to try. `guessed`:
-    properties that the file does not state. `ends`: first and last cell in a text file. `began`: the first timestamp
-    (origin, whole seconds, fraction). `kept`: whether a record keeps it as a further channel, regardless of its name.
+    outside of the name. `fault`: why the column cannot be used, and what to try. `unnamed`: if the file has no names
+    and the name is therefore a number: the reason, and what to try. `guessed`: properties that the file does not state.
+    `began`: the first timestamp (origin, whole seconds, fraction). `kept`: whether a record keeps it as a further
+    channel, regardless of its name.
     `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
     that is known at events only. `group`: where it is in the file, with a slash behind each level; a part of the name.
     """
@@ -169,7 +169,6 @@ class Column:
     fault: str = ""
     unnamed: str = ""
     guessed: str = ""
-    ends: tuple[str, str] = ("", "")
     began: tuple[str, int, float] | None = None
     kept: bool = False
     timing: str = ""

@@ -9,7 +9,7 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import prod
@@ -263,7 +263,7 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     runs = {(len(wave), *(wave.properties.get(key, empty) for key, empty in keys.items())) for wave in waves.values()}
     if len(runs) > 1 and all(step > 0 for _, step, _, _ in runs):
         raise FileFormatError(
-            f"the channels {listed(tuple(waves))} have clocks of their own: number of samples, {', '.join(keys)} differ",
+            f"the channels {listed(tuple(waves))} have clocks of their own: samples, {', '.join(keys)} differ",
             hint="save each in a file of its own with its time, and join the second one",
             change=("columns",),
         )

@@ -1,4 +1,4 @@
-"""The decimal sign of a text table, and its timestamps in seconds.
+"""The cells of a text table: their numbers, the decimal sign, and timestamps in seconds.
 
 A point or a comma before three digits may group digits: `12,011` can be 12.011 or 12011. A file shows its decimal sign
 by a cell as `0,5`, which cannot group; where no cell shows it, the user states it. Digits in groups are not read.
@@ -6,8 +6,9 @@ by a cell as `0,5`, which cannot group; where no cell shows it, the user states 
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import date
 from typing import NamedTuple
@@ -17,23 +18,50 @@ import numpy as np
 from dehyst._errors import DecimalSignError, FileFormatError
 from dehyst._types import Array
 
-Blocks = Callable[[], Iterator[tuple[int, str]]]
+# Yields blocks of lines, each with the number of lines before it.
+Blocks = Callable[[], Iterable[tuple[int, list[str]]]]
 _SIGNS = {".": "point", ",": "comma"}
-# A number whose sign may group digits.
+# A number with a sign, one whose sign may group digits, and one in a notation that Python does not read.
+_SIGNED = r"[-+]?(?:\d+\{0}\d*|\{0}\d+)(?:[eE][-+]?\d+)?"
 _DOUBTFUL = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?")
 # Characters of a cell that a message shows.
 _SHOWN = 40
 
 
-def decimal_sign(blocks: Blocks, delimiter: str | None, commas: bool, given: str | None) -> str:
+def cells_of(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line."""
+    cells = line.split(delimiter)
+    if '"' in line:
+        sign = delimiter[0] if delimiter else " "
+        cells = next(csv.reader([line.strip(" ")], delimiter=sign, skipinitialspace=True))
+    return [cell.strip() for cell in cells]
+
+
+def number_in(cell: str, decimal: str = ".") -> float:
+    """Return a cell's number, NaN if empty; raise ValueError for numbers of Python only: 1_000, other digits."""
+    if "_" in cell or not cell.isascii() or (decimal == "," and "." in cell):
+        raise ValueError(cell)
+    return float(cell.replace(decimal, ".") or "nan")
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number, also in a notation that Python does not read; an empty one is none."""
+    try:
+        number_in(cell)
+    except ValueError:
+        return _NUMBER.fullmatch(cell) is not None
+    return bool(cell)
+
+
+def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> str:
     """Return the decimal sign that the user states, else the one that the cells show; a point if no cell has one.
 
-    `blocks` yields blocks of rows, each with the number of lines before it; `commas`: whether a cell may have a comma.
     Raise `DecimalSignError` if the cells do not show the sign, and `FileFormatError` if they show both.
     """
     if given is not None:
         return given
-    shown = {sign: _shown(blocks, delimiter, sign) for sign in (".", ",") if sign == "." or commas}
+    shown = {sign: _shown(blocks, delimiter, sign) for sign in _SIGNS}
     found = {sign: cell for sign, (cell, _) in shown.items() if cell}
     if len(found) > 1:
         raise FileFormatError(
@@ -55,21 +83,18 @@ def decimal_sign(blocks: Blocks, delimiter: str | None, commas: bool, given: str
 
 def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]:
     """Return the first cell with a sign, in words, and whether a cell shows that the sign is decimal."""
-    quoted = sign == delimiter
-    # No two repeated blanks may follow one another: a search through many would take their number squared.
-    quote = ' *" *' if quoted else ' *(?:" *)?' if delimiter else '"?'
-    begin, end = (f"(?:^|{delimiter})", f"(?={delimiter}|$)") if delimiter else (r"(?<![^ \t\n])", r"(?![^ \t\n])")
-    number = rf"[-+]?(?:\d+\{sign}\d*|\{sign}\d+)(?:[eE][-+]?\d+)?"
-    pattern = re.compile(f"(?m){begin}{quote}({number}){quote}{end}")
-    first = ""
+    number, first = re.compile(_SIGNED.format(sign)), ""
+    # Between commas, a cell with a comma is in quotes.
+    mark = '"' if sign == delimiter else sign
     for before, block in blocks():
-        # The last line of a file may be cut off in the middle of a number.
-        body = block[: block.rfind("\n") + 1] or block
-        for match in pattern.finditer(body) if ('"' if quoted else sign) in body else ():
-            line = before + body.count("\n", 0, match.start(1)) + 1
-            first = first or f"line {line} holds '{match[1][:_SHOWN]}'"
-            if not _DOUBTFUL.fullmatch(match[1]):
-                return first, True
+        for line, text in enumerate(block, before + 1):
+            # The last line of a file may be cut off in the middle of a number.
+            if mark not in text or not (text.endswith("\n") or len(block) == 1):
+                continue
+            for cell in filter(number.fullmatch, cells_of(text, delimiter)):
+                first = first or f"line {line} holds '{cell[:_SHOWN]}'"
+                if not _DOUBTFUL.fullmatch(cell):
+                    return first, True
     return first, False
 
 

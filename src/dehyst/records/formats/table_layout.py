@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from typing import NamedTuple
@@ -10,7 +9,7 @@ from typing import NamedTuple
 from dehyst._errors import FileFormatError
 from dehyst._units import symbol_of
 from dehyst.records.formats.column import shortened
-from dehyst.records.formats.notation import is_moment
+from dehyst.records.formats.notation import cells_of, is_moment, is_number
 
 # Lines that are looked at: an oscilloscope writes some 30 lines above its table.
 _HEAD = 400
@@ -24,8 +23,6 @@ _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
 _STEP, _CLOCK = "increment", ("start", "increment")
 # The blanks before a unit in brackets.
 _UNIT_BEHIND = re.compile(r"(?<!\s)\s+(?=[\[(])")
-# A number in a notation that Python does not read.
-_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?")
 # A value that a spreadsheet could not compute: #N/A, #DIV/0!.
 _ERROR = re.compile(r"#(?:N/A|NV|[A-Z0/]+[!?])")
 
@@ -102,13 +99,13 @@ class _Shape(NamedTuple):
         return all(is_number(part) for cell in row for part in re.split(r"[;,\t ]+", cell) if part)
 
 
-def layout_of(block: str, decimal: str | None = None) -> Layout:
+def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     """Find the table in the first lines of a text file: what the later of these lines look like.
 
     It begins below the last line of names above the first such line: what is between is a row with a fault. Raise
     `FileFormatError` if no line has content, or the line above the rows has fewer names than they have cells.
     """
-    texts = [(k, text) for k, text in enumerate(block.split("\n")) if text.strip("; \t,")]
+    texts = [(k, text) for k, text in enumerate(written) if text.strip("; \t,")]
     plain = [text for _, text in texts if not text.lstrip().startswith(_MARKS)][:_HEAD]
     if not plain:
         raise FileFormatError("nothing but blank and comment lines; a header line and rows are needed")
@@ -142,7 +139,7 @@ def layout_of(block: str, decimal: str | None = None) -> Layout:
     rest = [line.number for line in lines if line.number >= heading.first]
     # A row that looks like a comment: #N/A,1,2.
     marked = [line.number for line in comments if not is_comment(line.cells, shape.width, delimiter)]
-    first, written = min(rest + [number for number in marked if number >= heading.first]), block.split("\n")
+    first = min(rest + [number for number in marked if number >= heading.first])
     above = (*written[:first], *heading.above)
     return heading._replace(first=first, delimiter=delimiter, row=written[first].strip(), above=above)
 
@@ -178,31 +175,6 @@ def _delimiter(lines: list[str], decimal: str | None) -> str | None:
     signs = (";", "\t", ", " if decimal == "," else ",")
     found = next((sign for sign in signs if 2 * sum(sign in text for text in later) > len(later)), None)
     return "," if found is None and decimal == "," and any('","' in text for text in lines) else found
-
-
-def cells_of(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line."""
-    cells = line.split(delimiter)
-    if '"' in line:
-        sign = delimiter[0] if delimiter else " "
-        cells = next(csv.reader([line.strip(" ")], delimiter=sign, skipinitialspace=True))
-    return [cell.strip() for cell in cells]
-
-
-def number_in(cell: str, decimal: str = ".") -> float:
-    """Return a cell's number, NaN if empty; raise ValueError for numbers of Python only: 1_000, other digits."""
-    if "_" in cell or not cell.isascii() or (decimal == "," and "." in cell):
-        raise ValueError(cell)
-    return float(cell.replace(decimal, ".") or "nan")
-
-
-def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, also in a notation that Python does not read; an empty one is none."""
-    try:
-        number_in(cell)
-    except ValueError:
-        return _NUMBER.fullmatch(cell) is not None
-    return bool(cell)
 
 
 def is_comment(cells: list[str], width: int, delimiter: str | None) -> bool:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import codecs
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from typing import Any, BinaryIO
+from functools import partial
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 
@@ -16,8 +17,17 @@ from dehyst._types import Array
 from dehyst._units import FACTORS, symbol_of
 from dehyst.records.formats.column import Column, shortened
 from dehyst.records.formats.file_content import Allowance
-from dehyst.records.formats.notation import Moment, clock_of, decimal_sign, is_moment, moment
-from dehyst.records.formats.table_layout import Layout, cells_of, is_comment, layout_of, number_in
+from dehyst.records.formats.notation import (
+    Blocks,
+    Moment,
+    cells_of,
+    clock_of,
+    decimal_sign,
+    is_moment,
+    moment,
+    number_in,
+)
+from dehyst.records.formats.table_layout import Layout, is_comment, layout_of
 
 # Longest line of a measurement [characters].
 _LONGEST_LINE = 1_000_000
@@ -27,33 +37,24 @@ _BLOCK = 100_000
 _LISTED = 20
 
 
-class _Text:
-    """A text in blocks of lines, as often as one likes; `whole_lines`: without a last line that does not end."""
+def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[int, list[str]]]:
+    """Yield blocks of the lines behind the first ones, each with the number of lines before it.
 
-    def __init__(self, stream: BinaryIO, encoding: str, whole_lines: bool) -> None:
-        self.whole_lines = whole_lines
-        # It makes one end of line of the ends of all systems.
-        self.lines = io.TextIOWrapper(stream, encoding)
-
-    def blocks(self, skip: int = 0) -> Iterator[tuple[int, str]]:
-        """Yield blocks of whole lines behind the first ones, each with the number of lines before it."""
-        self.lines.seek(0)
-        number = 0
-        while block := self.lines.read(_BLOCK) + self.lines.readline(_LONGEST_LINE):
-            if "\0" in block:
-                raise FileFormatError("no text (it holds NUL bytes); save it as UTF-8 text or correct its suffix")
-            if len(block) > _LONGEST_LINE and len(block) - block.rfind("\n", 0, -1) > _LONGEST_LINE:
-                raise FileFormatError(
-                    f"line {number + block.count(chr(10), 0, -1) + 1} is longer than {_LONGEST_LINE} characters, "
-                    "longer than any row of a measurement; check that this is a table with a line for each sample"
-                )
-            block = block[: block.rfind("\n") + 1] if self.whole_lines else block
-            count = block.count("\n")
-            left = min(max(skip - number, 0), count)
-            rest = block.split("\n", left)[left] if left else block
-            if rest:
-                yield number + left, rest
-            number += count
+    `whole_lines`: without a last line that does not end.
+    """
+    text.seek(0)
+    number = 0
+    while block := text.readlines(_BLOCK):
+        if len(max(block, key=len)) > _LONGEST_LINE:
+            long = next(k for k, line in enumerate(block, number + 1) if len(line) > _LONGEST_LINE)
+            raise FileFormatError(
+                f"line {long} is longer than {_LONGEST_LINE} characters, longer than any row of a measurement; check "
+                "that this is a table with a line for each sample"
+            )
+        number += len(block)
+        lines = block[:-1] if whole_lines and not block[-1].endswith("\n") else block
+        if rest := lines[max(skip - number + len(block), 0) :]:
+            yield number - len(block) + len(lines) - len(rest), rest
 
 
 def read_text(
@@ -65,19 +66,25 @@ def read_text(
     # Windows programs write UTF-16 as "Unicode text", instruments the micro sign in Latin-1.
     wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     for encoding in ("utf-16" if wide else "utf-8-sig", "latin-1"):
-        text = _Text(stream, encoding, whole_lines)
+        # It makes a line feed of the ends of lines of all systems.
+        text = io.TextIOWrapper(stream, encoding)
         with suppress(UnicodeDecodeError):
             try:
-                return _read(text, allowance, decimal or allowance.decimal)
+                return _read(partial(_blocks, text, whole_lines), allowance, decimal or allowance.decimal)
             finally:
-                text.lines.detach()
+                text.detach()
     raise FileFormatError("no text; save it as UTF-8 text or correct its suffix")
 
 
-def _read(text: _Text, allowance: Allowance, decimal: str | None) -> list[Column]:
-    """Read the columns of a text."""
-    layout = layout_of(next((block for _, block in text.blocks()), ""), decimal)
-    table = _Table(text, layout, decimal)
+def _read(
+    blocks: Callable[..., Iterator[tuple[int, list[str]]]], allowance: Allowance, decimal: str | None
+) -> list[Column]:
+    """Read the columns of a text in blocks of lines."""
+    head = [line.rstrip("\n") for line in next((block for _, block in blocks()), [])]
+    if any("\0" in line for line in head):
+        raise FileFormatError("no text (it holds NUL bytes); save it as UTF-8 text or correct its suffix")
+    layout = layout_of(head, decimal)
+    table = _Table(partial(blocks, layout.first), layout, decimal)
     columns = table.columns(allowance)
     # Separators without a name: an empty column, or what stands beside the table.
     columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
@@ -87,86 +94,69 @@ def _read(text: _Text, allowance: Allowance, decimal: str | None) -> list[Column
 class _Table:
     """The rows of a text file, read block by block.
 
-    `lines`: their number, or more. `decimal`: the decimal sign. `count`: rows so far. `faults`, `clocks`: why a column
-    cannot be read, and the timestamps of one that has them. `ends`: the first and the last row as they are written.
-    `hole`, `blank`: line of the first empty row, and whether there was a blank line, since the last row. `headers`:
-    lines of repeated headers.
+    `decimal`: the decimal sign. `count`: rows so far. `faults`, `clocks`: why a column cannot be read, and the
+    timestamps of one that has them. `hole`: line of the first empty row since the last row. `headers`: lines of
+    repeated headers.
     """
 
-    def __init__(self, text: _Text, layout: Layout, decimal: str | None) -> None:
-        self.text, self.layout, self.delimiter = text, layout, layout.delimiter
-        self.names = list(layout.names) or [str(k + 1) for k in range(len(cells_of(layout.row, self.delimiter)))]
-        if len(self.names) > max(len(cells_of(layout.row, self.delimiter)), 1) and not self.names[-1]:
+    def __init__(self, blocks: Blocks, layout: Layout, decimal: str | None) -> None:
+        self.blocks, self.layout, self.delimiter = blocks, layout, layout.delimiter
+        cells = cells_of(layout.row, self.delimiter)
+        self.names = list(layout.names) or [str(k + 1) for k in range(len(cells))]
+        if len(self.names) > max(len(cells), 1) and not self.names[-1]:
             self.names.pop()
         self.width = len(self.names)
-        # Between commas, a cell with a comma is in quotes.
-        comma, commas, self.lines = '"' if self.delimiter == "," else ",", False, 1
-        for _, block in self.blocks():
-            commas, self.lines = commas or comma in block, self.lines + block.count("\n")
-        self.decimal = decimal_sign(self.blocks, self.delimiter, commas, decimal)
-        self.count, self.hole, self.blank = 0, 0, False
+        self.decimal = decimal_sign(blocks, self.delimiter, decimal)
+        self.count, self.hole = 0, 0
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
-        self.ends: list[str] = []
         self.headers: list[int] = []
-
-    def blocks(self) -> Iterator[tuple[int, str]]:
-        """Yield blocks of the rows, see `_Text.blocks`."""
-        return self.text.blocks(self.layout.first)
 
     def columns(self, allowance: Allowance) -> list[Column]:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
-        allowance.take(self.lines * self.width, "the number of its lines")
+        lines = sum(len(block) for _, block in self.blocks())
+        allowance.take(lines * self.width, "the number of its lines")
         # Memory is taken as it is filled.
-        columns = np.empty((self.width, self.lines))
+        columns = np.empty((self.width, lines))
         for number, block in self.blocks():
-            lines = block.removesuffix("\n").split("\n")
-            numbers = self._at_once(block, lines)
-            numbers = self._by_rows(number, lines) if numbers is None else numbers
+            numbers = self._at_once(block)
+            numbers = self._by_rows(number, block) if numbers is None else numbers
             columns[:, self.count : self.count + len(numbers)] = numbers.T
             self.count += len(numbers)
         if not self.count:
             raise FileFormatError("a header but no rows; export the measurement again")
         # The record shares these columns.
         columns.flags.writeable = False
-        first, last = (cells_of(line, self.delimiter) for line in self.ends)
-        ends = list(zip(first, last, strict=False))
         if self.headers:
             starts = ", ".join(map(str, [self.layout.first + 1, *self.headers][:_LISTED]))
             raise FileFormatError(
                 f"{len(self.headers) + 1} tables, which begin at the lines {starts}: these are several records",
                 hint="save each in a file of its own, and give all of them as records of one actuator",
             )
-        return [self._column(place, columns[place, : self.count], ends[place]) for place in range(self.width)]
+        return [self._column(place, columns[place, : self.count]) for place in range(self.width)]
 
-    def _at_once(self, block: str, lines: list[str]) -> Array | None:
+    def _at_once(self, lines: list[str]) -> Array | None:
         """Read a block of which all lines are rows of numbers; return none for others."""
-        if self.clocks or self.hole or self.blank or (self.decimal in (self.delimiter or "")):
+        if self.clocks or self.hole or self.decimal in (self.delimiter or ""):
             return None
-        rows = lines
-        if self.decimal == ",":
-            # A point would be no decimal sign: it must not be read as one.
-            rows = block.replace(".", "'").replace(",", ".").removesuffix("\n").split("\n")
+        # A point beside decimal commas must not be read as one.
+        rows = [line.replace(".", "'").replace(",", ".") for line in lines] if self.decimal == "," else lines
         try:
             data = np.loadtxt(rows, delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
             return None
-        if data.shape != (len(rows), self.width):
-            return None
-        self.ends = [(self.ends or lines)[0], lines[-1]]
-        return data
+        return data if data.shape == (len(rows), self.width) else None
 
     def _by_rows(self, before: int, lines: list[str]) -> Array:
         """Read a block row by row: slow, but it finds the line of an error and allows text columns and timestamps."""
         rows = dict(self._cells(before, lines))
         if not rows:
             return np.empty((0, self.width))
-        numbers = list(rows)
-        self.ends = [(self.ends or [lines[numbers[0] - before - 1]])[0], lines[numbers[-1] - before - 1]]
         if not self.count:
-            self.clocks = {place: [] for place, cell in enumerate(rows[numbers[0]]) if is_moment(cell)}
+            first = next(iter(rows.values()))
+            self.clocks = {place: [] for place, cell in enumerate(first) if is_moment(cell)}
         columns = enumerate(zip(*rows.values(), strict=True))
-        return np.column_stack([self._parsed(place, numbers, cells) for place, cells in columns])
+        return np.column_stack([self._parsed(place, list(rows), cells) for place, cells in columns])
 
     def _parsed(self, place: int, numbers: list[int], cells: Sequence[str]) -> Array:
         """Return the numbers of a column; NaN for one that has timestamps, or a fault."""
@@ -187,13 +177,12 @@ class _Table:
         """Yield line number and cells of each row, without comments; raise FileFormatError for one of other length."""
         delimiter, width, count = self.delimiter, self.width, self.count
         for number, line in enumerate(lines, before + 1):
-            if not line.strip(f"{delimiter or ''} \t"):
-                self.blank = True
+            if not line.strip(f"{delimiter or ''} \t\n"):
                 if count and (width == 1 or (delimiter is not None and delimiter in line)):
                     self.hole = self.hole or number
                 continue
-            if line in self.layout.header:
-                self.headers += [number + 1] * (line == self.layout.header[0])
+            if line.rstrip("\n") in self.layout.header:
+                self.headers += [number + 1] * (line.rstrip("\n") == self.layout.header[0])
                 continue
             cells = cells_of(line, delimiter)
             if is_comment(cells, width, delimiter):
@@ -210,10 +199,10 @@ class _Table:
                     f"line {number} has {len(cells)} cells where the header has {width}: "
                     f"'{(delimiter or ' ').join(cells)[:60]}'; correct it"
                 )
-            self.blank, count = False, count + 1
+            count += 1
             yield number, cells
 
-    def _column(self, place: int, data: Array, ends: tuple[str, str]) -> Column:
+    def _column(self, place: int, data: Array) -> Column:
         """Return a column with the numbers that were read, or with the times of its timestamps."""
         fault = self.faults.get(place, "")
         began: tuple[str, int, float] | None = None
@@ -226,7 +215,7 @@ class _Table:
                 fault = str(error)
         data = np.empty(0) if fault else data
         unnamed = "" if self.layout.names else self.layout.unnamed
-        return Column(self.names[place], data, unit, fault, unnamed=unnamed, ends=ends, began=began)
+        return Column(self.names[place], data, unit, fault, unnamed=unnamed, began=began)
 
 
 # Letters of the words for the time from one sample to the next, and for samples a second.
