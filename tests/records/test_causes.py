@@ -209,6 +209,7 @@ def test_a_time_that_does_not_rise_has_its_own_cause(time, told):
     with pytest.raises(RecordError, match=told if isinstance(told, str) else "rate=") as caught:
         Record(time, V, Y)
     assert "drop" not in str(caught.value)
+    assert ("sort the rows" in str(caught.value)) == ("set back" in str(caught.value))
     if not isinstance(told, str):
         assert float(re.search(r"rate=([\d.]+)", str(caught.value))[1]) == pytest.approx(told, rel=2e-3)
 

@@ -80,7 +80,10 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     words = f"{words}, and the time does not rise in {counted(bad.size, 'place')}"
     if begins.size:
         rate = 1 / float(np.median(steps[steps > 0]))
-        return f"{words}; correct these times, or give the sample rate in their place, rate={rate:.6g} if it is even"
+        return (
+            f"{words}; sort the rows by time if they are mixed up, cut the record in two there if the clock was set "
+            f"back, or give the sample rate in place of these times, rate={rate:.6g} if it is even"
+        )
     digit = float(np.diff(np.unique(time)).min())
     digits = int(np.clip(np.log10(float(np.ptp(time)) / digit), 3, 6))
     return (

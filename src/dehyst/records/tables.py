@@ -25,6 +25,7 @@ from dehyst.records.formats.column import (
     listed,
     plausible_unit,
     shortened,
+    unlikely,
 )
 
 _BRANCHES = (
@@ -159,6 +160,11 @@ class Table:
             )
             ends = f"{values.min():.4g} to {values.max():.4g} V"
             raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
+        periodic = entry.scale is not None and entry.scale.kind
+        if entry.guess and entry.unit and not periodic and (words := unlikely(quantity, values)):
+            problem = f"column '{shortened(column.name)}' would have, in the guessed unit {unit}, {words}"
+            hint = f"find out its unit, and give {quantity}={shortened(column.name)}:UNIT without the {GUESS}"
+            raise ColumnError(self.source, quantity, problem, hint, column)
         step = float(np.median(np.diff(values))) if quantity == "time" and values.size > 1 else 0.0
         if step > 0 and (words := impossible("time", step)):
             raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {words}", change=("columns",))
@@ -250,16 +256,12 @@ def _contradiction(quantity: str, column: Column, given: str) -> tuple[str, str]
         ways = [f", or give {quantity}={name}:{unit}" for unit in (named, stated) if unit in known]
         words = f" has the unit '{named}' in its name, but the file states '{stated}' for it; correct one of them"
         return f"{words}{''.join(ways)}", ""
-    both = given in known and stated in known
-    same = both and known[given] == known[stated]
+    same = given in known and stated in known and known[given] == known[stated]
     if not given or not stated or same or given == column.contradiction or given.casefold() == stated.casefold():
         return None
-    if given not in known:
-        return f" has the unit '{stated}' in the file, got '{given}'", f"known are {', '.join(known)}"
-    factor = f"{known[given] / known[stated]:g} {stated}" if both else f"{GAIN} {given}"
-    way = f"give the scale from one to the other, {quantity}={name}*{factor}/{stated}"
-    way = "select another column" if quantity == "time" else way
-    return f" has the unit '{stated}' in the file, got '{given}'", way
+    way = "select another column" if quantity == "time" else "give the scale from one to the other"
+    scale = "" if quantity == "time" else f", {quantity}={name}*{GAIN} {given}/{stated}"
+    return f" has the unit '{stated}' in the file, got '{given}'", f"leave the unit out, or {way}{scale}"
 
 
 def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[str, Selected]:
@@ -293,7 +295,9 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
         if "*" in given.name:
             # The factor that was given is not understood.
             return ""
-        if text := _entry(table, quantity, assigned[quantity], given.scale, guessed=quantity not in named):
+        if text := _entry(
+            table, quantity, assigned[quantity], given.scale, guessed=quantity not in named or given.guess
+        ):
             entries[quantity] = text
     # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")

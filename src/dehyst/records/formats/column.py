@@ -76,6 +76,8 @@ _POSSIBLE = {
     "voltage": ("a voltage of", "V", 0.0, 1e5, ("V", "mV")),
     "displacement": ("a stroke of", "m", 1e-9, 0.1, ("m", "um")),
 }
+# Ranges of the voltage and the displacement of a stage, in SI units, outside of which a guessed unit is wrong.
+_LIKELY = {"voltage": (0.05, HIGHEST_VOLTAGE), "displacement": (5e-9, 2e-3)}
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
 # The placeholder for a factor, and the end of a selection that is a guess: "y:um?".
@@ -148,6 +150,17 @@ def impossible(quantity: str, size: float) -> str:
     ways = {"time": ", or give the sample rate", "displacement": f', or give units "{other}" in Python'}
     question = f"is the {quantity} in {other}? Correct its unit{ways.get(quantity, '')}"
     return f"got {name} {size:.4g} {unit}, need {need} {unit}: {question}"
+
+
+def unlikely(quantity: str, values: Array) -> str:
+    """Return the range of a voltage or displacement (n,) [V, m] that no stage has, in words; or empty."""
+    if quantity not in _LIKELY or not values.size:
+        return ""
+    # Without the readings of an overload.
+    span, (least, most) = float(np.ptp(np.quantile(values, (0.05, 0.95)))), _LIKELY[quantity]
+    unit = _POSSIBLE[quantity][1]
+    likely = not (0 < span < least or span > most)
+    return "" if likely else f"a range of {span:.3g} {unit}, need {least:g} to {most:g} {unit}"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
