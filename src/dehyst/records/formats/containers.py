@@ -222,7 +222,8 @@ def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
         return read_hdf5(data, allowance)
     import scipy.io
 
-    variables = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    stream: Any = io.BytesIO(data)
+    variables = scipy.io.loadmat(stream, simplify_cells=True)
     named = [(name, value) for name, value in variables.items() if not name.startswith("__")]
     return _columns_of([array for name, value in named for array in _arrays(name, value)], allowance)
 
