@@ -1,6 +1,5 @@
 """What every reader of a file format must do: a sound file of each suffix is read, and what is none is refused."""
 
-import io
 import random
 import tempfile
 from functools import cache
@@ -89,6 +88,5 @@ def test_the_limit_of_bytes_holds(path):
 
 def test_the_allowance_of_memory_holds(path):
     """With memory for one column only, a file of several is refused: its reader takes the numbers first."""
-    content = path.read_bytes() if LOADERS[path.suffix] != LOADERS[".csv"] else io.BytesIO(path.read_bytes())
-    with pytest.raises(FileFormatError):
-        LOADERS[path.suffix](content, Allowance(8 * len(RECORD), path.stem))
+    with path.open("rb") as stream, pytest.raises(FileFormatError):
+        LOADERS[path.suffix](stream, Allowance(8 * len(RECORD), path.stem))

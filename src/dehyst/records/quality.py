@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, cleaned
-from dehyst.records.formats.column import HIGHEST_VOLTAGE, STROKES, impossible
+from dehyst.records.formats.column import impossible, unlikely
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 # Larger numbers [V, m, s] are no measurement, and computations with them overflow; nor are shorter steps [s].
 LARGEST, SHORTEST = 1e30, 1e-30
-# Voltages [V] below this are no actuator's, nor those of an amplifier's monitor.
-_LEAST_VOLTAGE = 0.01
 # Fewest events from which a loop is identified.
 _LEAST_EVENTS = 60
 # Fewer samples show no spike; least samples of a sweep.
@@ -154,11 +152,9 @@ def _of_samples(record: Record) -> Iterator[str]:
 
 
 def _of_units(record: Record) -> Iterator[str]:
-    highest = max(map(abs, record.voltage_range))
-    if not STROKES[0] <= record.stroke <= STROKES[1]:
-        yield f"The stroke is {record.stroke * 1e6:.4g} um, unusual for a piezo actuator; check its unit and scale."
-    if not _LEAST_VOLTAGE <= highest <= HIGHEST_VOLTAGE:
-        yield f"The voltage reaches {highest:.4g} V, unusual for a piezo actuator; check its unit and scale."
+    for quantity, values in (("displacement", record.displacement), ("voltage", record.voltage)):
+        if words := unlikely(quantity, values):
+            yield f"The {quantity} has {words}; check its unit and scale."
     temperatures = [channel.column for channel in record.others if channel.role == "temperature"]
     if len(temperatures) > 1:
         yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."

@@ -355,7 +355,8 @@ def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, 
     if not unit and (scale is None or column.is_channel):
         # A channel of an oscilloscope holds volts: the guess of any other unit would be wrong.
         channel = column.is_channel and quantity != "time"
-        unit = "V" if channel else plausible_unit(quantity, column.data)
+        monitor = quantity == "voltage" and is_small(column.data)
+        unit = "V" if channel or monitor else plausible_unit(quantity, column.data)
         name, guess = f"{name}:{unit}", GUESS
         if not unit:
             return ""

@@ -31,8 +31,8 @@ class ColumnWords(NamedTuple):
     letters: str = ""
 
 
-# Largest voltage [V] and range of strokes [m] of piezo actuators: no hint leads outside of them.
-HIGHEST_VOLTAGE, STROKES = 1500.0, (1e-9, 1e-3)
+# Ranges of the voltage and the displacement of piezo stages, in SI units: others are remarked, or wrong as a guess.
+_LIKELY = {"voltage": (0.05, 1500.0), "displacement": (5e-9, 2e-3)}
 QUANTITIES = {
     "time": ColumnWords(
         example="time_s",
@@ -50,7 +50,7 @@ QUANTITIES = {
         parts="volt, spannung, drive, ampl, monitor, command, tension, ao, output, ausgang, current, pressure, dac",
         letters="uv",
         units=("V", "mV"),
-        range=(0.0, HIGHEST_VOLTAGE),
+        range=_LIKELY["voltage"],
     ),
     "displacement": ColumnWords(
         example="displacement_um",
@@ -59,7 +59,7 @@ QUANTITIES = {
         parts="disp, pos, weg, auslenk, sensor, gauge, strain, stroke, capac, ai, height, angle, encoder, dehnung",
         letters="yxzdw",
         units=("um", "nm", "mm", "m"),
-        range=STROKES,
+        range=_LIKELY["displacement"],
     ),
     "temperature": ColumnWords(
         example="temperature_C",
@@ -69,6 +69,7 @@ QUANTITIES = {
         range=(0.0, 100.0),
     ),
 }
+_CLOCKS = QUANTITIES["time"].parts.split(", ")
 # Smallest and largest of what a piezo actuator and its instruments can have, in SI units; the units that smaller and
 # larger ones may be in.
 _POSSIBLE = {
@@ -76,8 +77,6 @@ _POSSIBLE = {
     "voltage": ("a voltage of", "V", 0.0, 1e5, ("V", "mV")),
     "displacement": ("a stroke of", "m", 1e-9, 0.1, ("m", "um")),
 }
-# Ranges of the voltage and the displacement of a stage, in SI units, outside of which a guessed unit is wrong.
-_LIKELY = {"voltage": (0.05, HIGHEST_VOLTAGE), "displacement": (5e-9, 2e-3)}
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
 # The placeholder for a factor, and the end of a selection that is a guess: "y:um?".
@@ -99,8 +98,6 @@ _SET_POINT = re.compile(
     r"target|soll|ziel|vorgabe|führungsgr|request|consigne|desired|wanted|nominal|demand|command|reference|(?<![^\W\d_])(?:set|ref|cmd)(?![^\W\d_])|"
     r"set[\s_-]?(?:point|value|pos)"
 )
-# Names of columns that count samples.
-_COUNTS = re.compile(r"(?:index|idx|samples?|points?|count(?:er)?|no|nr|n|sequence|num|number|row)?")
 # Units of what is no voltage, length, time, temperature or load, where a name ends with one.
 _FOREIGN = re.compile(
     r"mA|uA|amps?|%|percent|prozent|pct|ppm|permille|deg|degrees?|m?rad|urad|arcsec|m?bar|psi|[kM]?Pa|counts?|cts|ticks?|steps?|"
@@ -160,7 +157,7 @@ def unlikely(quantity: str, values: Array) -> str:
     span, (least, most) = float(np.ptp(np.quantile(values, (0.05, 0.95)))), _LIKELY[quantity]
     unit = _POSSIBLE[quantity][1]
     likely = not (0 < span < least or span > most)
-    return "" if likely else f"a range of {span:.3g} {unit}, need {least:g} to {most:g} {unit}"
+    return "" if likely else f"a range of {span:.3g} {unit}, where a stage has {least:g} to {most:g} {unit}"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -260,12 +257,11 @@ class Column:
 
     @property
     def is_counter(self) -> bool:
-        """Whether it counts samples: whole numbers one apart, without the unit or the name of a time."""
+        """Whether it counts samples: whole numbers that rise by one, or more where some are left out; no time."""
         word, unit = self.parts
         steps = np.diff(self.data)
-        counts = steps.size > 0 and bool(np.all(steps == steps[0]) and steps[0] % 1 == 0 and self.data[0] % 1 == 0)
-        named = _COUNTS.fullmatch(word.strip(" .#").lower()) is not None
-        return counts and not unit and (named or (bool(self.unnamed) and steps[0] == 1))
+        rises = steps.size > 0 and steps.min() == 1 and not (np.any(steps % 1) or self.data[0] % 1)
+        return rises and not symbol_of(unit) and not any(part in word.lower() for part in _CLOCKS)
 
 
 def _is_unit(text: str) -> bool:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import prod
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -136,25 +136,25 @@ def _npy(name: str, stream: IO[bytes]) -> _Array:
     return _Array(name, np.lib.format.read_array(stream, allow_pickle=False))
 
 
-def read_npy(data: bytes, allowance: Allowance) -> list[Column]:
+def read_npy(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read one array of NumPy: the fields of a structured one by their names, else its rows or columns."""
-    return _columns_of([_npy(allowance.stem, io.BytesIO(data))], allowance)
+    return _columns_of([_npy(allowance.stem, stream)], allowance)
 
 
-def read_npz(data: bytes, allowance: Allowance) -> list[Column]:
+def read_npz(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read arrays of an NPZ archive."""
     arrays = []
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+    with zipfile.ZipFile(stream) as archive:
         for member in archive.infolist():
             allowance.check(member.file_size, f"array '{shortened(member.filename)}'")
             if member.filename.endswith(".npy"):
-                with archive.open(member) as stream:
-                    arrays.append(_npy(member.filename.removesuffix(".npy"), stream))
+                with archive.open(member) as unpacked:
+                    arrays.append(_npy(member.filename.removesuffix(".npy"), unpacked))
     texts = [str(array.values) for array in arrays if array.name == MEMBER and array.values.dtype.kind == "U"]
     return restored(_columns_of(arrays, allowance), "".join(texts))
 
 
-def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
+def read_hdf5(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read the datasets of all groups, each once; those with samples elsewhere have a fault. Links are not followed."""
     import h5py
 
@@ -164,7 +164,7 @@ def read_hdf5(data: bytes, allowance: Allowance) -> list[Column]:
         if isinstance(item, h5py.Dataset) and item.shape is not None and not name.startswith("#"):
             arrays.extend(_dataset(name, item, allowance))
 
-    with h5py.File(io.BytesIO(data), "r") as file:
+    with h5py.File(stream, "r") as file:
         file.visititems(keep)
         return _columns_of(arrays, allowance)
 
@@ -216,14 +216,17 @@ def _unit(item: Any) -> str:
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read_mat(data: bytes, allowance: Allowance) -> list[Column]:
+def read_mat(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read variables of a MAT file of any version; of structures the fields; text is ignored."""
-    if data.startswith((b"MATLAB 7.3", _HDF5)) or data[512:520] == _HDF5:
-        return read_hdf5(data, allowance)
+    head = stream.read(520)
+    stream.seek(0)
+    if head.startswith((b"MATLAB 7.3", _HDF5)) or head.endswith(_HDF5):
+        return read_hdf5(stream, allowance)
     import scipy.io
 
-    stream: Any = io.BytesIO(data)
-    variables = scipy.io.loadmat(stream, simplify_cells=True)
+    # Its types state names of files only.
+    source: Any = stream
+    variables = scipy.io.loadmat(source, simplify_cells=True)
     named = [(name, value) for name, value in variables.items() if not name.startswith("__")]
     return _columns_of([array for name, value in named for array in _arrays(name, value)], allowance)
 
@@ -245,13 +248,13 @@ _START, _SAME_CLOCK = "wf_start_time", 1e-4
 _STAMP = re.compile(_START.encode() + rb"(.{20})", re.DOTALL)
 
 
-def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
+def read_tdms(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read channels of a TDMS file; the time of a waveform follows from its properties."""
     from nptdms import TdmsFile
 
     columns: list[Column] = []
     waves: dict[str, Any] = {}
-    with TdmsFile.open(io.BytesIO(data)) as file:
+    with TdmsFile.open(stream) as file:
         for name, channel in _channels(file).items():
             allowance.take(len(channel), f"channel '{shortened(name)}'")
             unit = str(channel.properties.get("unit_string", "")).strip()
@@ -271,7 +274,8 @@ def read_tdms(data: bytes, allowance: Allowance) -> list[Column]:
     count, step, start, _ = next(iter(runs)) if len(runs) == 1 else (0, 0.0, 0.0, "")
     if step > 0:
         allowance.take(count, "the time of its waveforms")
-        guess = _guess_of_segments(data, waves, step)
+        stream.seek(0)
+        guess = _guess_of_segments(stream.read(), waves, step)
         with np.errstate(all="ignore"):
             columns.append(Column("time", start + np.arange(float(count)) * step, "s", guessed=guess))
     return columns

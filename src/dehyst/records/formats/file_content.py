@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from dehyst._errors import FileFormatError
 
@@ -38,7 +39,7 @@ class Allowance:
             )
 
 
-def opened(path: Path, most: float) -> io.BufferedIOBase:
+def opened(path: Path, most: float) -> BinaryIO:
     """Open a file, or read a pipe once; raise `FileFormatError` for a folder, a device, none or too many bytes."""
     state = path.stat()
     if stat.S_ISDIR(state.st_mode):
@@ -46,7 +47,7 @@ def opened(path: Path, most: float) -> io.BufferedIOBase:
     if not (stat.S_ISFIFO(state.st_mode) or stat.S_ISREG(state.st_mode)):
         raise FileFormatError(f"{path}: this is a device, need a file or a pipe; save its data to a file first")
     size = state.st_size
-    stream: io.BufferedIOBase = path.open("rb")
+    stream: BinaryIO = path.open("rb")
     if not size:
         # A pipe, or a file of the system that states no size.
         with stream:

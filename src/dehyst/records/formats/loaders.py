@@ -38,16 +38,16 @@ def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
     return [(match[1], match[2].strip()) for line in lines if (match := _ENTRY.fullmatch(line.strip()))]
 
 
-def read_gcs(data: bytes, allowance: Allowance) -> list[Column]:
+def read_gcs(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units."""
-    above, rows = _END.split(data, maxsplit=1)
+    above, rows = _END.split(stream.read(), maxsplit=1)
     lines = above.decode("latin-1").split("\n")
     header = dict(gcs_entries(lines))
     separator, stated = GCS_SEPARATORS.get(header.get("SEPARATOR", "")), header.get("SAMPLE_TIME", "")
     width = len(rows.partition(b"\n")[0].decode("latin-1").split(separator))
     names = (header.get(f"NAME{k}", f"column {k + 1}").replace('"', "") for k in range(width))
     head = (separator or " ").join(f'"{name}"' for name in names)
-    columns = read_text(b"\n" * (len(lines) - 1) + head.encode() + b"\n" + rows, allowance)
+    columns = read_text(io.BytesIO(b"\n" * (len(lines) - 1) + head.encode() + b"\n" + rows), allowance)
     samples, step = len(columns[0].data), number_in(stated) if is_number(stated) else nan
     if not 0 < step < inf:
         return columns
@@ -61,15 +61,15 @@ _CELL, _ROW = 32, 16
 _SIGNED = re.compile(r"[-+]?\d*[.,][\d.,]*(?:[eE][-+]?\d+)?")
 
 
-def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
+def read_xlsx(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read the tables of a workbook, whatever range its sheets declare; names of several sheets come first."""
     import openpyxl
 
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+    with zipfile.ZipFile(stream) as archive:
         for member in archive.infolist():
             allowance.check(member.file_size, f"sheet '{member.filename}'")
     tables: dict[str, list[Column]] = {}
-    with closing(openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)) as workbook:
+    with closing(openpyxl.load_workbook(stream, read_only=True, data_only=True)) as workbook:
         for sheet in workbook.worksheets:
             sheet.reset_dimensions()
             rows, cells, what = [], 0, f"the cells of sheet '{shortened(sheet.title)}'"
@@ -81,7 +81,8 @@ def read_xlsx(data: bytes, allowance: Allowance) -> list[Column]:
             columns = [column for column in zip_longest(*rows) if any(cell is not None for cell in column)]
             lines = ["\t".join(map(_cell, row)) for row in zip(*columns, strict=True)]
             if sum(map(bool, map(str.strip, lines))) > 1:
-                tables[sheet.title] = read_text("\n".join(lines).encode() + b"\n", allowance, ".")
+                text = io.BytesIO("\n".join(lines).encode() + b"\n")
+                tables[sheet.title] = read_text(text, allowance, ".")
     if not tables:
         raise FileFormatError("no sheet with rows found; save the measurement in a sheet")
     return [
@@ -97,7 +98,7 @@ def _cell(value: Any) -> str:
     return f"'{text}" if isinstance(value, str) and _SIGNED.fullmatch(text) else text
 
 
-Loader = Callable[[Any, Allowance], list[Column]]
+Loader = Callable[[BinaryIO, Allowance], list[Column]]
 # Bytes by which a text is recognised: the longest header of a GCS array.
 _HEAD = 50_000
 
@@ -105,21 +106,20 @@ _HEAD = 50_000
 def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read a text file in the format that its first bytes show."""
     mark = containers.LINE.encode()
-    stream.seek(0)
     head = stream.read(_HEAD)
     stream.seek(0)
     if head.lstrip(b"\xef\xbb\xbf").startswith(b"LabVIEW Measurement"):
         # Its channels may have starts, steps and clocks of their own.
         raise FileFormatError("LabVIEW's measurement files are not read; save it as TDMS, or below one line of names")
     if _END.search(head):
-        return read_gcs(stream.read(), allowance)
+        return read_gcs(stream, allowance)
     # Each line of a record of dehyst ends: one that does not was cut off while it was written.
     columns = read_text(stream, allowance, whole_lines=head.startswith(mark))
     stated = head[len(mark) : containers.LONGEST].split(b"\n")[0] if head.startswith(mark) else b""
     return containers.restored(columns, stated.decode(errors="replace"))
 
 
-# The function of the bytes of a file, of the stream of a text, and the allowance that returns its columns, by suffix.
+# The function of the bytes of a file and the allowance that returns its columns, by suffix.
 LOADERS: dict[str, Loader] = {
     **dict.fromkeys((*TEXT, ".asc"), _read_text),
     ".xlsx": read_xlsx,
@@ -132,7 +132,7 @@ LOADERS: dict[str, Loader] = {
 }
 
 
-def load(path: Path, stream: io.BufferedIOBase, allowance: Allowance) -> list[Column]:
+def load(path: Path, stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read a file's columns; raise FileFormatError, with the file's name before each message.
 
     A file without a suffix, as a pipe, holds text. Raise `MissingExtraError` if the library is not installed.
@@ -142,8 +142,7 @@ def load(path: Path, stream: io.BufferedIOBase, allowance: Allowance) -> list[Co
         with warnings.catch_warnings():
             # A library warns of styles of a sheet and the like, which do not matter for the columns.
             warnings.simplefilter("ignore")
-            read = LOADERS[suffix]
-            return read(stream if read is _read_text else stream.read(allowance.most), allowance)
+            return LOADERS[suffix](stream, allowance)
     except FileFormatError as error:
         raise type(error)(**vars(error) | {"message": f"{path}: {error.message}"}) from error
     except ImportError as error:

@@ -58,11 +58,9 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
 
 
 def read_text(
-    data: bytes | BinaryIO, allowance: Allowance, decimal: str | None = None, whole_lines: bool = False
+    stream: BinaryIO, allowance: Allowance, decimal: str | None = None, whole_lines: bool = False
 ) -> list[Column]:
     """Read the columns of a text file; those with words have a fault, those without a name say so."""
-    stream = io.BytesIO(data) if isinstance(data, bytes) else data
-    stream.seek(0)
     # Windows programs write UTF-16 as "Unicode text", instruments the micro sign in Latin-1.
     wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     for encoding in ("utf-16" if wide else "utf-8-sig", "latin-1"):
@@ -242,7 +240,7 @@ def _with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> li
     """
     if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
-    place = next((k for k, column in enumerate(columns) if _counts(column)), None)
+    place = next((k for k, column in enumerate(columns) if column.is_counter), None)
     named = place is None and any("time" in column.quantities for column in columns)
     stated = [
         step
@@ -260,14 +258,6 @@ def _with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> li
     counts = np.arange(float(columns[0].data.size)) if place is None else columns[place].data
     with np.errstate(all="ignore"):
         return [Column("time", steps[0] * counts, "s"), *rest]
-
-
-def _counts(column: Column) -> bool:
-    """Return whether a column counts samples: whole numbers that rise by one, or by more where samples are left out."""
-    steps = np.diff(column.data)
-    if not steps.size or column.data[0] % 1 or np.any(steps % 1) or steps.min() != 1:
-        return False
-    return bool(steps.max() == 1) or not (column.quantities or symbol_of(column.parts[1]))
 
 
 def _stated(match: re.Match[str], decimal: str) -> tuple[float, str] | None:
