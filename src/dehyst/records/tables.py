@@ -227,41 +227,31 @@ class Table:
 
 def _fault(quantity: str, column: Column, entry: Entry) -> tuple[str, str] | None:
     """Return why a column cannot be read as an entry says, and what to try; None if it can."""
-    known, scale, unit, name = FACTORS[quantity], entry.scale, entry.unit or column.parts[1], shortened(column.name)
+    known, given, stated, named = FACTORS[quantity], entry.unit, column.parts[1], column.contradiction
+    unit, name = given or stated, shortened(column.name)
+    to = given if given in known else QUANTITIES[quantity].units[0]
+    scaled = f"give the scale, {quantity}={name}*{GAIN} {to}/{stated or given}"
+    way = f"select another column with {quantity}=NAME"
     if column.fault:
         return f": {column.fault}", ""
-    contradiction = _contradiction(quantity, column, entry.unit)
-    if contradiction or (scale is None and unit in known):
-        return contradiction
-    if scale is not None:
-        fault, has = scale.fault(quantity, unit), f" has the unit '{shortened(unit)}', but" if unit else ":"
+    if named and not given:
+        has = f" has the unit '{named}' in its name, but the file states '{stated}' for it"
+        return f"{has}; correct one of them, or give {quantity}={name}:UNIT", ""
+    same = given.casefold() in (stated.casefold(), named.casefold()) or known.get(given, 0) == known.get(stated, -1)
+    if given and stated and not same:
+        has, ways = f" has the unit '{stated}' in the file, got '{given}'", way if quantity == "time" else scaled
+        return has, f"leave the unit out, or {ways}"
+    if entry.scale is not None:
+        fault, has = entry.scale.fault(quantity, unit), f" has the unit '{shortened(unit)}', but" if unit else ":"
         return (f"{has} {fault}", "give a scale for that unit, or leave it out") if fault else None
-    has, way = (
-        f" has the unit '{shortened(unit)}', which is no {quantity}",
-        f"Select another column with {quantity}=NAME",
-    )
-    if not unit:
-        has = " has no unit"
-        way = f"Name it like '{QUANTITIES[quantity].example}', or give its unit, as {quantity}={name}:UNIT"
-    elif quantity != "time" and quantity_of(unit) in ("", "voltage"):
-        scaled = f"{quantity}={name}*{GAIN} {QUANTITIES[quantity].units[0]}/{unit}"
-        way = f"Give its scale, {scaled}, or select another column"
-    return has, f"known are {', '.join(known)}. {way}"
-
-
-def _contradiction(quantity: str, column: Column, given: str) -> tuple[str, str] | None:
-    """Return how units of the name, the file and the user (`given`) contradict each other, and what to try; or None."""
-    known, stated, name = FACTORS[quantity], column.parts[1], shortened(column.name)
-    if not given and (named := column.contradiction):
-        ways = [f", or give {quantity}={name}:{unit}" for unit in (named, stated) if unit in known]
-        words = f" has the unit '{named}' in its name, but the file states '{stated}' for it; correct one of them"
-        return f"{words}{''.join(ways)}", ""
-    same = given in known and stated in known and known[given] == known[stated]
-    if not given or not stated or same or given == column.contradiction or given.casefold() == stated.casefold():
+    if unit in known:
         return None
-    way = "select another column" if quantity == "time" else "give the scale from one to the other"
-    scale = "" if quantity == "time" else f", {quantity}={name}*{GAIN} {given}/{stated}"
-    return f" has the unit '{stated}' in the file, got '{given}'", f"leave the unit out, or {way}{scale}"
+    if unit and quantity != "time" and quantity_of(unit) in ("", "voltage"):
+        way = scaled
+    elif not unit:
+        way = f"name it like '{QUANTITIES[quantity].example}', or give its unit, as {quantity}={name}:UNIT"
+    has = f" has the unit '{shortened(unit)}', which is no {quantity}" if unit else " has no unit"
+    return has, f"known are {', '.join(known)}; {way}"
 
 
 def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[str, Selected]:
