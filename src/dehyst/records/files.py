@@ -165,7 +165,7 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
         if columns.decimal is not None and path.suffix.lower() not in ("", *_WITH_SIGNS):
             got = f"{columns.decimal} for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
         stream.seek(0)
         found = load(path, stream, Allowance(int(1e6 * columns.max_size), path.stem, _SIGNS.get(columns.decimal or "")))
     if not found:
