@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 from command_line import commands, run, sample_words
 
-from dehyst import Actuator, FileFormatError, MaxwellSlip, Spring
+from dehyst import FileFormatError
 from dehyst._io import demand_own_folder, format_of
 from dehyst.cli import main
 from dehyst.operations import demo
@@ -139,14 +139,3 @@ def test_demo_leaves_other_folders_alone(journey, tmp_path, monkeypatch):
         demand_own_folder(tmp_path / "loops.csv", *demo.OWN)
     assert run("demo", "--no-report", "-o", tmp_path, "--force")[0] == 0
     assert (tmp_path / "loops.csv").read_text() != "mine"
-
-
-def test_a_suffix_that_is_no_export_is_no_folder(tmp_path):
-    model = tmp_path / "model.json"
-    Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 80]), limits=(0, 90)).save(model)
-    status, _, err = run("export", model, tmp_path / "stage.mm")
-    assert (status, ".wasm or .fmu" in err) == (2, True)
-    assert not (tmp_path / "stage.mm").exists()
-    (tmp_path / "stage.mm").mkdir()
-    for name in ("stage.mm", "piezo-1.5"):
-        assert run("export", model, tmp_path / name)[0] == 0

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from itertools import pairwise
 
 import coupled_stage
 import numpy as np
@@ -12,8 +11,7 @@ from command_line import refused
 
 from dehyst.cli import main
 from dehyst.model import Stage
-from dehyst.records import Record, read, read_table, write_columns
-from dehyst.trust import start_of
+from dehyst.records import read, read_table, write_columns
 
 AXES = "x=vx_V:x_um, y=vy_V:y_um"
 
@@ -55,21 +53,6 @@ def test_identify_writes_stage_and_report(folder):
     assert "Axis x" in page and "Axis y" in page and page.count("data-chart=") >= 4
 
 
-def test_simulate_and_compensate_undo_each_other(folder):
-    t = np.arange(0, 10, 0.02)
-    path = {"x_um": 7 + 3 * np.sin(t), "y_um": 9 + 4 * np.sin(0.7 * t)}
-    write_columns(folder / "path.csv", {"time_s": t, **path})
-    found = result_of(run("compensate", folder / "stage.json", folder / "path.csv", "-o", folder / "v.csv", "--json"))
-    assert found["clamped"] == {"x": 0, "y": 0}
-    assert found["homing_samples"]["x"] == found["homing_samples"]["y"] > 0
-    assert found["certified"] == {"x": True, "y": True}
-    run("simulate", folder / "stage.json", folder / "v.csv", "-o", folder / "again.csv")
-    again = read_table(folder / "again.csv")
-    for axis in "xy":
-        reached = again.column("displacement", f"{axis}_expected_um")[-len(t) :] * 1e6
-        assert np.allclose(reached, path[f"{axis}_um"], rtol=0, atol=1e-6)
-
-
 def test_bare_columns_are_taken_by_their_names_too(folder):
     words = ["compensate", folder / "stage.json", folder / "bare-path.csv", "--no-home"]
     path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
@@ -105,51 +88,6 @@ def test_the_start_of_a_path_is_homed_or_named(folder):
     assert any("top needs 120" in sentence for sentence in named["warnings"])
     assert named["start"]["x"]["name"] == "top"
     assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
-
-
-def test_each_axis_starts_as_a_record_began(folder):
-    """Coupled axes begin in the states that the record of each actuator alone determines, nearer than any name."""
-    stage = Stage.load(folder / "stage.json")
-
-    def played(*turns):
-        branches = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(turns)])
-        return np.column_stack([branches, 0.9 * branches + 0.05]) * np.array([100.0, 120.0])
-
-    lead = stage.simulate(played(0, 1, 0.25, 0.6)).state
-    voltage = played(0.6, 0.1, 0.9, 0.1, 0.9, 0.3, 0.6)
-    record = Record(np.arange(600) * 0.05, voltage, stage.simulate(voltage, states=lead).displacement)
-    write(folder / "began.csv", record)
-    missed = {}
-    for start in (f"as:{folder / 'began.csv'}", "top", "bottom"):
-        words = ["simulate", folder / "stage.json", folder / "began.csv", "--start", start, "--json"]
-        result = result_of(run(*words, "-o", folder / "from.csv"))
-        assert {axis_start["name"] for axis_start in result["start"].values()} == {start.replace(f"{folder}/", "")}
-        table = read_table(folder / "from.csv")
-        came = np.column_stack([table.column("displacement", f"{axis}_expected_um") for axis in "xy"])
-        missed[start] = (np.abs(came - record.displacement).max(axis=0) / np.ptp(record.displacement, axis=0)).max()
-        if start.startswith("as:"):
-            own = zip(stage.actuators, record.voltage.T, (record.displacement @ stage.decoupling.T).T, strict=True)
-            states = [start_of(actuator, Record(record.time, v, y), began=True).state for actuator, v, y in own]
-            alone = stage.simulate(voltage, states=states).displacement
-            np.testing.assert_allclose(came, alone, atol=1e-9 * np.ptp(alone))
-    began, *named = missed.values()
-    assert min(named) > 5e-3
-    assert began < 0.5 * min(named)
-
-
-def test_an_axis_has_limits_and_a_slew_rate_of_its_own(folder):
-    t = np.arange(0, 5, 0.02)
-    write_columns(folder / "own.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
-    words = ["compensate", folder / "stage.json", folder / "own.csv", "-o", folder / "own-v.csv", "--home"]
-    run(*words, "--slew-rate", "300", "--slew-rate", "x=150", "--limits", "y=0", "119")
-    table = read_table(folder / "own-v.csv")
-    steps = np.diff(table.column("time"))
-    voltage = {axis: table.column("voltage", f"v{axis}_V") for axis in "xy"}
-    steepest = {axis: np.abs(np.diff(values) / steps).max() for axis, values in voltage.items()}
-    assert steepest["x"] <= 150 * (1 + 1e-6) < steepest["y"] <= 300 * (1 + 1e-6)
-    assert voltage["y"].max() <= 119
-    assert refused(*words, "--slew-rate", "z=150")["argument"] == "slew_rate"
-    assert refused("calibrate", "sim://", "--slew-rate", "1=100", "--dry-run")["argument"] == "slew_rate"
 
 
 OWN_RIG = """

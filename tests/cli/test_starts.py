@@ -6,13 +6,15 @@ from itertools import pairwise
 import numpy as np
 import plain_records
 import pytest
-from command_line import WRITTEN, result, run
+from command_line import result, run
 
 import dehyst
 from dehyst import Actuator, Record
-from dehyst.model import needs_time, stroke_of, with_identification
+from dehyst.control import PossibleStart, plan_voltage
+from dehyst.model import with_identification
 from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
+from dehyst.trust import start_of
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
 
@@ -41,20 +43,6 @@ def column(folder, file, name):
     return data[name]
 
 
-@pytest.mark.parametrize("model", ["model.json", "creep.json"])
-def test_without_a_start_the_path_is_homed_first(folder, model):
-    status, got = result("compensate", model, "path.csv", "-o", "v.csv", "--slew-rate", "none", cwd=folder)
-    assert status == 0 and got["certified"] and got["start"]["name"] == "unknown"
-    assert got["start"]["largest_difference_percent"] <= got["start"]["model_error_percent"]
-    assert got["samples"] == got["homing_samples"] + 200
-    phase, time = column(folder, "v.csv", "phase"), column(folder, "v.csv", "time_s")
-    assert list(np.unique(phase)) == [0, 1, 2] and np.count_nonzero(phase < 2) == got["homing_samples"]
-    assert time[got["homing_samples"]] == pytest.approx(got["homing_s"]) and np.all(np.diff(time) > 0)
-    wanted = column(folder, "path.csv", "displacement_um")
-    followed = column(folder, "v.csv", "displacement_um")[got["homing_samples"] :]
-    np.testing.assert_allclose(followed, wanted, rtol=WRITTEN)
-
-
 def test_without_a_homing_the_error_is_reported(folder):
     given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none")
     _, got = result(*given, cwd=folder)
@@ -63,80 +51,23 @@ def test_without_a_homing_the_error_is_reported(folder):
     assert "phase" not in read_table(folder / "v.csv").names
 
 
-def test_a_simulation_from_an_unknown_start_is_bounded(folder):
-    voltage = np.concatenate([np.linspace(40, 200, 100), np.linspace(200, 0, 100), np.linspace(0, 90, 50)])
-    write_columns(folder / "drive.csv", {"time_s": np.arange(250) * 0.01, "voltage_V": voltage})
-    _, got = result("simulate", "model.json", "drive.csv", "-o", "s.csv", cwd=folder)
-    low, y, high = (column(folder, "s.csv", f"{name}_um") for name in ("lowest", "expected", "highest"))
-    slack = 1e-9
-    assert np.all((low - slack <= y) & (y <= high + slack))
-    actuator = Actuator.load(folder / "model.json")
-    for start in ("top", "bottom", "relaxed"):
-        result("simulate", "model.json", "drive.csv", "-o", "known.csv", "--start", start, cwd=folder)
-        known = column(folder, "known.csv", "expected_um")
-        assert np.all((low - slack <= known) & (known <= high + slack)), start
-        assert "lowest_um" not in read_table(folder / "known.csv").names
-    stroke = 1e6 * stroke_of(actuator)
-    assert got["start"]["largest_difference_percent"] == pytest.approx(100 * (high - low).max() / stroke)
-    assert got["start"]["first_difference_percent"] == pytest.approx(100 * (high - low)[0] / stroke)
-
-
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
-def test_a_record_is_a_start(folder, model):
-    """The second half of a record, predicted from the first."""
+def test_a_record_determines_where_it_began_and_where_it_ends(folder, model):
+    """What was measured before and after follows from the state, which no name describes."""
     actuator = Actuator.load(folder / model)
-    voltage = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 0, 200), np.linspace(0, 120, 150)])
-    time = np.arange(550) * 0.05
-    y = actuator.simulate(voltage, time=time).displacement
-    write_record(folder / "first.csv", dehyst.Record(time[:480], voltage[:480], y[:480]))
-    write_columns(folder / "next.csv", {"time_s": time[479:], "voltage_V": voltage[479:]})
-    status, out, _ = run("simulate", model, "next.csv", "-o", "s.csv", "--start", "first.csv", cwd=folder)
-    assert status == 0 and "start: first.csv" in out
-    came = column(folder, "s.csv", "expected_um")
-    assert np.abs(1e-6 * came - y[479:]).max() < 2e-3 * np.ptp(y)
-
-
-@pytest.mark.parametrize("model", ["model.json", "creep.json"])
-def test_a_record_is_a_start_as_it_began(folder, model):
-    """What a record measured follows from its voltages and the state in which it began, which no name describes."""
-    actuator = Actuator.load(folder / model)
-    before = np.concatenate([np.linspace(0, 200, 200), np.linspace(200, 50, 200), np.linspace(50, 120, 150)])
-    ends = [120, 20, 180, 20, 180, 60, 120]
+    ends = [0, 200, 50, 120, 20, 180, 20, 180, 60, 120, 40, 90]
     voltage = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(ends)])
-    timed = needs_time(actuator)
-    lead = actuator.simulate(before, time=np.arange(550) * 0.05 if timed else None).state
-    time = np.arange(600) * 0.05
-    y = actuator.simulate(voltage, time=time if timed else None, state=lead).displacement
-    write_record(folder / "began.csv", dehyst.Record(time, voltage, y))
-    write_columns(folder / "same.csv", {"time_s": time, "voltage_V": voltage})
-    missed = {}
-    for start in ("as:began.csv", "top", "bottom"):
-        status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", start, cwd=folder)
-        assert status == 0, err
-        missed[start] = np.abs(1e-6 * column(folder, "s.csv", "expected_um") - y).max() / np.ptp(y)
-    assert missed["as:began.csv"] < 2e-3 and min(missed["top"], missed["bottom"]) > 5e-3
-    write_columns(folder / "wish.csv", {"time_s": time[:100], "displacement_um": 1e6 * y[:100]})
-    given = ("compensate", model, "wish.csv", "-o", "v.csv", "--start", "as:began.csv", "--slew-rate", "none")
-    _, got = result(*given, cwd=folder)
-    assert got["start"]["name"] == "as:began.csv" and got["homing_samples"] == 0
-    assert np.abs(column(folder, "v.csv", "voltage_V") - voltage[:100]).max() < 0.01 * 200
-    status, _, err = run("simulate", model, "same.csv", "-o", "s.csv", "--start", "as:same.csv", cwd=folder)
-    assert status == 2, err
-
-
-def test_voltages_alone_are_a_start_as_far_as_they_determine_it(folder):
-    write_columns(folder / "next.csv", {"time_s": np.arange(50.0), "voltage_V": np.linspace(30, 100, 50)})
-    for turns, open_ in (([0.0, 40.0, 10.0, 30.0], True), ([0.0, 200.0, 0.0, 30.0], False)):
-        write_columns(folder / "history.csv", {"voltage_V": np.array(turns)})
-        given = ("simulate", "model.json", "next.csv", "-o", "s.csv", "--start", "history.csv")
-        _, got = result(*given, cwd=folder)
-        assert got["start"]["name"] == "history.csv"
-        share = got["start"]["largest_difference_percent"] / got["start"]["model_error_percent"]
-        assert (share > 1) == open_
-    # A model that creeps needs to know when.
-    given = ("simulate", "creep.json", "next.csv", "-o", "s.csv", "--start", "history.csv")
-    status, _, err = run(*given, cwd=folder)
-    assert status == 2 and "time column" in err
+    time = np.arange(voltage.size) * 0.05
+    y = actuator.simulate(voltage, time=time).displacement
+    inner = slice(300, 900)
+    record = Record(time[inner], voltage[inner], y[inner])
+    for began, part in ((True, inner), (False, slice(899, None))):
+        missed = {}
+        for name in ("record", "top", "bottom"):
+            start = start_of(actuator, record, began=began) if name == "record" else PossibleStart.named(actuator, name)
+            plan = plan_voltage(actuator, voltage[part], time=time[part], start=start)
+            missed[name] = np.abs(plan.expected - y[part]).max() / np.ptp(y)
+        assert missed["record"] < 2e-3 and min(missed["top"], missed["bottom"]) > 5e-3
 
 
 @pytest.mark.parametrize("file", ["path.csv", "timeless.csv"])

@@ -1,4 +1,4 @@
-"""Every option reaches the function of its command, which uses it; keys of --columns and options of a path show."""
+"""Each key of --columns changes what is read."""
 
 from dataclasses import replace
 
@@ -60,29 +60,3 @@ def test_each_key_of_columns_changes_what_is_read(laboratory, monkeypatch, key):
 
 def test_every_key_of_columns_is_tried():
     assert {key.split()[0] for key in KEYS} == {*RECORD, "axes"}
-
-
-OPTIONS = [
-    "--limits 5 60",
-    "--slew-rate 7",
-    "--start bottom",
-    "--no-home",
-    "--home --present 20",
-    "--zero 1.5",
-    "--lag",
-    "--table cycle.csv",
-    "--columns displacement=time_s:um",
-]
-
-
-@pytest.mark.parametrize("option", OPTIONS)
-def test_an_option_of_a_path_changes_the_voltage_or_is_refused(laboratory, tmp_path, monkeypatch, option):
-    monkeypatch.chdir(laboratory)
-    outputs = [tmp_path / name for name in ("before.csv", "after.csv")]
-    before = run("compensate", "model.json", "path.csv", "-o", outputs[0], "--json")
-    status, out, err = run("compensate", "model.json", "path.csv", "-o", outputs[1], "--json", *option.split())
-    assert before[0] == 0, before
-    if status == 2:
-        assert option.split()[-2 if option.count(" ") else 0] in err + out
-    else:
-        assert outputs[0].read_bytes() != outputs[1].read_bytes()
