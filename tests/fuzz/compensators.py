@@ -10,7 +10,7 @@ import struct
 import sys
 import warnings
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
@@ -21,12 +21,64 @@ sanitized.lay_over()
 
 import batches
 import numpy as np
-import specimens
 import strategies
 
-from dehyst import Compensator, DehystError
+from dehyst import Actuator, Compensator, DehystError
 from dehyst.control.following import follow
-from dehyst.model import needs_time
+from dehyst.model import Dynamics, SmoothSlip, needs_time, turned
+
+KINDS = ("plain", "plain", "wide", "dynamics", "lag", "smooth", "all")
+
+
+def random_model(rng, kind):
+    """An actuator as identifications make them, with the parts of a kind."""
+    seed, uniform = int(rng.integers(2**32)), bool(rng.integers(2))
+    actuator = strategies.make_actuator(
+        seed, int(rng.integers(0, 12)), int(rng.integers(2, 12)), uniform, float(rng.choice([0, 0, 0.3]))
+    )
+    span, volts = strategies.span_of(actuator), float(np.ptp(actuator.spring.voltage))
+    if kind == "plain":
+        return actuator
+    graded, transformer, creep = rng.random(3) < 0.5
+    actuator = strategies.make_wider(actuator, seed, graded=graded, transformer=transformer, creep=creep)
+    parts = {}
+    if kind in ("dynamics", "all"):
+        stiffness = volts / span * rng.uniform(0.1, 3)
+        parts["dynamics"] = Dynamics(10 ** rng.uniform(0, 4), rng.uniform(0.005, 1), stiffness)
+    if kind in ("lag", "all"):
+        parts["lag"] = 10 ** rng.uniform(-6, -2)
+    if kind in ("smooth", "all"):
+        lengths, stiffness = span * rng.uniform(0.02, 0.5, 2), volts / span * rng.uniform(0, 0.4, 2)
+        parts["smooth"] = SmoothSlip(lengths, rng.uniform(0.5, 1, 2), stiffness)
+    # Its own start has no smooth elements elongated nor a mass.
+    made = Actuator(
+        actuator.slip,
+        actuator.spring,
+        transformer=actuator.transformer,
+        displacement_creep=actuator.displacement_creep,
+        **parts,
+    )
+    return replace(made, delay=10 ** rng.uniform(-6, -3)) if rng.random() < 0.2 else made
+
+
+def random_start(rng, actuator):
+    """A state that a compensator begins in: its own, reached, or farther away than its limits."""
+    if rng.random() < 0.5:
+        return None
+    y = actuator.spring.displacement[0] + strategies.span_of(actuator) * rng.uniform(-1, 2)
+    return turned(actuator, float(y), rising=bool(rng.integers(2)))
+
+
+def random_compensator(rng, kind):
+    """One within limits that may lie beside the model's own range."""
+    actuator = random_model(rng, kind)
+    low = float(actuator.spring.voltage[0]) + np.ptp(actuator.spring.voltage) * rng.uniform(-0.5, 0.6)
+    high = low + np.ptp(actuator.spring.voltage) * 10 ** rng.uniform(-2, 0.3)
+    period = 10 ** rng.uniform(-6, 0)
+    slew = None if rng.random() < 0.3 else (high - low) / period * 10 ** rng.uniform(-3, 0.5)
+    preview, start = bool(rng.random() < 0.3), random_start(rng, actuator)
+    return Compensator(actuator, (low, high), slew, period=period, preview=preview, state=start)
+
 
 HOSTILE = (np.nan, np.inf, -np.inf, 1e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30, -1e16, 5e-324, -1e-310, -0.0)
 # Part of the spring's range.
@@ -267,9 +319,9 @@ SHARES = np.array([share for _, share in CALLS]) / sum(share for _, share in CAL
 def play(seed, case, note):
     """One life."""
     rng = np.random.default_rng([seed, case])
-    kind = str(rng.choice(specimens.KINDS))
+    kind = str(rng.choice(KINDS))
     try:
-        compensator = specimens.random_compensator(rng, kind)
+        compensator = random_compensator(rng, kind)
         _ = compensator.snapshot()
     except DehystError as error:
         note(f"refused at once: {str(error)[:30]}")

@@ -1,6 +1,9 @@
 """Files of every format in `tests/golden/` are read with the same numbers; another version is refused."""
 
+import contextlib
+import copy
 import json
+from functools import reduce
 
 import numpy as np
 import places
@@ -80,25 +83,62 @@ def places_of(data, place=()):
         yield from places_of(value, (*place, key))
 
 
-DAMAGE = (None, [], [1.0], [[]], {}, {"x": 1}, 3, -1.5, "x", np.nan, np.inf, True, 10**400)
+DAMAGE = (None, [], [1.0], [[]], {}, {"x": 1}, 3, -1.5, "x", np.nan, np.inf, True, 10**400, 5e-324, 1e30, 1e308)
+# Numbers times these: another sign, a neighbour, and other exponents.
+FACTORS = (-1, 0, 1 + 1e-15, 1 + 1e-9, 0.5, 1e3, 1e-12, 1e150, 1e-150)
+
+
+def damaged(data):
+    """Model files in which one value is another, or is missing, or is there twice."""
+    for place in places_of(data):
+        value = reduce(lambda part, key: part[key], place, data)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        for bad in (*DAMAGE, *(factor * value for factor in FACTORS if number), "absent", "twice"):
+            copied = {"all": copy.deepcopy(data)}
+            *parents, last = ("all", *place)
+            parent = reduce(lambda part, key: part[key], parents, copied)
+            if bad == "absent":
+                del parent[last]
+            elif bad == "twice" and isinstance(parent, list):
+                parent.insert(last, value)
+            else:
+                parent[last] = bad
+            if "all" in copied:
+                yield copied["all"]
+
+
+def used(model):
+    """Simulate a model, and step a loop of it: what is not refused is a number, and within limits and slew rate."""
+    axes = model.actuators if isinstance(model, Stage) else [model]
+    for axis in axes:
+        low, high = axis.limits or tuple(axis.spring.voltage[[0, -1]].tolist())
+        time = 1e-3 * np.arange(12)
+        with contextlib.suppress(ModelError):
+            assert np.isfinite(axis.simulate(np.linspace(low, high, 12), time=time).displacement).all()
+        path = np.linspace(*axis.spring.displacement[[0, -1]], 12)
+        with contextlib.suppress(ModelError):
+            assert np.isfinite(axis.compensate(path[[0, 9, 3, 11, 5]], time=time[:5]).voltage).all()
+        with contextlib.suppress(ModelError):
+            loop = Compensator(axis, (low, high), 50 * (high - low), period=1e-3, warns=False)
+            for wanted in path[[0, 9, 3, 11, 5]].tolist():
+                before, sent = loop.voltage, loop.step(wanted)
+                assert low <= sent <= high and abs(sent - before) <= 0.05 * (high - low) * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(("kind", "name"), MODELS)
+@pytest.mark.filterwarnings("ignore")
 def test_a_damaged_value_anywhere_is_refused_or_can_be_used(kind, name):
     """Whatever takes the place of one value, nothing but `ModelError` is raised: at reading, and in a loop after it."""
     refused = 0
-    for place in places_of(golden(name)):
-        for bad in DAMAGE:
-            data = {"all": golden(name)}
-            *parents, last = ("all", *place)
-            part = data
-            for key in parents:
-                part = part[key]
-            part[last] = bad
-            try:
-                kind.from_dict(data["all"])
-            except ModelError:
-                refused += 1
+    for data in damaged(golden(name)):
+        try:
+            model = kind.from_dict(data)
+        except ModelError:
+            refused += 1
+        else:
+            used(model)
+            text = json.dumps(model.as_dict())
+            assert json.dumps(kind.from_dict(json.loads(text)).as_dict()) == text
     assert refused > len(DAMAGE)
 
 
