@@ -5,7 +5,7 @@ import pytest
 
 from dehyst import Actuator, Record, identify
 from dehyst.identification.comparison import compare, errors_of
-from dehyst.identification.preparation import block_means, block_of, prepare
+from dehyst.identification.preparation import block_of, prepare
 from dehyst.model import MaxwellSlip, Spring
 from dehyst.records.signals import bandwidth
 
@@ -36,16 +36,6 @@ def recorded(seconds, rate, seed, noise):
     v = voltage(seconds, rate, seed)
     late = truth().simulate(np.interp(time - DELAY, time, v)).displacement
     return Record(time, v, late + noise * STROKE * np.random.default_rng(seed + 1).normal(size=time.size))
-
-
-def test_means_leave_mean_and_slope_and_lower_white_noise_by_the_root():
-    rng = np.random.default_rng(0)
-    time = np.arange(10_003) * 1e-3
-    record = Record(time, 3 * time, 1e-6 * time + 1e-8 * rng.normal(size=time.size))
-    few = block_means(record, 25)
-    assert len(few) == 400
-    np.testing.assert_allclose(few.voltage, 3 * few.time, rtol=1e-12)
-    assert few.noise == pytest.approx(record.noise / 5, rel=0.2)
 
 
 @pytest.mark.parametrize(("rate", "least", "most"), [(200, 1, 1), (1000, 2, 5), (10_000, 16, 50)])

@@ -13,6 +13,7 @@ from dehyst import DisplacementCreep, Record
 from dehyst.identification import compare, errors_of, initial_state, prepare, search, state_after
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, recommended, staircase
+from examples import at_night
 
 HIGHEST, RATE = 100.0, 10.0
 
@@ -124,7 +125,7 @@ def with_holds(places, *, creep=0.0, drift=0.0, seed=33):
     return Record(time, voltage, y + drift * 12e-6 * np.log10(1 + time / 5), "holds")
 
 
-@pytest.mark.parametrize("places", [(3, 15), (5, 9), (12, 24)])
+@pytest.mark.parametrize("places", [(3, 15), at_night((5, 9)), at_night((12, 24))])
 def test_creep_is_found_wherever_the_voltage_rests_and_a_drift_of_the_sensor_is_not_creep(places):
     for kind, options in {"creep": {"creep": 0.01}, "drift": {"drift": 0.01}}.items():
         frame = wide.frame([with_holds(places, **options)])
@@ -133,7 +134,7 @@ def test_creep_is_found_wherever_the_voltage_rests_and_a_drift_of_the_sensor_is_
         assert kind in names and ("creep" in names) == (kind == "creep")
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.003, 0.02])
+@pytest.mark.parametrize("lag", [at_night(0.0), 0.003, at_night(0.02)])
 def test_a_lag_is_found_beside_creep(lag):
     given = recommended(HIGHEST, drive=Sampling(0.1, sample_rate=40.0))
     late = np.interp(given.time - lag, given.time, given.voltage)

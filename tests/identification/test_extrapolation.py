@@ -23,7 +23,7 @@ def two_speeds(actuator):
     for top in tops:
         branches += [top, 0.0]
     corners = plain_records.VOLTS * np.array(branches)
-    parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 200) for a, b in itertools.pairwise(corners)]
+    parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 100) for a, b in itertools.pairwise(corners)]
     voltage = np.concatenate([corners[:1], *parts, np.full(round(20 * RATE), corners[-1])])
     time = np.arange(voltage.size) / RATE
     given = {"time": time}

@@ -16,7 +16,6 @@ from dehyst.identification.structure import Grid
 from dehyst.records import Record
 
 PLANT = plain_records.plant()
-RHO = PLANT.slip.breakaway
 MAJOR = (1, 0, 1, 0)
 
 
@@ -101,19 +100,6 @@ def test_the_table_of_the_theory(turns):
     found = told_of(turns)
     assert (found.determined, found.of) == (TABLE[turns], 10)
     assert len(unseen(turns)) == 10 - TABLE[turns]
-
-
-@pytest.mark.parametrize("elements", [1, 2, 3, 4, 5, 7, 10, 15, 20, 30])
-def test_a_major_loop_tells_half_of_the_directions(elements):
-    assert len(unseen(MAJOR, elements)) == elements - elements // 2
-    assert told_of(MAJOR, elements).determined == elements // 2
-
-
-@pytest.mark.parametrize("elements", [5, 20, 40])
-def test_as_many_descending_tops_as_elements_tell_all_but_the_last(elements):
-    tops = np.arange(elements, 0, -1) / elements
-    found = told_of(loops(*tops)[:-2], elements)
-    assert (found.determined, found.of) == (elements - 1, elements)
 
 
 @st.composite

@@ -14,7 +14,7 @@ from dehyst import Dynamics, Record
 from dehyst.identification import Structure, search
 from dehyst.identification.denoising import derivatives, remove_dynamics
 from dehyst.identification.motion import creep_times
-from examples import spanning
+from examples import at_night, spanning
 
 STROKE, STEP = plain_records.STROKE, moved.STEP
 NOISE = 1e-4 * STROKE
@@ -73,7 +73,9 @@ def driven(dynamics=None, *, delay=0, noise=NOISE):
     return Record(time, v, y + noise * np.random.default_rng(1).normal(size=y.size), "driven")
 
 
-@pytest.mark.parametrize(("resonance", "damping", "delay"), [(300.0, 0.03, 2), (300.0, 0.1, 0), (200.0, 0.05, 1)])
+@pytest.mark.parametrize(
+    ("resonance", "damping", "delay"), [(300.0, 0.03, 2), at_night(300.0, 0.1, 0), at_night(200.0, 0.05, 1)]
+)
 def test_a_resonance_is_found(resonance, damping, delay):
     """Excited far below the resonance: a lag by delay is hard to tell from one by damping."""
     dynamics = Dynamics(resonance, damping)

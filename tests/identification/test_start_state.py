@@ -3,13 +3,12 @@
 import itertools
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst._native import slip_elongations
 from dehyst.identification.start_state import fit_start
-from dehyst.model import GradedSlip, MaxwellSlip
+from dehyst.model import MaxwellSlip
 
 COUNT = 12
 RHO = np.arange(1.0, COUNT + 1) * 1e-6
@@ -38,22 +37,3 @@ def test_the_simulated_force_is_that_of_the_true_carts(u):
     left = force - found @ slip.stiffness - start.constant
     assert left.std() < 0.01 * np.ptp(force)
     assert np.all(np.abs(start.carts - path[0]) <= RHO * (1 + 1e-9))
-
-
-def test_graded_elements_and_creep_come_back():
-    path, rng = growing(), np.random.default_rng(1)
-    slip = GradedSlip(RHO, np.linspace(-15e-6, 15e-6, 4), rng.uniform(1e5, 3e5, (COUNT, 3)))
-    carts = carts_of(np.full(COUNT, 0.5), path[0])
-    elongation, _ = slip_elongations(RHO, carts, path)
-    dense = np.linspace(-40e-6, 40e-6, 80_001)
-    stiffness = slip.stiffness[:, np.clip(np.searchsorted(slip.knots, dense) - 1, 0, 2)]
-    integral = np.cumsum(stiffness, axis=1) * (dense[1] - dense[0])
-    held = sum(
-        np.interp(path, dense, integral[i]) - np.interp(path - elongation[:, i], dense, integral[i])
-        for i in range(COUNT)
-    )
-    fades = np.exp(-np.arange(path.size) / 40.0)[:, None]
-    force = held + 0.4 * fades[:, 0] - 1.0
-    start = fit_start(slip, path, force, fades, np.array([2.0]))
-    assert start.held[0] == pytest.approx(0.4, abs=0.1)
-    assert start.constant == pytest.approx(-1.0, abs=0.2)

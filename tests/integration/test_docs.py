@@ -83,28 +83,17 @@ def test_the_first_lines_run():
     assert space["rig"].safe == 0
 
 
-# Mistakes in the rig of the page: what stands there, and what somebody wrote instead.
-PLANTED = {
-    "readback stuck": ("        self._volts = voltage\n", ""),
-    "wrong by a factor": ("1e-6 * my_lab", "1e-9 * my_lab"),
-    "lying": ("write_volts(voltage)", "write_volts(min(voltage, 50.0))"),
-    "clock that stands": ("Reading(time.monotonic()", "Reading(0.0"),
-    "slew rate lost": ("self.device, **options", "self.device, limits=options.get('limits')"),
-}
-
-
-@pytest.mark.parametrize("fault", ["readback stuck", *map(at_night, [*PLANTED][1:]), at_night("none")])
-def test_the_rehearsal_of_the_page_finds_planted_faults(fault, my_rig):
+@pytest.mark.parametrize("readback", ["stuck", at_night("right")])
+def test_the_rehearsal_of_the_page_finds_a_planted_fault(readback, my_rig):
     folder = Path(my_rig.partition(":")[0]).parent
     test = next(block for block in blocks("how_to/instruments.md") if "class TestMyRig" in block)
     (folder / "test_my_rig.py").write_text(test)
-    right, wrong = PLANTED.get(fault, ("", ""))
-    code = (folder / "my_rig.py").read_text()
-    assert right in code
-    (folder / "my_rig.py").write_text(code.replace(right, wrong) if right else code)
+    code, remembered = (folder / "my_rig.py").read_text(), "        self._volts = voltage\n"
+    assert remembered in code
+    (folder / "my_rig.py").write_text(code.replace(remembered, "") if readback == "stuck" else code)
     command = [sys.executable, "-m", "pytest", "-qx", "-n", "0", "-c", os.devnull, "--rootdir", ".", "test_my_rig.py"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == (0 if fault == "none" else 1), done.stdout[-2000:]
+    assert done.returncode == (1 if readback == "stuck" else 0), done.stdout[-2000:]
 
 
 def test_the_calibration_in_python_runs(tmp_path, monkeypatch):

@@ -78,11 +78,6 @@ def test_every_name_of_the_face_has_a_room():
     assert set(dehyst._ROOM_OF) == set(dehyst.__all__) - {"__version__"}
 
 
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'identification_of'"):
-        _ = dehyst.identification_of
-
-
 def test_errors_are_both_ours_and_the_builtin_one():
     for error in (dehyst.ModelError, dehyst.RecordError, dehyst.IdentifyError, dehyst.FileFormatError):
         assert issubclass(error, dehyst.DehystError)
