@@ -432,6 +432,30 @@ def test_a_wave_timed_by_the_device_is_brought_back_from_where_it_is_by_now_if_i
     assert retreat[-1] == 0.0
 
 
+@pytest.mark.parametrize("late", [0.0, 0.06, 0.5])
+def test_a_retreat_begins_where_the_wave_stopped_though_all_recent_samples_came_late(late):
+    rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0)
+    rig._now, rig._wait = lambda: clock.now, lambda seconds: vars(clock).update(now=clock.now + seconds)
+
+    def wave(voltage, rate):
+        rig._halt = lambda: rig.instrument.put(voltage[min(int(clock.now * rate), voltage.size - 1)])
+        for first in range(0, 200, 10):
+            clock.now = (first + 10) / rate + late * (first >= 50)
+            part = voltage[first : first + 10]
+            yield Samples(np.arange(first, first + 10) / rate, part, rig.instrument.displacement(part))
+
+    def listen(samples):
+        if samples.voltage[-1] > 15:
+            raise ValueError
+
+    rig._wave = wave
+    with pytest.raises(ValueError) as caught:
+        rig.play(Excitation("up", np.linspace(0, 100, 1001), 1000.0), listen)
+    assert caught.value.__notes__ == [BROUGHT]
+    stopped, *retreat = rig.instrument.sent[1:]
+    assert np.abs(np.diff([stopped, *retreat])).max() <= 1.0 + 1e-9
+
+
 def test_a_wave_that_a_device_cannot_stop_is_not_ramped_against():
     rig = FakeRig((0.0, 100.0))
     rig.set_voltage(20.0)

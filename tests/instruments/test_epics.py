@@ -68,12 +68,6 @@ def test_it_knows_what_the_device_says(rig, ioc):
     assert "dehyst" in rig.name
 
 
-def test_the_devices_slew_rate_is_asked():
-    with IocProcess(slew_rate=500.0, limits=(-10.0, 90.0)) as other, EpicsRig.connect(other.prefix) as rig:
-        assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (-10.0, 90.0, 500.0)
-        assert EpicsRig.connect(other.prefix, slew_rate=900.0).slew_rate == 500.0
-
-
 def test_a_record_is_what_the_actuator_did_and_never_steeper(doomed):
     """At the asked rate or slower, by the device's own clock."""
     excitation = cosine(120, 200.0, 20.0)
@@ -88,12 +82,10 @@ def test_a_record_is_what_the_actuator_did_and_never_steeper(doomed):
 
 
 def test_a_laboratorys_own_names(ioc):
-    names = PvNames(time=None, identity=None, error=None, low=None, high=None, slew=None)
+    names = PvNames(time=None, identity=None)
     front, _, rest = ioc.prefix.partition(":")
     names = replace(names, voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION")
     with EpicsRig.connect(f"{front}:", names=names) as rig:
-        # From the limits of the voltage's record.
-        assert (rig.limits.low, rig.limits.high) == (0.0, 200.0)
         rig.set_voltage(7.0)
         first, second = rig.read(), rig.read()
     assert first.voltage == 7.0
@@ -108,9 +100,9 @@ def test_missing_variables_are_named(ioc):
 
 def test_no_ioc():
     began = time.monotonic()
-    with pytest.raises(LinkError, match=r"none of 9 process variables .* EPICS_CA_ADDR_LIST"):
+    with pytest.raises(LinkError, match=r"none of 5 process variables .* EPICS_CA_ADDR_LIST"):
         EpicsRig.connect("NOBODY", timeout=0.5)
-    assert time.monotonic() - began < 9 * 0.5  # they are waited for together
+    assert time.monotonic() - began < 5 * 0.5  # they are waited for together
 
 
 def test_a_position_in_volts_is_refused(ioc):
@@ -136,14 +128,6 @@ def test_a_put_that_is_refused(ioc):
         ChannelAccess(f"{ioc.prefix}:", 1.0).put("POSITION", 1.0)
 
 
-def test_an_old_error_is_forgotten(ioc):
-    link = ChannelAccess(f"{ioc.prefix}:", 1.0)
-    link.put("VOLTAGE", np.nan)
-    assert "nan" in link.text("ERROR")
-    EpicsRig.connect(ioc.prefix).set_voltage(1.0)
-    assert not link.text("ERROR")
-
-
 def test_without_aioca(monkeypatch):
     monkeypatch.setitem(sys.modules, "aioca", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[bench\]'"):
@@ -151,13 +135,13 @@ def test_without_aioca(monkeypatch):
 
 
 def test_limits_narrower_than_told(doomed, monkeypatch):
-    """Refused by the device, said with its words, and the voltage brought back."""
+    """Refused by the device, and the voltage brought back."""
     rig, clock = EpicsRig.connect(doomed.prefix), Hand()
     monkeypatch.setattr(rig, "_now", clock)
     monkeypatch.setattr(rig, "_wait", clock.wait)
     doomed.do("instrument.axis._limits = VoltageLimits(0, 80)")
     # The range of 200 V takes a second, and a step 10 ms.
-    with pytest.raises(DeviceError, match="reports: VOLTAGE: got 82") as caught:
+    with pytest.raises(DeviceError, match="took 80 V when 82 V") as caught:
         rig.set_voltage(150.0)
     assert "brought to 0 V" in caught.value.__notes__[0]
     assert doomed.log()["highest"] <= 80.0

@@ -13,7 +13,7 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError, SensorError
+from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
@@ -280,17 +280,16 @@ class AbstractRig(ABC):
         """
         self._refuse_closed()
         try:
-            return self._retreat(anywhere=False, patient=True)
+            return self._retreat()
         except Exception as error:
             error.add_note(self._note(error, error))
             raise
 
-    def _retreat(self, *, anywhere: bool, patient: bool = False) -> Any:
-        """Retreat; `anywhere`: the device may have stopped by itself; `patient`: the readback may come late."""
+    def _retreat(self) -> Any:
+        """Stop the waves of all axes, and ramp to the safe voltages, which are returned."""
         errors: list[Exception] = []
         ramps = []
         with shielded(defer=True):
-            begin = self.rigs[0]._now()
             for rig in self.rigs:
                 try:
                     try:
@@ -307,7 +306,7 @@ class AbstractRig(ABC):
                     # After a mistake in its code, a ramp is still best.
                     what = f"{rig.name}: _halt of the rig raised {type(error).__name__}: {error}; a wave may go on"
                     errors.append(DeviceError(what))
-                ramps.append(rig._output.retreat(rig.safe, begin, anywhere=anywhere, patient=patient))
+                ramps.append(rig._output.retreat(rig.safe))
             self._ramp(ramps, errors, retreating=True)
         return np.array([rig.safe for rig in self._parts]) if self._parts else self.safe
 
@@ -450,7 +449,7 @@ class AbstractRig(ABC):
         """Retreat after a `cause` if the link still works, else close it; return the outcome."""
         failed: Exception | None = None
         try:
-            self._retreat(anywhere=isinstance(cause, RigError) and not isinstance(cause, SensorError))
+            self._retreat()
         except Exception as error:  # a driver's library may raise anything; the first error is the one to report
             failed = error
             with suppress(Exception):

@@ -95,8 +95,8 @@ class ChannelAccess:
         """Read a text, short or long."""
         (value,) = self._get([name])
         if isinstance(value, str):
-            return str(value)
-        return bytes(np.atleast_1d(np.asarray(value)).astype(np.uint8)).split(b"\0")[0].decode(errors="replace")
+            return str(value).strip()
+        return bytes(np.atleast_1d(value).astype(np.uint8)).split(b"\0")[0].decode(errors="replace").strip()
 
     def limits(self, name: str) -> tuple[float, float]:
         """Return the control limits of a number's record; 0 and 0 if it has none."""
@@ -114,19 +114,17 @@ class ChannelAccess:
             )
         return 1 / count if count else None
 
-    def put(self, name: str, value: float | str) -> None:
-        """Write a value, and wait until the IOC has processed it.
+    def put(self, name: str, value: float) -> None:
+        """Write a number, and wait until the IOC has processed it.
 
         Raise `LinkError` if there is no answer in time: the value may have been written, or not. Raise `DeviceError` if
         it is refused.
         """
-        long_text = isinstance(value, str) and self._answers(self._ca.cainfo, [name])[0].count > 1
-        options = {"datatype": self._ca.DBR_CHAR_STR} if long_text else {}
 
-        async def request(pvs: list[str], **more: Any) -> list[Any]:
-            return [await self._ca.caput(pvs[0], value, wait=True, **more)]
+        async def request(pvs: list[str], **options: Any) -> list[Any]:
+            return [await self._ca.caput(pvs[0], value, wait=True, **options)]
 
-        self._answers(request, [name], **options)
+        self._answers(request, [name])
 
     def _get(self, names: Sequence[str], **options: Any) -> list[Any]:
         return self._answers(self._ca.caget, names, **options)
@@ -160,8 +158,8 @@ class ChannelAccess:
 class PvNames:
     """Names of process variables without the prefix; None for those that an IOC does not have.
 
-    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. `error` is a text that
-    stays until an empty one overwrites it.
+    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. The limits of the device
+    are those of the voltage's record, DRVL and DRVH.
     """
 
     voltage: str = "VOLTAGE"
@@ -169,10 +167,6 @@ class PvNames:
     position: str = "POSITION"
     time: str | None = "TIME"
     identity: str | None = "IDN"
-    error: str | None = "ERROR"
-    low: str | None = "LIMIT:LOW"
-    high: str | None = "LIMIT:HIGH"
-    slew: str | None = "SLEW"
 
 
 class EpicsRig(AbstractRig):
@@ -182,13 +176,19 @@ class EpicsRig(AbstractRig):
         self, link: ChannelAccess, names: PvNames, *, limits: tuple[float, float] | None, slew_rate: float | None
     ) -> None:
         self._link, self._names = link, names
-        identity = "" if names.identity is None else link.text(names.identity).strip()
+        identity = "" if names.identity is None else link.text(names.identity)
         # A record without a unit is in um, as those of the emulator.
         self._metres = link.metres(names.position) or 1e-6
         self._began = time.monotonic()
         name = f"epics://{link.prefix.removesuffix(':')}" + (f" ({identity})" if identity else "")
-        super().__init__(name, self._device_limits(limits), limits=limits, slew_rate=slew_rate)
-        self._halt()
+        low, high = link.limits(names.voltage)
+        if not low < high:
+            low, high = limits or (low, high)
+        if not low < high:
+            raise RigError(
+                f"{link.prefix}{names.voltage}: its limits are {low:g} to {high:g} V; set DRVL and DRVH in its record"
+            )
+        super().__init__(name, VoltageLimits(low, high), limits=limits, slew_rate=slew_rate)
 
     @classmethod
     def connect(
@@ -209,8 +209,7 @@ class EpicsRig(AbstractRig):
         prefix : str
             Of all `names`; a colon is added to one that ends in a letter or digit.
         limits : (float, float), optional
-            Voltages that the user allows [V]. Limits of the device come from their own variables, or from the limits of
-            the voltage's record.
+            Voltages that the user allows [V]; needed if the voltage's record has no limits.
         slew_rate : float, optional
             Largest abs(dv/dt) [V/s] that the user allows.
         timeout : float, optional
@@ -236,8 +235,6 @@ class EpicsRig(AbstractRig):
 
     def _put(self, voltage: float) -> None:
         self._link.put(self._names.voltage, voltage)
-        if error := "" if self._names.error is None else self._link.text(self._names.error):
-            raise DeviceError(f"{self.name}: reports: {error}")
         (taken,) = self._link.numbers(self._names.voltage)
         if not abs(taken - voltage) <= _ROUNDED * (self.limits.high - self.limits.low):
             raise DeviceError(
@@ -246,25 +243,7 @@ class EpicsRig(AbstractRig):
             )
 
     def _halt(self) -> None:
-        """Overwrite an earlier error, which would stay; nothing plays by itself."""
-        if self._names.error is not None and self._link.text(self._names.error):
-            self._link.put(self._names.error, "")
+        """Do nothing: nothing plays by itself."""
 
     def _close(self) -> None:
         """Leave the channels open: they belong to the process, and another rig may use them."""
-
-    def _device_limits(self, given: tuple[float, float] | None) -> VoltageLimits:
-        """Return the device's limits: its variables, and its record's limits where they are narrower."""
-        names, link = self._names, self._link
-        low, high = link.limits(names.voltage)
-        if names.low is not None and names.high is not None:
-            lowest, highest = link.numbers(names.low, names.high)
-            low, high = (max(low, lowest), min(high, highest)) if low < high else (lowest, highest)
-        elif not low < high and given is not None:
-            low, high = given
-        if not low < high:
-            raise RigError(
-                f"{link.prefix}{names.voltage}: its limits are {low:g} to {high:g} V; set DRVL and DRVH in its record"
-            )
-        slew = 0.0 if names.slew is None else link.numbers(names.slew)[0]
-        return VoltageLimits(low, high, slew if slew > 0 else None)

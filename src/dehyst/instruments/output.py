@@ -26,7 +26,7 @@ AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
 _SHORTEST_SWEEP = 0.1
 # Least range [V], and longest ramp through it [s].
 _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
-# Batches by which the place in a wave is known.
+# Batches by which the likeliest place in a wave is known.
 _RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
 _LEAST_DELAY = 0.05
@@ -39,9 +39,9 @@ _GENTLE = 1.0
 # A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but so many.
 # A retreat sends so many steps again that were not taken.
 _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
-# Readings, a tick apart, in which the readback must come near what was sent, and seconds after which that is enough;
-# readings before a retreat.
-_SETTLING, _PATIENT, _HASTY = 100, 2.0, 3
+# Readings, a tick apart, in which the readback must come near what was sent; where they take longer, seconds, and the
+# fewest of them.
+_READINGS, _SETTLING, _FEW = 100, 1.0, 3
 
 
 class VoltageNote(str):
@@ -81,8 +81,12 @@ class Output:
         self._sent: Array | None = None
         # The last voltage since then of which it is not known whether it was taken.
         self._unconfirmed: float | None = None
-        self._pace, self._began = 0.0, 0.0
-        self._arrived: deque[tuple[float, int]] = deque(maxlen=_RECENT)
+        # Rows a second, and the row of the last sample; the row at the time 0 of a wave that goes at this pace, by the
+        # earliest of all samples and by each of the recent ones.
+        self._pace, self._row, self._soonest = 0.0, 0, 0.0
+        self._recent: deque[float] = deque(maxlen=_RECENT)
+        # Seconds that the last answer took.
+        self._answer = 0.0
 
     def puts(self, voltage: float) -> None:
         """Take note that a `voltage` [V] was sent, and taken."""
@@ -90,18 +94,21 @@ class Output:
 
     def plays(self, voltage: Array, rate: float, speed: float = 1.0) -> None:
         """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]; `speed`: seconds of the device in one."""
-        self._sent, self._pace, self._began = voltage, speed * rate, self._rig._now()
-        self._arrived.clear()
-        self._unconfirmed = None
+        self._sent, self._pace, self._row, self._unconfirmed = voltage, speed * rate, 0, None
+        self._soonest = -self._pace * self._rig._now()
+        self._recent.clear()
 
     def observe(self, count: int) -> None:
         """Take note that the sample of a number `count` came now."""
-        self._arrived.append((self._rig._now(), count))
+        self._row = count - 1
+        place = self._row - self._pace * self._rig._now()
+        self._soonest = max(place, self._soonest) if self._recent else place
+        self._recent.append(place)
 
     @property
     def likely(self) -> float:
         """The likeliest voltage [V] now; NaN if nothing was sent."""
-        return math.nan if self._sent is None else self.stopped(self._rig._now(), anywhere=True)[0]
+        return math.nan if self._sent is None else self._present(self._sent)[0]
 
     def reached(self, voltage: float) -> bool:
         """Return whether a `voltage` [V] was read after the last retreat, apart from the digits of a readback."""
@@ -117,35 +124,18 @@ class Output:
         if self._sent.size == 1:
             return f"{self.likely:.6g} V was the last that it confirmed"
         # Samples that came are certain; the later voltages depend on the clock of the device alone.
-        left = self._sent[self._arrived[-1][1] - 1 if self._arrived else 0 :]
+        left = self._sent[self._row :]
         way = f"between {left.min():.6g} and {left.max():.6g} V"
         return f"a wave went on from {left[0]:.6g} V, {way}, to its end at {left[-1]:.6g} V"
 
-    def stopped(self, begin: float, *, anywhere: bool) -> tuple[float, float, float]:
-        """Return the likeliest voltage, lowest and highest [V] of an output that was stopped between `begin` and now.
-
-        `anywhere`: the device may have stopped by itself since the last sample.
-        """
-        if self._sent is None:
-            raise ValueError("nothing was sent")
-        likely, first, latest = self._rows(begin, self._rig._now(), anywhere=anywhere)
-        rows = [min(max(int(row), 0), self._sent.size - 1) for row in (likely, first, latest)]
-        possible = self._sent[rows[1] : rows[2] + 1]
-        return float(self._sent[rows[0]]), float(possible.min()), float(possible.max())
-
-    def _rows(self, begin: float, end: float, *, anywhere: bool) -> tuple[float, float, float]:
-        """Return the likeliest, the first and the last number of the voltage that is put out."""
-        if not self._arrived:
-            return 0, 0, self._pace * (end - self._began)
-        row = self._arrived[-1][1] - 1
-        # By the sample that came with the least delay.
-        earlier, now = (
-            max(number - 1 + self._pace * (at - came) for came, number in self._arrived) for at in (begin, end)
-        )
-        if anywhere:
-            oldest = self._arrived[0][0] if len(self._arrived) > 1 else self._began
-            return now, row, max(row + self._pace * (end - oldest), now)
-        return now, earlier, now + self._pace * max(_LEAST_DELAY, end - begin)
+    def _present(self, sent: Array) -> tuple[float, float, float]:
+        """Return the likeliest voltage, lowest and highest [V] of an output that may have stopped since a sample."""
+        passed = self._pace * self._rig._now()
+        # By the recent sample that came with the least delay. All of them are late if this computer is busy.
+        likely = max(self._recent) + passed if self._recent else 0.0
+        last = max(likely, self._soonest + passed) + self._pace * _LEAST_DELAY
+        first, middle, end = (min(max(int(place), 0), sent.size - 1) for place in (self._row, likely, last))
+        return float(sent[middle]), float(sent[first : end + 1].min()), float(sent[first : end + 1].max())
 
     def ramp(self, end: float) -> Generator[float, float, None]:
         """Ramp to `end` [V] from what was sent, or is read if nothing was; yield each wait [s], sent back as it was.
@@ -156,34 +146,33 @@ class Output:
             present = self._standing()
         else:
             present = float(self._sent[-1])
-            yield from self._confirmed(present, present, present, _SETTLING)
+            yield from self._confirmed(present, present, present)
         yield from self._steps(present, end, always=False)
-        yield from self._confirmed(end, end, end, _SETTLING)
+        yield from self._confirmed(end, end, end)
 
-    def retreat(self, end: float, begin: float, *, anywhere: bool, patient: bool) -> Generator[float, float, None]:
-        """Ramp to `end` [V] whatever is read, and send it in any case; `begin`, `anywhere`: as of `stopped`.
+    def retreat(self, end: float) -> Generator[float, float, None]:
+        """Ramp to `end` [V] whatever is read, and send it in any case.
 
-        `patient`: whether there is time for a readback that comes late, as after no error.
         Raise `ReadbackError` at the end if a reading before or after it contradicts what was sent.
         """
-        contradiction, asked = None, self._rig._now()
+        contradiction = None
         if self._sent is None:
             present = self._standing()
         else:
-            present, low, high = self.stopped(begin, anywhere=anywhere)
+            present, low, high = self._present(self._sent)
             try:
-                read = yield from self._confirmed(present, low, high, _SETTLING if patient else _HASTY)
+                read = yield from self._confirmed(present, low, high)
                 present = min(max(read, low), high) if low < high else present
             except ReadbackError as error:
                 contradiction = error
             except RigError:
                 pass
-        answer, self.read = self._rig._now() - asked, math.nan
+        self.read = math.nan
         for _ in range(_SENT):
-            yield from self._steps(present, end, always=True, answer=answer)
+            yield from self._steps(present, end, always=True)
             present = end
             try:
-                self.read = yield from self._confirmed(end, end, end, _SETTLING)
+                self.read = yield from self._confirmed(end, end, end)
             except ReadbackError:
                 raise
             except RigError:
@@ -193,10 +182,9 @@ class Output:
         if contradiction is not None:
             raise contradiction
 
-    def _steps(self, present: float, end: float, *, always: bool, answer: float = 0.0) -> Generator[float, float, None]:
+    def _steps(self, present: float, end: float, *, always: bool) -> Generator[float, float, None]:
         """Send voltages from `present` to `end` [V] within the slew rate; `always`: the end if it is there already.
 
-        `answer`: seconds that an answer took.
         A step is as large as the slew rate allows in the wait before it, which begins when the one before has been
         taken. The ramp's own speed, where it is lower, counts from when that was sent.
         """
@@ -207,8 +195,8 @@ class Output:
         while present != end or always:
             # Before the first step too: a wave may have been stopped just now. It is so long that the slew rate allows
             # what the ramp's speed does, or there are few waits.
-            enough = answer * speed / (slew - speed) if slew > speed else math.inf
-            waited = yield max(TICK, min(seconds / _FEWEST, seconds * answer / _ANSWERS, enough))
+            enough = self._answer * speed / (slew - speed) if slew > speed else math.inf
+            waited = yield max(TICK, min(seconds / _FEWEST, seconds * self._answer / _ANSWERS, enough))
             passed = max(waited, self._rig._now() - sending)
             voltage, sending = limits.towards(gentle.towards(end, present, passed), present, waited), self._rig._now()
             try:
@@ -229,7 +217,7 @@ class Output:
                     continue
             present, always = voltage, False
             self.puts(present)
-            answer = self._rig._now() - sending
+            self._answer = self._rig._now() - sending
 
     def _took(self, voltage: float, present: float) -> bool | None:
         """Return whether the output is read nearer to a `voltage` [V] than to the `present` one; None if unreadable."""
@@ -251,17 +239,21 @@ class Output:
             )
         return nearest
 
-    def _confirmed(self, sent: float, low: float, high: float, most: int) -> Generator[float, float, float]:
+    def _confirmed(self, sent: float, low: float, high: float) -> Generator[float, float, float]:
         """Return the reading [V] once it is near `low` to `high`; yield a wait before each further one.
 
-        Raise `ReadbackError`, which says what was `sent`, if it does not come there in `most` readings.
+        Raise `ReadbackError`, which says what was `sent`, if it does not come there in time.
         """
         begin, read = self._rig._now(), math.nan
-        for count in range(most):
-            read = self._rig._voltage_read()
+        for count in range(_READINGS):
+            asked = self._rig._now()
+            try:
+                read = self._rig._voltage_read()
+            finally:
+                self._answer = self._rig._now() - asked
             if low - self._tolerance <= read <= high + self._tolerance:
                 return read
-            if count + 1 >= _HASTY and self._rig._now() - begin > _PATIENT:
+            if count + 1 >= _FEW and self._rig._now() - begin > _SETTLING:
                 break
             yield TICK
         raise ReadbackError(self._rig.name, sent, read)

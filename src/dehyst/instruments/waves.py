@@ -36,8 +36,8 @@ _PATIENCE = 5.0
 _BATCH_SECONDS = 0.2
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
-# A wave may not be faster than was asked by more than this factor, from so many samples on: clocks differ a little.
-_PACE, _PACED_FROM = 0.9, 20
+# A wave may take this share of the time that was asked, less so many samples: clocks differ, and the first may be late.
+_PACE, _LATE = 0.9, 20
 # A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
 _DEAD = 0.2
 
@@ -166,34 +166,6 @@ class SensorWatch:
         self._value, self._low, self._high = float(displacement[-1]), float(low[-1]), float(high[-1])
 
 
-class PaceWatch:
-    """A check of times as they arrive: it raises when a rig `name` plays a wave faster than at its `rate` [Hz].
-
-    `rows`: for each sample, the number of its voltage. Late samples are allowed, and ones that make up for a delay.
-    """
-
-    def __init__(self, name: str, rate: float, rows: NDArray[np.intp]) -> None:
-        self._name, self._rate, self._rows = name, rate, rows
-        # The earliest time at which the wave can have begun, by its first samples, of which some may be late.
-        self._count, self._begin = 0, math.inf
-
-    def observe(self, time: Array) -> None:
-        """Check times (n,) [s] that follow the ones before; raise `DeviceError` if they are too early."""
-        rows = self._rows[self._count : self._count + time.size]
-        self._count += time.size
-        due = rows / self._rate
-        first = rows < _PACED_FROM
-        self._begin = min(self._begin, float((time - due)[first].min(initial=math.inf)))
-        early = np.flatnonzero(~first & (time - self._begin < _PACE * due))
-        if early.size:
-            row, passed = int(rows[early[0]]), float(time[early[0]] - self._begin)
-            raise DeviceError(
-                f"{self._name}: plays faster than the {self._rate:.6g} Hz that were asked for: by its times, sample "
-                f"{row} came {passed:.4g} s after the first, need {row / self._rate:.4g} s; check the rig's _wave and "
-                "nearest_rate, and the device's clock"
-            )
-
-
 class WaveWatch:
     """All checks of the samples of an excitation that a `rig` plays at a `rate` [Hz], after they were listened to."""
 
@@ -203,7 +175,7 @@ class WaveWatch:
         ranges = np.maximum([np.ptp(column) for column in columns_of(excitation.voltage)], _LEAST_WATCHED * self._spans)
         names = [f"the sensor of axis {axis}" for axis in rig.axes] if len(rig.axes) > 1 else ["the sensor"]
         self._sensors = [SensorWatch(float(span), name) for span, name in zip(ranges, names, strict=True)]
-        self._pace = PaceWatch(rig.name, rate, rig.rows(len(excitation)))
+        self._rows, self._count, self._begin = rig.rows(len(excitation)), 0, math.nan
 
     def observe(self, samples: Samples, sent: Array, steepest: Array) -> None:
         """Check samples by their `sent` voltages (n,) or (n, axes) [V], of a wave with `steepest` steps [V] an axis.
@@ -224,8 +196,16 @@ class WaveWatch:
         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
         for sensor, (voltage, displacement) in zip(self._sensors, columns, strict=True):
             sensor.observe(voltage, displacement)
-        self._pace.observe(samples.time)
-        rig._watch_clock(float(samples.time[-1]), samples.time.size / self._rate)
+        now, self._begin = float(samples.time[-1]), self._begin if self._count else float(samples.time[0])
+        self._count += samples.time.size
+        row, passed = int(self._rows[self._count - 1]), now - self._begin
+        if passed < (_PACE * row - _LATE) / self._rate:
+            raise DeviceError(
+                f"{rig.name}: plays faster than the {self._rate:.6g} Hz that were asked for: by its times, sample "
+                f"{row} came {passed:.4g} s after the first, need {row / self._rate:.4g} s; check the rig's _wave and "
+                "nearest_rate, and the device's clock"
+            )
+        rig._watch_clock(now, samples.time.size / self._rate)
 
 
 def arriving(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import Any
 
 from dehyst._errors import DehystError, RigError
@@ -33,8 +33,7 @@ class Ioc:
     =========================== =================================================================================
     VOLTAGE, VOLTAGE:RBV        requested and present voltage [V]
     POSITION, TIME              the sensor's reading [um], and the device's time [s]
-    IDN, ERROR                  text; the last error stays until it is overwritten
-    LIMIT:LOW, LIMIT:HIGH, SLEW limits of the amplifier [V, V, V/s]; a slew rate of 0 means no limit
+    IDN                         text
     =========================== =================================================================================
 
     A put with callback returns when the command is done and all read-only variables are updated after it. `lock` is
@@ -66,14 +65,10 @@ class Ioc:
             ("VOLTAGE:RBV", "V", 4, axis.voltage),
             ("POSITION", "um", 5, _MICRO * axis.displacement()),
             ("TIME", "s", 4, 0.0),
-            ("LIMIT:LOW", "V", 4, low),
-            ("LIMIT:HIGH", "V", 4, high),
-            ("SLEW", "V/s", 4, bench.slew_rate or 0.0),
         ):
             add(builder.aOut, name, unit, digits, initial_value=value, DISP=1)
         identity = f"dehyst 0.1.0 virtual controller {bench.serial}"
         add(builder.longStringOut, "IDN", length=_TEXT, initial_value=identity, DISP=1)
-        add(builder.longStringOut, "ERROR", length=_TEXT, initial_value="")
         builder.LoadDatabase()
 
     async def serve(self) -> None:
@@ -83,17 +78,13 @@ class Ioc:
             await asyncio.sleep(_TICK)
 
     def _put(self, voltage: float) -> None:
-        """Put out a voltage, or latch an error; update the records."""
-        try:
-            with self._lock:
-                axis = self._instrument.axis
-                if not axis.set_voltage(voltage):
-                    raise RigError(f"VOLTAGE: got {voltage:.6g} V, which is outside the amplifier's range")
-        except DehystError as error:
+        """Put out a voltage, or keep the present one if it is refused; update the records."""
+        taken, axis = False, self._instrument.axis
+        with self._lock, suppress(DehystError):
+            taken = axis.set_voltage(voltage)
+        if not taken:
             self._records["VOLTAGE"].set(axis.voltage, process=False)
-            self._records["ERROR"].set(str(error)[: _TEXT - 1].encode()[: _TEXT - 1].decode(errors="ignore"))
-        finally:
-            self._refresh()
+        self._refresh()
 
     def _refresh(self) -> None:
         """Read the instrument into the records, the time last."""
