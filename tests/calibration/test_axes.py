@@ -10,6 +10,7 @@ from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 import dehyst
 from dehyst import FileFormatError, Stage
 from dehyst.calibration import Plan, calibrate
+from dehyst.calibration.plan import Excitations
 from dehyst.calibration.plan import steps as planned_steps
 from dehyst.calibration.tracking import PathPlanner, TrackedPath
 from dehyst.cli import main
@@ -17,9 +18,9 @@ from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.model import MaxwellSlip, Spring, Thermal
 from dehyst.records import read
-from dehyst.waveforms import Excitation
 
 PLAN = Plan(steps=6, cycles=8)
+COLUMNS = "1=v1_V:1_um, 2=v2_V:2_um, 3=v3_V:3_um"
 
 
 class Listener:
@@ -83,21 +84,20 @@ def test_stage_numbers_and_records_are_on_disk(calibrated):
     names = ["axes", "nominal", "compensated"]
     assert listener.steps == [names[0], "identify", *names[1:]]
     made = {path.name for path in (folder / "records").glob("*.csv")}
-    assert made == {f"{name}-{axis}.csv" for name in names for axis in "123"}
-    record = read(folder / "records" / "axes-2.csv")
-    np.testing.assert_array_equal(record.voltage, result.training[0].voltage[:, 1])
+    assert made == {f"{name}.csv" for name in names}
+    record = read(folder / "records" / "axes.csv", COLUMNS)
+    np.testing.assert_array_equal(record.voltage, result.training[0].voltage)
 
 
 def test_whole_records_of_all_axes_are_kept(calibrated):
     result, folder, *_ = calibrated
-    (folder / "records" / "nominal-2.csv").unlink()
-    (folder / "records" / "compensated-1.csv").unlink()
+    (folder / "records" / "nominal.csv").unlink()
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         with pytest.raises(KeyboardInterrupt) as caught:
             calibrate(rig, folder, plan=PLAN, watcher=Listener("nominal"))
         assert [axis.voltage for axis in bench.axes] == [0.0] * 3
     assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
-    assert len(read(folder / "records" / "axes-3.csv")) == len(result.training[0])
+    assert len(read(folder / "records" / "axes.csv", COLUMNS)) == len(result.training[0])
     assert Stage.load(folder / "stage.json")
 
 
@@ -106,7 +106,7 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
     with (
         served() as (server, bench),
         rig_of(server, "1,2") as rig,
-        pytest.raises(FileFormatError, match="axis 3"),
+        pytest.raises(FileFormatError, match="axis 1,2,3"),
     ):
         calibrate(rig, folder, plan=PLAN)
     assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
@@ -117,9 +117,7 @@ def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
         with pytest.raises(DeviceError):
             calibrate(rig, tmp_path, plan=PLAN)
         assert [single.voltage for single in bench.axes] == [0.0] * 3
-    records = [read(tmp_path / "records" / f"axes-{axis}.csv") for axis in "123"]
-    assert len({len(record) for record in records}) == 1
-    assert len(records[0]) > 100
+    assert len(read(tmp_path / "records" / "axes.csv", COLUMNS)) > 100
 
 
 class TestPlan:
@@ -147,8 +145,8 @@ class TestPlan:
 
     def test_a_path_has_the_samples_that_the_plan_says(self, calibrated):
         result, *_ = calibrated
-        homing = Excitation("homing", np.zeros((2, 3)), 400.0)
-        planned = PathPlanner(homing, [VoltageLimits(0, 1)] * 3, 200).samples
+        with served() as (server, _), rig_of(server) as rig:
+            planned = planned_steps(rig, PLAN)[-1].more
         assert len(result.compensated.wanted) == pytest.approx(planned - 200, abs=2)
 
 
@@ -176,8 +174,8 @@ def test_the_path_of_several_axes_is_planned_at_the_measured_temperature():
     warm = replace(plain, thermal=Thermal(-0.002, 5e-9, 20.0))
     truth = Stage((plain, warm), np.array([[1.0, 0.02], [-0.03, 1.0]]))
     unaware = replace(truth, actuators=(plain, plain))
-    homing = Excitation("homing", np.outer(np.abs(np.linspace(-2, 2, 1201) % 2 - 1) * 60, [1, 1]), 400.0)
-    planner = PathPlanner(homing, [VoltageLimits(0, 60)] * 2, 200)
+    planner = PathPlanner(Excitations((VoltageLimits(0, 60),) * 2, 400.0, 1.0, 1.0, ("x", "y")))
+    homing = planner.homing
 
     def degrees(time):
         return 22 + 0.5 * time

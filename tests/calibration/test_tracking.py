@@ -10,8 +10,7 @@ from truths.warm_rig import WarmRig
 import dehyst
 from dehyst.calibration import TrackedPath
 from dehyst.calibration.plan import Excitations
-from dehyst.calibration.tracking import PathPlanner, SeenTemperature
-from dehyst.control import VoltageLimits
+from dehyst.calibration.tracking import PathPlanner, later_temperature
 from dehyst.virtual import PlayActuator
 
 
@@ -26,9 +25,9 @@ def model():
 def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):
     """While it warms by 20 K, by an eighth of that along the path."""
     truth = AgeingActuator(PlayActuator(seed=1), AgeingCourse(gain=-7, seconds=60, kelvins=20))
-    rig, plan = WarmRig(truth), Excitations((VoltageLimits(0.0, 200.0),), 400.0)
+    rig = WarmRig(truth)
     rig._wait(30.0)
-    planner = PathPlanner(plan.homing(), [rig.limits], plan.branch)
+    planner = PathPlanner(Excitations((rig.limits,), 400.0))
     aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []
     for trained in (model, aware):
         homed = rig.play(planner.homing)
@@ -44,7 +43,6 @@ def test_the_drift_of_a_temperature_goes_on_for_as_long_as_it_was_seen():
     for drift in (0.0, 0.2):
         degrees = 25 + drift * time + noise
         record = dehyst.Record(time, time, time, "", others={"temperature_C": degrees})
-        seen = SeenTemperature.of(record)
         expected = degrees[-5:].mean() if not drift else 25 + drift * (9.9 + np.array([0.0, 5.0, 9.9, 9.9]))
-        assert seen.after([0.0, 5.0, 9.9, 500.0]) == pytest.approx(expected, abs=0.1)
-    assert SeenTemperature.of(dehyst.Record(time, time, time)) is None
+        assert later_temperature(record, [0.0, 5.0, 9.9, 500.0]) == pytest.approx(expected, abs=0.1)
+    assert later_temperature(dehyst.Record(time, time, time), [0.0]) is None

@@ -94,13 +94,13 @@ def test_a_laboratorys_own_names(ioc):
 
 def test_missing_variables_are_named(ioc):
     names = PvNames(position="POS", time="CLOCK")
-    with pytest.raises(LinkError, match=f"{ioc.prefix}:POS, {ioc.prefix}:CLOCK: no such process variable"):
+    with pytest.raises(LinkError, match=f"{ioc.prefix}:POS, {ioc.prefix}:CLOCK: no answer"):
         EpicsRig.connect(ioc.prefix, names=names, timeout=0.5)
 
 
 def test_no_ioc():
     began = time.monotonic()
-    with pytest.raises(LinkError, match=r"none of 5 process variables .* EPICS_CA_ADDR_LIST"):
+    with pytest.raises(LinkError, match=r"NOBODY:VOLTAGE, .* EPICS_CA_ADDR_LIST"):
         EpicsRig.connect("NOBODY", timeout=0.5)
     assert time.monotonic() - began < 5 * 0.5  # they are waited for together
 
@@ -178,7 +178,7 @@ def test_a_reading_that_is_older_than_the_command_contradicts_nothing(doomed):
 
 def test_killed_in_mid_wave(doomed):
     rig, keeps = EpicsRig.connect(doomed.prefix, timeout=1.0), Breaks(doomed.kill)
-    with pytest.raises(LinkError, match="not connected") as caught:
+    with pytest.raises(LinkError, match="no answer within") as caught:
         rig.play(cosine(2000), keeps)
     assert "could not be brought to 0 V" in caught.value.__notes__[0]
     assert keeps.count >= 60
@@ -198,7 +198,7 @@ def test_killed_and_started_again_it_goes_on(doomed):
 def test_hung_in_mid_wave(doomed):
     """Connected, but silent; when it wakes up, the rig can be told to retreat."""
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
-    with pytest.raises(LinkError, match="answer within 1 s, though") as caught:
+    with pytest.raises(LinkError, match="no answer within 1 s") as caught:
         rig.play(cosine(2000), Breaks(lambda: doomed.process.send_signal(signal.SIGSTOP)))
     assert "could not be brought" in caught.value.__notes__[0]
     doomed.process.send_signal(signal.SIGCONT)

@@ -35,7 +35,7 @@ class Ear:
     [
         (b"", "got nothing in 0.1 s.*is it a GCS controller"),
         (None, "closed the connection|lost"),
-        (b"HTTP/1.0 400 Bad Request\r\n", "web server"),
+        (b"HTTP/1.0 400 Bad Request\r\n", "port is 50000"),
         (b"\x00\x01\n", "printable ASCII"),
         (b"x" * 70000, "without a line"),
         (b"x", "got b'x' in"),

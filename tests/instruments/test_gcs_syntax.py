@@ -71,11 +71,6 @@ def test_a_wave_arrives_whole_in_lines_that_fit(wave, longest):
     assert [point for word in words for point in word[6:]] == texts
 
 
-def test_a_point_that_fits_no_line_is_refused():
-    with pytest.raises(RigError, match="longer lines"):
-        list(gcs_syntax.wave_points(1, ["1.0"], 10))
-
-
 @pytest.mark.parametrize("argument", ["1\nSVA 1 9", "a b", "", "é", "1 "])
 def test_an_argument_cannot_smuggle_a_command(argument):
     with pytest.raises(RigError, match="need one word"):
@@ -119,7 +114,6 @@ def test_what_is_no_value_is_refused(lines):
 
 
 REFUSED = {
-    "counts": (lambda lines: gcs_syntax.counts(lines, ["1"]), [["1=1.5"], ["1=-1"], ["1=nan"]]),
     "parameter": (
         lambda lines: gcs_syntax.parameter(lines, "1", 0x0E000200),
         [["2 0x0E000200=1"], ["1 0x0E000201=1"], ["0x0E000200=1"], ["1 0xZ=1"], ["1 0x0E000200="], []],
@@ -196,7 +190,6 @@ def test_an_array_cut_anywhere_is_refused():
         ("5e-05", "nan"),
         ("= 32", "= 65"),
         ("# SEPARATOR = 32", "junk"),
-        ("# VERSION = 1", "# TYPE = 1"),
         ("2.0 5.0", "2.0"),
         ("2.0 5.0", "2.0 nan"),
         ("2.0 5.0", "2.0 5.0 1"),
@@ -214,7 +207,6 @@ def test_an_array_with_a_fault_is_refused(old, new):
 def test_garbage_raises_nothing_else_than_a_link_error(lines, raw):
     readers = [
         lambda: gcs_syntax.values(lines, ["1"]),
-        lambda: gcs_syntax.counts(lines, ["1", "2"]),
         lambda: gcs_syntax.names(lines),
         lambda: gcs_syntax.commands(lines),
         lambda: gcs_syntax.options(lines),
@@ -235,4 +227,4 @@ def test_garbage_raises_nothing_else_than_a_link_error(lines, raw):
 @given(st.integers(-5000, 5000))
 def test_every_error_number_has_a_sentence(number):
     text = gcs_syntax.sentence(number)
-    assert text.startswith(f"error {number}: ") and (number not in gcs_syntax.LIMITS or "limits" in text)
+    assert text.startswith(f"error {number}: ") and (number not in (7, 17, 66, 302, 405) or "limits" in text)

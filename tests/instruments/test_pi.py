@@ -129,7 +129,7 @@ def test_an_older_syntax_version_is_that_of_gcs_2():
     ("told", "without", "options", "error", "why"),
     [
         ({"CSV?": ["3.0"]}, [], {}, DeviceError, "has GCS 3, need GCS 2"),
-        ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "web server"),
+        ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "port is 50000"),
         ({"*IDN?": ["SSH-2.0-OpenSSH_9"]}, [], {}, LinkError, "is it a GCS controller"),
         ({"*IDN?": None}, [], {}, LinkError, "got nothing in .*other client"),
         ({}, ["SVA"], {}, DeviceError, "lacks the commands SVA"),

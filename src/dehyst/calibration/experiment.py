@@ -135,7 +135,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
     excitations, several = plan.excitations(rig), len(rig.axes) > 1
     training = [session.record(excitation, name) for name, _, excitation in plan.training(excitations)]
     fit, insight_ = _identified(rig, training, listener)
-    planner = PathPlanner(excitations.homing(), excitations.limits, excitations.branch)
+    planner = PathPlanner(excitations)
 
     def play(planned: PlannedRun, *, again: bool = False) -> Record:
         return session.record(

@@ -87,8 +87,8 @@ class FollowedPath:
             for promise, error, noise in zip(self.promises, apart, self.noise, strict=True)
         ]
 
-    def follow(self, paths: Sequence[Path], *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
-        """Home, follow the path `repeat` times, then learn it in `lessons`; the files `paths` have all samples.
+    def follow(self, path: Path, *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
+        """Home, follow the path `repeat` times, then learn it in `lessons`; the file `path` has all samples.
 
         `feedback`: correct each sample of a single axis by the reading before. Raise `RigError` if the rig fails; the
         voltage is then brought to the safe one, as at the end.
@@ -103,7 +103,7 @@ class FollowedPath:
                 self.say(f"{axis}: {line}" if axis else line)
         about = {"rig": self.rig.identity, "excitation": "path"}
         with ExitStack() as stack:
-            player = stack.enter_context(Player(self.rig, paths, about, self.listener, states_wanted=True))
+            player = stack.enter_context(Player(self.rig, path, about, self.listener, states_wanted=True))
             stack.enter_context(self.rig.safely())
             if feedback:
                 reached = self._feed_back(player, plan, wanted, present)

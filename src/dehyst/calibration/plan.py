@@ -11,11 +11,12 @@ import numpy as np
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst.calibration.tracking import PathPlanner
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, played_rate
 from dehyst.records import read_table
 from dehyst.waveforms import (
+    RATIO,
+    TURNS,
     Excitation,
     Sampling,
     positive,
@@ -70,10 +71,14 @@ class Excitations:
         return Excitation("axes", played.voltage, played.sample_rate)
 
     @property
-    def branch(self) -> int:
-        """Samples between two turns of a path: half a faster cycle, or more to use at most half of each slew rate."""
+    def branches(self) -> list[int]:
+        """Samples between two turns of a path on each axis: periods that do not repeat together.
+
+        Half a faster cycle on the first axis, or more to use at most half of each slew rate.
+        """
         seconds = [np.pi * (bounds.high - bounds.low) / (bounds.slew_rate or np.inf) for bounds in self.limits]
-        return int(np.ceil(self.sample_rate * max(0.5 / (self.faster * self.frequency), *seconds)))
+        first = int(np.ceil(self.sample_rate * max(0.5 / (self.faster * self.frequency), *seconds)))
+        return [round(first * RATIO**j) for j in range(len(self.limits))]
 
     def homing(self) -> Excitation:
         """Return two major cycles of all axes at once: after them the state is known."""
@@ -167,8 +172,9 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     """Return the steps that a calibration would play; raise `RecordError` if they exceed the rig's limits."""
     excitations = plan.excitations(rig)
     planned = [PlannedStep(*step) for step in plan.training(excitations)]
-    homing = excitations.homing()
-    path = PathPlanner(homing, excitations.limits, excitations.branch).samples
+    homing, branches = excitations.homing(), excitations.branches
+    # The way to the path, and the path.
+    path = branches[0] + (len(TURNS) - 1) * max(branches)
     for name, words in (("nominal", "by a constant ratio"), ("compensated", "by the model")):
         what = f"homing, then a path of nine reversals {words}; its voltages follow"
         planned.append(PlannedStep(name, what, homing, path))

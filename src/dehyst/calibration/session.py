@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,11 +17,8 @@ from dehyst._io import PathLike, lock, made_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.instruments import AbstractRig, Samples, StepFunction
-from dehyst.records import Record, Recording, about_of, demand_disk_space, read, unused_path
+from dehyst.records import Columns, Record, Recording, about_of, demand_disk_space, read, unused_path
 from dehyst.waveforms import Excitation
-
-# Column of the wanted displacement in a record.
-WANTED = "wanted_um"
 
 
 class ProgressListener:
@@ -39,39 +35,34 @@ class ProgressListener:
 
 
 class Player:
-    """Plays excitations on a `rig`; samples are in the files `paths`, one an axis, before the `listener` has them.
+    """Plays excitations on a `rig`; samples are in the file `path`, of all axes, before the `listener` has them.
 
-    `about`: written above the samples, beside the name of the axis. `states_wanted`: whether the files have a column of
+    `about`: written above the samples, beside the names of the axes. `states_wanted`: whether the file has columns of
     the wanted displacement. Use it in a with-statement; a file without a sample is removed at its end. Raise
-    `FileFormatError` if a file exists or cannot be written.
+    `FileFormatError` if the file exists or cannot be written.
     """
 
     def __init__(
         self,
         rig: AbstractRig,
-        paths: Sequence[Path],
+        path: Path,
         about: Mapping[str, Any],
         listener: ProgressListener,
         *,
         states_wanted: bool = False,
     ) -> None:
-        self._rig, self._listener, self._states_wanted = rig, listener, states_wanted
-        others = (*rig.others, WANTED) if states_wanted else rig.others
-        self.files: list[Recording] = []
-        with ExitStack() as stack:
-            for path, axis in zip(paths, rig.axes, strict=True):
-                file = Recording(path, about={"axis": axis, **about}, others=others)
-                self.files.append(stack.enter_context(file))
-            self._opened = stack.pop_all()
+        self._rig, self._listener, axes = rig, listener, rig.axes if len(rig.axes) > 1 else ()
+        wanted = [f"wanted_{axis}_um" for axis in axes] or ["wanted_um"]
+        self._wanted = wanted if states_wanted else []
+        self.file = Recording(path, about={"axis": rig.axis, **about}, others=(*rig.others, *self._wanted), axes=axes)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._opened.close()
-        for file in self.files:
-            if not file.samples:
-                file.path.unlink(missing_ok=True)
+        self.file.close()
+        if not self.file.samples:
+            self.file.path.unlink(missing_ok=True)
 
     def play(
         self,
@@ -87,31 +78,29 @@ class Player:
         `wanted`: displacements [m] at each voltage, (n,) or (n, axes). From the sample `begin` on, the listener has
         those of the axis that is farthest off, relative to the `strokes` [m] of each axis. `step` as of the rig.
         """
-        rows, count = self._rig.rows(len(excitation)), 0
+        rows, count, each = self._rig.rows(len(excitation)), 0, np.broadcast_to(strokes, len(self._rig.axes))
         columns = None if wanted is None else wanted.reshape(len(excitation), -1)
-        each = np.broadcast_to(np.asarray(strokes, dtype=np.float64), (len(self.files),))
 
         def listen(samples: Samples) -> None:
             nonlocal count
             at = rows[count : count + samples.time.size]
             count += samples.time.size
-            own = [samples.axis(j) for j in range(len(self.files))]
-            for j, (file, part) in enumerate(zip(self.files, own, strict=True)):
-                more = {} if columns is None or not self._states_wanted else {WANTED: 1e6 * columns[at, j]}
-                file.add(part._replace(others={**part.others, **more}))
             if columns is None:
-                self._listener.samples(own[0])
+                self.file.add(samples)
+                self._listener.samples(samples.axis(0))
                 return
+            targets = dict(zip(self._wanted, 1e6 * columns[at].T, strict=False))
+            self.file.add(samples._replace(others={**samples.others, **targets}))
             expected = np.where(at[:, None] < begin, np.nan, columns[at])
-            error = np.abs(np.column_stack([part.displacement for part in own]) - expected) / each
+            error = np.abs(samples.displacement.reshape(expected.shape) - expected) / each
             worst = int(np.nan_to_num(error).max(axis=0).argmax())
-            self._listener.samples(own[worst], expected[:, worst], float(each[worst]))
+            self._listener.samples(samples.axis(worst), expected[:, worst], float(each[worst]))
 
         return self._rig.play(excitation, listen, step=step)
 
 
 class Session:
-    """Records from one rig in one folder: ``records/NAME.csv``, or for several axes ``records/NAME-AXIS.csv``.
+    """Records from one rig in one folder: ``records/NAME.csv``, each with all axes.
 
     The records are its only state. A session in the folder of an interrupted one keeps each whole record of the same
     excitation and the same instrument, and continues. Close it, or use it in a with-statement.
@@ -162,12 +151,11 @@ class Session:
         if record is not None:
             self.kept.append(name)
         else:
-            demand_disk_space(self.records, len(self.rig.axes) * len(excitation))
+            demand_disk_space(self.records, len(excitation), 1 + 2 * len(self.rig.axes))
             if not self.played:
                 # The wave of a killed process may still play.
                 self.rig.retreat()
-            for path in self._paths(name):
-                self.aside += set_aside(path)
+            self.aside += set_aside(self._path(name))
             record = self._play(name, excitation, wanted, stroke)
             self.kept = [other for other in self.kept if other != name]
             self.played.append(name)
@@ -188,21 +176,17 @@ class Session:
                 about = about_of(path)
             except (FileFormatError, RecordError):
                 continue
-            if {"rig", "axis"} <= set(about) and (
-                about["rig"] != self.rig.identity or about["axis"] not in self.rig.axes
-            ):
+            if {"rig", "axis"} <= set(about) and (about["rig"], about["axis"]) != (self.rig.identity, self.rig.axis):
                 raise FileFormatError(
                     f"{self.folder}: holds a record of {about['rig']}, axis {about['axis']}, and this is "
                     f"{self.rig.identity}, axis {self.rig.axis}; give another folder with -o"
                 )
 
-    def _paths(self, name: str) -> list[Path]:
-        """Return the files of a record: one for each axis."""
-        several = len(self.rig.axes) > 1
-        return [self.records / f"{name}{f'-{axis}' if several else ''}.csv" for axis in self.rig.axes]
+    def _path(self, name: str) -> Path:
+        return self.records / f"{name}.csv"
 
     def _play(self, name: str, excitation: Excitation, wanted: Array | None, stroke: Any) -> Record:
-        """Play an excitation and record each axis to its file."""
+        """Play an excitation and record it."""
         self._listener.step(name, excitation.duration)
         about = {
             "rig": self.rig.identity,
@@ -211,30 +195,24 @@ class Session:
             "program": __version__,
             "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
         }
-        with Player(self.rig, self._paths(name), about, self._listener) as player:
+        with Player(self.rig, self._path(name), about, self._listener) as player:
             player.play(excitation, wanted, stroke)
         return self._read(name)
 
     def _read(self, name: str) -> Record:
-        """Return a record from its files, with what its recording states."""
-        each = [read(path) for path in self._paths(name)]
-        first = replace(each[0], name=name, meta={**each[0].meta, **about_of(self._paths(name)[0])})
-        if len(each) == 1:
-            return first
-        voltage, displacement = (
-            np.column_stack([getattr(record, column) for record in each]) for column in ("voltage", "displacement")
-        )
-        return replace(first, voltage=voltage, displacement=displacement, axes=self.rig.axes)
+        """Return a record from its file, with what its recording states."""
+        axes = self.rig.axes if len(self.rig.axes) > 1 else ()
+        record = read(self._path(name), Columns(axes={axis: f"v{axis}_V:{axis}_um" for axis in axes}))
+        return replace(record, meta={**record.meta, **about_of(self._path(name))})
 
     def stored(self, name: str, excitation: Excitation) -> Record | None:
         """Return the record on disk if it is whole, and of this excitation and instrument."""
         try:
             record = self._read(name)
-            keys = {str(about_of(path).get("key")) for path in self._paths(name)}
         except (FileFormatError, RecordError, ValueError):
             return None
         whole = len(record) == self.rig.rows(len(excitation)).size
-        return record if whole and keys == {self._key(excitation)} else None
+        return record if whole and record.meta.get("key") == self._key(excitation) else None
 
     def _key(self, excitation: Excitation) -> str:
         """Return a digest that identifies this excitation on this instrument."""

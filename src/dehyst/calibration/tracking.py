@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import cycle, islice
 from typing import Any, NamedTuple
 
@@ -11,39 +12,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
-from dehyst.control import VoltageLimits, plan_path
+from dehyst.calibration.plan import Excitations
+from dehyst.control import plan_path
 from dehyst.model import Actuator, Stage, State, apply, beginning
 from dehyst.records import Record, largest, percent, rms
-from dehyst.waveforms import RATIO, TURNS, Excitation, wanted_path
+from dehyst.waveforms import TURNS, Excitation, wanted_path
 
 # Share of every actuator's range that a path of several axes uses, and turning points by which an axis begins later
 # than the axis before.
 _USED, _LATER = 0.96, 3
 
 
-class SeenTemperature(NamedTuple):
-    """The temperature that a rig measured in the second half of a record, which goes on as it drifted.
+def later_temperature(record: Record, seconds: ArrayLike) -> Array | None:
+    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if it has none.
 
-    `last`: at its end [degC]. `drift` [K/s] goes on for the `seconds` of the record.
+    It goes on as it drifted in the record's second half, for as long as the record lasted.
     """
-
-    last: float
-    drift: float
-    seconds: float
-
-    @classmethod
-    def of(cls, record: Record) -> SeenTemperature | None:
-        """Return the temperature of a record; None if it has none."""
-        values, time = record.temperature, record.time - record.time[-1]
-        if values is None:
-            return None
-        late = slice(len(record) // 2, None)
-        slope, level = np.polyfit(time[late], values[late], 1)
-        return cls(float(level), float(slope), -float(time[0]))
-
-    def after(self, seconds: ArrayLike) -> Array:
-        """Return the temperatures [degC] to expect some `seconds` (n,) [s] after the record."""
-        return np.asarray(self.last + self.drift * np.minimum(seconds, self.seconds))
+    values, time = record.temperature, record.time - record.time[-1]
+    if values is None:
+        return None
+    late = slice(len(record) // 2, None)
+    drift, last = np.polyfit(time[late], values[late], 1)
+    return np.asarray(last + drift * np.minimum(seconds, -time[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,29 +70,24 @@ class _Homed(NamedTuple):
 class PathPlanner:
     """A planner of a path through most of the stroke after a homing, for one axis or several that move together.
 
-    `homing`: two major cycles, from and to the lowest voltage: after them the state is known; it also sets the sample
-    rate. `limits`: allowed voltages and slew rate of each axis. `branch`: samples between turning points of the first
-    axis; several axes have periods that do not repeat together.
-
-    Models that depend on temperature move in that of the last record, which goes on as it drifted.
+    Homing, limits and the samples between turning points are those of the `excitations`. Models that depend on
+    temperature move in that of the last record, which goes on as it drifted.
     """
 
-    homing: Excitation
-    limits: Sequence[VoltageLimits]
-    branch: int = 200
+    excitations: Excitations
 
-    @property
-    def samples(self) -> int:
-        """Samples of a path with the way to it, after the homing."""
-        return self.branch + (len(TURNS) - 1) * max(self._branches)
+    @cached_property
+    def homing(self) -> Excitation:
+        """Two major cycles, from and to the lowest voltage: after them the state is known."""
+        return self.excitations.homing()
 
     def nominal(self, model: Actuator | Stage, before: Sequence[Record]) -> PlannedRun:
         """Plan the run with a constant ratio of voltage to displacement, without coupling.
 
         The `model` determines the place of the path after all records so far, `before`.
         """
-        homed = self._homed(model, before, _seen(model, before))
-        bottom, top = (np.array([getattr(bounds, key) for bounds in self.limits]) for key in ("low", "high"))
+        homed, limits = self._homed(model, before), self.excitations.limits
+        bottom, top = (np.array([getattr(bounds, key) for bounds in limits]) for key in ("low", "high"))
         voltage = bottom + (homed.wanted - homed.low) * (top - bottom) / homed.stroke
         return self._run("nominal", homed, np.clip(voltage, bottom, top))
 
@@ -112,16 +97,15 @@ class PathPlanner:
         `before`: all records so far, in order; the last one is the nominal run, whose path corrects for the history
         before the records and for the drift of the sensor.
         """
-        seen = _seen(model, before)
-        homed = self._homed(model, before, seen)
+        homed, limits = self._homed(model, before), self.excitations.limits
         wanted = homed.wanted
         time = np.arange(len(wanted)) / self.homing.sample_rate
         actuators = model.actuators if isinstance(model, Stage) else (model,)
         zeros = zip(actuators, wanted.T, homed.datum.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
         # The path stays where it is while the temperature drifts.
-        warmth = None if seen is None else seen.after(self.homing.duration + time)
-        bounds, rates = [(bound.low, bound.high) for bound in self.limits], [bound.slew_rate for bound in self.limits]
+        warmth = _warmth(model, before, self.homing.duration + time)
+        bounds, rates = [(bound.low, bound.high) for bound in limits], [bound.slew_rate for bound in limits]
         several = isinstance(model, Stage)
         given: dict[str, Any] = {
             "limits": bounds if several else bounds[0],
@@ -132,24 +116,19 @@ class PathPlanner:
         voltage = plan.voltage[plan.first :].reshape(wanted.shape)
         return self._run("compensated", homed, voltage, plan.warnings)
 
-    @property
-    def _branches(self) -> list[int]:
-        """Samples between two turning points of each axis."""
-        return [round(self.branch * RATIO**j) for j in range(len(self.limits))]
-
-    def _homed(self, model: Actuator | Stage, before: Sequence[Record], seen: SeenTemperature | None) -> _Homed:
-        """Return what the records `before` show about the next homing, at the temperature that was `seen` last."""
+    def _homed(self, model: Actuator | Stage, before: Sequence[Record]) -> _Homed:
+        """Return what the records `before` show about the next homing."""
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]
-        options: dict[str, Any] = {"temperature": None if seen is None else warmth, "extrapolate": True}
+        later, branch = _warmth(model, before, self.homing.time), self.excitations.branches[0]
+        options: dict[str, Any] = {"temperature": None if later is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
-        late = (len(TURNS) - 1) * self.branch if len(stage.axes) == 1 else len(before[-1]) // 2
+        late = (len(TURNS) - 1) * branch if len(stage.axes) == 1 else len(before[-1]) // 2
         datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
-        options["temperature"] = None if seen is None else seen.after(homing.time)
-        homed = stage.simulate(rows, time=homing.time, states=played.state, **options)
+        homed = stage.simulate(rows, time=homing.time, states=played.state, temperature=later, extrapolate=True)
         start = homed.displacement[-1] + datum
         # Each actuator alone at the ends of its major loop.
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
@@ -164,7 +143,7 @@ class PathPlanner:
 
     def _wanted(self, origin: Array, reach: Array, start: Array) -> Array:
         """Return the way from the `start` [m] after the homing to the path (n, axes) [m], and the path."""
-        branches = self._branches
+        branches = self.excitations.branches
         # As many samples as the slowest axis needs for all its turning points.
         count = (len(TURNS) - 1) * max(branches) + 1
         paths = []
@@ -173,22 +152,23 @@ class PathPlanner:
             turns = TURNS if len(branches) == 1 else tuple(later)
             paths.append(wanted_path(1.0, turns, branch=branch)[:count])
         path = origin + reach * np.column_stack(paths)
-        way = [wanted_path(1.0, ends, branch=self.branch) for ends in np.column_stack([start, path[0]]).tolist()]
+        way = [wanted_path(1.0, ends, branch=branches[0]) for ends in np.column_stack([start, path[0]]).tolist()]
         return np.vstack([np.column_stack(way)[1:], path[1:]])
 
     def _run(self, name: str, homed: _Homed, voltage: Array, warnings: tuple[str, ...] = ()) -> PlannedRun:
         home, several = self.homing, self.homing.voltage.ndim > 1
-        shape = (-1, len(self.limits)) if several else (-1,)
+        shape = (-1, len(self.excitations.limits)) if several else (-1,)
         excitation = Excitation(name, np.concatenate([home.voltage, voltage.reshape(shape)]), home.sample_rate)
         shown = np.concatenate([np.full(home.voltage.shape, np.nan), homed.wanted.reshape(shape)])
         stroke = homed.stroke if several else float(homed.stroke[0])
-        return PlannedRun(shown, len(home) + self.branch - 1, excitation, stroke, warnings)
+        return PlannedRun(shown, len(home) + self.excitations.branches[0] - 1, excitation, stroke, warnings)
 
 
-def _seen(model: Actuator | Stage, records: Sequence[Record]) -> SeenTemperature | None:
-    """Return the temperature after the records; None if it does not move the model or was not measured."""
+def _warmth(model: Actuator | Stage, records: Sequence[Record], seconds: Array) -> Array | None:
+    """Return the temperatures (n,) some `seconds` after the records; None if they do not move the model."""
     actuators = model.actuators if isinstance(model, Stage) else (model,)
-    return SeenTemperature.of(records[-1]) if any(actuator.thermal is not None for actuator in actuators) else None
+    moves = any(actuator.thermal is not None for actuator in actuators)
+    return later_temperature(records[-1], seconds) if moves else None
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:

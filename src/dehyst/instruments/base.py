@@ -49,7 +49,7 @@ class AbstractRig(ABC):
     send a voltage are final. A rig of several axes contains a rig for each axis and uses its limits, readings, ramps
     and stops; it implements only `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no
     voltage is allowed by both device and user, or two axes have one name. A class that replaces what limits and
-    retreat rely on, or inherits a replacement from another base, raises TypeError when it is defined or constructed.
+    retreat rely on, or inherits a replacement from another base, raises TypeError when it is defined.
 
     Parameters
     ----------
@@ -74,7 +74,11 @@ class AbstractRig(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         """Refuse a driver that replaces what limits, ramps and retreat rely on; typing's `final` does so too late."""
         super().__init_subclass__(**options)
-        _refuse_replacements(cls)
+        if replaced := [name for name in _OWN + _SPECIAL if getattr(cls, name) is not getattr(AbstractRig, name)]:
+            drivers = ", ".join(_DRIVERS)
+            raise TypeError(
+                f"{cls.__name__}: replaces {', '.join(replaced)} of AbstractRig; a rig writes only {drivers}"
+            )
 
     def __init__(
         self,
@@ -485,15 +489,3 @@ _OWN = tuple(
     if (callable(value) or isinstance(value, property)) and name not in _DRIVERS and not name.startswith("__")
 )
 _SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
-
-
-def _refuse_replacements(kind: type[AbstractRig]) -> None:
-    """Raise TypeError if a class finds a method of AbstractRig, other than a driver's, in another class."""
-    found = []
-    for name in (*_OWN, *_SPECIAL):
-        owner = next(base for base in kind.__mro__ if name in vars(base))
-        if owner not in (AbstractRig, object):
-            found.append(name if owner is kind else f"{name} (in {owner.__name__})")
-    if found:
-        drivers = ", ".join(_DRIVERS)
-        raise TypeError(f"{kind.__name__}: replaces {', '.join(found)} of AbstractRig; a rig writes only {drivers}")

@@ -181,13 +181,10 @@ class GcsClient:
                 "It takes one at a time"
             ) from error
         self.identity = " ".join(lines).strip()
-        if lines[0].startswith(("HTTP/", "<")):
-            answer = gcs_syntax.shown(self.identity)
-            raise LinkError(f"{self.where}: a web server answers ({answer}); PI's port is 50000")
         if self.identity.count(",") < 2 or len(lines) > 1:
             raise LinkError(
                 f"{self.where}: sent '{IDENTITY}', got {gcs_syntax.shown(self.identity)}, need maker, model, serial "
-                "number; is it a GCS controller?"
+                "number; is it a GCS controller? PI's port is 50000"
             )
         self.commands = self.query("HLP?", gcs_syntax.commands)
         if "CSV?" in self.commands:
@@ -221,14 +218,6 @@ class GcsClient:
     def numbers(self, word: str, *keys: str) -> list[float]:
         """Query the numbers of these keys, such as axes; raise as `query`."""
         return self.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.values(lines, keys))
-
-    def counts(self, word: str, *keys: str) -> list[int]:
-        """Query the whole numbers of these keys; raise as `query`."""
-        return self.query(gcs_syntax.command(word, *keys), lambda lines: gcs_syntax.counts(lines, keys))
-
-    def parameter(self, line: str, item: str, number: int) -> float:
-        """Query one parameter `number` of an `item`; raise as `query`."""
-        return self.query(line, lambda lines: gcs_syntax.parameter(lines, item, number))
 
     def set(self, *commands: str) -> None:
         """Send commands and query the error number; raise `DeviceError` if there is one."""

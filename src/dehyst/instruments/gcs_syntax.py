@@ -71,8 +71,6 @@ def wave_points(table: int, points: Sequence[str], longest: int = _LINE) -> Iter
         count = size = 0
         while first + count < len(points) and (size := size + 1 + len(points[first + count])) <= available:
             count += 1
-        if not count:
-            raise RigError(f"WAV: {points[first]!r} does not fit a line of {longest} characters; allow longer lines")
         yield command("WAV", table, sign, "PNT", 1, count, *points[first : first + count])
         first += count
 
@@ -135,14 +133,6 @@ def values(lines: Sequence[str], keys: Sequence[str]) -> list[float]:
     if texts.keys() != set(keys):
         raise LinkError(f"got {shown(lines)}, need a value of {', '.join(keys)}")
     return [real(texts[key]) for key in keys]
-
-
-def counts(lines: Sequence[str], keys: Sequence[str]) -> list[int]:
-    """Return whole numbers, not negative, of exactly these keys; raises LinkError."""
-    numbers = values(lines, keys)
-    if any(number < 0 or number != int(number) for number in numbers):
-        raise LinkError(f"got {shown(lines)}, need whole numbers")
-    return [int(number) for number in numbers]
 
 
 def parameter(lines: Sequence[str], item: str, number: int) -> float:
@@ -215,11 +205,7 @@ def table(lines: Sequence[str], rows: int, columns: int) -> tuple[float, Array]:
     end = stripped.index(GCS_END)
     if strange := next((line for line in stripped[:end] if not line.startswith("#")), ""):
         raise LinkError(f"got {shown(strange)} in the header of an array, need lines that begin with #")
-    entries = gcs_entries(stripped[:end])
-    header = dict(entries)
-    if len(header) < len(entries):
-        keys = [key for key, _ in entries]
-        raise LinkError(f"got {next(key for key in keys if keys.count(key) > 1)} twice in the header of an array")
+    header = dict(gcs_entries(stripped[:end]))
     for key, needed in (("TYPE", 1), ("DIM", columns), ("NDATA", rows)):
         size = integer(header.get(key, ""))
         if size != needed:
@@ -230,41 +216,31 @@ def table(lines: Sequence[str], rows: int, columns: int) -> tuple[float, Array]:
     separator = integer(header.get("SEPARATOR", "32"))
     if str(separator) not in GCS_SEPARATORS:
         raise LinkError(f"got an array with SEPARATOR = {separator}, need 32 (space), 9, 44 or 59")
-    body = stripped[end + 1 :]
-    if len(body) != rows:
-        raise LinkError(f"got an array of {len(body)} rows, need {rows}; was the answer cut?")
-    numbers = np.empty((rows, columns))
-    for index, line in enumerate(body):
-        words = line.split(None if separator in (9, 32) else chr(separator))
-        if len(words) != columns:
-            raise LinkError(f"got the row {shown(line)}, need {columns} numbers")
-        numbers[index] = [real(word.strip()) for word in words]
-    return sample_time, np.ascontiguousarray(numbers.T)
+    words = [line.split(None if separator in (9, 32) else chr(separator)) for line in stripped[end + 1 :]]
+    if len(words) != rows or {len(row) for row in words} != {columns}:
+        raise LinkError(f"got {shown(stripped[end + 1 :])}, need {rows} rows of {columns} numbers; was the answer cut?")
+    return sample_time, np.array([[real(word.strip()) for word in row] for row in words]).T.copy()
 
 
+_NARROW = "the voltage is out of its limits, which are narrower than it reported; request narrower limits"
 # Numbers of the public list that the commands used here can lead to.
 _ERRORS = {
-    7: "the position or voltage is out of its limits",
-    17: "a parameter is out of its range",
-    66: "the voltage is out of its limits",
+    7: _NARROW,
+    17: _NARROW,
+    66: _NARROW,
     73: "the wave generator is in command of the axis",
     79: "open-loop commands are not allowed with the servo on",
     215: "the cable between controller and stage may be broken",
-    302: "the voltage is out of its limits",
+    302: _NARROW,
     333: "its hardware has failed",
-    405: "a wave's value is out of its range",
+    405: _NARROW,
     -1024: "the position error was too large, and it switched the servo off",
 }
-# Reported for a voltage or wave beyond what the controller allows.
-LIMITS = frozenset({7, 17, 66, 302, 405})
 
 
 def sentence(number: int) -> str:
-    """Return the meaning of an error number, and for limits what to try."""
-    text = _ERRORS.get(number, "see its manual's list of error codes")
-    if number in LIMITS:
-        text += "; its limits are narrower than it reported, request narrower limits"
-    return f"error {number}: {text}"
+    """Return the meaning of an error number."""
+    return f"error {number}: {_ERRORS.get(number, 'see its manual, list of error codes')}"
 
 
 def _decoded(text: str) -> int:

@@ -162,7 +162,7 @@ class PiRig(AbstractRig):
         self._channel = name if name in channels else self._generator
         if self._channel not in channels:
             raise DeviceError(f"{client.name}: has the channels {', '.join(channels)}, need one for the axis {name}")
-        if "ONL?" in client.commands and client.counts("ONL?", self._channel) == [0]:
+        if "ONL?" in client.commands and client.numbers("ONL?", self._channel) == [0]:
             channel = self._channel
             raise DeviceError(f"{client.name}: channel {channel} is offline; switch it on there (ONL {channel} 1)")
         device = _device_limits(client, self._channel, limits)
@@ -243,7 +243,7 @@ class PiRig(AbstractRig):
             return
         query, stop = command("WGO?", self._generator), [command("WGO", self._generator, 0)]
         for _ in range(_STEPS_TO_STOP):
-            if self._client.query(query, lambda lines: gcs_syntax.counts(lines, [self._generator]), stop) == [0]:
+            if self._client.query(query, partial(gcs_syntax.values, keys=[self._generator]), stop) == [0]:
                 # Clears the error that reports the stop. Whatever is answered, a ramp to the safe voltage is possible.
                 with suppress(LinkError):
                     self._client.clear()
@@ -260,10 +260,10 @@ class PiRig(AbstractRig):
         """Switch the servo off before the first voltage, if there is one; reading alone leaves it on."""
         if self._opened or not {"SVO", "SVO?"} <= self._client.commands:
             return
-        if self._client.counts("SVO?", self.axis) != [0]:
+        if self._client.numbers("SVO?", self.axis) != [0]:
             warnings.warn(f"{self.name}: its servo was on and is switched off: open loop is needed", stacklevel=2)
             self._client.set(command("SVO", self.axis, 0))
-        if self._client.counts("SVO?", self.axis) != [0]:
+        if self._client.numbers("SVO?", self.axis) != [0]:
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
         self._opened = True
 
@@ -291,7 +291,7 @@ class PiRig(AbstractRig):
             # The default: the start of a wave starts the record.
             client.set(command("DRT", 0, 0, 0))
         for number, _ in numbered if "WAV?" in client.commands else ():
-            length = client.parameter(command("WAV?", number, 1), str(number), 1)
+            length = client.query(command("WAV?", number, 1), partial(gcs_syntax.parameter, item=str(number), number=1))
             if length != len(voltage):
                 raise DeviceError(
                     f"{client.name}: its wave table holds {length:g} points, need {len(voltage)}; nothing was played"
@@ -308,7 +308,7 @@ class PiRig(AbstractRig):
         latest = time.monotonic()
         while got < count:
             client.set()
-            ready = min(*client.counts("DRL?", *keys), count)
+            ready = int(min(*client.numbers("DRL?", *keys), count))
             number, quiet = min(ready - got, most), time.monotonic() - latest
             if number > 0:
                 query = command("DRR?", got + 1, number, *keys)
@@ -319,7 +319,7 @@ class PiRig(AbstractRig):
                     )
                 yield got, columns[::2].T, columns[1::2].T
                 got, latest = got + number, time.monotonic()
-            elif quiet > patience and not any(client.counts("WGO?", *(rig._generator for rig in self._pi_rigs))):
+            elif quiet > patience and not any(client.numbers("WGO?", *(rig._generator for rig in self._pi_rigs))):
                 raise DeviceError(f"{client.name}: its wave generator stopped; {got} of {count} samples were recorded")
             elif quiet > patience:
                 raise LinkError(
@@ -333,9 +333,10 @@ class PiRig(AbstractRig):
 def _device_limits(client: GcsClient, channel: str, given: tuple[float, float] | None) -> VoltageLimits:
     """Return the limits that a controller reports of a channel, or else those `given`."""
     absent = [word for word in ("VMI?", "VMA?") if word not in client.commands]
-    if absent and given is None:
-        raise DeviceError(f"{client.name}: lacks the commands {', '.join(absent)}; give the allowed voltages (limits)")
-    if absent and given is not None:
+    if absent:
+        if given is None:
+            lacks = f"{client.name}: lacks the commands {', '.join(absent)}"
+            raise DeviceError(f"{lacks}; give the allowed voltages (limits)")
         return VoltageLimits(*given)
     low, high = (client.numbers(word, channel)[0] for word in ("VMI?", "VMA?"))
     if not low < high:
@@ -368,7 +369,8 @@ def _wave_traits(client: GcsClient) -> tuple[WaveTraits | None, str]:
 def _parameter(client: GcsClient, number: int) -> float | None:
     """Return a parameter's value; None if the controller does not answer with one."""
     try:
-        return client.parameter(command("SPA?", 1, f"0x{number:08X}"), "1", number)
+        query = command("SPA?", 1, f"0x{number:08X}")
+        return client.query(query, partial(gcs_syntax.parameter, item="1", number=number))
     except LinkError:
         # A controller does not answer a query of an unknown parameter.
         client.clear()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, SensorError, Terminated
 from dehyst._types import Array
-from dehyst._validation import number, plain
+from dehyst._validation import matrix, number, vector
 from dehyst.instruments.interrupts import by_signal
 from dehyst.waveforms import Excitation
 
@@ -98,25 +98,21 @@ def admitted(rig: AbstractRig, batch: Any, sent: Array, count: int, after: float
     Raise `LinkError` if it cannot follow the `count` samples before, the last of which came at `after` [s]: too many
     for the `sent` voltages, not finite, or times that do not increase; `DeviceError` if it has other further channels.
     """
-    name = rig.name
+    name, read = rig.name, vector if sent.ndim == 1 else matrix
     with driver_errors(name, "_wave"):
-        try:
-            columns = [plain(values, what) for values, what in zip(batch[:3], Samples._fields, strict=False)]
-        except ModelError as error:
-            raise LinkError(f"{name}: {error}; check the driver") from error
-        # Copied: a driver may fill the same buffer again.
-        times, voltage, displacement = (np.array(column, dtype=np.float64) for column in columns)
+        # These are copies: a driver may fill the same buffer again.
+        times = vector(batch[0], f"{name}: time", error=LinkError)
+        voltage = read(batch[1], f"{name}: voltage", error=LinkError)
+        displacement = read(batch[2], f"{name}: displacement", error=LinkError)
         others = {
-            column: np.array(plain(values, column, error=LinkError), dtype=np.float64)
-            for column, values in batch.others.items()
+            column: vector(values, f"{name}: {column}", error=LinkError) for column, values in batch.others.items()
         }
-    if times.ndim != 1 or {times.shape + sent.shape[1:]} != {voltage.shape, displacement.shape}:
-        shapes = f"{times.shape}, {voltage.shape} and {displacement.shape}"
+    shapes = [column.shape for column in (times, voltage, displacement, *others.values())]
+    whole = (times.size, *sent.shape[1:])
+    if shapes[1:3] != [whole, whole] or {*shapes[3:]} - {times.shape}:
         raise LinkError(f"{name}: got columns of shapes {shapes}, need one length; check the link")
     if count + times.size > len(sent):
         raise LinkError(f"{name}: got {count + times.size} samples for {len(sent)} voltages; check the link")
-    if not all(bool(np.isfinite(column).all()) for column in (times, voltage, displacement)):
-        raise LinkError(f"{name}: got samples that are not finite; check the link and the sensor")
     early = np.flatnonzero(np.diff(times, prepend=after) <= 0)
     if early.size:
         last = times[early[0] - 1] if early[0] else after
@@ -124,9 +120,6 @@ def admitted(rig: AbstractRig, batch: Any, sent: Array, count: int, after: float
             f"{name}: got a sample of {times[early[0]]:.9g} s after one of {last:.9g} s, need increasing times; check "
             "the link and the device's clock"
         )
-    for column, channel in others.items():
-        if channel.shape != times.shape or not np.isfinite(channel).all():
-            raise LinkError(f"{name}: {column}: got {channel.shape} values, need one finite number a sample")
     if times.size and set(others) != set(rig.others):
         found, need = (", ".join(names) or "none" for names in (others, rig.others))
         raise DeviceError(f"{name}: got further channels {found}, need {need}; check the rig's _wave")

@@ -92,18 +92,18 @@ def follow(
             run.note(f"{instrument.name} takes {instrument.longest} samples at once, and waits between such pieces")
         if isinstance(warmth, np.ndarray):
             warmth = np.concatenate([warmth, np.full(len(wanted) - size, warmth[-1])])
-        demand_disk_space(made_folder(output), 2 * len(wanted) * len(axes or "1") * (repeat or _MOST), 4)
-        paths = [output / f"record{name and f'-{name}'}.csv" for name in known.axes]
-        for file in paths if run.force else ():
-            file.unlink(missing_ok=True)
+        record = made_folder(output) / "record.csv"
+        demand_disk_space(output, 2 * len(wanted) * (repeat or _MOST), 1 + 3 * len(axes or "1"))
+        if run.force:
+            record.unlink(missing_ok=True)
         with Steps(run) as watcher:
             part = known.stage or known.actuators[0]
             followed = FollowedPath(instrument, part, bounds, played, wanted, size, warmth, watcher, run.say)
             lessons = repeat or _MOST if learn else 0
-            followed.follow(paths, repeat=1 if learn else repeat or 1, lessons=lessons, feedback=feedback)
+            followed.follow(record, repeat=1 if learn else repeat or 1, lessons=lessons, feedback=feedback)
     for remark in followed.remarks:
         run.note(remark)
-    return _result(known, followed, paths, output)
+    return _result(known, followed, record, output)
 
 
 def _placed(
@@ -137,7 +137,7 @@ def _placed(
     return wanted, bounds
 
 
-def _result(known: AxesModel, followed: FollowedPath, records: Sequence[Path], folder: Path) -> Result:
+def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path) -> Result:
     """Write picture and voltages; return errors, whether they keep the promise, and the files."""
     rig, best, report = followed.rig, followed.best, folder / "report.html"
     head = _head(known, followed)
@@ -168,7 +168,7 @@ def _result(known: AxesModel, followed: FollowedPath, records: Sequence[Path], f
         "clamped": followed.clamped,
         "output": str(folder),
     }
-    lines = [head, *(f"Record: {path}" for path in records), *files(Voltages=voltages, Report=report)]
+    lines = [head, *files(Record=record, Voltages=voltages, Report=report)]
     return Result(fields, lines, good=not followed.clamped and False not in followed.kept)
 
 

@@ -20,7 +20,6 @@ from dehyst.records.formats.column import Column
 from dehyst.records.formats.containers import LINE, LONGEST
 from dehyst.records.record import Channel
 
-_COLUMNS = ("time_s", "voltage_V", "displacement_um")
 _MICRO = 1e6
 # Bytes of a number, with a comma or a line end; and of what else a file needs.
 _NUMBER_BYTES, _MARGIN = 25, 1_000_000
@@ -43,6 +42,8 @@ class Recording:
     others : sequence of str
         Names of further channels, as "temperature_C" and "humidity [%]"; each block of samples holds them in a mapping
         ``samples.others``.
+    axes : sequence of str
+        Names of several axes, as "x" and "y": the columns of each are vx_V and x_um.
 
     Attributes
     ----------
@@ -56,8 +57,17 @@ class Recording:
         The path exists or cannot be written, `about` cannot be written as JSON, or one of `others` has no unit.
     """
 
-    def __init__(self, path: PathLike, *, about: Mapping[str, Any] | None = None, others: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        path: PathLike,
+        *,
+        about: Mapping[str, Any] | None = None,
+        others: Sequence[str] = (),
+        axes: Sequence[str] = (),
+    ) -> None:
         self.path, self.others, self.samples = path_of(path), tuple(others), 0
+        measured = [f"v{axis}_V" for axis in axes] + [f"{axis}_um" for axis in axes] or ["voltage_V", "displacement_um"]
+        self._columns = ("time_s", *measured, *self.others)
         channels = [Channel.of(Column(column, np.zeros(1))) for column in self.others]
         if fault := next((channel.fault for channel in channels if channel.fault), ""):
             raise FileFormatError(argument="others", message=fault)
@@ -73,7 +83,7 @@ class Recording:
         except OSError as error:
             raise unwritten(path, error) from error
         try:
-            self._write(f"{LINE}{head}\n{','.join((*_COLUMNS, *self.others))}\n".encode())
+            self._write(f"{LINE}{head}\n{','.join(self._columns)}\n".encode())
         except FileFormatError:
             self.close()
             self.path.unlink(missing_ok=True)
@@ -90,8 +100,8 @@ class Recording:
     def add(self, samples: Any) -> None:
         """Append samples after the earlier ones; they are on the disk when this returns.
 
-        `samples` has arrays (n,) ``time`` [s], ``voltage`` [V] and ``displacement`` [m]; with further channels also
-        ``others``, arrays (n,) by column name.
+        `samples` has arrays (n,) ``time`` [s], ``voltage`` [V] and ``displacement`` [m]; of several axes, the last two
+        are (n, axes). With further channels it also has ``others``, arrays (n,) by column name.
 
         Raises
         ------
@@ -106,11 +116,12 @@ class Recording:
         further = getattr(samples, "others", {})
         if missing := [column for column in self.others if column not in further]:
             raise RecordError(f"{self.path}: got samples without {', '.join(missing)}, need all columns")
-        displacement = _MICRO * np.asarray(samples.displacement, dtype=np.float64)
-        given = samples.time, samples.voltage, displacement, *(further[column] for column in self.others)
+        voltage, displacement = np.transpose(samples.voltage), _MICRO * np.transpose(samples.displacement)
+        given = samples.time, *np.atleast_2d(voltage), *np.atleast_2d(displacement), *map(further.get, self.others)
         columns = [np.asarray(values, dtype=np.float64).ravel() for values in given]
-        if len({column.size for column in columns}) > 1:
-            raise RecordError(f"{self.path}: got {[column.size for column in columns]} values, need one length")
+        if len({column.size for column in columns}) > 1 or len(columns) != len(self._columns):
+            sizes = [column.size for column in columns]
+            raise RecordError(f"{self.path}: got {sizes} values, need {len(self._columns)} columns of one length")
         rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
 
