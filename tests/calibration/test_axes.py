@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_listener import Heard
 from click.testing import CliRunner
 from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 
@@ -19,37 +20,14 @@ from dehyst.instruments import DeviceError
 from dehyst.model import MaxwellSlip, Spring, Thermal
 from dehyst.records import read
 
-PLAN = Plan(steps=6, cycles=8)
 COLUMNS = "1=v1_V:1_um, 2=v2_V:2_um, 3=v3_V:3_um"
-
-
-class Listener:
-    """Notes what it is told."""
-
-    def __init__(self, stop=None):
-        self.steps, self.count, self._stop = [], 0, stop
-        self.largest = {}
-
-    def step(self, name, seconds=0.0):
-        self.steps.append(name)
-
-    def samples(self, samples, expected=None, stroke=None):
-        self.count += samples.time.size
-        if expected is not None:
-            error = 100 * np.nan_to_num(np.abs(samples.displacement - expected)).max() / stroke
-            self.largest[self.steps[-1]] = max(error, self.largest.get(self.steps[-1], 0))
-        if self._stop is not None and self.steps[-1] == self._stop and samples.voltage.max() > 30:
-            raise KeyboardInterrupt
-
-    def message(self, text):
-        pass
 
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
-    folder, listener = tmp_path_factory.mktemp("calibration"), Listener()
+    folder, listener = tmp_path_factory.mktemp("calibration"), Heard()
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
-        result = calibrate(rig, folder, plan=PLAN, watcher=listener)
+        result = calibrate(rig, folder, watcher=listener)
         ends = [axis.voltage for axis in bench.axes], [axis.log.highest for axis in bench.axes]
     return result, folder, listener, ends
 
@@ -67,7 +45,7 @@ def test_every_axis_follows_the_path_to_three_thousandths(calibrated):
 def test_the_progress_shows_the_axis_that_is_farthest_off(calibrated):
     result, _, listener, _ = calibrated
     for name, path in (("nominal", result.nominal), ("compensated", result.compensated)):
-        assert listener.largest[name] >= max(path.largest_percent) * (1 - 1e-12)
+        assert 100 * listener.largest(name) >= max(path.largest_percent) * (1 - 1e-12)
 
 
 def test_voltages_stay_within_limits_and_end_at_safe_values(calibrated):
@@ -94,7 +72,7 @@ def test_whole_records_of_all_axes_are_kept(calibrated):
     (folder / "records" / "nominal.csv").unlink()
     with served(stage=virtual_stage(noise=2e-9)) as (server, bench), rig_of(server) as rig:
         with pytest.raises(KeyboardInterrupt) as caught:
-            calibrate(rig, folder, plan=PLAN, watcher=Listener("nominal"))
+            calibrate(rig, folder, watcher=Heard("nominal", after=500))
         assert [axis.voltage for axis in bench.axes] == [0.0] * 3
     assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
     assert len(read(folder / "records" / "axes.csv", COLUMNS)) == len(result.training[0])
@@ -108,14 +86,14 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
         rig_of(server, "1,2") as rig,
         pytest.raises(FileFormatError, match="axis 1,2,3"),
     ):
-        calibrate(rig, folder, plan=PLAN)
+        calibrate(rig, folder)
     assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
 
 
 def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
     with served("error@900", speed=4.0) as (server, bench), rig_of(server) as rig:
         with pytest.raises(DeviceError):
-            calibrate(rig, tmp_path, plan=PLAN)
+            calibrate(rig, tmp_path)
         assert [single.voltage for single in bench.axes] == [0.0] * 3
     assert len(read(tmp_path / "records" / "axes.csv", COLUMNS)) > 100
 
@@ -125,7 +103,7 @@ class TestPlan:
 
     def test_axes_move_one_after_the_other_then_together(self):
         with served() as (server, bench), rig_of(server) as rig:
-            steps = {step.name: step.excitation.voltage for step in planned_steps(rig, PLAN)}
+            steps = {step.name: step.excitation.voltage for step in planned_steps(rig, Plan())}
             assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
         moving = np.abs(np.diff(steps["axes"], axis=0)) > 0
         alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
@@ -136,7 +114,7 @@ class TestPlan:
 
     def test_entries_say_how_long_it_plays(self):
         with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
-            steps = planned_steps(rig, PLAN)
+            steps = planned_steps(rig, Plan())
             entries = [step.as_dict(rig) for step in steps]
         assert [entry["step"] for entry in entries] == ["axes", "nominal", "compensated"]
         assert entries[0]["samples"] == len(steps[0].excitation)
@@ -146,7 +124,7 @@ class TestPlan:
     def test_a_path_has_the_samples_that_the_plan_says(self, calibrated):
         result, *_ = calibrated
         with served() as (server, _), rig_of(server) as rig:
-            planned = planned_steps(rig, PLAN)[-1].more
+            planned = planned_steps(rig, Plan())[-1].more
         assert len(result.compensated.wanted) == pytest.approx(planned - 200, abs=2)
 
 

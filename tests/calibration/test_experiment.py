@@ -81,9 +81,10 @@ def test_the_error_is_what_was_measured(finished):
 
 def test_the_loop_error_is_told_while_it_plays(finished):
     found, _, _, heard = finished
-    told = np.concatenate(heard.expected)
-    assert np.nanmax(told) == pytest.approx(0.01 * found.nominal.largest_percent)
-    assert np.isnan(told).sum() == 2 * len(Excitations((VoltageLimits(0, 200),), 100.0).homing())
+    homing = len(Excitations((VoltageLimits(0, 200),), 100.0).homing())
+    for name, path in (("nominal", found.nominal), ("compensated", found.compensated)):
+        assert heard.largest(name) == pytest.approx(0.01 * path.largest_percent)
+        assert np.isnan(np.concatenate(heard.errors[name])).sum() == homing
 
 
 def test_a_second_call_plays_nothing(finished):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from emulator import Controller, Fault, Rehearsal, Server
 from fake_gcs import FakeController
-from faulty_link import KINDS, Meddling, PipeLink, QuickRig
+from faulty_link import Meddling, PipeLink, QuickRig
 
 from dehyst._errors import DehystError
 from dehyst.instruments import LinkError, open_rig
@@ -70,11 +70,11 @@ def refuse_excess(bench, lines=()):
         assert all(ALLOWED[0] <= float(value) <= ALLOWED[1] for value in sent), line
 
 
-def ordeal(seed, share, kinds=KINDS):
+def ordeal(seed, share):
     """One rig's life with a meddler on the line; returns how many replies were changed, and its processor time [s]."""
     rng, began = random.Random(seed), time.process_time()
     controller = FakeController(limits=DEVICE)
-    meddle = Meddling(seed, share if rng.random() < 0.3 else 0.0, kinds)
+    meddle = Meddling(seed, share if rng.random() < 0.3 else 0.0)
     try:
         rig = QuickRig(PipeLink(controller, meddle), limits=ALLOWED, slew_rate=rng.uniform(50, 5000), patience=0.02)
     except DehystError:
@@ -103,12 +103,6 @@ def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
         count, seconds = ordeal(int(1e6 * share) + seed, share)
         assert seconds < 1.0
         changed, seed = changed + count, seed + 1
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_of_meddling(kind):
-    assert sum(ordeal(seed, 0.1, [kind])[0] for seed in range(30)) > 20
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -7,7 +7,7 @@ class Heard:
     """A watcher that remembers."""
 
     def __init__(self, stop_at=None, after=0):
-        self.steps, self.samples_of, self.expected = [], {}, []
+        self.steps, self.samples_of, self.errors = [], {}, {}
         self._stop_at, self._after = stop_at, after
 
     def step(self, name, seconds=0.0):
@@ -17,9 +17,13 @@ class Heard:
         name = self.steps[-1]
         self.samples_of[name] = self.samples_of.get(name, 0) + samples.time.size
         if expected is not None:
-            self.expected.append(np.abs(samples.displacement - expected) / stroke)
+            self.errors.setdefault(name, []).append(np.abs(samples.displacement - expected) / stroke)
         if name == self._stop_at and self.samples_of[name] >= self._after:
             raise KeyboardInterrupt
 
     def message(self, text):
         pass
+
+    def largest(self, name):
+        """The largest error that a step had, as a share of the stroke."""
+        return np.nanmax(np.concatenate(self.errors[name]))

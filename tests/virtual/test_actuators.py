@@ -90,30 +90,6 @@ def test_wiping_out(kind, seed):
     np.testing.assert_allclose(reached, other, rtol=0, atol=1e-12 * 16e-6)
 
 
-def test_relays_switched_one_by_one_on_a_grid_say_the_same():
-    truth = PreisachActuator(noise=0)
-    rng = np.random.default_rng(4)
-    voltage = np.concatenate([[-90.0, 290.0, -90.0], rng.uniform(-90, 290, 60)])
-    y = truth.play(voltage)
-    edges = np.linspace(-0.5, 1.5, 801)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    alpha, beta = np.meshgrid(middle, middle, indexing="ij")
-    d, m = alpha - beta, 0.5 * (alpha + beta)
-    share = np.where(d > 0, 1.0, np.where(d == 0, 0.5, 0.0))
-    density = share * (np.exp(-0.5 * (d / truth.ridge) ** 2 - 0.5 * ((m - truth.centre) / truth.spread) ** 2) + 0.25)
-    up, summed = np.zeros(d.shape, dtype=bool), []
-    for u in voltage / truth.highest:
-        up = (up | (alpha <= u)) & (beta < u)
-        summed.append(density[up].sum())
-    u = voltage / truth.highest
-    free = u + truth.bend * np.where(u * (1 - u) > 0, u * (u - 1), np.where(u > 0, u - 1, -u))
-    relays = (y / truth.stroke - truth.reversible * free) / (1 - truth.reversible)
-    span = density[(alpha < 1) & (beta > 0)].sum()
-    found = (np.array(summed) - summed[2]) / span
-    # A cell that the voltage cuts counts wholly or not at all: a row of 800 cells of 2.5e-3 in each direction.
-    np.testing.assert_allclose(relays[2:] - relays[2], found[2:], rtol=0, atol=0.015)
-
-
 @pytest.mark.parametrize("creep", [0.01, 0.03])
 def test_creep_adds_the_stated_share_of_a_step_in_each_decade(creep):
     truth = PlayActuator(creep=creep, noise=0)

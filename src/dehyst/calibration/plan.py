@@ -27,6 +27,8 @@ from dehyst.waveforms import (
 
 # Usual cycles a second, samples of a cycle, and speed of the path beside them: for a single axis, and for several.
 _ALONE, _TOGETHER = (0.1, 1000, 5.0), (1.0, 400, 1.0)
+# Descending tops of each of several axes alone, and cycles of the first axis when all move together.
+_STEPS, _CYCLES = 16, 24
 # Share of the median by which the steps of time may differ.
 _UNEVEN = 1e-3
 
@@ -62,12 +64,12 @@ class Excitations:
             for bounds in self.limits
         ]
 
-    def recommended(self, steps: int = 16, cycles: int = 24) -> Excitation:
-        """Return the recommended excitation; of several axes one after the other, then together: see `Plan`."""
+    def recommended(self) -> Excitation:
+        """Return the recommended excitation; of several axes one after the other, then together."""
         tops, drives = [bounds.high for bounds in self.limits], self.samplings()
         if len(tops) == 1:
             return recommended(tops[0], drive=drives[0])
-        played = stage_excitation(tops, drive=drives, steps=steps, cycles=cycles, axes=self.axes)
+        played = stage_excitation(tops, drive=drives, steps=_STEPS, cycles=_CYCLES, axes=self.axes)
         return Excitation("axes", played.voltage, played.sample_rate)
 
     @property
@@ -105,9 +107,6 @@ class Plan:
         Excitations to record instead of the recommended one.
     goal : float
         Largest error along the path [% of the stroke] of a good calibration, on every axis.
-    steps, cycles : int
-        For several axes: number of descending tops of each axis alone, and cycles of the first axis when all move
-        together. `protocol` then has no effect.
 
     Raises
     ------
@@ -118,8 +117,6 @@ class Plan:
     frequency: float | None = None
     protocol: tuple[Excitation, ...] = ()
     goal: float = 1.0
-    steps: int = 16
-    cycles: int = 24
 
     def __post_init__(self) -> None:
         positive(1.0 if self.frequency is None else self.frequency, "frequency")
@@ -139,7 +136,7 @@ class Plan:
         """Return name, description and excitation of each record for the identification."""
         if self.protocol:
             return [(f"given-{i}", f"{given.name}, as given", given) for i, given in enumerate(self.protocol, 1)]
-        whole = excitations.recommended(self.steps, self.cycles)
+        whole = excitations.recommended()
         if len(excitations.axes) > 1:
             return [("axes", "each axis alone, then all together", whole)]
         return [("recommended", "the recommended excitation: loops, random turns, speeds, holds", whole)]

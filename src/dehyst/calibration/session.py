@@ -155,7 +155,8 @@ class Session:
             if not self.played:
                 # The wave of a killed process may still play.
                 self.rig.retreat()
-            self.aside += set_aside(self._path(name))
+            if os.path.lexists(self._path(name)):
+                self.aside.append(self._set_aside(self._path(name)))
             record = self._play(name, excitation, wanted, stroke)
             self.kept = [other for other in self.kept if other != name]
             self.played.append(name)
@@ -181,6 +182,14 @@ class Session:
                     f"{self.folder}: holds a record of {about['rig']}, axis {about['axis']}, and this is "
                     f"{self.rig.identity}, axis {self.rig.axis}; give another folder with -o"
                 )
+
+    def _set_aside(self, path: Path) -> Path:
+        """Move a file of records to the folder `set-aside` next to it, and return where it is now."""
+        aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
+        try:
+            return path.rename(aside)
+        except OSError as error:
+            raise unwritten(aside, error) from error
 
     def _path(self, name: str) -> Path:
         return self.records / f"{name}.csv"
@@ -218,18 +227,3 @@ class Session:
         """Return a digest that identifies this excitation on this instrument."""
         header = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
-
-
-def set_aside(path: Path) -> list[Path]:
-    """Move a file of records, if it exists, to the folder `set-aside` next to it, and return where it is now.
-
-    Raise `FileFormatError` on failure.
-    """
-    if not os.path.lexists(path):
-        return []
-    aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
-    try:
-        path.rename(aside)
-    except OSError as error:
-        raise unwritten(aside, error) from error
-    return [aside]

@@ -17,7 +17,7 @@ from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, Reco
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.instruments.interrupts import by_signal, shielded
+from dehyst.instruments.interrupts import Shield, by_signal
 from dehyst.instruments.output import Output, ReadbackError, VoltageNote, common_limits
 from dehyst.instruments.waves import (
     HIGHEST_RATE,
@@ -35,8 +35,6 @@ from dehyst.instruments.waves import (
 from dehyst.records import Record
 from dehyst.waveforms import Excitation
 
-# A device's clock has jumped if it is ahead by this time [s], and so many times what has passed: emulators are fast.
-_JUMP, _FAST = 10.0, 50.0
 # Relative slack for rates that a device rounds.
 _SLACK = 1e-6
 
@@ -111,7 +109,6 @@ class AbstractRig(ABC):
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
         self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
-        self._seen: tuple[float, float] | None = None  # the device's time, and the host's when it was seen
         self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -195,7 +192,6 @@ class AbstractRig(ABC):
         reading = self._reading()
         if not all(map(math.isfinite, reading)):
             raise LinkError(f"{self.name}: read {reading}, need finite numbers; check the device and its sensor")
-        self._watch_clock(reading.time)
         return reading
 
     @final
@@ -261,7 +257,7 @@ class AbstractRig(ABC):
     @contextmanager
     def safely(self) -> Iterator[None]:
         """Retreat after any error within, Ctrl-C too, and add a note on the voltage to the error."""
-        with shielded() as shield:
+        with Shield() as shield:
             try:
                 # Twice: a signal may come between an error and the line that defers signals.
                 try:
@@ -293,7 +289,7 @@ class AbstractRig(ABC):
         """Stop the waves of all axes, and ramp to the safe voltages, which are returned."""
         errors: list[Exception] = []
         ramps = []
-        with shielded(defer=True):
+        with Shield(defer=True):
             for rig in self.rigs:
                 try:
                     try:
@@ -407,19 +403,6 @@ class AbstractRig(ABC):
         if found:
             # After a contradicted reading alone, the end of each ramp was sent.
             raise next((error for error in found if not isinstance(error, ReadbackError)), found[0])
-
-    def _watch_clock(self, now: float, played: float = 0.0) -> None:
-        """Raise `DeviceError` if the device's time is farther ahead than what has passed, and was `played` [s]."""
-        host, seen = self.rigs[0]._now(), self._seen
-        self._seen = (now, host)
-        if seen is None:
-            return
-        passed, most = now - seen[0], played + _FAST * (host - seen[1]) + _JUMP
-        if passed > most:
-            raise DeviceError(
-                f"{self.name}: its clock went on by {passed:.6g} s, need {most:.3g} s at most; did it jump? Check the "
-                "device's clock, and the rig's times"
-            )
 
     def _voltage_read(self) -> float:
         """Return the voltage that is read [V]; raise `RigError` if it cannot be read."""

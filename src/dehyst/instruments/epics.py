@@ -144,14 +144,13 @@ class ChannelAccess:
 class PvNames:
     """Names of process variables without the prefix; None for those that an IOC does not have.
 
-    Voltages are in V, times in s; positions in the unit of their record's EGU: m, mm, um or nm. The device's limits are
+    Voltages are in V, positions in the unit of their record's EGU: m, mm, um or nm. The device's limits are
     those of the voltage's record, DRVL and DRVH.
     """
 
     voltage: str = "VOLTAGE"
     readback: str = "VOLTAGE:RBV"
     position: str = "POSITION"
-    time: str | None = "TIME"
     identity: str | None = "IDN"
 
 
@@ -206,10 +205,8 @@ class EpicsRig(AbstractRig):
         return cls(link, names, limits=limits, slew_rate=slew_rate)
 
     def _read(self) -> Reading:
-        names = self._names
-        voltage, position, *clock = self._link.numbers(names.readback, names.position, *filter(None, [names.time]))
-        now = clock[0] if clock else time.monotonic() - self._began
-        return Reading(now, voltage, self._metres * position)
+        voltage, position = self._link.numbers(self._names.readback, self._names.position)
+        return Reading(time.monotonic() - self._began, voltage, self._metres * position)
 
     def _read_voltage(self) -> float:
         deadline = time.monotonic() + _STALE

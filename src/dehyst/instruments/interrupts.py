@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from traceback import walk_tb
 from types import FrameType
+from typing import Self
 
 from dehyst._errors import Terminated
 
@@ -15,29 +14,33 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 
 class Shield:
-    """Signal handlers that can defer signals, made by `shielded`. At first all signals wait.
+    """Signal handlers for a with-statement: the first signal passes, later ones wait until its end; with `defer` all.
 
+    A signal whose handler is the system's, usually SIGTERM, raises Terminated, so that the wave is stopped too.
     `deferring`: whether signals wait. The first signal that raises an exception sets it.
     """
 
-    def __init__(self) -> None:
-        self.deferring, self._stopped = True, False
+    def __init__(self, *, defer: bool = False) -> None:
+        self.deferring, self._stopped, self._defer = True, False, defer
         self.deferred: list[int] = []
         # Other threads receive no signals. Ignored signals, and handlers that are not Python's, are left alone.
         found = {number: signal.getsignal(number) for number in _SIGNALS}
         main = threading.current_thread() is threading.main_thread()
         self._handlers = {n: handler for n, handler in found.items() if main and handler not in (None, signal.SIG_IGN)}
-        for number in self._handlers:
-            signal.signal(number, self._handle)
 
-    def open(self) -> None:
-        """Let the first signal through."""
-        self.deferring = False
-        deferred, self.deferred = self.deferred, []
-        for number in deferred:
-            signal.raise_signal(number)
+    def __enter__(self) -> Self:
+        try:
+            for number in self._handlers:
+                signal.signal(number, self._handle)
+            self.deferring = self._defer
+            while self.deferred and not self._defer:
+                signal.raise_signal(self.deferred.pop(0))
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
 
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Restore the handlers, and raise a deferred signal unless one has already ended the block."""
         self.deferring = True
         try:
@@ -48,7 +51,7 @@ class Shield:
         finally:
             # A handler that is restored may raise at once.
             if self._handlers:
-                self.close()
+                self.__exit__()
         if self.deferred and not self._stopped:
             deferred, self.deferred = self.deferred, []
             signal.raise_signal(deferred[0])
@@ -72,18 +75,3 @@ def by_signal(error: BaseException) -> bool:
     handlers = [Shield._handle, *map(signal.getsignal, signal.valid_signals())]
     codes = {getattr(handler, "__code__", None) for handler in handlers}
     return any(frame.f_code in codes for frame, _ in walk_tb(error.__traceback__))
-
-
-@contextmanager
-def shielded(*, defer: bool = False) -> Iterator[Shield]:
-    """Let the first signal through and defer all others; with `defer` defer all.
-
-    A signal whose handler is the system's, usually SIGTERM, raises Terminated, so that the wave is stopped too.
-    """
-    shield = Shield()
-    try:
-        if not defer:
-            shield.open()
-        yield shield
-    finally:
-        shield.close()

@@ -41,7 +41,7 @@ _GENTLE = 1.0
 _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
 # Readings, a tick apart, in which the readback must come near what was sent; where they take longer, seconds, and the
 # fewest of them.
-_READINGS, _SETTLING, _FEW = 100, 1.0, 3
+_READINGS, _SETTLING, _FEW = 100, 1.5, 3
 
 
 class VoltageNote(str):

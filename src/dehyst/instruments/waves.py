@@ -38,6 +38,8 @@ _BATCH_SECONDS = 0.2
 READBACK_TOLERANCE = 0.05
 # A wave may take this share of the time that was asked, less so many samples: clocks differ, and the first may be late.
 _PACE, _LATE = 0.9, 20
+# A device's clock has jumped if it is ahead by this time [s], and so many times what has passed: emulators are fast.
+_JUMP, _FAST = 10.0, 50.0
 # A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
 _DEAD = 0.2
 
@@ -168,7 +170,9 @@ class WaveWatch:
         ranges = np.maximum([np.ptp(column) for column in columns_of(excitation.voltage)], _LEAST_WATCHED * self._spans)
         names = [f"the sensor of axis {axis}" for axis in rig.axes] if len(rig.axes) > 1 else ["the sensor"]
         self._sensors = [SensorWatch(float(span), name) for span, name in zip(ranges, names, strict=True)]
-        self._rows, self._count, self._begin = rig.rows(len(excitation)), 0, math.nan
+        self._rows, self._count = rig.rows(len(excitation)), 0
+        # The times by the host's clock and by the samples, when the wave began.
+        self._began, self._first = rig.rigs[0]._now(), math.nan
 
     def observe(self, samples: Samples, sent: Array, steepest: Array) -> None:
         """Check samples by their `sent` voltages (n,) or (n, axes) [V], of a wave with `steepest` steps [V] an axis.
@@ -189,16 +193,15 @@ class WaveWatch:
         columns = zip(columns_of(samples.voltage), columns_of(samples.displacement), strict=True)
         for sensor, (voltage, displacement) in zip(self._sensors, columns, strict=True):
             sensor.observe(voltage, displacement)
-        now, self._begin = float(samples.time[-1]), self._begin if self._count else float(samples.time[0])
+        self._first = self._first if self._count else float(samples.time[0])
         self._count += samples.time.size
-        row, passed = int(self._rows[self._count - 1]), now - self._begin
-        if passed < (_PACE * row - _LATE) / self._rate:
+        due, passed = float(self._rows[self._count - 1]) / self._rate, float(samples.time[-1]) - self._first
+        most = due + _FAST * (rig.rigs[0]._now() - self._began) + _JUMP
+        if not _PACE * due - _LATE / self._rate <= passed <= most:
             raise DeviceError(
-                f"{rig.name}: plays faster than the {self._rate:.6g} Hz that were asked for: by its times, sample "
-                f"{row} came {passed:.4g} s after the first, need {row / self._rate:.4g} s; check the rig's _wave and "
-                "nearest_rate, and the device's clock"
+                f"{rig.name}: its clock does not go with the {self._rate:.6g} Hz that were asked for: by its times, "
+                f"{passed:.6g} s passed, need {due:.6g} s; check the rig's _wave and nearest_rate, and its clock"
             )
-        rig._watch_clock(now, samples.time.size / self._rate)
 
 
 def arriving(

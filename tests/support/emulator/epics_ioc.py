@@ -32,7 +32,7 @@ class Ioc:
 
     =========================== =================================================================================
     VOLTAGE, VOLTAGE:RBV        requested and present voltage [V]
-    POSITION, TIME              the sensor's reading [um], and the device's time [s]
+    POSITION                    the sensor's reading [um]
     IDN                         text
     =========================== =================================================================================
 
@@ -64,7 +64,6 @@ class Ioc:
         for name, unit, digits, value in (
             ("VOLTAGE:RBV", "V", 4, axis.voltage),
             ("POSITION", "um", 5, _MICRO * axis.displacement()),
-            ("TIME", "s", 4, 0.0),
         ):
             add(builder.aOut, name, unit, digits, initial_value=value, DISP=1)
         identity = f"dehyst 0.1.0 virtual controller {bench.serial}"
@@ -87,11 +86,11 @@ class Ioc:
         self._refresh()
 
     def _refresh(self) -> None:
-        """Read the instrument into the records, the time last."""
+        """Read the instrument into the records."""
         with self._lock:
-            bench = self._instrument
-            values = bench.axis.voltage, _MICRO * bench.axis.displacement(), bench.now
-        for name, value in zip(("VOLTAGE:RBV", "POSITION", "TIME"), values, strict=True):
+            axis = self._instrument.axis
+            values = axis.voltage, _MICRO * axis.displacement()
+        for name, value in zip(("VOLTAGE:RBV", "POSITION"), values, strict=True):
             self._records[name].set(value)
 
 
