@@ -110,14 +110,6 @@ def test_a_position_in_volts_is_refused(ioc):
         EpicsRig.connect(ioc.prefix, names=PvNames(position="VOLTAGE:RBV"))
 
 
-def test_a_position_without_a_unit_is_in_micrometres(rig, ioc, monkeypatch):
-    rig.set_voltage(50.0)
-    displacement = rig.read().displacement
-    monkeypatch.setattr(ChannelAccess, "metres", lambda *_: None)
-    with EpicsRig.connect(ioc.prefix) as without:
-        assert without.read().displacement == pytest.approx(displacement, rel=0.01)
-
-
 def test_a_text_is_no_number(ioc):
     with pytest.raises(LinkError, match="need a number"):
         ChannelAccess(f"{ioc.prefix}:", 1.0).numbers("IDN")

@@ -120,15 +120,9 @@ def test_half_a_recorder_is_none(told, why):
         quick(FakeController(told=told))
 
 
-def test_an_older_syntax_version_is_that_of_gcs_2():
-    with quick(FakeController(told={"CSV?": ["1.0"]})) as rig:
-        assert rig.limits.high > 0
-
-
 @pytest.mark.parametrize(
     ("told", "without", "options", "error", "why"),
     [
-        ({"CSV?": ["3.0"]}, [], {}, DeviceError, "has GCS 3, need GCS 2"),
         ({"*IDN?": ["HTTP/1.1 400 Bad Request"]}, [], {}, LinkError, "port is 50000"),
         ({"*IDN?": ["SSH-2.0-OpenSSH_9"]}, [], {}, LinkError, "is it a GCS controller"),
         ({"*IDN?": None}, [], {}, LinkError, "got nothing in .*other client"),
@@ -148,13 +142,6 @@ def test_odd_controllers_are_refused_with_a_reason(told, without, options, error
         quick(controller, **options).read()
     assert "pipe:1" in str(caught.value) or "limits" in str(caught.value)
     assert not [line for line in controller.lines if line.startswith("SVA")]
-
-
-def test_an_offline_channel_is_refused():
-    controller = FakeController(told={"ONL?": ["1=0"]})
-    controller.known.append("ONL?")
-    with pytest.raises(DeviceError, match="offline"):
-        quick(controller)
 
 
 def test_the_users_limits_serve_where_the_controller_tells_none():

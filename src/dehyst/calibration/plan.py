@@ -130,7 +130,7 @@ class Plan:
             hint = "leave it out, or calibrate one axis at a time"
             raise RecordError("a protocol is of one axis", argument="protocol", hint=hint)
         limits = tuple(each.limits for each in rig.rigs)
-        return Excitations(limits, played_rate(rig.rigs[0], samples * frequency), frequency, faster, rig.axes)
+        return Excitations(limits, played_rate(rig, samples * frequency), frequency, faster, rig.axes)
 
     def training(self, excitations: Excitations) -> list[tuple[str, str, Excitation]]:
         """Return name, description and excitation of each record for the identification."""

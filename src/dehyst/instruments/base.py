@@ -17,7 +17,7 @@ from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, Reco
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
-from dehyst.instruments.interrupts import Shield, by_signal
+from dehyst.instruments.interrupts import Shield
 from dehyst.instruments.output import Output, ReadbackError, VoltageNote, common_limits
 from dehyst.instruments.waves import (
     HIGHEST_RATE,
@@ -233,9 +233,8 @@ class AbstractRig(ABC):
                 f"{excitation.name}: got {len(columns)} columns of voltage, need {len(self.axes)}, one an axis; "
                 "nothing was sent"
             )
-        rates = set()
+        rate = played_rate(self, excitation.sample_rate)
         for rig, column in zip(self.rigs, columns, strict=True):
-            rates.add(rate := played_rate(rig, excitation.sample_rate))
             name, limits = f"{excitation.name}, axis {rig.axis}" if self._parts else excitation.name, rig.limits
             low, high = float(column.min()), float(column.max())
             if low < limits.low or high > limits.high:
@@ -249,9 +248,7 @@ class AbstractRig(ABC):
                     f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} may have "
                     f"{rig.slew_rate:.6g} V/s; play it slower; nothing was sent"
                 )
-        if len(rates) > 1:
-            raise RigError(f"{self.name}: its axes play at {sorted(rates)} Hz, need one rate")
-        return rates.pop()
+        return rate
 
     @final
     @contextmanager
@@ -301,8 +298,6 @@ class AbstractRig(ABC):
                     errors.append(error)
                     continue
                 except BaseException as error:
-                    if by_signal(error):
-                        raise
                     # After a mistake in its code, a ramp is still best.
                     what = f"{rig.name}: _halt of the rig raised {type(error).__name__}: {error}; a wave may go on"
                     errors.append(DeviceError(what))

@@ -98,16 +98,16 @@ class ChannelAccess:
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL)
         return float(getattr(value, "lower_ctrl_limit", 0.0)), float(getattr(value, "upper_ctrl_limit", 0.0))
 
-    def metres(self, name: str) -> float | None:
-        """Return the unit of a record in metres, None if it has none; raise `LinkError` if it is not a length."""
+    def metres(self, name: str) -> float:
+        """Return the unit of a record in metres; raise `LinkError` if it is not a length."""
         (value,) = self._get([name], format=self._ca.FORMAT_CTRL, count=1)
         unit = str(getattr(value, "units", "")).strip()
-        count = COUNTS["m"].get(symbol_of(unit))
-        if unit and count is None:
+        count = COUNTS["m"].get(symbol_of(unit)) if unit else None
+        if count is None:
             raise LinkError(
                 f"{self.prefix}{name}: its unit is {unit!r}, need m, mm, um or nm; correct EGU in its record"
             )
-        return 1 / count if count else None
+        return 1 / count
 
     def put(self, name: str, value: float) -> None:
         """Write a number, and wait until the IOC has processed it.
@@ -162,8 +162,7 @@ class EpicsRig(AbstractRig):
     ) -> None:
         self._link, self._names = link, names
         identity = "" if names.identity is None else link.text(names.identity)
-        # A record without a unit is in um, as those of the emulator.
-        self._metres = link.metres(names.position) or 1e-6
+        self._metres = link.metres(names.position)
         self._began = time.monotonic()
         name = f"epics://{link.prefix.removesuffix(':')}" + (f" ({identity})" if identity else "")
         low, high = link.limits(names.voltage)

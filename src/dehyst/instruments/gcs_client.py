@@ -12,8 +12,6 @@ from dehyst._errors import DeviceError, LinkError, RigError
 from dehyst.instruments import gcs_syntax
 
 _Answer = TypeVar("_Answer")
-# Controllers of GCS 2 answer CSV? with 2 at most; older ones do not have the command.
-_NEWER = 3.0
 IDENTITY = "*IDN?"
 # Most bytes of one line, and lines of one answer.
 _LONGEST = 1 << 16
@@ -167,7 +165,7 @@ class GcsClient:
     """A client of a controller over a `link`; it sends nothing twice.
 
     `identity`: the controller's answer to *IDN?. `commands`: its supported commands. Raise `LinkError` if the answers
-    do not come from a GCS controller, `DeviceError` if its version is not GCS 2.
+    do not come from a GCS controller.
     """
 
     def __init__(self, link: TcpLink) -> None:
@@ -187,10 +185,6 @@ class GcsClient:
                 "number; is it a GCS controller? PI's port is 50000"
             )
         self.commands = self.query("HLP?", gcs_syntax.commands)
-        if "CSV?" in self.commands:
-            version = self.query("CSV?", lambda lines: gcs_syntax.real(gcs_syntax.single(lines)))
-            if version >= _NEWER:
-                raise DeviceError(f"{self.name}: has GCS {version:g}, need GCS 2; try another firmware")
 
     @property
     def name(self) -> str:

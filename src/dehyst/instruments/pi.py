@@ -162,9 +162,6 @@ class PiRig(AbstractRig):
         self._channel = name if name in channels else self._generator
         if self._channel not in channels:
             raise DeviceError(f"{client.name}: has the channels {', '.join(channels)}, need one for the axis {name}")
-        if "ONL?" in client.commands and client.numbers("ONL?", self._channel) == [0]:
-            channel = self._channel
-            raise DeviceError(f"{client.name}: channel {channel} is offline; switch it on there (ONL {channel} 1)")
         device = _device_limits(client, self._channel, limits)
         self.waves, missing = _wave_traits(client)
         super().__init__(

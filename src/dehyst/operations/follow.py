@@ -82,7 +82,7 @@ def follow(
     bound, steepest = asked if axes else (asked[0][0], asked[1][0])
     with open_rig(rig, axes, limits=bound, slew_rate=steepest) as instrument:
         wanted, bounds = _placed(run, known, instrument, wanted, allowed, slews, zero, warmth)
-        played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument.rigs[0], rate)
+        played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:
             run.note(f"the path has {rate:.6g} Hz, and is played at {played:.6g} Hz, as {instrument.name} can")
         size = len(wanted)

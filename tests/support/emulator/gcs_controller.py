@@ -453,7 +453,6 @@ def _of_record_tables(words: str, value: Callable[[Controller, int], str]) -> Gc
 
 COMMANDS: dict[str, GcsCommand] = {
     "*IDN?": GcsCommand("Get device identification", lambda c, _: [c.identity]),
-    "CSV?": GcsCommand("Get syntax version", lambda *_: ["2.0"]),
     "DRC": GcsCommand("Set data recorder configuration {table source option}", _set_record, (3, 3)),
     "DRL?": _of_record_tables("Get number of recorded points", lambda c, _: str(c.recorded)),
     "DRR?": GcsCommand("Get recorded data {[first [count [table]]]}", _recorded_array, (0, None)),
