@@ -173,10 +173,7 @@ class Session:
                 f"{self.folder}: another calibration writes into it; wait until it has ended, or give another folder"
             ) from error
         for path in sorted(self.records.glob("*.csv")):
-            try:
-                about = about_of(path)
-            except (FileFormatError, RecordError):
-                continue
+            about = about_of(path)
             if {"rig", "axis"} <= set(about) and (about["rig"], about["axis"]) != (self.rig.identity, self.rig.axis):
                 raise FileFormatError(
                     f"{self.folder}: holds a record of {about['rig']}, axis {about['axis']}, and this is "
