@@ -111,6 +111,16 @@ def test_a_damaged_record_is_set_aside_and_played_anew(folder, name):
     assert go_on(folder)
 
 
+def test_nothing_that_was_set_aside_is_replaced(folder):
+    aside = folder / "records" / "set-aside"
+    aside.mkdir()
+    (aside / "look.csv").write_text("first")
+    (aside / "look-2.csv").symlink_to(folder / "nowhere")
+    RECORDS["empty"](folder)
+    assert not go_on(folder, [aside / "look-3.csv"])
+    assert (aside / "look.csv").read_text() == "first" and not (folder / "nowhere").exists()
+
+
 def test_no_right_to_read_is_no_record(folder, monkeypatch):
     """As another user than root: its file may not be read, but moved."""
     real = files.opened

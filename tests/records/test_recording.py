@@ -14,7 +14,7 @@ import pytest
 
 from dehyst._errors import FileFormatError, RecordError
 from dehyst.records import Recording, about_of, read
-from dehyst.records.recording import demand_disk_space, unused_path
+from dehyst.records.recording import demand_disk_space
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and limits of POSIX")
 
@@ -151,10 +151,3 @@ def test_room_and_time_are_bounded(tmp_path):
         recording.add(SimpleNamespace(time=longest, voltage=longest, displacement=longest))
         assert time.process_time() - began < 1.0
     assert (tmp_path / "a.csv").stat().st_size < longest.size * 3 * 25 + 1000
-
-
-def test_a_path_that_is_in_use_gets_a_number(tmp_path):
-    assert unused_path(tmp_path / "a.csv") == tmp_path / "a.csv"
-    (tmp_path / "a.csv").touch()
-    (tmp_path / "a-2.csv").symlink_to(tmp_path / "nowhere")
-    assert unused_path(tmp_path / "a.csv") == tmp_path / "a-3.csv"

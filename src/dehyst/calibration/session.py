@@ -17,7 +17,7 @@ from dehyst._io import PathLike, lock, made_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.instruments import AbstractRig, Samples, StepFunction
-from dehyst.records import Columns, Record, Recording, about_of, demand_disk_space, read, unused_path
+from dehyst.records import Columns, Record, Recording, about_of, demand_disk_space, read
 from dehyst.waveforms import Excitation
 
 
@@ -182,7 +182,11 @@ class Session:
 
     def _set_aside(self, path: Path) -> Path:
         """Move a file of records to the folder `set-aside` next to it, and return where it is now."""
-        aside = unused_path(made_folder(path.parent / "set-aside") / path.name)
+        aside, number = made_folder(path.parent / "set-aside") / path.name, 1
+        # A dangling link counts as existing: data written to it would go to another place.
+        while os.path.lexists(aside):
+            number += 1
+            aside = aside.with_name(f"{path.stem}-{number}{path.suffix}")
         try:
             return path.rename(aside)
         except OSError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import itertools
 import json
 import os
 import shutil
@@ -119,8 +118,8 @@ class Recording:
         voltage, displacement = np.transpose(samples.voltage), _MICRO * np.transpose(samples.displacement)
         given = samples.time, *np.atleast_2d(voltage), *np.atleast_2d(displacement), *map(further.get, self.others)
         columns = [np.asarray(values, dtype=np.float64).ravel() for values in given]
-        if len({column.size for column in columns}) > 1 or len(columns) != len(self._columns):
-            sizes = [column.size for column in columns]
+        sizes = [column.size for column in columns]
+        if len(set(sizes)) > 1 or len(sizes) != len(self._columns):
             raise RecordError(f"{self.path}: got {sizes} values, need {len(self._columns)} columns of one length")
         rows = zip(*(map(repr, column.tolist()) for column in columns), strict=True)
         self._write("".join(f"{','.join(row)}\n" for row in rows).encode())
@@ -167,10 +166,3 @@ def demand_disk_space(folder: PathLike, samples: int, columns: int = 3) -> None:
             f"{folder}: {samples} samples need up to {needed / 1e6:.1f} MB, but {free / 1e6:.1f} MB are free; make "
             "room there, or name a place that has some"
         )
-
-
-def unused_path(path: Path) -> Path:
-    """Return the path or, if it exists, the first unused path of path-2, path-3, ..."""
-    names = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(2))
-    # A dangling link counts as existing: data written to it would go to another place.
-    return next(name for name in itertools.chain([path], names) if not os.path.lexists(name))
