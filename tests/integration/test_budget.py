@@ -15,18 +15,18 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1161,
+    "calibration": 1117,
     "cli": 401,
     "control": 4222,
     "exports": 1284,
     "fleet": 311,
     "foundation": 1412,
     "identification": 6018,
-    "instruments": 2645,
+    "instruments": 2489,
     "model": 3517,
     "operations": 3544,
     "paper": 983,
-    "records": 4597,
+    "records": 4596,
     "report": 1494,
     "testing": 346,
     "trust": 2308,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2318,
 }
 HOUSE = {
-    "lines of Python": 38644,
+    "lines of Python": 38443,
     "files of Python": 191,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 35501,
+    "lines of tests": 35178,
     "lines of benchmarks": 4958,
     "words of docs": 27700,
     "public names": 112,

@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ from dehyst.records.formats.column import Column
 from dehyst.records.formats.containers import LINE, LONGEST
 from dehyst.records.record import Channel
 
-_MICRO = 1e6
+_MICRO, _EMPTY = 1e6, MappingProxyType[str, Any]({})
 # Bytes of a number, with a comma or a line end; and of what else a file needs.
 _NUMBER_BYTES, _MARGIN = 25, 1_000_000
 
@@ -57,12 +58,7 @@ class Recording:
     """
 
     def __init__(
-        self,
-        path: PathLike,
-        *,
-        about: Mapping[str, Any] | None = None,
-        others: Sequence[str] = (),
-        axes: Sequence[str] = (),
+        self, path: PathLike, *, about: Mapping[str, Any] = _EMPTY, others: Sequence[str] = (), axes: Sequence[str] = ()
     ) -> None:
         self.path, self.others, self.samples = path_of(path), tuple(others), 0
         measured = [f"v{axis}_V" for axis in axes] + [f"{axis}_um" for axis in axes] or ["voltage_V", "displacement_um"]
@@ -73,7 +69,7 @@ class Recording:
         if self.path.suffix.lower() != ".csv":
             raise FileFormatError(f"{path}: a recording needs the suffix .csv; rename it")
         stated = {"others": [channel.column for channel in channels if channel.role == "other"]} if channels else {}
-        head = to_json({**stated, **(about or {})}, f"{self.path}: about")
+        head = to_json({**stated, **about}, f"{self.path}: about")
         self._failure: FileFormatError | None = None
         try:
             self._stream = self.path.open("xb", buffering=0)
