@@ -3,12 +3,10 @@
 Voltages agree to `EXACT` of the major loop's, displacements to `EXACT` of the range: rounding, not approximation.
 """
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import strategies as our
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import State
@@ -127,22 +125,6 @@ def test_lemma_2(actuator):
     assert close(up + down, up[-1] + down[-1], scales(actuator)[0])
 
 
-@given(our.motions(max_samples=30), our.SEEDS, st.floats(0, 1))
-def test_wiping_out(motion, seed, depth):
-    """Return-point memory: an excursion within the present branch, closed again, leaves no trace."""
-    actuator, state, path = motion
-    path = np.append(path, our.make_path(actuator, state.deformation, seed, "jumps", 1))
-    before, here = np.append(state.deformation, path)[-2:]
-    turn = here + depth * (before - here)
-    inside = here + np.random.default_rng(seed).uniform(0, 1, 10) * (turn - here)
-    plain = actuator.compensate(path, state=state, extrapolate=True)
-    detour = actuator.compensate(np.concatenate([path, [turn], inside, [here]]), state=state, extrapolate=True)
-    volts = EXACT * (our.volts_of(actuator) + np.ptp(detour.voltage))
-    metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(path, state.deformation)))
-    assert same_state(plain.state, detour.state, metres)
-    assert close(detour.voltage[-1], plain.voltage[-1], volts)
-
-
 @given(SOME, our.SEEDS)
 def test_masing(actuator, seed):
     """After a reversal the stops' force follows the virgin curve phi doubled: F_R - 2 phi(u / 2)."""
@@ -157,28 +139,6 @@ def test_masing(actuator, seed):
     assert close(force[50:], force[49] - 2 * phi, scales(actuator)[0])
 
 
-@given(our.motions(max_samples=60), our.SEEDS)
-def test_rate_independence(motion, seed):
-    """Samples held, or added on the way from one to the next, change nothing at the samples that were there."""
-    actuator, state, path = motion
-    rng = np.random.default_rng(seed)
-    v = our.voltages_like(actuator, state, path, seed)
-    for run, drive, first in (
-        (actuator.compensate, path, state.deformation),
-        (actuator.simulate, v, actuator.voltage(state)),
-    ):
-        part = np.sort(rng.uniform(0, 1, (len(drive), 4)), axis=1)
-        part[:, 2:] = 1
-        previous = np.append(first, drive)[:-1, None]
-        slow = np.where(part == 1, drive[:, None], previous + part * (drive[:, None] - previous))
-        fast, slowed = (run(samples, state=state, extrapolate=True) for samples in (drive, slow.ravel()))
-        volts = EXACT * (our.volts_of(actuator) + np.ptp(np.append(fast.voltage, 0)))
-        metres = EXACT * (our.span_of(actuator) + np.ptp(np.append(fast.displacement, state.deformation)))
-        assert close(slowed.voltage[3::4], fast.voltage, volts)
-        assert close(slowed.displacement[3::4], fast.displacement, metres)
-        assert same_state(slowed.state, fast.state, metres)
-
-
 @given(SOME, our.SEEDS, our.SEEDS)
 def test_congruency(actuator, seed, other):
     """Closed loops between the same two displacements differ by a constant voltage, whatever came before."""
@@ -187,26 +147,6 @@ def test_congruency(actuator, seed, other):
     starts = [our.make_state(actuator, s, "arbitrary") for s in (seed, other)]
     loops = [compensated(actuator, np.tile(loop, 2), start)[80:] for start in starts]
     assert close(np.ptp(loops[0] - loops[1]), 0.0, scales(actuator)[0])
-
-
-def through_knots(actuator, path):
-    """Add the spring's knots to a path: between them the trapezoidal rule is exact for the spring."""
-    pieces = [path[:1]]
-    knots = actuator.spring.displacement
-    for a, b in pairwise(path):
-        between = knots[(knots > min(a, b)) & (knots < max(a, b))]
-        pieces += [between if b > a else between[::-1], [b]]
-    return np.concatenate(pieces)
-
-
-@given(our.motions(SOME, max_samples=40))
-def test_dissipation(motion):
-    """No closed loop gives back more than it took."""
-    actuator, state, path = motion
-    assume(path.size > 1)
-    closed = through_knots(actuator, np.append(path, path[0]))[:-1]
-    v = np.array_split(compensated(actuator, np.tile(closed, 2), state), 2)[1]
-    assert loop_area(v, closed) >= -EXACT * np.abs(v).max() * np.ptp(closed) * closed.size
 
 
 @given(SOME, st.floats(0.1, 3))

@@ -25,6 +25,8 @@ from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip, ModelErr
 from dehyst.exports import export
 from dehyst.exports.firmware import CONFIG, CORE, SOURCES, code
 from dehyst.exports.golden_trace import Call, golden_trace
+from dehyst.exports.model_header import ExportedStart
+from dehyst.model import turned
 from examples import NIGHTLY, at_night, spanning
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
@@ -378,3 +380,69 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
     status, said = make(folder, *shlex.split(example))
     assert status == 0, said
     assert "no symbol is needed from outside" in said
+
+
+@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
+def test_the_files_say_where_memory_begins(tmp_path, kind):
+    compensator = KINDS[kind]()
+    export(compensator, tmp_path / "c")
+    outset = ExportedStart.of(compensator)
+    held = compensator.actuator.voltage(compensator._clone().state)
+    assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
+    for file in ("README.md", "piezo.c"):
+        text = (tmp_path / "c" / file).read_text()
+        assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text
+        assert outset.way in text
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_the_way_to_where_memory_begins_leads_there(rising):
+    """Two ways: the words followed on the virtual actuator, and the state that was exported."""
+    actuator = plain_records.plant(10, seed=4)
+    low, high = (
+        actuator.voltage(turned(actuator, 0, rising=False)),
+        actuator.voltage(turned(actuator, plain_records.STROKE)),
+    )
+    state = turned(actuator, plain_records.STROKE if rising else 0, rising=rising)
+    outset = ExportedStart.of(Compensator(actuator, (low, high), state=state))
+    first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
+    assert outset.way.startswith(words)
+    elsewhere = actuator.relaxed(0.5 * (low + high))
+    path = [actuator.voltage(elsewhere), *np.linspace(first, outset.voltage, 50)]
+    reached = actuator.simulate(path, state=elsewhere).displacement[-1]
+    assert reached == pytest.approx(outset.displacement, abs=1e-9 * plain_records.STROKE)
+
+
+def adversary(compensator, steps=200):
+    """Every step reverses and asks for more than there is: all elements break away, all knots are passed."""
+    low, high = compensator.reach
+    far = 10 * (high - low)
+    return np.where(np.arange(steps) % 2, low - far, high + far)
+
+
+@pytest.mark.parametrize("kind", ["plain", at_night("graded"), at_night("creep")])
+def test_a_step_takes_bounded_time(tmp_path, kind):
+    """No step gets longer by those before it, and clamped steps over the whole range are among the longest."""
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    compensator = KINDS[kind]()
+    folder = export(compensator, tmp_path / "c", "float")
+    longest = int(re.search(r"(\d+) instructions", compiled_exports.must_run(["make", "-s", "worst"], folder))[1])
+    clamped, sent = compiled_exports.instructions(folder, adversary(compensator))
+    usual, _ = compiled_exports.instructions(folder, compiled_exports.wishes(compensator, 2000))
+    assert np.all((sent >= compensator.limits[0]) & (sent <= compensator.limits[1]))
+    for side in (0, 1):
+        assert np.ptp(clamped[100 + side :: 2]) <= 0.1 * clamped.max()
+    assert 100 < np.median(usual) < usual.max() <= 1.01 * longest < 20_000
+    assert clamped.max() <= 1.01 * longest
+
+
+def test_feedback_takes_a_few_instructions(tmp_path):
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    compensator = KINDS["plain"]()
+    folder = written(tmp_path / "c", compensator, "float")
+    low, high = compensator.reach
+    path = np.tile(np.concatenate([np.linspace(low, high, 200), np.linspace(high, low, 200)]), 3)
+    alone, _ = compiled_exports.instructions(folder, path)
+    fed, sent = compiled_exports.instructions(folder, path, feeds=True)
+    assert np.median(fed - alone) <= 142
+    assert not np.array_equal(sent[:400], sent[-400:])

@@ -9,6 +9,7 @@ import numpy as np
 import places
 import pytest
 from virtual_loops import record_loops
+from workbench_page import CHROMIUM
 
 import dehyst
 from dehyst import Compensator
@@ -17,7 +18,6 @@ from dehyst.exports import wasm_module
 from dehyst.virtual import PlayActuator
 
 EXTENSIONS = places.DOCS / "_extensions"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 def test_the_actuator_of_the_page_is_the_virtual_one(tmp_path):
@@ -67,32 +67,29 @@ def percents(page):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 @pytest.mark.parametrize("motion", ["reduce", "no-preference"])
-def test_dehyst_follows_and_a_straight_scale_factor_does_not(file, motion):
-    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(reduced_motion=motion)
-        complaints = []
-        page.on("console", lambda message: complaints.append(message.text))
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.goto(file.as_uri())
-        page.locator("#playground.ready").wait_for()
-        button = page.locator("button")
-        assert button.inner_text() == ("Run" if motion == "reduce" else "Pause")
-        for shape in ("sine", "triangle", "beat", "stairs"):
-            page.locator("select").select_option(shape)
-            page.wait_for_timeout(200)
-            straight, own = percents(page)
-            assert straight > 5 and own < 1, shape
-        canvas = page.locator("canvas").last
-        if motion != "reduce":
-            before = canvas.screenshot()
-            page.wait_for_timeout(200)
-            assert canvas.screenshot() != before
-            button.click()
-        # At rest a slider computes its motion at once.
+def test_dehyst_follows_and_a_straight_scale_factor_does_not(browser, file, motion):
+    page = browser.new_page(reduced_motion=motion)
+    complaints = []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(file.as_uri())
+    page.locator("#playground.ready").wait_for()
+    button = page.locator("button")
+    assert button.inner_text() == ("Run" if motion == "reduce" else "Pause")
+    for shape in ("sine", "triangle", "beat", "stairs"):
+        page.locator("select").select_option(shape)
+        page.wait_for_timeout(200)
+        straight, own = percents(page)
+        assert straight > 5 and own < 1, shape
+    canvas = page.locator("canvas").last
+    if motion != "reduce":
         before = canvas.screenshot()
-        page.get_by_label("Frequency (Hz)").fill("3")
+        page.wait_for_timeout(200)
         assert canvas.screenshot() != before
-        browser.close()
+        button.click()
+    # At rest a slider computes its motion at once.
+    before = canvas.screenshot()
+    page.get_by_label("Frequency (Hz)").fill("3")
+    assert canvas.screenshot() != before
+    page.close()
     assert complaints == []

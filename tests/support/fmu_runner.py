@@ -14,6 +14,7 @@ import structured_records
 import dehyst
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
+validate_fmu = pytest.importorskip("fmpy.validation", reason="fmpy is not installed").validate_fmu
 if not sys.platform.startswith("linux") or os.uname().machine != "x86_64" or shutil.which("cc") is None:
     pytest.skip("an FMU's binary is built by a C compiler on Linux x86-64", allow_module_level=True)
 
