@@ -138,7 +138,7 @@ def fmus(tmp_path_factory):
             if kind == "compensator":
                 export(loop, path)
             else:
-                export(replace(loop.actuator, state=loop._initial_state), path, period=loop.period)
+                export(replace(loop.actuator, state=loop._axes[0].given), path, period=loop.period)
             known[key] = path, Path(fmpy.extract(path, folder / path.stem))
         return known[key]
 

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
         Feedback,
         PathPlan,
         Repetition,
-        StageCompensator,
         VoltageLimits,
         plan_path,
         wave_table,
@@ -63,8 +62,7 @@ _ROOM_OF = {
     name: room
     for room, names in {
         "_errors": "DehystError FileFormatError IdentifyError ModelError RecordError RigError",
-        "control": "Bank ClampWarning Compensator Feedback PathPlan Repetition StageCompensator VoltageLimits "
-        "plan_path wave_table",
+        "control": "Bank ClampWarning Compensator Feedback PathPlan Repetition VoltageLimits plan_path wave_table",
         "exports": "export",
         "identification": "Fit Structure identify",
         "calibration": "calibrate",
@@ -80,7 +78,7 @@ _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper",
 __all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "DehystError"]
 __all__ += ["DisplacementCreep", "Dynamics", "Feedback", "FileFormatError", "Fit", "IdentifyError", "MaxwellSlip"]
 __all__ += ["ModelError", "PathPlan", "Record", "RecordError", "Repetition", "RigError", "Spring"]
-__all__ += ["Stage", "StageCompensator", "State", "Structure", "Thermal", "VoltageLimits", "__version__"]
+__all__ += ["Stage", "State", "Structure", "Thermal", "VoltageLimits", "__version__"]
 __all__ += ["calibrate", "check", "compare", "export", "identify", "insight"]
 __all__ += ["plan_path", "read", "update", "wave_table", "write_record"]
 

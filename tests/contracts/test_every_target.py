@@ -100,7 +100,7 @@ BEGINNINGS = {
     "slew rate": {"slew_rate": 5e3},
     "limits": {"limits": (10, 50)},
     "state": {"state": PLAIN.simulate([0.0, 70.0, 20.0, 45.0]).state},
-    "preview": {"actuator": MODELS["dynamics"], "preview": True},
+    "preview": {"model": MODELS["dynamics"], "preview": True},
     "both": {"slew_rate": 5e3, "state": PLAIN.simulate([80.0, 10.0, 30.0]).state},
 }
 
@@ -180,13 +180,13 @@ def test_the_file_of_somebody_else_is_kept(suffix, tmp_path):
 @pytest.mark.parametrize("kind", MODELS)
 @pytest.mark.parametrize("suffix", RUNS)
 def test_an_export_has_the_voltages_of_the_compensator_to_the_bit(suffix, kind, tmp_path):
-    compare(suffix, tmp_path, actuator=MODELS[kind])
+    compare(suffix, tmp_path, model=MODELS[kind])
 
 
 @pytest.mark.parametrize("kind", BEGINNINGS)
 @pytest.mark.parametrize("suffix", RUNS)
 def test_an_export_begins_as_the_compensator(suffix, kind, tmp_path):
-    compare(suffix, tmp_path, **{"actuator": PLAIN, **BEGINNINGS[kind]})
+    compare(suffix, tmp_path, **{"model": PLAIN, **BEGINNINGS[kind]})
 
 
 def compare(suffix, folder, **options):

@@ -230,7 +230,7 @@ def test_wrong_displacements_move_nothing():
 
 def test_a_warning_that_is_an_error_changes_nothing():
     bank = Bank(mixed(5, 4, kinds=("plain", "tau")), slew_rate=1.0, period=PERIOD)
-    here = np.array([compensator.displacement for compensator in bank._each])
+    here = np.array([axis.loop.displacement() for axis in bank._axes])
     away = here - np.array([0, 0, 0.1, 0]) * [np.ptp(actuator.spring.displacement) for actuator in bank.actuators]
     bank.step(here)
     before = bank.snapshot()

@@ -17,7 +17,7 @@ PATH = np.array([2.0, 5.0, 11.0, 7.0, 3.0, 9.0])
 
 
 def pair(units="um", **options):
-    given = {"actuator": ACTUATOR, "limits": (0, 200), **options}
+    given = {"model": ACTUATOR, "limits": (0, 200), **options}
     return Compensator(**given), Compensator(**given, units=units)
 
 
@@ -48,7 +48,7 @@ def test_a_clamped_path_is_reported_in_the_unit():
 
 
 def test_derivatives_are_in_the_unit_too():
-    metres, micro = pair(actuator=anatomy("inertia"), period=1e-4)
+    metres, micro = pair(model=anatomy("inertia"), period=1e-4)
     time = 1e-4 * np.arange(60)
     path = 8 + np.sin(300 * time)
     slope, bend = 300 * np.cos(300 * time), -9e4 * np.sin(300 * time)
@@ -72,8 +72,8 @@ def test_what_strays_is_refused_in_words_of_the_unit():
     micro = pair()[1]
     with pytest.raises(ModelError, match="compensator takes"):
         plan_path(micro, PATH * 1e3)
-    assert micro._strays(PATH) == ""
-    assert "in um" in micro._strays(PATH * 1e3)
+    assert micro._straying(0, 1e-6 * PATH) == ""
+    assert "in um" in micro._straying(0, 1e-3 * PATH)
     with pytest.raises(ModelError, match="displacement: got nan"):
         micro.step(float("nan"))
     with pytest.raises(ModelError, match="units: got 'V'"):
@@ -92,7 +92,7 @@ def test_a_clamp_warning_points_at_the_caller(units):
     with pytest.warns(ClampWarning) as caught:
         for wanted in (3e-6, 5e-6, *np.linspace(5e-6, 15e-6, 200)):
             compensator.step(wanted * scale)
-            compensator._offer_and_reach(wanted * scale)
+            compensator.offer(wanted * scale)
     assert compensator.clamps.limited and compensator.clamps.slewed
     assert len(caught) >= 2 and {warning.filename for warning in caught} == {__file__}
 

@@ -32,12 +32,12 @@ def calls(actuator, **time):
     return {
         "simulate": lambda: actuator.simulate(voltage, **time),
         "compensate": lambda: actuator.compensate(PATH, **time),
-        "follow": lambda: follow(compensator, PATH, **time),
+        "follow": lambda: follow(compensator._axes[0], PATH, **time),
         "plan": lambda: plan_path(compensator, PATH, home=False, **time),
-        "trajectory from a state": lambda: follow(compensator, PATH, state=turned(actuator, 0.0), **time),
-        "trajectory with a velocity": lambda: follow(compensator, PATH, velocity=np.zeros(N), **time),
+        "trajectory from a state": lambda: follow(compensator._axes[0], PATH, state=turned(actuator, 0.0), **time),
+        "trajectory with a velocity": lambda: follow(compensator._axes[0], PATH, velocity=np.zeros(N), **time),
         "trajectory with both": lambda: follow(
-            compensator, PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time
+            compensator._axes[0], PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time
         ),
     }
 
@@ -65,16 +65,16 @@ def test_a_time_that_does_not_fit_is_refused_as_such(kind, wrong):
 @pytest.mark.parametrize("kind", PARTS)
 def test_the_period_is_the_time_base_of_a_trajectory(kind, preview):
     actuator = anatomy(kind)
-    timed = follow(Compensator(actuator), PATH, time=TIME)
-    by_period = follow(Compensator(actuator, period=PERIOD, preview=preview), PATH)
+    timed = follow(Compensator(actuator)._axes[0], PATH, time=TIME)
+    by_period = follow(Compensator(actuator, period=PERIOD, preview=preview)._axes[0], PATH)
     assert np.array_equal(by_period.voltage, timed.voltage)
-    both = follow(Compensator(actuator, period=PERIOD), PATH, time=TIME)
+    both = follow(Compensator(actuator, period=PERIOD)._axes[0], PATH, time=TIME)
     assert np.array_equal(both.voltage, timed.voltage)
 
 
 def test_a_period_is_enough_for_a_slew_rate():
     actuator, rate = anatomy("plain"), 500.0
-    command = follow(Compensator(actuator, slew_rate=rate, period=PERIOD), PATH)
+    command = follow(Compensator(actuator, slew_rate=rate, period=PERIOD)._axes[0], PATH)
     assert np.abs(np.diff(command.voltage)).max() <= rate * PERIOD * (1 + 1e-12)
     assert command.clamped.any()
 
@@ -84,8 +84,8 @@ def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
     uneven = TIME.copy()
     uneven[10] += 0.4 * PERIOD
     for time in (TIME, uneven):
-        without = follow(Compensator(anatomy(kind)), PATH, time=time)
-        command = follow(Compensator(anatomy(kind), period=2 * PERIOD), PATH, time=time)
+        without = follow(Compensator(anatomy(kind))._axes[0], PATH, time=time)
+        command = follow(Compensator(anatomy(kind), period=2 * PERIOD)._axes[0], PATH, time=time)
         assert np.array_equal(command.voltage, without.voltage)
 
 
@@ -99,7 +99,6 @@ def test_loops_ask_for_the_period(kind):
         lambda: Compensator(actuator).hold(),
         lambda: Compensator(actuator).run(PATH),
         lambda: Compensator(actuator).snapshot(),
-        lambda: Compensator(actuator)._tables(),
     ):
         with pytest.raises(ModelError, match=r"give the period \[s\]"):
             call()
@@ -112,7 +111,7 @@ def test_short_paths_answer_or_are_refused(kind):
         for period in (None, PERIOD):
             try:
                 size = np.size(path)
-                assert follow(Compensator(actuator, period=period), path).voltage.shape == (size,)
+                assert follow(Compensator(actuator, period=period)._axes[0], path).voltage.shape == (size,)
             except DehystError:
                 assert period is None or np.ndim(path) != 1 or not np.all(np.isfinite(np.array(path, dtype=float)))
 

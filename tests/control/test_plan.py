@@ -6,7 +6,7 @@ import numpy as np
 import plain_records
 import pytest
 
-from dehyst import Actuator, Compensator, ModelError, Stage, StageCompensator, plan_path
+from dehyst import Actuator, Compensator, ModelError, Stage, plan_path
 from dehyst.model import Identification, turned, with_identification
 
 STEP, DELAY = 5e-3, 0.0172
@@ -80,7 +80,7 @@ def test_a_model_and_its_compensator_give_the_same_plan():
     stage = Stage((PLANT, replace(PLANT, name="other")))
     pairs = (
         (PLANT, Compensator(PLANT, (0, 250), 900.0), WANTED, (0, 250)),
-        (stage, StageCompensator(stage, (0, 250), 900.0), np.column_stack([WANTED, WANTED[::-1]]), (0, 250)),
+        (stage, Compensator(stage, (0, 250), 900.0), np.column_stack([WANTED, WANTED[::-1]]), (0, 250)),
     )
     for model, compensator, wanted, limits in pairs:
         plan = plan_path(model, wanted, time=TIME, limits=limits, slew_rate=900.0)

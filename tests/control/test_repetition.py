@@ -124,7 +124,7 @@ def test_axes_of_a_stage_are_learnt_together():
     aged = dehyst.Stage((AGED, PLANT), coupling=stage.coupling)
     path = np.column_stack([PATH, 0.9 * np.roll(PATH, 60) + 0.05 * STROKE])
     starts = [turned(PLANT, float(y), rising=False) for y in path[0] @ np.linalg.inv(stage.coupling).T]
-    loop = dehyst.StageCompensator(stage, period=PERIOD, limits=(-20, 220), states=starts)
+    loop = dehyst.Compensator(stage, period=PERIOD, limits=(-20, 220), state=starts)
     repetition, states, errors = Repetition(loop, path), starts, []
     for _ in range(6):
         motion = aged.simulate(repetition.next(), states=states)

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dehyst
-from dehyst import Actuator, MaxwellSlip, Spring, Stage, StageCompensator
+from dehyst import Actuator, Compensator, MaxwellSlip, Spring, Stage
 from dehyst.control import PossibleStart, plan_path
+from dehyst.control.coupling import targets_and_clamped
 from dehyst.control.planning.path import plan_voltage
-from dehyst.control.stage_compensator import targets_and_clamped
 from dehyst.model import turned
 
 
@@ -46,7 +46,7 @@ def test_simulating_what_was_compensated_gives_the_path(seed):
 
 def test_a_stage_without_coupling_equals_its_actuators_bit_for_bit():
     wanted, model = path(np.random.default_rng(1)), stage(np.eye(3))
-    loop = StageCompensator(model, slew_rate=[2e4] * 3, period=1e-3)
+    loop = Compensator(model, slew_rate=[2e4] * 3, period=1e-3)
     stepped = np.array([loop.step(row) for row in wanted])
     trace = model.simulate(stepped)
     for j, actuator in enumerate(model.actuators):
@@ -70,8 +70,8 @@ def test_a_clamped_axis_does_not_falsify_the_others():
     """Axis x wants more than its limit allows: y and z follow, which they would not without correction."""
     wanted, model = path(np.random.default_rng(4)), stage()
     limits = [(-150.0, 22.0), (-150.0, 200.0), (-150.0, 200.0)]
-    loop = StageCompensator(model, limits=limits)
-    begin, voltage, clamped = loop.states, [], []
+    loop = Compensator(model, limits=limits)
+    begin, voltage, clamped = loop.state, [], []
     for row in wanted:
         voltage.append(loop.step(row))
         clamped.append(loop.clamped)
@@ -96,7 +96,7 @@ def random_loop(rng, most=0.15):
     np.fill_diagonal(coupling, 1)
     model = Stage(tuple(actuator(scale) for scale in rng.uniform(0.7, 1.4, size)), coupling, tuple("abcd"[:size]))
     limits = [(-150.0, high) for high in rng.uniform(15, 60, size)]
-    return StageCompensator(model, period=1e-3, limits=limits, slew_rate=rng.uniform(100, 2000, size).tolist())
+    return Compensator(model, period=1e-3, limits=limits, slew_rate=rng.uniform(100, 2000, size).tolist())
 
 
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
@@ -111,7 +111,7 @@ def test_each_axis_is_clamped_only_by_its_own_limits(seed):
     # Far from what can be reached, as by a set-point in another unit.
     wanted[rng.random(wanted.shape) < 0.1] *= 30
     for row in wanted:
-        ends = np.array([[own._offer_and_reach(end)[1] for end in (-1e-3, 1e-3)] for own in loop.compensators])
+        ends = np.array([[own.trial(end)[1] for end in (-1e-3, 1e-3)] for own in loop._axes])
         loop.step(row)
         moved = model.decoupling @ loop.displacement
         own = row - (model.coupling - np.eye(size)) @ moved
@@ -127,7 +127,7 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
     rng = np.random.default_rng(seed)
     loop = random_loop(rng)
     wanted = path(rng, 200, len(loop.stage.axes))
-    starts = [PossibleStart("known", (state,)) for state in loop.states]
+    starts = [PossibleStart("known", (state,)) for state in loop.state]
     plan, ran, voltage, clamped = plan_path(loop, wanted, start=starts), loop._clone().run(wanted), [], []
     for row in wanted:
         voltage.append(loop.step(row))
@@ -144,9 +144,9 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
 
 def test_a_path_that_begins_where_one_axis_cannot_go_leads_the_others_to_what_is_wanted():
     model = Stage((actuator(), actuator(1.3)), [[1.0, 0.04], [-0.03, 1.0]])
-    loop = StageCompensator(model, period=1e-2, limits=(-60.0, 120.0), slew_rate=40.0)
+    loop = Compensator(model, period=1e-2, limits=(-60.0, 120.0), slew_rate=40.0)
     wanted = np.column_stack([np.full(100, 4e-6), np.linspace(40e-6, 5e-6, 100)])
-    known = [PossibleStart("known", (compensator.state,)) for compensator in loop.compensators]
+    known = [PossibleStart("known", (state,)) for state in loop.state]
     for homed in (plan_path(loop, wanted, home=True), plan_path(loop, wanted, start=known)):
         assert homed.clamped[:, 1].any()
         assert not homed.clamped[:, 0].any()
@@ -183,8 +183,8 @@ def test_the_search_for_clamped_axes_ends(seed, most):
 def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_be_played():
     """A start of the model beyond the limits is replaced by that of loops within them, whatever was before."""
     model, limits = stage(), (-40.0, 30.0)
-    loop = StageCompensator(model, limits=[limits] * 3)
-    for actuator, axis in zip(model.actuators, loop.compensators, strict=True):
+    loop = Compensator(model, limits=[limits] * 3)
+    for actuator, axis in zip(model.actuators, loop._axes, strict=True):
         for before in ([-100.0], [60.0, -10.0]):
             played = actuator.simulate([*before, *np.tile(limits, 10)]).state
             assert axis.state.deformation == pytest.approx(played.deformation, abs=1e-15)
@@ -194,7 +194,7 @@ def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_b
 
 
 def test_a_clamp_that_is_made_an_error_moves_no_axis():
-    other = StageCompensator(stage(), limits=[(-150.0, 22.0), None, None])
+    other = Compensator(stage(), limits=[(-150.0, 22.0), None, None])
     with warnings.catch_warnings():
         warnings.simplefilter("error", dehyst.ClampWarning)
         before = other.snapshot()
@@ -208,7 +208,7 @@ def test_a_clamp_that_is_made_an_error_moves_no_axis():
 def test_an_offer_that_is_not_committed_changes_nothing():
     wanted, model = path(np.random.default_rng(7)), stage()
     options = {"limits": [(-150.0, 22.0), None, None], "slew_rate": [None, 250.0, None], "period": 1e-3}
-    loop, other = StageCompensator(model, **options), StageCompensator(model, **options)
+    loop, other = Compensator(model, **options), Compensator(model, **options)
     for row in wanted:
         loop.offer(row[::-1].copy())
         assert np.array_equal(loop.step(row), other.step(row))
@@ -220,7 +220,7 @@ def test_after_a_homing_the_state_before_does_not_count(timed):
     wanted, model = path(np.random.default_rng(8)), stage()
     time = 1e-2 * np.arange(len(wanted)) if timed else None
     options = {"limits": [(-60.0, 120.0)] * 3} | ({"slew_rate": [400.0] * 3, "period": 1e-2} if timed else {})
-    homed = plan_path(StageCompensator(model, **options), wanted, time=time, home=True)
+    homed = plan_path(Compensator(model, **options), wanted, time=time, home=True)
     voltage, first, time = homed.voltage, homed.first, homed.time
     assert homed.certified
     assert voltage.min() >= -60.0
@@ -236,10 +236,10 @@ def test_after_a_homing_the_state_before_does_not_count(timed):
 
 def test_what_one_axis_refuses_changes_no_axis():
     model = stage()
-    loop = StageCompensator(model)
+    loop = Compensator(model)
     loop.step(path(np.random.default_rng(9))[0])
     before, snapshot = loop.voltage, loop.snapshot()
-    other = StageCompensator(stage(np.eye(3))).snapshot()
+    other = Compensator(stage(np.eye(3))).snapshot()
     for refused in (
         lambda: loop.commit([1.0, 2.0, 1e9]),
         lambda: loop.reset([None, None, 5]),
@@ -282,15 +282,15 @@ def test_a_file_that_is_wrong_is_refused(change, words):
 
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_a_refused_displacement_withdraws_the_voltage_on_offer():
-    loop = StageCompensator(stage(), period=1e-3)
-    far = np.array([10 * compensator.reach[1] for compensator in loop.compensators])
+    loop = Compensator(stage(), period=1e-3)
+    far = 10 * np.array(loop.reach)[:, 1]
     loop.step(far)
-    before = [compensator.clamps for compensator in loop.compensators]
+    before = loop.clamps
     loop.offer(far)
     with pytest.raises(dehyst.ModelError):
         loop.offer(np.full(far.size, np.nan))
     loop.hold()
-    assert [compensator.clamps for compensator in loop.compensators] == before
+    assert loop.clamps == before
 
 
 @pytest.mark.parametrize("kind", ["stage", "bank"])
@@ -299,9 +299,10 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
 
     def made(**options):
         if kind == "stage":
-            return StageCompensator(model, period=1e-3, **options).compensators
-        return dehyst.Bank(model.actuators, period=1e-3, **options)._each
+            return Compensator(model, period=1e-3, **options)._axes
+        return dehyst.Bank(model.actuators, period=1e-3, **options)._axes
 
+    word = "state" if kind == "stage" else "states"
     pair, state = (0.0, 100.0), turned(model.actuators[0], 3e-6)
     for limits in (pair, list(pair), np.array(pair), [pair], [pair, pair], np.array([pair, pair])):
         assert [compensator.limits for compensator in made(limits=limits)] == [pair] * 2
@@ -309,8 +310,8 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
     for rate, expected in ((5.0, [5.0, 5.0]), ([5.0], [5.0, 5.0]), ([5.0, None], [5.0, None]), (None, [None] * 2)):
         assert [compensator.slew_rate for compensator in made(slew_rate=rate)] == expected
     for states in (state, [state, state]):
-        assert [compensator.state.deformation for compensator in made(states=states)] == [3e-6] * 2
-    for name, wrong in {"limits": [pair] * 3, "slew_rate": [1.0] * 3, "states": [state] * 3}.items():
+        assert [compensator.state.deformation for compensator in made(**{word: states})] == [3e-6] * 2
+    for name, wrong in {"limits": [pair] * 3, "slew_rate": [1.0] * 3, word: [state] * 3}.items():
         with pytest.raises(dehyst.ModelError) as caught:
             made(**{name: wrong})
         assert caught.value.argument == name
@@ -322,10 +323,9 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
 def test_a_path_ahead_has_the_gains_and_offsets_of_the_axes():
     rng = np.random.default_rng(8)
     wanted, model = path(rng), stage()
-    loop = StageCompensator(model)
-    for compensator, gain, offset in zip(loop.compensators, (1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7), strict=True):
-        compensator.scale(gain, offset)
-    starts = [PossibleStart("known", (state,)) for state in loop.states]
+    loop = Compensator(model)
+    loop.scale((1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7))
+    starts = [PossibleStart("known", (state,)) for state in loop.state]
     planned = plan_path(loop, wanted, start=starts)
     stepped = loop.run(wanted)
     np.testing.assert_allclose(planned.voltage[planned.first :], stepped, atol=1e-9)
@@ -353,11 +353,11 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
     assert np.abs(moved - wanted).max() < 1e-15
     assert np.abs(model.simulate(command.voltage, extrapolate=True).displacement - wanted).max() > 1e-8
     for limits in (None, [(-150.0, 35.0), None, None]):
-        loop = StageCompensator(model, limits=limits)
-        starts = [PossibleStart("known", (state,)) for state in loop.states]
+        loop = Compensator(model, limits=limits)
+        starts = [PossibleStart("known", (state,)) for state in loop.state]
         planned = plan_path(loop, wanted, time=np.arange(300.0), temperature=degrees, start=starts)
         voltage = planned.voltage
-        reached = model.simulate(voltage, temperature=degrees, states=loop.states, extrapolate=True).displacement
+        reached = model.simulate(voltage, temperature=degrees, states=loop.state, extrapolate=True).displacement
         np.testing.assert_allclose(planned.expected, reached, atol=1e-13)
         # Axes that are not clamped follow, whatever the temperature of the others.
         assert np.abs(reached - wanted)[:, 1:].max() < 1e-13
@@ -376,12 +376,12 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
 
 
 def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
-    loop = StageCompensator(warm_stage())
-    loop.set_temperature(25.0)
-    before = [compensator._scaling for compensator in loop.compensators]
+    loop = Compensator(warm_stage())
+    loop.scale(temperature=25.0)
+    before = loop.scale()
     for wrong in ([20.0, 20.0], [20.0, 20.0, 900.0, 20.0], [25.0, 20.0, -900.0], np.nan):
         with pytest.raises(dehyst.ModelError, match="temperature"):
-            loop.set_temperature(wrong)
-    assert [compensator._scaling for compensator in loop.compensators] == before
+            loop.scale(temperature=wrong)
+    assert loop.scale() == before
     with pytest.raises(dehyst.ModelError, match="temperature"):
-        StageCompensator(stage()).set_temperature(25.0)
+        Compensator(stage()).scale(temperature=25.0)

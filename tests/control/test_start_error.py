@@ -7,7 +7,7 @@ import plain_records
 import pytest
 import structured_records
 
-from dehyst import Compensator, DisplacementCreep, Dynamics, ModelError, RecordError, Stage, StageCompensator, Thermal
+from dehyst import Compensator, DisplacementCreep, Dynamics, ModelError, RecordError, Stage, Thermal
 from dehyst.control import PossibleStart, StartError, plan_path, wave_table
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.planning.start import model_error
@@ -93,7 +93,7 @@ def test_an_axis_with_a_shorter_homing_waits_before_it_at_its_present_voltage(pr
     plain = replace(PLAIN, identification=known)
     stage, slews = Stage((CREEPING, plain), [[1.0, 0.03], [-0.05, 1.0]]), (100.0, 200.0)
     wanted = STROKE * np.column_stack([0.5 - 0.3 * np.cos(time), 0.5 - 0.2 * np.cos(2 * time)])
-    loop = StageCompensator(stage, slew_rate=slews)
+    loop = Compensator(stage, slew_rate=slews)
     paths = plan_path(loop, wanted, time=time, home=True, present=present)
     paths = paths.each
     first, when = paths[0].first, paths[0].time
@@ -126,7 +126,7 @@ def test_an_axis_with_a_shorter_homing_waits_before_it_at_its_present_voltage(pr
     # The records of this one do not show what it does after so long at one voltage.
     remarks = [path.promise.untested for path in paths[1:]]
     longer = replace(plain, identification=Identification(validity=replace(TESTED, hold=1.01 * waits)))
-    loop = StageCompensator(replace(stage, actuators=(CREEPING, longer)), slew_rate=slews)
+    loop = Compensator(replace(stage, actuators=(CREEPING, longer)), slew_rate=slews)
     tested = plan_path(loop, wanted, time=time, home=True, present=present).promise[1].untested
     assert len(remarks[0]) == len(tested) + 1
 

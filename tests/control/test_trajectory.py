@@ -34,7 +34,7 @@ def times(seed, size):
 def test_only_what_had_to_be_clamped_is_clamped(seed):
     path = wanted(seed)
     start = plain_records.any_state(PLANT, float(path[0]), seed)
-    command = follow(Compensator(PLANT, (LOW, HIGH)), path, state=start)
+    command = follow(Compensator(PLANT, (LOW, HIGH))._axes[0], path, state=start)
     for i in np.flatnonzero(command.clamped):
         assert command.voltage[i] in (LOW, HIGH)
         short = path[i] - command.displacement[i]
@@ -45,7 +45,7 @@ def test_the_actuators_own_limits_are_the_default():
     limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
     assert Compensator(limited).limits == (5.0, 95.0)
     assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
-    command = follow(Compensator(limited), plain_records.path((0, 1, 0)))
+    command = follow(Compensator(limited)._axes[0], plain_records.path((0, 1, 0)))
     assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
 
 
@@ -65,7 +65,7 @@ def test_the_actuators_own_limits_are_the_default():
 )
 def test_refusals(path, given):
     with pytest.raises(ModelError):
-        follow(Compensator(PLANT, (LOW, HIGH), RATE), path, **given)
+        follow(Compensator(PLANT, (LOW, HIGH), RATE)._axes[0], path, **given)
 
 
 WIDE = {
@@ -87,7 +87,7 @@ def test_the_model_is_told_what_was_sent(kind, seed, slewing, size):
     plant = PLANT if kind == "plain" else wider(kind)
     path, time = wanted(seed)[:size], times(seed, 400)[:size]
     compensator = Compensator(plant, (LOW, HIGH), RATE if slewing else None, period=SHORTEST)
-    command = follow(compensator, path, time=time)
+    command = follow(compensator._axes[0], path, time=time)
     motion = plant.simulate(command.voltage, time=time, stack=False, extrapolate=True)
     np.testing.assert_allclose(command.displacement, motion.displacement, atol=1e-9 * plain_records.STROKE)
     np.testing.assert_allclose(command.state.carts, motion.state.carts, atol=1e-9 * plain_records.STROKE)
@@ -109,7 +109,7 @@ def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, sle
     for few in (following._FEW, 0):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(following, "_FEW", few)
-            commands.append(follow(compensator, path, time=time))
+            commands.append(follow(compensator._axes[0], path, time=time))
     first, other = commands
     np.testing.assert_allclose(first.voltage, other.voltage, atol=1e-10 * HIGH)
     np.testing.assert_allclose(first.displacement, other.displacement, atol=1e-10 * plain_records.STROKE)
@@ -131,7 +131,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     plant = wider("all three", dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
     first = plant.compensate(path[:1], time=[0], acceleration=[push]).state
     whole = plant.compensate(path, time=time, state=first)
-    command = follow(Compensator(plant, (-1e4, 1e4)), path, time=time, state=first)
+    command = follow(Compensator(plant, (-1e4, 1e4))._axes[0], path, time=time, state=first)
     np.testing.assert_allclose(command.voltage, whole.voltage, atol=1e-9 * np.ptp(whole.voltage))
     played = plant.simulate(command.voltage, time=time, state=first)
     np.testing.assert_array_equal(command.displacement, played.displacement)
@@ -142,7 +142,7 @@ def test_a_clamped_mass_is_told_as_it_moves():
     time, path = smooth()
     plant = wider("creep", dynamics=Dynamics(1000, 0.3, 2e6))
     high = 0.9 * plant.compensate(path, time=time).voltage.max()
-    command = follow(Compensator(plant, (-1e4, high)), path, time=time, state=plant.state)
+    command = follow(Compensator(plant, (-1e4, high))._axes[0], path, time=time, state=plant.state)
     assert command.clamped.any()
     assert command.voltage.max() == high
     played = plant.simulate(command.voltage, time=time)
@@ -167,7 +167,7 @@ def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kin
     path = offset + gain * inside
     for at in (slice(90), slice(90, None)):
         part = path[at]
-        command, expected = follow(loop, part), follow(plain, inside[at])
+        command, expected = follow(loop._axes[0], part), follow(plain._axes[0], inside[at])
         np.testing.assert_allclose(command.voltage, expected.voltage, rtol=0, atol=1e-9)
         stepped = loop.run(part)
         np.testing.assert_allclose(stepped, plain.run(inside[at]), rtol=0, atol=1e-9)
@@ -179,8 +179,8 @@ def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kin
         assert (command.clamped.any(), sum(loop.clamps)) == (False, 0)
     assert loop.reach == pytest.approx([(offset + gain * end) for end in plain.reach], rel=1e-12)
     far = inside + 2 * np.ptp(plain.reach)
-    assert loop._strays(offset + gain * far)
-    assert not loop._strays(path)
+    assert loop._straying(0, far)
+    assert not loop._straying(0, (path - offset) / gain)
 
 
 @given(st.integers(0, 10**6), *SCALES)
@@ -188,8 +188,8 @@ def test_a_clamped_path_ahead_tells_where_gain_and_offset_lead(seed, gain, offse
     path = offset + gain * wanted(seed)
     loop = Compensator(PLANT, (LOW, HIGH))
     loop.scale(gain, offset)
-    command = follow(loop, path)
-    moved = offset + gain * PLANT.simulate(command.voltage, state=loop._initial_state).displacement
+    command = follow(loop._axes[0], path)
+    moved = offset + gain * PLANT.simulate(command.voltage, state=loop._axes[0].given).displacement
     np.testing.assert_allclose(command.displacement, moved, atol=1e-9 * plain_records.STROKE)
 
 
@@ -201,7 +201,7 @@ def test_a_given_velocity_is_that_of_the_displacement_with_its_gain():
     plain, loop = (Compensator(plant, (-1e4, 1e4), period=1e-3) for _ in range(2))
     loop.scale(1.5, 1e-6)
     given_rates = {"velocity": 9 * velocity, "acceleration": -81 * (inside - 0.5 * plain_records.STROKE)}
-    expected = follow(plain, inside, **given_rates)
-    command = follow(loop, 1e-6 + 1.5 * inside, **{name: 1.5 * rate for name, rate in given_rates.items()})
+    expected = follow(plain._axes[0], inside, **given_rates)
+    command = follow(loop._axes[0], 1e-6 + 1.5 * inside, **{name: 1.5 * rate for name, rate in given_rates.items()})
     np.testing.assert_allclose(command.voltage, expected.voltage, atol=1e-8)
     np.testing.assert_allclose(command.displacement, 1e-6 + 1.5 * expected.displacement, atol=1e-13)

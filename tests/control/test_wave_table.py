@@ -107,7 +107,7 @@ def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
 
 def followed(compensator, path, state):
     """The state after a path."""
-    return follow(compensator, path.displacement, **timed(path), state=state).state
+    return follow(compensator._axes[0], path.displacement, **timed(path), state=state).state
 
 
 def after_two_cycles(compensator, path):

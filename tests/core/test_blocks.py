@@ -57,7 +57,7 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
         kept[:-1],
         kept + b"0",
         b"",
-        loop._model_block(),
+        loop._axes[0].block(),
         compiled_exports.KINDS["creep"]().snapshot(),
     ):
         with pytest.raises(ModelError):
@@ -69,10 +69,10 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
 
 def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
     loop = compiled_exports.plain()
-    block, numbers = loop._model_block(), loop._model_ids()
+    block, numbers = loop._axes[0].block(), loop._axes[0].ids()
     loop.reset(turned(loop.actuator, 0.5 * sum(loop.reach), rising=False))
-    assert loop._model_block() != block
-    assert loop._model_ids() == numbers != compiled_exports.KINDS["creep"]()._model_ids()
+    assert loop._axes[0].block() != block
+    assert loop._axes[0].ids() == numbers != compiled_exports.KINDS["creep"]()._axes[0].ids()
 
 
 def bench(kind, seed):

@@ -94,7 +94,7 @@ def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
     start = fresh.displacement, fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
     if kind == "actuator":  # it has no limits to be brought within
-        asked = evaluator_of(fresh.actuator).complete_state(fresh._initial_state)
+        asked = evaluator_of(fresh.actuator).complete_state(fresh._axes[0].given)
         start = fresh.actuator.displacement(asked), fresh.actuator.voltage(asked)
     with Slave(fmus("mass", kind)[1]) as slave:
         assert tuple(slave.read([INPUT, OUTPUT])) == (start if kind == "compensator" else start[::-1])

@@ -10,7 +10,7 @@ import pytest
 import structured_records
 from compiled_exports import STRICT, need
 
-from dehyst import DisplacementCreep, ModelError, Stage, StageCompensator, Thermal, export
+from dehyst import Compensator, DisplacementCreep, ModelError, Stage, Thermal, export
 from dehyst.exports.firmware import code
 from dehyst.exports.golden_trace import Call, golden_trace
 
@@ -60,7 +60,7 @@ int main(void)
 def plain_stage(**options):
     actuators = tuple(plain_records.plant(count, seed=count) for count in (6, 10, 3))
     limits = options.pop("limits", [(20.0, 180.0), (0.0, 150.0), (40.0, 200.0)])
-    return StageCompensator(Stage(actuators, COUPLING), limits=limits, **options)
+    return Compensator(Stage(actuators, COUPLING), limits=limits, **options)
 
 
 def wide_stage():
@@ -70,7 +70,7 @@ def wide_stage():
     states = [plant.state for plant in plants]
     stage = Stage(tuple(plant.actuator for plant in plants), COUPLING)
     limits = [compiled_exports.LIMITS] * 3
-    return StageCompensator(stage, limits=limits, period=PERIOD, slew_rate=[None, 5e3, 8e3], states=states)
+    return Compensator(stage, limits=limits, period=PERIOD, slew_rate=[None, 5e3, 8e3], state=states)
 
 
 def warm_stage():
@@ -78,11 +78,11 @@ def warm_stage():
     thermals = Thermal(-0.004, 3.3e-9, 24.7), Thermal(-0.002, 0.0, 21.0)
     plants = [plain_records.plant(count, seed=count) for count in (6, 10)]
     actuators = tuple(replace(plant, thermal=part) for plant, part in zip(plants, thermals, strict=True))
-    return StageCompensator(Stage(actuators, COUPLING[:2, :2]), limits=[(20.0, 180.0), (0.0, 150.0)])
+    return Compensator(Stage(actuators, COUPLING[:2, :2]), limits=[(20.0, 180.0), (0.0, 150.0)])
 
 
 def single_axis():
-    return StageCompensator(Stage((plain_records.plant(5),)), limits=[(0.0, 190.0)])
+    return Compensator(Stage((plain_records.plant(5),)), limits=[(0.0, 190.0)])
 
 
 STAGES = {
@@ -136,7 +136,7 @@ def test_random_steps_have_the_same_bits(compensator, tmp_path):
     command = ["gcc", *STRICT, "-O2", *["-DWARM"] * warm, "run.c", "stage.c", "dehyst.c", "-o", "run"]
     compiled_exports.must_run(command, tmp_path)
     # Wide enough that each axis and all are clamped.
-    reach, rng = np.array([axis.reach for axis in compensator.compensators]), np.random.default_rng(5)
+    reach, rng = np.array(compensator.reach), np.random.default_rng(5)
     middle, half = compensator.stage.coupling @ reach.mean(axis=1), np.ptp(reach, axis=1)
     wanted = (middle + half * rng.uniform(-1, 1, (STEPS, half.size))).tolist()
     degrees = rng.uniform(10, 60, (STEPS, half.size)).tolist()
@@ -168,7 +168,7 @@ def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
 def test_axes_of_any_names_compile(axes, tmp_path):
     need("gcc", "make")
     stage = Stage(plain_stage().stage.actuators, COUPLING, tuple(axes.split()))
-    export(StageCompensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", name="table")
+    export(Compensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", name="table")
     assert make(tmp_path / "c", "check")[0] == 0
 
 
@@ -177,4 +177,4 @@ def test_creep_in_displacement_is_refused():
     actuators = [replace(actuator, displacement_creep=creep) for actuator in plain_stage().stage.actuators]
     stage = Stage(actuators, COUPLING)
     with pytest.raises(ModelError, match="creep in displacement"):
-        code(StageCompensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))
+        code(Compensator(stage, limits=[(10.0, 150.0)] * 3, period=PERIOD))

@@ -191,7 +191,7 @@ def test_limits_and_slew_rate_may_be_others(tmp_path):
         "console.log(JSON.stringify([c.limits, c.slewRate, c.period, c.clamps.limited, c.clamps.slewed]))",
         wanted=wanted,
     )
-    loop = Compensator(compensator.actuator, (30, 90), 1e4, period=1e-3, state=compensator._initial_state)
+    loop = Compensator(compensator.actuator, (30, 90), 1e4, period=1e-3, state=compensator._axes[0].given)
     assert np.array_equal(column(folder, "voltage"), loop.run(wanted).view(np.uint64))
     assert json.loads(said) == [[30, 90], 1e4, 1e-3, *loop.clamps]
 

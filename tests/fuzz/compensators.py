@@ -189,7 +189,7 @@ class Life:
             loop.step,
             loop.commit,
             lambda x: loop.run([x]),
-            lambda x: follow(loop, [x], time=[0.0]),
+            lambda x: follow(loop._axes[0], [x], time=[0.0]),
         ):
             # A refused call must move nothing; an accepted one is forgotten again here.
             try:
@@ -255,7 +255,7 @@ class Life:
         self.finite(loop)
 
     def trajectory(self):
-        if self.compensator._previews:
+        if self.compensator._axes[0].previews:
             return
         period, n = self.compensator.period, int(self.rng.choice([1, 2, 5, 80, 200]))
         path = np.array([self.wish() for _ in range(n)])
@@ -263,7 +263,7 @@ class Life:
         if self.rng.random() < 0.4:
             time = np.cumsum(period * self.rng.uniform(0.2, 2, n))
         try:
-            command = follow(self.compensator, path, time=time)
+            command = follow(self.compensator._axes[0], path, time=time)
         except DehystError:
             self.note("trajectories refused")
             return

@@ -47,7 +47,7 @@ def test_a_loop_is_not_begun_anew_while_it_runs():
     compensator = Compensator(PLAIN, (-10.0, 0.3))
     compensator.step(-1e-6)
     snapshot = compensator.snapshot()
-    run = threading.Thread(target=compensator._loop.run, args=(np.full(5_000_000, -1e-6),))
+    run = threading.Thread(target=compensator._axes[0].loop.run, args=(np.full(5_000_000, -1e-6),))
     refusals = 0
     run.start()
     while run.is_alive():

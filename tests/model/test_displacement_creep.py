@@ -83,12 +83,12 @@ def test_a_path_is_followed_as_a_loop_follows_it(slew):
     low, high = CREEPING.reach
     path = low + (high - low) * plain_records.path((0.5, 1, 0, 0.9, 0.2, 0.6), 60) / plain_records.STROKE
     loop, whole = (Compensator(CREEPING, limits, slew, period=period) for _ in range(2))
-    command = follow(whole, path)
-    first = follow(whole, path[:1])
+    command = follow(whole._axes[0], path)
+    first = follow(whole._axes[0], path[:1])
     sent = np.array([loop.step(y) for y in path])
     # The first sample of a path has no step before it.
     np.testing.assert_allclose(command.voltage, sent, rtol=0, atol=0.2)
-    again = CREEPING.simulate(command.voltage, time=period * np.arange(path.size), state=whole._initial_state)
+    again = CREEPING.simulate(command.voltage, time=period * np.arange(path.size), state=whole._axes[0].given)
     np.testing.assert_allclose(again.displacement, command.displacement, rtol=0, atol=1e-15)
     assert command.clamped.any() and first.voltage.size == 1
 
@@ -122,12 +122,12 @@ def test_gain_and_offset_of_a_loop_are_inverted_and_kept(actuator):
     low, high = plain.reach
     path = np.random.default_rng(3).uniform(low + 0.2 * (high - low), high - 0.2 * (high - low), 200)
     loop.scale(1.05, 0.1)
-    assert loop._scaling == (1.05, 0.1)
+    assert loop.scale() == (1.05, 0.1)
     sent = np.array([loop.step(1e6 * (0.1e-6 + 1.05 * y)) for y in path])
     np.testing.assert_allclose(sent, plain.run(path), rtol=0, atol=1e-9)
     other = Compensator(actuator, (0, 200), period=1e-3, units="um")
     other.restore(loop.snapshot())
-    assert other.step(5.0) == loop.step(5.0) and other._scaling == pytest.approx((1.05, 0.1))
+    assert other.step(5.0) == loop.step(5.0) and other.scale() == pytest.approx((1.05, 0.1))
     assert other.snapshot() == loop.snapshot()
     with pytest.warns(ClampWarning):
         loop.step(1e3)
@@ -155,7 +155,7 @@ def test_a_loop_follows_a_temperature():
     path, warm = smooth(time), 25 + 15 * np.sin(2 * time)
     loop = Compensator(THERMAL, (0, 200), period=1e-3, state=state)
     sent = np.array([loop.step(y, temperature) for y, temperature in zip(path, warm, strict=True)])
-    assert loop._scaling == pytest.approx((1 + 0.004 * (warm[-1] - 25), 2e-9 * (warm[-1] - 25)))
+    assert loop.scale() == pytest.approx((1 + 0.004 * (warm[-1] - 25), 2e-9 * (warm[-1] - 25)))
     reference = np.concatenate([[THERMAL.displacement(state)], (path - 2e-9 * (warm - 25)) / (1 + 0.004 * (warm - 25))])
     exact = CREEPING.compensate(reference, time=1e-3 * np.arange(301), state=state).voltage[1:]
     np.testing.assert_allclose(sent, exact, rtol=0, atol=1e-9)

@@ -74,7 +74,7 @@ def actuator_voltages(model):
 def displacements(model, volts, start=None):
     """Of `Actuator.simulate`, from the start state on."""
     compensator = ALL[model]
-    actuator, start = compensator.actuator, compensator._initial_state if start is None else start
+    actuator, start = compensator.actuator, compensator._axes[0].given if start is None else start
     given = np.append(actuator.voltage(start), volts)
     time = np.arange(given.size) * PERIOD if compensator.period else None
     return actuator.simulate(given, time=time, state=start).displacement[1:]

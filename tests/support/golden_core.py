@@ -36,7 +36,7 @@ def text():
     low, high = compensator.reach
     t = np.arange(240) / 240
     wanted = low + (high - low) * (0.5 + 0.6 * np.sin(11 * t) * np.cos(37 * t))
-    block = compensator._model_block()
+    block = compensator._axes[0].block()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         first = compensator.run(wanted[:SAVED_AT])

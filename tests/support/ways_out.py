@@ -18,7 +18,7 @@ from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
-from dehyst.control import PossibleStart, StageCompensator, plan_path, wave_table
+from dehyst.control import PossibleStart, plan_path, wave_table
 from dehyst.control.following import follow
 from dehyst.model import DisplacementCreep, Dynamics, Stage, turned, with_identification
 from dehyst.waveforms import Excitation
@@ -198,7 +198,7 @@ class Life:
             options["time"] = time = self.clock(path.size)
             intervals[1:] = np.diff(time)
             intervals[0] = min([self.period, *intervals[1:2]])
-        command = follow(self.loop, path, **options)
+        command = follow(self.loop._axes[0], path, **options)
         self.hold_against("follow", command.voltage, present, intervals)
 
     def home(self):
@@ -244,7 +244,7 @@ class Life:
         coupling = np.array([[1, 0.1], [-0.05, 1]])
         slews = [self.slew, None]
         stage = Stage((self.actuator, other), coupling, ("x", "y"))
-        loop = StageCompensator(stage, period=self.period, slew_rate=slews)
+        loop = Compensator(stage, period=self.period, slew_rate=slews)
         present = float(loop.voltage[0])
         wanted = np.column_stack([self.path(20), np.full(20, np.mean(other.reach))])
         stepped = np.array([loop.step(row) for row in wanted])
@@ -254,11 +254,11 @@ class Life:
         stage = Stage((self.actuator, replace(self.actuator, name="y")), np.array([[1, 0.1], [-0.05, 1]]), ("x", "y"))
         if self.kind == "creep":
             return
-        loop = StageCompensator(stage, period=self.period, slew_rate=[self.slew] * 2)
+        loop = Compensator(stage, period=self.period, slew_rate=[self.slew] * 2)
         time = self.period * np.arange(40)
         wanted = np.column_stack([self.path(40), self.path(40)])
         known = bool(self.rng.integers(2))
-        start = [PossibleStart("given", (state,)) for state in loop.states] if known else None
+        start = [PossibleStart("given", (state,)) for state in loop.state] if known else None
         homed = plan_path(loop, wanted, time=time, start=start, home=True)
         voltage = homed.voltage
         present = loop.voltage if known else np.full(2, min(max(0.0, self.low), self.high))
@@ -285,7 +285,7 @@ class Life:
             waits.update({(at := len(rig.instrument.sent)): waits.get(at, 0.0) + seconds}),
             wait(seconds),
         )
-        command = follow(self.loop, self.path(40))
+        command = follow(self.loop._axes[0], self.path(40))
         with contextlib.suppress(DehystError):
             rig.play(Excitation("path", command.voltage, 1 / self.period), lambda _: None)
         sent = np.array(rig.instrument.sent)

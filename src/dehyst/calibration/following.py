@@ -18,9 +18,7 @@ from dehyst.control import (
     Feedback,
     PathPlan,
     Repetition,
-    StageCompensator,
     VoltageLimits,
-    axes_of,
     plan_path,
 )
 from dehyst.instruments import AbstractRig, StepFunction
@@ -127,23 +125,18 @@ class FollowedPath:
         rows = wanted if self._several else wanted[:, 0]
         return plan_path(self._compensator(None), rows, home=True, on_time=True, **given)
 
-    def _compensator(self, states: Any, *, preview: bool = False) -> Compensator | StageCompensator:
+    def _compensator(self, states: Any, *, preview: bool = False) -> Compensator:
         """Return a compensator within the bounds that begins in these states, at the temperature of the path.
 
         `preview`: of a single axis, whether it compensates lag and resonance.
         """
         limits, slews = [(bound.low, bound.high) for bound in self.bounds], [bound.slew_rate for bound in self.bounds]
-        loop: Compensator | StageCompensator
-        if isinstance(self.model, Stage):
-            loop = StageCompensator(self.model, limits, slews, period=1 / self.rate, states=states)
-        else:
-            ahead = preview and (self.model.delay > 0 or self.model.dynamics is not None)
-            given: dict[str, Any] = {"period": 1 / self.rate, "state": states, "preview": ahead, "warns": False}
-            loop = Compensator(self.model, limits[0], slews[0], **given)
-        for part in axes_of(loop) if self.temperature is not None else ():
-            if part.actuator.thermal is not None:
-                gain, offset = part.actuator.thermal.scale(float(np.mean(self.temperature)), 1)
-                part.scale(float(np.ravel(gain)[0]), float(np.ravel(offset)[0]))
+        single = None if isinstance(self.model, Stage) else self.model
+        ahead = preview and single is not None and (single.delay > 0 or single.dynamics is not None)
+        given: dict[str, Any] = {"period": 1 / self.rate, "state": states, "preview": ahead, "warns": single is None}
+        loop = Compensator(self.model, limits, slews, **given)
+        if self.temperature is not None and any(actuator.thermal for actuator in loop.stage.actuators):
+            loop.scale(temperature=float(np.mean(self.temperature)))
         return loop
 
     def _even(self, plan: PathPlan) -> tuple[Array, Array]:
@@ -172,7 +165,7 @@ class FollowedPath:
         lead = self._plan(np.repeat(wanted[:1], 2, axis=0), present)
         self._play(player, *self._even(lead), 0)
         loop = self._compensator(lead.state)
-        corrected, ahead = Feedback(loop), iter(wanted[:, 0].tolist())  # type: ignore[arg-type]
+        corrected, ahead = Feedback(loop), iter(wanted[:, 0].tolist())
         volts = np.reshape(plan.voltage[-len(wanted) :], wanted.shape)
 
         def step(measured: float | None) -> float:
@@ -214,6 +207,6 @@ class FollowedPath:
         return TrackedPath(time, wanted[:, 0], got[:, 0], float(self._strokes[0]))
 
 
-def _clamps(loop: Compensator | StageCompensator) -> int:
+def _clamps(loop: Compensator) -> int:
     """Return the number of samples that were clamped or slewed."""
-    return sum(part.clamps.limited + part.clamps.slewed for part in axes_of(loop))
+    return int(np.sum(loop.clamps))

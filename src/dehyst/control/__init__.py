@@ -1,7 +1,8 @@
 """Control: from a wanted displacement to the voltage that produces it."""
 
+from dehyst.control.axis import Axis
 from dehyst.control.bank import Bank
-from dehyst.control.compensator import Compensator, model_block
+from dehyst.control.compensator import Compensator, model_block, only_axis
 from dehyst.control.feedback import Feedback
 from dehyst.control.limits import Clamps, ClampWarning, SensorFault, SensorWarning, VoltageLimits, outside_identified
 from dehyst.control.planning.homing import Homing, shortest_homing
@@ -10,7 +11,6 @@ from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart, StartError, model_error
 from dehyst.control.planning.wave_table import WaveTable, wave_table
 from dehyst.control.repetition import Repetition
-from dehyst.control.stage_compensator import StageCompensator, axes_of
 
 __all__ = [
     "Bank",
@@ -23,7 +23,6 @@ __all__ = [
     "Repetition",
     "SensorFault",
     "SensorWarning",
-    "StageCompensator",
     "StartError",
     "VoltageLimits",
     "WaveTable",

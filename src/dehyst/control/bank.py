@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,13 @@ from dehyst._errors import ModelError
 from dehyst._native import Bank as Loops
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import FARTHEST
-from dehyst.control.limits import ClampWarning
-from dehyst.control.stage_compensator import Compensators, each_of
+from dehyst._validation import FARTHEST, for_each
+from dehyst.control.axis import axes_of, restore_all
+from dehyst.control.limits import Clamps, ClampWarning
 from dehyst.model import Actuator, State
 
 
-class Bank(Compensators):
+class Bank:
     """Many actuators: wanted displacements in, voltages within limits out, or voltages in and displacements out.
 
     In arrays, each row is a sample and each column an actuator. Every actuator has its own memory, limits and slew
@@ -71,8 +72,9 @@ class Bank(Compensators):
             raise ModelError("actuators: got none, need one at least")
         names = [f"actuator {i}" for i in range(len(self.actuators))]
         # The bank warns, of all actuators at once.
-        given = {"limits": limits, "slew_rate": slew_rate, "states": states}
-        self._each = each_of(self.actuators, names, period, runs=True, **given)
+        begins = for_each(states, len(self.actuators), "states")
+        given = {"limits": limits, "slew_rate": slew_rate, "state": begins}
+        self._axes = axes_of(self.actuators, names, period, **given, runs=True)
         self._warned: set[str] = set()
         self.reset()
 
@@ -127,8 +129,8 @@ class Bank(Compensators):
             As `step`.
         """
         wanted = self._table(displacement, "displacement")
-        for i, compensator in enumerate(self._each):
-            if sentence := compensator._straying(wanted[:, i]):
+        for i, axis in enumerate(self._axes):
+            if sentence := axis.strays(wanted[:, i]):
                 raise ModelError(f"actuator {i}: {sentence}")
         result = np.empty(wanted.shape)
         self._follow(wanted, result)
@@ -149,11 +151,31 @@ class Bank(Compensators):
             raise ModelError(f"voltage: {refused} of {played.size} cause displacements too large to compute with")
         return result
 
+    @property
+    def states(self) -> tuple[State, ...]:
+        """State of each actuator after all voltages sent."""
+        return tuple(axis.state for axis in self._axes)
+
+    @property
+    def clamps(self) -> tuple[Clamps, ...]:
+        """Numbers of samples clamped so far, of each actuator."""
+        return tuple(axis.clamps for axis in self._axes)
+
+    def snapshot(self) -> tuple[bytes, ...]:
+        """Return the whole memory, one snapshot for each actuator."""
+        return tuple(axis.snapshot() for axis in self._axes)
+
+    def restore(self, snapshots: Sequence[bytes]) -> None:
+        """Continue from `snapshots`, one for each actuator.
+
+        Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
+        """
+        restore_all(self._axes, snapshots)
+
     def reset(self) -> None:
         """Return to the initial states and set the counts of clamped samples to 0."""
-        for compensator in self._each:
-            compensator.reset()
-        self._loops = Loops([compensator._loop for compensator in self._each])
+        self._axes = tuple(replace(axis) for axis in self._axes)
+        self._loops = Loops([axis.loop for axis in self._axes])
 
     @property
     def _counts(self) -> tuple[int, int, int]:
@@ -171,7 +193,7 @@ class Bank(Compensators):
             if now == then or kind in self._warned:
                 continue
             i = int(np.argmax(clamped))
-            sentence = self._each[i]._straying(wanted[:, i])
+            sentence = self._axes[i].strays(wanted[:, i])
             more = f". {sentence}" if sentence else ""
             words = f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}"
             try:

@@ -1,28 +1,27 @@
-"""The compensator: the voltage for a wanted displacement, sample by sample or for a whole path, within limits."""
+"""The compensator: the voltages for wanted displacements, sample by sample or for a whole path, within limits."""
 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
-from dehyst._native import CoreError, CoreState, Loop, checked
 from dehyst._types import Array
 from dehyst._units import per_metre
-from dehyst._validation import interval, keep, number, vector
-from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_run
-from dehyst.control.loop import ReadOnly, make_loop, memory_of, preview_filter, set_memory
-from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits
+from dehyst._validation import for_each, keep, number, plain, vector
+from dehyst.control.axis import Axis, axes_of, refusal, restore_all, unchanged_by_errors
+from dehyst.control.coupling import targets_and_clamped
+from dehyst.control.limits import Clamps, warn_of_run, warn_of_sample
+from dehyst.model import Actuator, Stage, State, apply, dot, evaluator_of, state_after_loops
 
 
-class Compensator(ReadOnly):
-    """Inverse control of the hysteresis within voltage limits (Eqs. 11-12).
+class Compensator:
+    """Inverse control of the hysteresis of one axis, or of several coupled axes, within voltage limits (Eqs. 11-12).
 
     In a loop, `step` takes the presently wanted displacement and returns the voltage to send. A voltage beyond the
     limits is clamped and counted, with a warning, and the memory follows the voltage that is really sent::
@@ -31,29 +30,35 @@ class Compensator(ReadOnly):
         for wanted in path:
             dac.write(compensator.step(wanted))
 
-    With ``units="um"``, all displacements that the compensator takes or returns are in micrometres.
+    With ``units="um"``, all displacements that the compensator takes or returns are in micrometres. If writing may fail
+    or change the voltage, use `offer` and `commit` instead of `step`.
 
-    If writing may fail or change the voltage, use `offer` and `commit` instead of `step`.
+    Of a `Stage`, displacements and voltages are (axes,), in a path (n, axes), and what is marked with * is a tuple with
+    one entry for each axis. Each actuator follows ``w = coupling^-1 y``. A clamped axis does not disturb the others: as
+    the displacement of its actuator is known, ``w = coupling^-1 y`` is solved for what it misses and for the targets of
+    the free axes. If a corrected target is clamped too, that axis joins the clamped ones; an axis that was clamped only
+    because of what another one cannot reach leaves them.
 
     Parameters
     ----------
-    actuator : Actuator
-    limits : (float, float), optional
-        Lowest and highest voltage [V]; default: the actuator's, usually the range of its training records.
-    slew_rate : float, optional
-        Largest abs(dv/dt) [V/s] between samples; default: not limited.
+    model : Actuator or Stage
+    limits : (float, float), or one an axis, optional
+        Lowest and highest voltage [V]; default (None): the actuator's, usually the range of its training records.
+    slew_rate : float, or one an axis, optional
+        Largest abs(dv/dt) [V/s] between samples; default (None): not limited.
     period : float, optional
         Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
-    state : State, optional
+    state : State, or one an axis, optional
         Initial state of the actuator, e.g. after a homing. If its voltage lies outside the limits, the actuator is
         assumed to have moved to the nearest limit. Default: the actuator's own, for an identified model the top of its
-        records, so that the first voltages lie near the highest. `voltage` is the assumed voltage before any step, and
-        a `ClampWarning` of the first step names it; `reset` begins in another state.
+        records, so that the first voltages lie near the highest; of a stage, if this is outside the limits, the state
+        after major loops between the limits. `voltage` is the assumed voltage before any step, and a `ClampWarning` of
+        the first step names it; `reset` begins in another state.
     units : str, optional
         Unit of all displacements that this compensator takes and returns: "m" (default), "mm", "um", "nm" or "pm".
         Velocities and accelerations follow. A `state` is in SI units always.
     preview : bool, optional
-        Compensate the actuator's delay and inertia too. A step then takes the displacement that is wanted
+        Compensate the delay and inertia of a single axis too. A step then takes the displacement that is wanted
         `samples_ahead` samples later. By default it takes the presently wanted displacement, and delay and inertia are
         not compensated.
     warns : bool, optional
@@ -61,143 +66,187 @@ class Compensator(ReadOnly):
 
     Attributes
     ----------
-    actuator, limits, slew_rate, period, units
-        As given; limits are a pair of floats.
+    model, period, units
+        As given.
+    actuator : Actuator
+        Of a single axis only.
+    stage : Stage
+        Of several axes as given; of a single axis a stage of its own.
+    limits, slew_rate *
+        Limits are a pair of floats.
+    clamped : tuple of bool
+        Which of several axes were clamped in the last step or offer.
 
     Raises
     ------
     ModelError
-        If there are no limits, or they are not an interval, a number is not positive, the state does not fit the
-        actuator, a period is missing or too long for a resonance, or the unit is not a length.
+        If there are no limits, or they are not an interval, a number is not positive, a state does not fit the
+        actuator, a period is missing or too long for a resonance, the unit is not a length, a list has another length
+        than the axes, or several axes are to have a preview. An error of one of several axes names it.
     """
 
+    model: Any
     actuator: Actuator
-    limits: tuple[float, float]
-    slew_rate: float | None
+    stage: Stage
     period: float | None
-    _previews: bool
     units: str
-    _bounds: VoltageLimits
-    _initial_state: State
-    _start: State
-    _assumed: bool
+    limits: Any
+    slew_rate: Any
+    clamped: tuple[bool, ...]
+    _axes: tuple[Axis, ...]
+    _single: bool
     _warns: bool
     _per_metre: float
+    _table: list[list[float]]
 
     def __init__(
         self,
-        actuator: Actuator,
-        limits: Sequence[float] | None = None,
-        slew_rate: float | None = None,
+        model: Actuator | Stage,
+        limits: Any = None,
+        slew_rate: Any = None,
         *,
         period: float | None = None,
-        state: State | None = None,
+        state: Any = None,
         preview: bool = False,
         units: str = "m",
         warns: bool = True,
     ) -> None:
-        if not isinstance(actuator, Actuator):
-            raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
-        bounds = VoltageLimits(*allowed_limits(actuator, limits), slew_rate)
-        seconds = None if period is None else number(period, "period")
-        if seconds is not None and seconds <= 0:
-            raise ModelError(argument="period", got=period, need="a positive number of seconds")
+        if not isinstance(model, Actuator | Stage):
+            raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
+        single = isinstance(model, Actuator)
+        stage = Stage((model,)) if isinstance(model, Actuator) else model
         if preview and period is None:
             raise ModelError("preview needs the time between steps", hint="give the period [s]", change=("period",))
-        keep(self, actuator=actuator, period=seconds, _previews=bool(preview), units=units, _bounds=bounds)
-        keep(self, limits=(bounds.low, bounds.high), slew_rate=bounds.slew_rate)
-        keep(self, _warns=bool(warns), _per_metre=per_metre(units))
-        self.reset(actuator.state if state is None else state)
-        keep(self, _assumed=state is None)
+        if preview and not single:
+            raise ModelError(argument="preview", got="it for several axes", need="a single axis")
+        scale = per_metre(units)
+        # The compensator itself warns of several axes, with the displacement that is wanted of the axis.
+        own: dict[str, Any] = {"previews": bool(preview), "warns": bool(warns), "per_metre": scale} if single else {}
+        names = [""] if single else [f"axis {name}" for name in stage.axes]
+        axes = axes_of(stage.actuators, names, period, limits=limits, slew_rate=slew_rate, state=state, **own)
+        if not single:
+            axes = tuple(replace(axis, given=_within_loops(axis)) for axis in axes)
+        keep(self, model=model, stage=stage, period=axes[0].period, units=units, _axes=axes, _single=single)
+        keep(self, limits=self._shaped(axis.limits for axis in axes), _warns=bool(warns), _per_metre=scale)
+        keep(self, slew_rate=self._shaped(axis.slew_rate for axis in axes), clamped=(False,) * len(axes))
+        keep(self, _table=stage.decoupling.tolist(), **({"actuator": model} if single else {}))
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"{name} cannot be set; make another Compensator")
 
     def __repr__(self) -> str:
-        slew = "" if self.slew_rate is None else f", {self.slew_rate:g} V/s"
         period = "" if self.period is None else f", every {self.period:g} s"
-        return (
-            f"<Compensator of {self.actuator.name!r}, {self._bounds.words}{slew}{period}, now at {self.voltage:.6g} V, "
-            f"{self.clamps.limited} limited, {self.clamps.slewed} slewed>"
-        )
+        return f"<Compensator of {self.model.name!r}{''.join(map(self._words, self.stage.axes, self._axes))}{period}>"
+
+    def _words(self, name: str, axis: Axis) -> str:
+        """Return limits, slew rate, voltage and clamped samples of an axis in words, for `repr`."""
+        head, slew = "" if self._single else f"{name}: ", "" if axis.slew_rate is None else f", {axis.slew_rate:g} V/s"
+        counts = f"{axis.clamps.limited} limited, {axis.clamps.slewed} slewed"
+        return f", {head}{axis.bounds.words}{slew}, now at {axis.voltage:.6g} V, {counts}"
 
     def __reduce__(self) -> tuple[Callable[..., Compensator], tuple[object, ...]]:
         """Return how to copy and unpickle the compensator, with its memory."""
-        return _rebuilt, (self._options(), self.snapshot() if self._running else None)
+        return _rebuilt, (self._options(), self.snapshot() if any(axis.running for axis in self._axes) else None)
 
     def _options(self) -> dict[str, Any]:
-        options = {name: getattr(self, name) for name in ("actuator", "limits", "slew_rate", "period", "units")}
-        state = None if self._assumed else self._initial_state
-        return options | {"preview": self._previews, "state": state, "warns": self._warns}
+        options = {name: getattr(self, name) for name in ("model", "limits", "slew_rate", "period", "units")}
+        states = [None if axis.assumed else axis.given for axis in self._axes]
+        return options | {"preview": self._axes[0].previews, "state": states, "warns": self._warns}
 
-    def step(self, displacement: float, temperature: float | None = None) -> float:
+    def _clone(self, units: str | None = None) -> Compensator:
+        """Return a copy in the state at construction or the last reset, by default with the same `units`."""
+        return Compensator(**self._options() | ({} if units is None else {"units": units}))
+
+    def _shaped(self, values: Any) -> Any:
+        """Return the only one of values, or of several axes a tuple of all."""
+        each = tuple(values)
+        return each[0] if self._single else each
+
+    def step(self, displacement: Any, temperature: Any = None) -> Any:
         """Return the voltage [V] to send for a `displacement` [m, or `units`], and commit it.
 
-        `temperature` [degC], for an actuator with the part `thermal`: it holds from this step until another
-        temperature is given; before, the reference temperature holds. It sets `scaling`.
+        `temperature` [degC]: as in `scale`; it holds from this step on.
 
         Raises
         ------
         ModelError
-            If the displacement is not finite, or the temperature is refused: the memory is unchanged, and no time has
-            passed.
+            If a displacement is not finite or their number is wrong, or the temperature is refused: the memory is
+            unchanged, and no time has passed.
 
         Warns
         -----
         ClampWarning
-            Once for limits and once for the slew rate. If the warning is made an error, the memory is unchanged.
+            Once for limits and once for the slew rate, of each axis. If the warning is made an error, the memory is
+            unchanged.
         """
         if temperature is not None:
-            with unchanged_by_errors(self):
+            with unchanged_by_errors(*self._axes):
                 self.scale(temperature=temperature)
                 return self.step(displacement)
-        return self._called(self._loop.step, displacement)
+        if not self._single:
+            voltage = self.offer(displacement)
+            for axis, value in zip(self._axes, voltage.tolist(), strict=True):
+                axis.commit(value)
+            return voltage
+        axis = self._axes[0]
+        if "step" not in self.__dict__:
+            # From now on a step without a frame of Python; it must not keep this object alive.
+            here = weakref.proxy(self)
+            axis.loop.slow = lambda wanted, degrees: Compensator.step(here, wanted, degrees)
+            self.__dict__["step"] = axis.loop.quick
+        return axis.call(axis.loop.step, displacement)
 
-    def offer(self, displacement: float) -> float:
+    def offer(self, displacement: Any) -> Any:
         """Return the voltage [V] for a `displacement` [m, or `units`], without commit. Raises and warns as `step`."""
-        return self._called(self._loop.offer, displacement)
+        axes = self._axes
+        if self._single:
+            return axes[0].call(axes[0].loop.offer, displacement)
+        # As with one axis, a displacement that is refused takes the place of the one on offer.
+        for axis in axes:
+            axis.loop.withdraw()
+        wanted = [value / self._per_metre for value in self._values(displacement, "displacement")]
+        voltage, alone = [0.0] * len(axes), [dot(row, wanted) for row in self._table]
 
-    @staticmethod
-    def _called(call: Callable[[float], float], displacement: float) -> float:
-        """Return the voltage [V] of a call of the loop for a displacement [m, or `units`]."""
-        try:
-            return call(displacement)
-        except TypeError:
-            return call(number(displacement, "displacement"))
-        except CoreError as error:
-            raise _refusal(displacement) from error
+        def trial(j: int, target: float) -> float | None:
+            voltage[j], reached = axes[j].trial(target)
+            return reached
 
-    def _offer_and_reach(self, displacement: float) -> tuple[float, float | None]:
-        """Return the voltage [V] of `offer` and, if it is clamped, the displacement [m, or `units`] that it causes.
+        known = targets_and_clamped(self._table, wanted, trial)[1]
+        keep(self, clamped=tuple(j in known for j in range(len(axes))))
+        for j in known if self._warns else ():
+            axis, name = axes[j], self.stage.axes[j]
+            slewed = axis.limits[0] < voltage[j] < axis.limits[1]
+            # Once of each kind.
+            if not (axis.clamps.slewed if slewed else axis.clamps.limited):
+                target = float(axis.in_model(np.array(alone[j])))
+                own = axis.actuator, axis.bounds, slewed, wanted[j], voltage[j], axis.assumed_voltage
+                warn_of_sample(*own, axis=name, target=target)
+        return np.array(voltage)
 
-        The displacement is None if the voltage is not clamped. A mass is assumed to be at rest. Raises and warns as
-        `offer`.
-        """
-        voltage = self.offer(displacement)
-        reached, clamped = self._loop.trial()
-        return voltage, reached * self._per_metre if clamped else None
-
-    def commit(self, voltage: float) -> None:
+    def commit(self, voltage: Any) -> None:
         """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.
 
         Raise `ModelError` if it is not finite, or so far outside the limits that the next step could not return within
         the slew rate, or by more than their distance: the memory is unchanged.
         """
-        try:
-            self._loop.commit(number(voltage, "voltage"))
-        except CoreError as error:
-            raise ModelError(
-                f"got {voltage:g} V, too far outside the limits {self._bounds.words} to return in one step",
-                argument="voltage",
-                hint="give the voltage that was really sent, in volts; if it was that, ramp to the limits first",
-            ) from error
+        values = self._values(voltage, "voltage")
+        if self._single:
+            self._axes[0].commit(values[0])
+            return
+        with unchanged_by_errors(*self._axes):
+            for axis, value in zip(self._axes, values, strict=True):
+                axis.commit(value)
 
     def hold(self) -> None:
         """Commit a period in which nothing was sent: the last voltage still acts."""
-        self._loop.commit(self._loop.sent())
+        for axis in self._axes:
+            axis.loop.commit(axis.loop.sent())
 
     def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
 
-        A path of 1000 samples or more is computed in blocks: where no voltage is clamped, and without preview, lag and
-        inertia, these agree with `step` to rounding. All others are those of `step` to the bit.
+        A path of 1000 samples or more of a single axis is computed in blocks: where no voltage is clamped, and without
+        preview, lag and inertia, these agree with `step` to rounding. All others are those of `step` to the bit.
 
         Raises
         ------
@@ -209,108 +258,79 @@ class Compensator(ReadOnly):
         ClampWarning
             As `step`.
         """
-        wanted, begin = self._in_metres(displacement), self._assumed_voltage
-        with unchanged_by_errors(self):
-            before = self._loop.counts()
-            voltage = self._loop.run(wanted)
-            limited, slewed, refused = (int(n) for n in np.subtract(self._loop.counts(), before))
+        if not self._single:
+            rows = self._rows(displacement, "displacement")
+            with unchanged_by_errors(*self._axes):
+                return np.array([self.step(row) for row in rows]).reshape(rows.shape)
+        wanted, axis = vector(displacement, "displacement") / self._per_metre, self._axes[0]
+        begin = axis.assumed_voltage
+        with unchanged_by_errors(axis):
+            before = axis.loop.counts()
+            voltage = axis.loop.run(wanted)
+            limited, slewed, refused = (int(n) for n in np.subtract(axis.loop.counts(), before))
             if refused:
-                raise _refusal(float(wanted[np.argmax(np.abs(wanted))]))
+                raise refusal(float(wanted[np.argmax(np.abs(wanted))]))
             if limited or slewed:
-                inner = self._in_model(wanted)
-                warn_of_run(self.actuator, self._bounds, Clamps(limited, slewed), inner, begin)
+                warn_of_run(axis.actuator, axis.bounds, Clamps(limited, slewed), axis.in_model(wanted), begin)
         return voltage
 
-    def _strays(self, displacement: ArrayLike) -> str:
-        """Return why a `displacement` (n,) [m, or `units`] is implausible; else ""."""
-        return self._straying(self._in_model(self._in_metres(displacement)))
-
-    def _straying(self, displacement: Array) -> str:
-        """Return what `_strays` does for a `displacement` (n,) [m] of the model, without gain and offset."""
-        sentence = stray_sentence(self.actuator, self._bounds, displacement)
-        if not sentence or self._per_metre == 1:
-            return sentence
-        return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
-
-    def _in_metres(self, values: ArrayLike, what: str = "displacement") -> Array:
-        """Return the `values` (n,) of a path, in `units`, in metres.
-
-        `what`: name of the values in errors. Raise `ModelError` if a value is not finite.
-        """
-        plain = vector(values, what)
-        return plain if self._per_metre == 1 else plain / self._per_metre
-
     @property
-    def voltage(self) -> float:
+    def voltage(self) -> Any:
         """The last voltage sent [V]; before any step, the voltage that holds the actuator in its state."""
-        return self._loop.sent() if self._running else self._held(self._start)
+        return self._axes[0].voltage if self._single else np.array([axis.voltage for axis in self._axes])
 
     @property
-    def displacement(self) -> float:
-        """Displacement [m, or `units`] of the actuator after all voltages sent, by the model and the `scaling`."""
-        metres = self._loop.displacement() if self._running else self.actuator.displacement(self._start)
-        return metres * self._per_metre
+    def displacement(self) -> Any:
+        """Displacement [m, or `units`] after all voltages sent, by the model and the `scale`.
+
+        With several axes, a mass is assumed to follow at once.
+        """
+        if self._single:
+            axis = self._axes[0]
+            metres = axis.loop.displacement() if axis.running else axis.actuator.displacement(axis.start)
+            return metres * self._per_metre
+        moved = []
+        for axis in self._axes:
+            gain, offset = axis.scaling()
+            moved.append(offset + gain * evaluator_of(axis.actuator).displacement(axis.state, of_mass=False))
+        return apply(self.stage.coupling, np.array([moved]))[0] * self._per_metre
 
     @property
-    def _assumed_voltage(self) -> float | None:
-        """The present voltage [V], if it is only assumed: no state was given, and nothing was sent; else None."""
-        begins = self._assumed and (not self._running or self._loop.sent() == self._held(self._start))
-        return self.voltage if begins else None
-
-    def _held(self, state: State) -> float:
-        """Return the voltage [V] within the limits that holds the actuator in a `state`, or the nearest limit."""
-        return self._bounds.nearest(self.actuator.voltage(state))
+    def state(self) -> Any:
+        """State * of the actuator after all voltages sent."""
+        return self._shaped(axis.state for axis in self._axes)
 
     @property
-    def state(self) -> State:
-        """State of the actuator after all voltages sent."""
-        return evaluator_of(self.actuator).state_of(CoreState(*self._loop.state())) if self._running else self._start
-
-    @property
-    def clamps(self) -> Clamps:
-        """Number of samples clamped so far, by kind."""
-        return Clamps(*self._loop.counts()[:2]) if self._running else Clamps(0, 0)
+    def clamps(self) -> Any:
+        """Number of samples clamped so far *, by kind."""
+        return self._shaped(axis.clamps for axis in self._axes)
 
     @property
     def samples_ahead(self) -> int:
         """Number of samples by which `step` needs displacements in advance; 0 without `preview`."""
-        return self._preview[1]
+        return self._axes[0].preview[1]
 
     @property
-    def reach(self) -> tuple[float, float]:
-        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest and the `scaling`."""
-        gain, offset = self._scaling
-        low, high = self._reach
-        return offset + gain * low, offset + gain * high
+    def reach(self) -> Any:
+        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest and the `scale` *."""
+        return self._shaped(tuple(end * self._per_metre for end in axis.reach) for axis in self._axes)
 
-    @cached_property
-    def _reach(self) -> tuple[float, float]:
-        """The `reach` of the model, without gain and offset."""
-        low, high = major_loop(self.actuator, self.limits)
-        return low * self._per_metre, high * self._per_metre
+    def reset(self, state: State | Sequence[State | None] | None = None) -> None:
+        """Start again in a `state`, by default that at construction or the last reset; counts restart at 0.
 
-    def reset(self, state: State | None = None) -> None:
-        """Start again in a `state`, by default the state at construction; counts restart at 0.
-
-        Raise `ModelError` if it does not fit the actuator.
+        Raise `ModelError` if it does not fit the actuator: the memory is unchanged.
         """
-        if state is not None:
-            start = state_within_limits(self.actuator, state, self.limits)
-            keep(self, _start=start, _initial_state=state, _assumed=False)
-        for name in ("_loop", "step"):
-            self.__dict__.pop(name, None)
+        pairs = zip(self._axes, for_each(state, len(self._axes), "state"), strict=True)
+        axes = [replace(axis) if own is None else replace(axis, given=own, assumed=False) for axis, own in pairs]
+        keep(self, _axes=tuple(axes))
+        self.__dict__.pop("step", None)
 
-    def _clone(self, units: str | None = None) -> Compensator:
-        """Return a copy in the state at construction or the last reset, by default with the same `units`."""
-        return Compensator(**self._options() | ({} if units is None else {"units": units}))
+    def snapshot(self) -> Any:
+        """Return the whole memory * in bytes; `restore`, also in C, continues from it bit for bit."""
+        return self._shaped(axis.snapshot() for axis in self._axes)
 
-    def snapshot(self) -> bytes:
-        """Return the loop's whole memory; `restore`, also in C, continues from it bit for bit."""
-        self._model_block()
-        return self._loop.save()
-
-    def restore(self, snapshot: bytes) -> None:
-        """Continue from a `snapshot`, or from the block of `dehyst_loop_save` in C.
+    def restore(self, snapshot: Any) -> None:
+        """Continue from a `snapshot` *, or from the block of `dehyst_loop_save` in C.
 
         Its actuator has the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
         resonance, lag and period agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The
@@ -318,20 +338,10 @@ class Compensator(ReadOnly):
         an actuator of another shape, another period or preview, lies outside of the limits, or is damaged: the loop is
         unchanged.
         """
-        if not isinstance(snapshot, bytes):
-            raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="the bytes of snapshot()")
-        self._model_block()
-        with unchanged_by_errors(self):
-            try:
-                self._loop.restore(snapshot)
-            except CoreError as error:
-                raise ModelError(f"got one that is refused: {error}", argument="snapshot") from error
-            self._bounds.within(self._loop.sent(), "snapshot")
+        restore_all(self._axes, [snapshot] if self._single else snapshot)
 
-    def scale(
-        self, gain: float | None = None, offset: float = 0.0, *, temperature: float | None = None
-    ) -> tuple[float, float]:
-        """Set a gain and an offset of the displacement between two steps, and return the present ones.
+    def scale(self, gain: Any = None, offset: Any = 0.0, *, temperature: Any = None) -> Any:
+        """Set gain and offset * of the displacement between two steps, and return the present ones.
 
         The wanted displacement is then offset + gain times the model's displacement, for instance for another
         temperature or an aged sensor. This holds for steps, offers, `plan_path` and `reach`. A construction or a reset
@@ -340,133 +350,86 @@ class Compensator(ReadOnly):
 
         Parameters
         ----------
-        gain, offset : float, optional
+        gain, offset : float, or one an axis, optional
             Gain, and offset [m, or `units`]; without a gain nothing changes.
-        temperature : float, optional
-            [degC], instead of them, for an actuator with the part `thermal`.
+        temperature : float, or one an axis, optional
+            [degC], instead of them: of the actuators that depend on temperature. Others keep gain and offset.
 
         Returns
         -------
-        (float, float)
+        (float, float) *
             The present gain and offset [m, or `units`].
 
         Raises
         ------
         ModelError
-            If the gain is not positive, a number is not finite, or the actuator has no part `thermal`: gain and offset
+            If a gain is not positive, a number is not finite, or no actuator depends on temperature: gains and offsets
             are unchanged.
         """
+        count, pairs = len(self._axes), []
         if temperature is not None:
-            values = demand_thermal(self.actuator.thermal).scale(number(temperature, "temperature"), 1)
-            checked(self._loop.scale, *(float(value[0]) for value in values))
+            degrees = plain(temperature, "temperature")
+            table = self.stage.temperatures(np.atleast_2d(degrees) if np.ndim(degrees) else degrees, 1)
+            pairs = [None if own is None else axis.scaling(own, 1) for axis, own in zip(self._axes, table, strict=True)]
         elif gain is not None:
-            try:
-                self._loop.scale(number(gain, "gain"), number(offset, "offset") / self._per_metre)
-            except CoreError as error:
-                raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
-        return self._scaling
+            gains, offsets = for_each(gain, count, "gain"), for_each(offset, count, "offset")
+            pairs = [
+                (number(own, "gain"), number(by, "offset") / self._per_metre)
+                for own, by in zip(gains, offsets, strict=True)
+            ]
+        if pairs:
+            with unchanged_by_errors(*self._axes):
+                for axis, pair in zip(self._axes, pairs, strict=True):
+                    if pair is not None:
+                        axis.scale(*(float(np.ravel(value)[0]) for value in pair))
+        each = (axis.scaling() for axis in self._axes)
+        return self._shaped((own, by * self._per_metre) for own, by in each)
 
-    @property
-    def _scaling(self) -> tuple[float, float]:
-        """Gain and offset [m, or `units`] of the displacement, see `scale`."""
-        gain, offset = self._scaling_at(None, 1)
-        return gain, offset * self._per_metre
+    def _straying(self, j: int, displacement: Array) -> str:
+        """Return why a `displacement` (n,) [m] of the model of axis `j` is implausible; else ""."""
+        sentence = self._axes[j].strays(displacement)
+        if not sentence or self._per_metre == 1:
+            return sentence
+        return f"{sentence.split('; is this in')[0]}. This compensator takes displacements in {self.units}"
 
-    def _scaling_at(self, temperature: ArrayLike | None, samples: int) -> tuple[Any, Any]:
-        """Return gains and offsets [m] of `samples` at a `temperature`, one or (n,) [degC]; None: those of `scaling`.
+    def _rows(self, values: ArrayLike, what: str) -> Array:
+        """Return `values` (n,) of a single axis, or (n, axes), as (n, axes); raise `ModelError` if they do not fit."""
+        return vector(values, what)[:, None] if self._single else self.stage.columns(values, what)
 
-        Raise `ModelError` as `scale`.
-        """
-        if temperature is not None:
-            return demand_thermal(self.actuator.thermal).scale(temperature, samples)
-        gain, offset = self._loop.rest()[5:7].tolist() if self._running else (1.0, 0.0)
-        return gain, offset
-
-    def _in_model(self, displacement: Array) -> Array:
-        """Return the displacement (n,) [m] of the model that makes a `displacement` (n,) [m], by the `scaling`."""
-        gain, offset = self._scaling_at(None, displacement.size)
-        return np.asarray((displacement - offset) / gain)
-
-    def _tables(self) -> dict[str, Array]:
-        """Return all numbers that a step reads, as computed by the core; names as in `core/dehyst.h`."""
-        return self._loop.tables()
-
-    def _model_block(self) -> bytes:
-        """Return the block of `dehyst.control.model_block`."""
-        return self._loop.block(*self._core_start(), self.period or 0.0, self.samples_ahead)
-
-    def _model_ids(self) -> tuple[int, int]:
-        """Return the checksums `id` and `shape` of the model in C; limits and start have no effect on them."""
-        self._model_block()
-        return self._loop.ids()
-
-    def _core_start(self) -> CoreState:
-        """Return the state at the construction or the last reset, as numbers of the C core."""
-        return evaluator_of(self.actuator).core_state(self._start)
-
-    @property
-    def _running(self) -> bool:
-        return "_loop" in self.__dict__
-
-    @cached_property
-    def _preview(self) -> tuple[Array, int]:
-        """Taps of the preview filter, and the number of samples that it looks ahead."""
-        return preview_filter(self.actuator, self.period) if self._previews and self.period else (np.ones(1), 0)
-
-    @cached_property
-    def _loop(self) -> Loop:
-        """The loop in C, made when first needed, because a plan does not need it."""
-        options = {"warns": self._warns, "assumed": self._assumed}
-        loop = make_loop(self.actuator, self._bounds, self.period, self._preview[0], self._core_start(), **options)
-        loop.per_metre = self._per_metre
-        # A step without a frame of Python; it must not keep this object alive.
-        here = weakref.proxy(self)
-        loop.slow = lambda displacement, temperature: Compensator.step(here, displacement, temperature)
-        self.__dict__["step"] = loop.quick
-        return loop
+    def _values(self, values: Any, what: str) -> list[float]:
+        """Return the value of each axis."""
+        if self._single:
+            return [number(values, what)]
+        numbers, count = vector(values, what), len(self._axes)
+        if numbers.size != count:
+            raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one an axis")
+        return list(numbers.tolist())
 
 
 def model_block(compensator: Compensator) -> bytes:
     """Return actuator, limits, period and start of a `compensator` as the block that `dehyst_model_load` reads in C.
 
     The block is the same for every processor and number type and has a checksum. Its start is the state at the
-    construction or the last reset of the compensator.
+    construction or the last reset of the compensator. Raise `ModelError` if it has several axes.
     """
-    return compensator._model_block()
+    return only_axis(compensator).block()
 
 
-def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
-    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none or they are no interval."""
-    chosen = actuator.limits if limits is None else limits
-    if chosen is None:
-        raise ModelError(
-            "no voltage limits: the actuator has none and none were given",
-            hint="give limits (low, high)",
-            change=("limits",),
-        )
-    return interval(chosen)
+def only_axis(compensator: object) -> Axis:
+    """Return the axis of a compensator of a single axis; raise `ModelError` for anything else."""
+    if not isinstance(compensator, Compensator) or not compensator._single:
+        got = type(compensator).__name__
+        raise ModelError(argument="compensator", got=got, need="a Compensator of a single axis")
+    return compensator._axes[0]
 
 
-@contextmanager
-def unchanged_by_errors(*loops: Compensator) -> Iterator[None]:
-    """Restore the whole memory of all `loops` if an error occurs in the block."""
-    before = [memory_of(loop._loop) for loop in loops]
-    try:
-        yield
-    except BaseException:
-        for loop, memory in zip(loops, before, strict=True):
-            set_memory(loop._loop, *memory)
-        raise
+def _within_loops(axis: Axis) -> State:
+    """Return the state of an axis of a stage, by default one that voltages within the limits reach."""
+    return state_after_loops(axis.actuator, axis.given, axis.limits) if axis.assumed else axis.given
 
 
-def _rebuilt(options: dict[str, Any], memory: bytes | None) -> Compensator:
+def _rebuilt(options: dict[str, Any], memory: Any) -> Compensator:
     compensator = Compensator(**options)
     if memory is not None:
         compensator.restore(memory)
     return compensator
-
-
-def _refusal(displacement: float) -> ModelError:
-    return ModelError(
-        argument="displacement", got=repr(displacement), need="a finite number of metres that the model can follow"
-    )

@@ -8,9 +8,9 @@ from dehyst import _native
 from dehyst._errors import ModelError
 from dehyst._native import CoreError
 from dehyst._validation import number
-from dehyst.control.compensator import Compensator
+from dehyst.control.axis import Axis
+from dehyst.control.compensator import Compensator, only_axis
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
-from dehyst.model import stroke_of
 
 
 class Feedback:
@@ -53,14 +53,11 @@ class Feedback:
     """
 
     def __init__(self, compensator: Compensator, margin_db: float = 6.0, *, bound: float | None = None) -> None:
-        if not isinstance(compensator, Compensator):
-            raise ModelError(argument="compensator", got=type(compensator).__name__, need="a Compensator")
-        if compensator.period is None:
+        axis = only_axis(compensator)
+        if axis.period is None:
             raise ModelError("a feedback needs the time between steps", hint="give the period [s]", change=("period",))
-        actuator, preview = compensator.actuator, compensator._previews
-        stroke = stroke_of(actuator) * compensator._per_metre
-        self.compensator, self.bound = compensator, sensor_bound(compensator.reach, stroke, bound)
-        self.gain, self.bandwidth = actuator.margins(compensator.period, margin_db, preview=preview)
+        self.compensator, self.bound = compensator, sensor_bound(axis.per_metre * axis.width, bound)
+        self.gain, self.bandwidth = axis.actuator.margins(axis.period, margin_db, preview=axis.previews)
         self.reset()
 
     def __repr__(self) -> str:
@@ -77,7 +74,7 @@ class Feedback:
         once, when the sensor is not believed any more.
         """
         believed = self.believed
-        if self._loop is not self.compensator._loop:
+        if self._loop is not self.compensator._axes[0].loop:
             # The compensator was reset.
             self.reset()
         try:
@@ -89,13 +86,17 @@ class Feedback:
         except CoreError as error:
             raise ModelError(argument="wanted", got=repr(wanted), need="a finite number") from error
         if believed and not self.believed:
-            warn_of_sensor(self.fault, self.bound / self.compensator._per_metre)
+            warn_of_sensor(self.fault, self.bound / self._axis.per_metre)
         return voltage
+
+    @property
+    def _axis(self) -> Axis:
+        return only_axis(self.compensator)
 
     @property
     def correction(self) -> float:
         """What is added to the wanted displacement [m, or `units`]."""
-        return self._core.correction * self.compensator._per_metre
+        return self._core.correction * self._axis.per_metre
 
     @property
     def fault(self) -> SensorFault:
@@ -109,11 +110,11 @@ class Feedback:
 
     def reset(self) -> None:
         """Believe the sensor again, and begin without a correction."""
-        loop = self.compensator
-        late = loop.samples_ahead if loop._previews else round(loop.actuator.delay / (loop.period or 1.0))
-        self._loop = loop._loop
+        axis = self._axis
+        late = axis.preview[1] if axis.previews else round(axis.actuator.delay / (axis.period or 1.0))
+        self._loop = axis.loop
         try:
-            self._core = _native.Feedback(self._loop, self.gain, self.bound / loop._per_metre, late)
+            self._core = _native.Feedback(self._loop, self.gain, self.bound / axis.per_metre, late)
         except CoreError as error:
             raise ModelError(
                 argument="compensator", got=f"a delay of {late} periods", need="63 at most", hint="give a longer period"

@@ -14,9 +14,9 @@ from dehyst._errors import ModelError, of_part
 from dehyst._native import CoreState
 from dehyst._types import Array, Mask
 from dehyst._validation import vector
-from dehyst.control.compensator import Compensator
+from dehyst.control.axis import Axis
+from dehyst.control.coupling import to_release
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits
-from dehyst.control.stage_compensator import to_release
 from dehyst.model import Actuator, PathData, Stage, State, apply, dot, evaluator_of, needs_time, reachable
 
 _CHUNK = 64
@@ -44,7 +44,7 @@ class Followed(NamedTuple):
 
 
 def follow(
-    loop: Compensator,
+    axis: Axis,
     displacement: ArrayLike,
     *,
     state: State | None = None,
@@ -55,26 +55,26 @@ def follow(
     velocity: Array | None = None,
     acceleration: Array | None = None,
 ) -> Followed:
-    """Return the voltages of a path (n,) [m] from a `state`, by default the compensator's, whose memory is unchanged.
+    """Return the voltages of a path (n,) [m] from a `state`, by default the present one; the memory is unchanged.
 
     `present` [V]: before the first sample, by default the voltage that holds a given `state`, or else the last one
     sent. `time` (n,) [s]: needed with a slew rate, and by an actuator that depends on time; default: a sample every
     period. `period` [s]: from the present voltage to the first sample, if it is shorter than the first step; default:
-    the compensator's. `temperature` [degC]: replaces the `scaling` of the compensator. `velocity` [m/s],
+    that of the axis. `temperature` [degC]: replaces gain and offset of the axis. `velocity` [m/s],
     `acceleration` [m/s^2]: as in `Actuator.compensate`.
     """
     wanted = vector(displacement, "displacement")
-    gain, offset = loop._scaling_at(temperature, wanted.size)
+    gain, offset = axis.scaling(temperature, wanted.size)
     rates = [None if values is None else values / gain for values in (velocity, acceleration)]
-    if time is None and loop.period is not None:
-        time = loop.period * np.arange(wanted.size)
-    period = loop.period if period is None else period
+    if time is None and axis.period is not None:
+        time = axis.period * np.arange(wanted.size)
+    period = axis.period if period is None else period
     if present is None:
-        present = loop.voltage if state is None else loop._held(state)
-    begin, now = loop.state if state is None else state, loop._bounds.within(present, "present")
+        present = axis.voltage if state is None else axis.held(state)
+    begin, now = axis.state if state is None else state, axis.bounds.within(present, "present")
     plain = np.ndim(gain) == 0 and (gain, offset) == (1.0, 0.0)
     target = wanted if plain else (wanted - offset) / gain
-    found = _follow(loop.actuator, loop._bounds, target, time, period, rates, begin, now)
+    found = _follow(axis.actuator, axis.bounds, target, time, period, rates, begin, now)
     if plain:
         return found
     reached = np.where(found.displacement == target, wanted, offset + gain * found.displacement)
@@ -83,7 +83,7 @@ def follow(
 
 def follow_axes(
     stage: Stage,
-    loops: Sequence[Compensator],
+    loops: Sequence[Axis],
     moved: Array,
     *,
     states: Sequence[State],
@@ -93,7 +93,7 @@ def follow_axes(
 ) -> list[Followed]:
     """Return the voltages of each actuator for displacements `moved` (n, axes) [m], already without coupling.
 
-    Where an axis is clamped, the targets of the free ones are corrected, as in each step of `StageCompensator`. The
+    Where an axis is clamped, the targets of the free ones are corrected, as in each step of `Compensator`. The
     lists have one entry for each axis; `options`: as in `follow`.
     """
     axes = range(len(loops))

@@ -219,10 +219,8 @@ def warn_of_sensor(fault: SensorFault, bound: float) -> None:
     warnings.warn(SensorWarning(fault, bound), None, _caller())
 
 
-def sensor_bound(reach: tuple[float, float], stroke: float, bound: float | None) -> float:
-    """Return the largest correction by a sensor: the `bound` that was given, or a twentieth of `reach` or `stroke`."""
-    # A reach far beyond the records is extrapolated: the stroke bounds it.
-    width = min(reach[1] - reach[0], stroke)
+def sensor_bound(width: float, bound: float | None) -> float:
+    """Return the largest correction by a sensor: the `bound` that was given, or a twentieth of the reach's `width`."""
     if bound is None:
         return _BOUND * width
     if not 0 < number(bound, "bound") <= _WIDEST * width:

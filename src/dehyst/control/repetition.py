@@ -14,8 +14,7 @@ from dehyst._validation import FARTHEST, plain
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
 from dehyst.control.planning.wave_table import Cycle, WaveTable
-from dehyst.control.stage_compensator import StageCompensator, axes_of
-from dehyst.model import State, mechanical_response, stroke_of
+from dehyst.model import State, mechanical_response
 
 # Share of the error that a cycle takes away.
 _GAIN = 0.6
@@ -71,7 +70,7 @@ class Repetition:
 
     Parameters
     ----------
-    compensator : Compensator or StageCompensator
+    compensator : Compensator
         With a period. It is stepped by this repetition, and by nobody else. Without `preview`, identified delay and
         resonance are learnt too.
     path : (n,) or (n, axes) array_like
@@ -99,20 +98,16 @@ class Repetition:
         If the compensator has no period, the path does not fit, or the bound is not up to a quarter of the reach.
     """
 
-    def __init__(
-        self, compensator: Compensator | StageCompensator, path: ArrayLike, *, bound: float | None = None
-    ) -> None:
-        if not isinstance(compensator, Compensator | StageCompensator):
-            raise ModelError(argument="compensator", got=type(compensator).__name__, need="a compensator")
-        self._loops = axes_of(compensator)
+    def __init__(self, compensator: Compensator, path: ArrayLike, *, bound: float | None = None) -> None:
+        if not isinstance(compensator, Compensator):
+            raise ModelError(argument="compensator", got=type(compensator).__name__, need="a Compensator")
         if compensator.period is None:
             raise ModelError("a repetition needs the time between steps", hint="give the period [s]")
-        self.compensator, self.path = compensator, self._samples(path, "path")
+        self.compensator, self._unit, self._single = compensator, compensator._per_metre, compensator._single
+        self.path = self._samples(path, "path")
         if len(self.path) < 2 or not (np.abs(self.path) <= FARTHEST).all():
             raise ModelError(argument="path", got=f"{len(self.path)} samples", need="two or more finite numbers")
-        self.bound = min(
-            sensor_bound(loop.reach, stroke_of(loop.actuator) * loop._per_metre, bound) for loop in self._loops
-        )
+        self.bound = min(sensor_bound(self._unit * axis.width, bound) for axis in compensator._axes)
         self.reset()
 
     def __repr__(self) -> str:
@@ -136,7 +131,7 @@ class Repetition:
         self._returned = 0
         # Aim, displacement and step of the last cycle by harmonics, and the gain of each.
         self._last: tuple[Any, Any, Any] | None = None
-        harmonic, axes = np.arange(len(self.path) // 2 + 1)[:, None], [loop.actuator for loop in self._loops]
+        harmonic, axes = np.arange(len(self.path) // 2 + 1)[:, None], self.compensator.stage.actuators
         self._gains = np.full((len(harmonic), len(axes)), _GAIN)
         seconds = len(self.path) * (self.compensator.period or 1.0)
         self._known = np.array([actuator.dynamics is not None for actuator in axes])
@@ -145,7 +140,7 @@ class Repetition:
         self._highest = min([0.5 * len(self.path), *rings])
         # The response of the axes to what is wanted, and the one after a cycle at a resonance that nobody knows.
         moves = [mechanical_response(part.dynamics, part.delay, harmonic[:, 0] / seconds) for part in axes]
-        previews = [loop._previews for loop in self._loops]
+        previews = [axis.previews for axis in self.compensator._axes]
         self._moves = np.where(previews, 1.0, np.column_stack(moves))
         self._swing = 1 + 0.5 * np.pi * harmonic * ~self._known
 
@@ -154,21 +149,19 @@ class Repetition:
 
         Warn `ClampWarning` as `Compensator.run`.
         """
-        states, clamps = tuple(loop.state for loop in self._loops), [loop.clamps for loop in self._loops]
+        states, clamps = tuple(axis.state for axis in self.compensator._axes), self.compensator.clamps
         # The change of the correction is spread over a part of the cycle, so that nothing jumps.
         new = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(len(self.path)) / (_BLEND * len(self.path)), 0, 1))[:, None]
         aim = self.path + self._before + new * (self.correction - self._before)
-        if isinstance(self.compensator, Compensator):
-            # The next cycle begins with this correction.
-            ahead, following = self.compensator.samples_ahead, (self.path + self.correction)[:, 0]
-            after = np.resize(following, ahead)
-            voltage = self.compensator.run(np.concatenate([aim[:, 0], after])[ahead:])[:, None]
-        else:
-            voltage = self.compensator.run(aim)
+        # The next cycle begins with this correction.
+        ahead, following = self.compensator.samples_ahead, self.path + self.correction
+        wanted = np.concatenate([aim, np.resize(following, (ahead, aim.shape[1]))])[ahead:]
+        voltage = self.compensator.run(wanted[:, 0] if self._single else wanted)
         self._before = self.correction
-        clamped = clamps != [loop.clamps for loop in self._loops]
-        self._cycle = _Cycle(states, aim, self.correction, voltage, clamped)
-        return voltage[:, 0] if isinstance(self.compensator, Compensator) else voltage
+        self._cycle = _Cycle(
+            states, aim, self.correction, voltage.reshape(aim.shape), clamps != self.compensator.clamps
+        )
+        return voltage
 
     def learn(self, measured: ArrayLike) -> bool:
         """Learn from the displacements (n,) or (n, axes) that the voltages of `next` led to; return whether it did.
@@ -194,12 +187,12 @@ class Repetition:
         if not self.believed or cycle.clamped:
             return False
         columns = [np.ascontiguousarray(values) for values in (*cycle.aim.T, *read.T)]
-        axes = len(self._loops)
+        axes = read.shape[1]
         faults = [judge(columns[j], columns[axes + j], self.bound) for j in range(axes)]
         if any(faults):
             self.fault, self._best = SensorFault(max(faults)), None
             self.correction = np.zeros(self.path.shape)
-            warn_of_sensor(self.fault, self.bound / self._loops[0]._per_metre)
+            warn_of_sensor(self.fault, self.bound / self._unit)
             return False
         read = np.where(np.abs(read - cycle.aim) <= self.bound, read, np.nan)
         there, at = np.isfinite(read), np.arange(len(read))
@@ -223,19 +216,19 @@ class Repetition:
             raise ModelError("nothing was learnt: no cycle was complete", hint="call next() and learn() first")
         best, rate = self._best, 1 / (self.compensator.period or 1.0)
         tables = []
-        for j, loop in enumerate(self._loops):
-            wanted, measured = self.path[:, j] / loop._per_metre, best.measured[:, j] / loop._per_metre
+        for j in range(self.path.shape[1]):
+            wanted, measured = self.path[:, j] / self._unit, best.measured[:, j] / self._unit
             cycle, error = Cycle(best.voltage[:, j], wanted, measured, rate), float(np.abs(wanted - measured).max())
             tables.append(WaveTable(cycle, error=error, tolerance=error, state=best.states[j]))
-        return tables[0] if isinstance(self.compensator, Compensator) else tuple(tables)
+        return tables[0] if self._single else tuple(tables)
 
     def _samples(self, values: ArrayLike, what: str) -> Array:
         """Return samples (n, axes) that may be NaN."""
-        found = np.asarray(plain(values, what))
+        found, count = np.asarray(plain(values, what)), len(self.compensator.stage.axes)
         table = found[:, np.newaxis] if found.ndim == 1 else found
-        if found.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != len(self._loops):
+        if found.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != count:
             got = f"{found.dtype} values of the shape {found.shape}"
-            raise ModelError(argument=what, got=got, need=f"real numbers, {len(self._loops)} columns")
+            raise ModelError(argument=what, got=got, need=f"real numbers, {count} columns")
         return table.astype(np.float64)
 
     def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:

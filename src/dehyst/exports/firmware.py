@@ -13,10 +13,11 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import draft_of, settle, settle_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
-from dehyst.control import Compensator, StageCompensator
-from dehyst.exports.golden_trace import Loop, golden_trace, trace_header
-from dehyst.exports.model_header import ExportedStart, ModelText, Number, config_header, demand_compensator
+from dehyst.control import Axis, Compensator, only_axis
+from dehyst.exports.golden_trace import golden_trace, trace_header
+from dehyst.exports.model_header import ExportedStart, ModelText, Number, config_header
 from dehyst.exports.naming import DEFAULT, demand_name, printable, shipped, text_of
+from dehyst.model import Stage
 
 STAGE_NAME = "stage"
 SOURCES = ("piezo.c", "dehyst.c")
@@ -57,27 +58,26 @@ samples, which amplify these. Voltages stay within the limits all the same.
 """
 
 
-def code(compensator: Loop, number: Number = "double", name: str | None = None) -> dict[str, str]:
+def code(compensator: Compensator, number: Number = "double", name: str | None = None) -> dict[str, str]:
     """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
     Raise `ModelError` if `compensator` is not a Compensator, the number type is invalid, floats cannot hold this model,
     or the name is not valid in C or has a meaning there.
     """
-    coupled = isinstance(compensator, StageCompensator)
-    if not coupled:
-        demand_compensator(compensator)
+    coupled = _coupled(compensator)
     if number not in ("double", "float") or (coupled and number == "float"):
         need = "'double', of coupled axes" if coupled else "'double' or 'float'"
         raise ModelError(argument="number", got=repr(number), need=need)
     own = _name(compensator, name)
     demand_name(own)
-    if isinstance(compensator, StageCompensator):
+    if coupled:
         kind, title, templates = "stage", compensator.stage.name, ("stage.h", "stage.c")
-        macros, numbers = _coupled(compensator)
+        macros, numbers = _coupled_numbers(compensator)
         declared, defined = _coupled_temperature(compensator)
     else:
-        kind, title, templates = "actuator", compensator.actuator.name, ("piezo.h", "piezo.c")
-        text = ModelText(compensator, number)
+        axis = only_axis(compensator)
+        kind, title, templates = "actuator", axis.actuator.name, ("piezo.h", "piezo.c")
+        text = ModelText(axis, number)
         macros, numbers = text.macros(), text.numbers()
         declared, defined = text.temperature()
     # The actuator's name is not to be renamed, nor to end the comment.
@@ -92,22 +92,27 @@ def code(compensator: Loop, number: Number = "double", name: str | None = None) 
     return {**{file: shipped(file) for file in CORE}, CONFIG: config_header(number), **own_files}
 
 
-def _name(compensator: Loop, name: str | None) -> str:
+def _coupled(compensator: object) -> bool:
+    """Return whether a compensator is one of a stage."""
+    return isinstance(compensator, Compensator) and isinstance(compensator.model, Stage)
+
+
+def _name(compensator: Compensator, name: str | None) -> str:
     """Return the name in C: the one given, or the usual one."""
     if name is not None:
         return name
-    return STAGE_NAME if isinstance(compensator, StageCompensator) else DEFAULT
+    return STAGE_NAME if _coupled(compensator) else DEFAULT
 
 
-def _coupled(compensator: StageCompensator) -> tuple[str, str]:
+def _coupled_numbers(compensator: Compensator) -> tuple[str, str]:
     """Return the macros and the numbers of several axes: those of each, and the matrices."""
-    for axis, single in zip(compensator.stage.axes, compensator.compensators, strict=True):
-        if single.actuator.displacement_creep is not None:
+    for name, axis in zip(compensator.stage.axes, compensator._axes, strict=True):
+        if axis.actuator.displacement_creep is not None:
             raise ModelError(
-                f"axis {axis} has creep in displacement, which an export of coupled axes does not compute",
+                f"axis {name} has creep in displacement, which an export of coupled axes does not compute",
                 hint="export the actuator of each axis alone, or leave that part out",
             )
-    texts = [ModelText(axis, "double") for axis in compensator.compensators]
+    texts = [ModelText(axis, "double") for axis in compensator._axes]
     ends, count = list(accumulate(text.memory for text in texts)), len(texts)
     macros = {
         "AXES": count,
@@ -127,7 +132,7 @@ def _coupled(compensator: StageCompensator) -> tuple[str, str]:
     return "".join(f"#define PIEZO_{name} {value}\n" for name, value in macros.items()), "\n".join(numbers)
 
 
-def _coupled_temperature(compensator: StageCompensator) -> tuple[str, str]:
+def _coupled_temperature(compensator: Compensator) -> tuple[str, str]:
     """Return declaration and definition of the call that takes the temperatures of several axes; or empty texts."""
     thermals = [actuator.thermal for actuator in compensator.stage.actuators]
     if not any(thermals):
@@ -142,10 +147,10 @@ def _table(name: str, columns: str, numbers: Array) -> str:
     return f"static const dehyst_real {name}[PIEZO_AXES][{columns}] = {{\n    {rows}}};\n"
 
 
-def write_c(compensator: Loop, folder: Path, number: Number = "double", name: str | None = None) -> None:
+def write_c(compensator: Compensator, folder: Path, number: Number = "double", name: str | None = None) -> None:
     """Write a compensator as C, see `dehyst.export`: a whole folder, or nothing."""
     files, own = code(compensator, number, name), _name(compensator, name)
-    check = "stage_check.c" if isinstance(compensator, StageCompensator) else "check.c"
+    check = "stage_check.c" if _coupled(compensator) else "check.c"
     files |= {"check.c": text_of(shipped(check), own), "LICENSE": shipped("LICENSE")}
     files |= {file: text_of(shipped(file), own) for file in BESIDE}
     target = folder.resolve()
@@ -192,50 +197,50 @@ def _write(folder: Path, files: dict[str, str]) -> None:
             settle(stream.fileno())
 
 
-def _readme(compensator: Loop, number: Number, rows: int, own: str) -> str:
+def _readme(compensator: Compensator, number: Number, rows: int, own: str) -> str:
     period = compensator.period
     words: dict[str, object] = {
         "version": __version__,
         "every": "a sample" if period is None else f"every {period:.9g} s",
         "rows": rows,
     }
-    if isinstance(compensator, StageCompensator):
+    if _coupled(compensator):
         template = "stage_README.md"
         words |= {
             "name": printable(compensator.stage.name),
-            "count": len(compensator.compensators),
+            "count": len(compensator._axes),
             "axes": ", ".join(compensator.stage.axes),
-            "table": "\n".join(map(_axis_row, compensator.stage.axes, compensator.compensators)),
+            "table": "\n".join(map(_axis_row, compensator.stage.axes, compensator._axes)),
         }
     else:
         template = "README.md"
-        words |= _axis_words(compensator, number, own)
+        words |= _axis_words(only_axis(compensator), number, own)
     return Template(text_of(shipped(template), own)).substitute(words)
 
 
-def _axis_row(axis: str, loop: Compensator) -> str:
+def _axis_row(name: str, axis: Axis) -> str:
     """Return the row of one of several axes in the table of the README."""
-    (low, high), start = loop.limits, ExportedStart.of(loop)
-    slew = "not limited" if loop.slew_rate is None else f"{loop.slew_rate:.9g} V/s"
-    return f"| {axis} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |"
+    (low, high), start = axis.limits, ExportedStart.of(axis)
+    slew = "not limited" if axis.slew_rate is None else f"{axis.slew_rate:.9g} V/s"
+    return f"| {name} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |"
 
 
-def _axis_words(compensator: Compensator, number: Number, own: str) -> dict[str, object]:
+def _axis_words(axis: Axis, number: Number, own: str) -> dict[str, object]:
     """Return what the README says of a single axis."""
-    low, high = compensator.limits
-    period, slew, ahead = compensator.period, compensator.slew_rate, compensator.samples_ahead
-    start = ExportedStart.of(compensator)
+    low, high = axis.limits
+    period, slew, ahead = axis.period, axis.slew_rate, axis.preview[1]
+    start = ExportedStart.of(axis)
     timer = "this model does not depend on time" if period is None else f"every {period:.9g} s, PIEZO_PERIOD"
     bound = ": the same bits" if number == "double" else f", with errors below {_MOST:.0e} of the range"
     return {
-        "name": printable(compensator.actuator.name),
+        "name": printable(axis.actuator.name),
         "number": number,
         "timer": text_of(timer, own),
         "low": f"{low:.9g}",
         "high": f"{high:.9g}",
         "slew": "" if slew is None else f" and change by {slew:.9g} V/s at most",
         "ahead": text_of(_AHEAD.format(ahead=ahead), own) if ahead else "",
-        "smooth": _SMOOTH if compensator._tables()["tap"].size > 1 or compensator.actuator.lag else "",
+        "smooth": _SMOOTH if axis.preview[0].size > 1 or axis.actuator.lag else "",
         "begins": start.words,
         "way": start.way,
         "error": bound,

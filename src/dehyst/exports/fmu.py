@@ -23,13 +23,12 @@ from xml.sax.saxutils import escape
 from dehyst._errors import ModelError
 from dehyst._io import write_atomically
 from dehyst._version import __version__
-from dehyst.control import Compensator
+from dehyst.control import Axis, Compensator, only_axis
 from dehyst.exports.firmware import CONFIG, CORE
 from dehyst.exports.model_header import (
     ExportedStart,
     ModelText,
     config_header,
-    demand_compensator,
 )
 from dehyst.exports.naming import printable, shipped
 
@@ -62,21 +61,21 @@ class _NoBinaryError(Exception):
 
 def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") -> None:
     """Write an FMU of a compensator, see `dehyst.export`, or of its actuator, if its limits are `ANY_VOLTAGE`."""
-    demand_compensator(compensator)
-    if compensator.actuator.thermal is not None:
+    axis = only_axis(compensator)
+    if axis.actuator.thermal is not None:
         raise ModelError(
             "the actuator depends on temperature, for which an FMU has no input",
             hint="export it in C or WebAssembly, or leave its part thermal out, and set the inputs gain and offset",
         )
-    summary, variables = _interface(compensator, kind)
-    sources = _sources(compensator, kind)
+    summary, variables = _interface(axis, kind)
+    sources = _sources(axis, kind)
     digest = hashlib.sha256(f"2.0 {kind} {__version__}".encode())
     for name, text in sources.items():
         digest.update(f"\n{name} {len(text)}\n{text}".encode())
     token, given = f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}", variables[1].name
     sources["fmu_model.h"] += f'#define FMU_TOKEN "{token}"\n#define FMU_INPUT_NAME "{given}"\n\n#endif\n'
-    title, identifier = _names(compensator.actuator.name, kind)
-    texts = {"modelDescription.xml": _description(compensator, title, identifier, token, summary, variables)}
+    title, identifier = _names(axis.actuator.name, kind)
+    texts = {"modelDescription.xml": _description(axis, title, identifier, token, summary, variables)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
     texts |= {
         "documentation/licenses/license.txt": shipped("LICENSE"),
@@ -94,9 +93,9 @@ def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") 
     write_atomically(path, _zipped(content))
 
 
-def _sources(compensator: Compensator, kind: Kind) -> dict[str, str]:
+def _sources(axis: Axis, kind: Kind) -> dict[str, str]:
     """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
-    block, text = compensator._model_block(), ModelText(compensator, "double")
+    block, text = axis.block(), ModelText(axis, "double")
     sizes = {
         "ACTUATOR": int(kind == "actuator"),
         "ROOM": text.room,
@@ -166,10 +165,10 @@ class Variable(NamedTuple):
     range: tuple[float, float] | None = None
 
 
-def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable]]:
+def _interface(axis: Axis, kind: Kind) -> tuple[str, list[Variable]]:
     """Return the description of an FMU in a sentence or two, and its variables: time, the input, and outputs."""
-    words, begin = printable(compensator.actuator.name), ExportedStart.of(compensator)
-    period, (low, high), ahead = compensator.period, compensator.limits, compensator.samples_ahead
+    words, begin = printable(axis.actuator.name), ExportedStart.of(axis)
+    period, (low, high), ahead = axis.period, axis.limits, axis.preview[1]
     scaling = (
         Variable("gain", "input", "1", "Factor on the displacement, for another temperature or an aged actuator", 1.0),
         Variable("offset", "input", "m", "Added to the displacement", 0.0),
@@ -185,8 +184,8 @@ def _interface(compensator: Compensator, kind: Kind) -> tuple[str, list[Variable
             *scaling,
         ]
     summary = f"Voltage, {low!r} V to {high!r} V, that makes the actuator '{words}' follow a displacement."
-    if compensator.slew_rate is not None:
-        summary += f" Slew rate at most {compensator.slew_rate!r} V/s."
+    if axis.slew_rate is not None:
+        summary += f" Slew rate at most {axis.slew_rate!r} V/s."
     wanted = f"Displacement wanted {f'in {ahead} steps' if ahead else 'at the end of the step'}"
     return summary + pace, [
         time,
@@ -205,9 +204,7 @@ def _names(actuator: str, kind: Kind) -> tuple[str, str]:
     return (words, f"dehyst_{slug}") if slug == kind else (f"{words}, {kind}", f"dehyst_{slug}_{kind}")
 
 
-def _description(
-    compensator: Compensator, title: str, identifier: str, token: str, summary: str, variables: list[Variable]
-) -> str:
+def _description(axis: Axis, title: str, identifier: str, token: str, summary: str, variables: list[Variable]) -> str:
     """Return the text of `modelDescription.xml`; `token` is the GUID."""
     listed, outputs = [], []
     for reference, variable in enumerate(variables):
@@ -222,7 +219,7 @@ def _description(
             outputs.append(f'      <Unknown index="{reference + 1}" dependencies="" />')
         kind = real if variable.unit else "Integer"
         listed.append(_VARIABLE.format(**variable._asdict(), reference=reference, role=role, kind=kind))
-    period = compensator.period
+    period = axis.period
     quoted = {'"': "&quot;"}
     return Template(shipped("modelDescription.xml")).substitute(
         name=escape(title, quoted),

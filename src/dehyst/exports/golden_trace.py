@@ -9,16 +9,14 @@ from contextlib import suppress
 from enum import IntEnum
 from itertools import pairwise
 from string import Template
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import Clamps, ClampWarning, Compensator, StageCompensator
-from dehyst.model import apply
-
-Loop: TypeAlias = Compensator | StageCompensator
+from dehyst.control import Clamps, ClampWarning, Compensator
+from dehyst.model import Actuator, Stage, apply
 
 # How far turning points may lie beyond the reach, as a share of it: such displacements are clamped.
 _BEYOND = 0.25
@@ -79,26 +77,22 @@ class GoldenTrace(NamedTuple):
     coupled: bool
 
 
-def golden_trace(compensator: Loop) -> GoldenTrace:
+def golden_trace(compensator: Compensator) -> GoldenTrace:
     """Play a trace on compensators like this one, from their start; this one does not change.
 
     The trace has wanted displacements within and beyond the reach, slow and in jumps, and some that are not a number.
     With several axes, one, several and all of them are clamped. It also has offers that are dropped, committed, or
     committed with other voltages; periods in which nothing is sent; and at the end voltages on the actuators alone.
     """
-
-    def new() -> Loop:
-        return compensator._clone("m") if isinstance(compensator, Compensator) else compensator._clone()
-
-    loop, body = new(), new()
-    axes = (loop,) if isinstance(loop, Compensator) else loop.compensators
+    loop, body = compensator._clone("m"), compensator._clone("m")
+    axes = loop._axes
     limits, reach = np.array([axis.limits for axis in axes]), np.array([axis.reach for axis in axes])
     slowest = 0.0
     for axis, (low, high) in zip(axes, limits.tolist(), strict=True):
         if axis.slew_rate is not None and axis.period is not None:
             slowest = max(slowest, 4 * (high - low) / (axis.slew_rate * axis.period))
     moved = reach[:, 0] + (reach[:, 1] - reach[:, 0]) * _shares(len(axes), slowest)
-    path = moved if isinstance(loop, Compensator) else apply(loop.stage.coupling, moved)
+    path = moved if len(axes) == 1 else apply(loop.stage.coupling, moved)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClampWarning)
         rows = tuple(_played(loop, path, limits))
@@ -108,9 +102,9 @@ def golden_trace(compensator: Loop) -> GoldenTrace:
             body.commit(_given(body, voltage))
             rows += (TraceRow(Call.SIMULATE, tuple(voltage.tolist()), _place(body)),)
     refused = sum(row.what is Call.NONSENSE for row in rows)
-    clamps = tuple(axis.clamps for axis in axes)
+    clamps, coupled = tuple(axis.clamps for axis in axes), isinstance(loop.model, Stage)
     volts, stroke = (float(np.ptp(table, axis=1).max()) for table in (limits, reach))
-    return GoldenTrace(rows, clamps, refused, volts, stroke, not isinstance(loop, Compensator))
+    return GoldenTrace(rows, clamps, refused, volts, stroke, coupled)
 
 
 def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
@@ -158,7 +152,7 @@ def _shares(axes: int, slowest: float) -> Array:
     return np.vstack([*branches, rng.uniform(-_BEYOND, 1 + _BEYOND, (_JUMPS, axes))])
 
 
-def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:
+def _played(loop: Compensator, path: Array, limits: Array) -> Iterator[TraceRow]:
     """Yield the rows of a path (n, axes) [m], with every kind of call mixed in."""
     low, high = limits.T
     nothing = (0.0,) * len(limits)
@@ -191,15 +185,15 @@ def _played(loop: Loop, path: Array, limits: Array) -> Iterator[TraceRow]:
             yield TraceRow(Call.STEP, given, _row(loop.step(_given(loop, wanted))))
 
 
-def _given(loop: Loop, values: Array) -> Any:
+def _given(loop: Compensator, values: Array) -> Any:
     """Return values (axes,) as a loop takes them: a number for one axis."""
-    return float(values[0]) if isinstance(loop, Compensator) else values
+    return float(values[0]) if isinstance(loop.model, Actuator) else values
 
 
 def _row(values: float | Array) -> tuple[float, ...]:
     return tuple(np.atleast_1d(values).tolist())
 
 
-def _place(loop: Loop) -> tuple[float, ...]:
+def _place(loop: Compensator) -> tuple[float, ...]:
     """Return the displacements of the body [m]; for one actuator, of its mass."""
     return _row(loop.displacement)

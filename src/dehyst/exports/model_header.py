@@ -11,7 +11,7 @@ import numpy as np
 from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
-from dehyst.control import Compensator
+from dehyst.control import Axis
 from dehyst.exports.naming import shipped
 from dehyst.model import NEAR, Actuator, State, looped
 
@@ -85,14 +85,15 @@ class ExportedStart(NamedTuple):
     way: str
 
     @classmethod
-    def of(cls, compensator: Compensator) -> ExportedStart:
-        """Return the initial state of a compensator, at its construction or last reset."""
-        loop, actuator = compensator._clone(), compensator.actuator
-        state, (low, high), asked = loop.state, loop.limits, loop._initial_state
+    def of(cls, axis: Axis) -> ExportedStart:
+        """Return the initial state of an axis, at its construction or last reset."""
+        actuator, (low, high), asked = axis.actuator, axis.limits, axis.given
         # A little beyond the limits, the requested state has the same way.
-        held = loop._held(asked)
+        held = axis.held(asked)
         near = abs(actuator.voltage(asked) - held) <= NEAR * (high - low)
-        return cls(actuator.displacement(state), held, _way(actuator, asked if near else state, held, loop.limits))
+        return cls(
+            actuator.displacement(axis.start), held, _way(actuator, asked if near else axis.start, held, axis.limits)
+        )
 
     @property
     def words(self) -> str:
@@ -119,34 +120,20 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     return f"play the voltages that lead to this state, for instance a homing, down to the last one, {end}"
 
 
-def demand_compensator(value: object) -> None:
-    """Refuse anything but a Compensator.
-
-    Raises
-    ------
-    ModelError
-    """
-    if not isinstance(value, Compensator):
-        raise ModelError(
-            f"compensator: got {type(value).__name__}, need a Compensator; pass Compensator(actuator, limits), made "
-            "from the actuator"
-        )
-
-
 def config_header(number: Number) -> str:
     """Return `dehyst_config.h`, which sets the number type of core and model."""
     return shipped("dehyst_config.h").replace("DEHYST_REAL double", f"DEHYST_REAL {number}")
 
 
 class ModelText:
-    """The numbers of a `compensator` as C text of a `number` type; a float is rounded once, limits inward.
+    """The numbers of an `axis` as C text of a `number` type; a float is rounded once, limits inward.
 
     Raise `ModelError` if numbers that must differ round to the same float, or a float cannot hold a number.
     """
 
-    def __init__(self, compensator: Compensator, number: Number) -> None:
-        self._compensator, self._number = compensator, number
-        self._start, self._tables = compensator._core_start(), compensator._tables()
+    def __init__(self, axis: Axis, number: Number) -> None:
+        self._axis, self._number = axis, number
+        self._start, self._tables = axis.core_start, axis.loop.tables()
         if number == "float":
             self._tables["loop"] = _inward(self._tables["loop"])
             _demand_float(self._tables)
@@ -168,11 +155,11 @@ class ModelText:
         grades = max(tables["grade_knot"].size - 1, 0)
         computed = tables["knot"].size + 2 * tables["tau_voltage"].size
         computed += grades + (elements + 1) * (grades + 1) if grades else 0
-        return (len(self._compensator._model_block()) - _HEADER) // 8 + computed
+        return (len(self._axis.block()) - _HEADER) // 8 + computed
 
     def macros(self) -> str:
         """Return the macros that `piezo.h` begins with."""
-        tables, compensator = self._tables, self._compensator
+        tables, axis = self._tables, self._axis
         low, high = tables["loop"][:2].tolist()
         return f"""\
 #define PIEZO_ELEMENTS {tables["rho"].size}
@@ -183,9 +170,9 @@ class ModelText:
 #define PIEZO_ROOM {self.room}
 
 /* Seconds between steps; 0: this model does not depend on time. */
-#define PIEZO_PERIOD {self._decimal(compensator.period or 0.0)}
+#define PIEZO_PERIOD {self._decimal(axis.period or 0.0)}
 /* A displacement is to be given so many samples before its time. */
-#define PIEZO_AHEAD {compensator.samples_ahead}
+#define PIEZO_AHEAD {axis.preview[1]}
 #define PIEZO_LOW {self._decimal(low)} /* V */
 #define PIEZO_HIGH {self._decimal(high)} /* V */
 """
@@ -201,26 +188,26 @@ class ModelText:
         for name in ("tau_slope", "tau_inverse"):
             arrays[name] = arrays[name][:-1]
         arrays |= {"cart": start.carts, "elongation": elongation, "crept": crept}
-        begin = ExportedStart.of(self._compensator)
+        begin = ExportedStart.of(self._axis)
         comment = f"/* The start, at {begin.words}. To bring the actuator there:\n * {begin.way}. */"
         texts = [self._array(name, values) for name, values in arrays.items() if values.size]
         return "\n".join([*texts, comment, self._model(arrays), ""])
 
     def temperature(self) -> tuple[str, str]:
         """Return declaration and definition of the call that takes a temperature; empty without the part `thermal`."""
-        thermal = self._compensator.actuator.thermal
+        thermal = self._axis.actuator.thermal
         if thermal is None:
             return "", ""
         numbers = np.array([thermal.gain, thermal.offset, thermal.reference])
         return _TEMPERATURE_DECLARED, f"\n{self._array('thermal', numbers)}\n{_TEMPERATURE_DEFINED}"
 
     def _model(self, arrays: Tables) -> str:
-        tables, start, compensator, some = self._tables, self._start, self._compensator, self._some
+        tables, start, axis, some = self._tables, self._start, self._axis, self._some
         inertia, transition = tables["inertia"], tables["transition"]
         moves = transition if transition.size else np.zeros(8)
         low, high, change, *amplifier, stiffness = tables["loop"].tolist()
         motion = start.motion if start.motion.size else np.array([start.w, 0.0])
-        model_id, shape = compensator._model_ids()
+        model_id, shape = axis.ids()
 
         def at(*names: str) -> str:
             return ", ".join(f"piezo_{name}" if arrays[name].size else "0" for name in names)
@@ -252,8 +239,8 @@ class ModelText:
             stiffness=self._one(stiffness),
             start=some(np.array([start.w, *motion])),
             memory=at("cart", "elongation", "crept"),
-            period=self._one(compensator.period or 0.0),
-            ahead=compensator.samples_ahead,
+            period=self._one(axis.period or 0.0),
+            ahead=axis.preview[1],
             id=model_id,
             shape=shape,
         )

@@ -9,15 +9,14 @@ from typing import Any, NamedTuple, TypeAlias
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._io import PathLike, path_of
-from dehyst.control import Compensator, StageCompensator
+from dehyst.control import Compensator
 from dehyst.exports.firmware import write_c
 from dehyst.exports.fmu import ANY_VOLTAGE, write_fmu
-from dehyst.exports.golden_trace import Loop
 from dehyst.exports.model_header import Number
 from dehyst.exports.wasm import wasm_files, write_wasm
 from dehyst.model import Actuator, Stage
 
-Source: TypeAlias = Loop | Actuator | Stage
+Source: TypeAlias = Compensator | Actuator | Stage
 # The end of the name of a file, unlike that of a folder "piezo-1.5".
 _OF_A_FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")
 
@@ -70,7 +69,7 @@ def export(
 
     Parameters
     ----------
-    source : Compensator or StageCompensator, or Actuator or Stage
+    source : Compensator, Actuator or Stage
         A compensator is exported in its state at construction or last reset, and does not change. Of a model, its
         compensator within the model's limits is exported, or as an FMU itself, from the model's state. Several axes are
         exported as C only.
@@ -103,7 +102,8 @@ def export(
         If an FMU holds sources only, because there is no C compiler, it fails, or this is not Linux on x86-64.
     """
     path = path_of(target)
-    row = target_of(path, coupled=isinstance(source, StageCompensator | Stage))
+    coupled = isinstance(source.model if isinstance(source, Compensator) else source, Stage)
+    row = target_of(path, coupled=coupled)
     itself = isinstance(source, Actuator) and "kind" in row.options
     given = {"number": None if number == "double" else number, "name": name, "kind": "actuator" if itself else None}
     options: dict[str, Any] = {option: value for option, value in given.items() if value is not None}
@@ -114,11 +114,9 @@ def export(
     return path
 
 
-def _loop_of(source: Source, period: float | None, limits: tuple[float, float] | None) -> Loop:
+def _loop_of(source: Source, period: float | None, limits: tuple[float, float] | None) -> Compensator:
     """Return a compensator as it is, or that of a model, with the `limits` [V] of an actuator."""
-    if isinstance(source, Stage):
-        return StageCompensator(source, period=period)
-    if isinstance(source, Actuator):
+    if isinstance(source, Actuator | Stage):
         return Compensator(source, limits, period=period)
     if period is not None:
         raise ModelError(argument="period", got=repr(period), need="none, as a compensator has its own")

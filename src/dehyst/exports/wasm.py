@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from dehyst._errors import FileFormatError
 from dehyst._io import write_atomically
 from dehyst._version import __version__
-from dehyst.control import Compensator
-from dehyst.exports.model_header import ExportedStart, demand_compensator
+from dehyst.control import Compensator, only_axis
+from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.naming import shipped, shipped_bytes
 from dehyst.model import evaluator_of
 
@@ -33,28 +34,28 @@ def wasm_files(path: Path) -> list[Path]:
 
 def wasm_module(compensator: Compensator) -> bytes:
     """Return an export as WebAssembly; raise `ModelError` if `compensator` is not a Compensator."""
-    demand_compensator(compensator)
+    axis = only_axis(compensator)
     core = shipped_bytes("core.wasm")
     if not core.startswith(_MAGIC):
         raise FileFormatError("exports/templates/core.wasm: not the file of this version; install dehyst again")
-    actuator, start = compensator.actuator, ExportedStart.of(compensator)
+    actuator, start = axis.actuator, ExportedStart.of(axis)
     about = {
         "format": "dehyst-wasm",
         "version": __version__,
         "name": actuator.name,
-        "limits": list(compensator.limits),
-        "slewRate": compensator.slew_rate,
-        "period": compensator.period,
-        "needsPeriod": evaluator_of(actuator).needs_time or compensator._previews,
-        "samplesAhead": compensator.samples_ahead,
-        "reach": list(compensator._clone("m").reach),
+        "limits": list(axis.limits),
+        "slewRate": axis.slew_rate,
+        "period": axis.period,
+        "needsPeriod": evaluator_of(actuator).needs_time or axis.previews,
+        "samplesAhead": axis.preview[1],
+        "reach": list(replace(axis).reach),
         "start": {"displacement": start.displacement, "voltage": start.voltage, "way": start.way},
     }
     if (thermal := actuator.thermal) is not None:
         about["thermal"] = {"gain": thermal.gain, "offset": thermal.offset, "reference": thermal.reference}
     text = json.dumps(about, ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
     # Own sections come first: a file of dehyst is known by its beginning.
-    return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", compensator._model_block()) + core[8:]
+    return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", axis.block()) + core[8:]
 
 
 def _section(name: str, content: bytes) -> bytes:

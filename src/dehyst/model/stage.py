@@ -231,7 +231,7 @@ class Stage(JsonFile):
     ) -> Motion:
         """Return the voltages with which all axes follow their displacements, ``v = h^-1(coupling^-1 y)``.
 
-        They are not limited: see `StageCompensator`.
+        They are not limited: see `Compensator`.
 
         Parameters
         ----------

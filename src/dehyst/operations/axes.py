@@ -13,7 +13,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
-from dehyst.control import Compensator, PathPlan, StageCompensator
+from dehyst.control import Compensator, PathPlan
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Condition, Values, option
@@ -157,10 +157,8 @@ class AxesModel:
         **options: Any,
     ) -> list[PathPlan]:
         """Return the plan of each axis, by `plan_path` or `plan_voltage`, for `rows` (n, axes) [m] or [V]."""
-        if self.stage is None:
-            planned = plan(Compensator(self.actuators[0], limits[0], slew_rates[0]), rows[:, 0], **options)
-        else:
-            planned = plan(StageCompensator(self.stage, limits=limits, slew_rate=slew_rates), rows, **options)
+        loop = Compensator(self.stage or self.actuators[0], limits, slew_rates)
+        planned = plan(loop, rows[:, 0] if self.stage is None else rows, **options)
         return [*(planned.each or (planned,))]
 
     def by_axis(self, values: Iterable[Any]) -> Any:

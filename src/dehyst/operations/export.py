@@ -10,9 +10,8 @@ from typing import Any, Literal
 
 import click
 
-from dehyst.control import Compensator, PossibleStart, StageCompensator
+from dehyst.control import Axis, Compensator, PossibleStart
 from dehyst.control.planning.start import model_error
-from dehyst.control.stage_compensator import axes_of
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import TARGETS, target_of
@@ -95,15 +94,10 @@ def export(
     bounds: list[Any] = limits_of(known.axes, limits)
     begins, remarks = starts_of(known, start, bounds, AS_FOUND)
     states, slews = [state for state in begins if state is not None], known.slews(slew_rate)
-    compensator: Compensator | StageCompensator
-    if known.stage is not None:
-        given: dict[str, Any] = {"slew_rate": [slew.bound for slew in slews], "states": [at.state for at in states]}
-        compensator = StageCompensator(known.stage, limits=bounds, period=period, **given)
-    else:
-        allowed = bounds[0] if loop else ANY_VOLTAGE
-        given = {"period": period, "state": states[0].state, "preview": preview}
-        compensator = Compensator(known.actuators[0], allowed, slews[0].bound, **given)
-    loops = axes_of(compensator)
+    given: dict[str, Any] = {"slew_rate": [slew.bound for slew in slews], "state": [at.state for at in states]}
+    allowed = bounds if loop else ANY_VOLTAGE
+    compensator = Compensator(known.stage or known.actuators[0], allowed, period=period, preview=preview, **given)
+    loops = compensator._axes
     if loop:
         remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
     remarks += known.prefixed(map(_start_remarks, loops, states))
@@ -125,9 +119,9 @@ def export(
     return Result({**fields, "warnings": remarks}, [line, *known.prefixed(words)], warnings=remarks)
 
 
-def _start_remarks(compensator: Compensator, start: PossibleStart) -> Iterator[str]:
+def _start_remarks(axis: Axis, start: PossibleStart) -> Iterator[str]:
     """Yield warnings of a start that is clearly outside the limits, or open by more than the model's error."""
-    actuator, (low, high) = compensator.actuator, compensator.limits
+    actuator, (low, high) = axis.actuator, axis.limits
     places, present = [actuator.displacement(state) for state in start.states], actuator.voltage(start.state)
     if not low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
         yield (

@@ -144,11 +144,11 @@ def zero_of_path(
     """Return the model's displacement [m] that is the zero of a path."""
     if zero is None or not zero.name:
         return 0.0 if zero is None else zero.um * 1e-6
-    compensator = Compensator(actuator, limits)
-    low, high = compensator.reach
+    axis = Compensator(actuator, limits)._axes[0]
+    low, high = axis.reach
     if zero.name == "first":
-        rest = float(np.clip(present or 0.0, *compensator.limits))
-        begin = start or PossibleStart.unknown(actuator, rest, compensator.limits)
+        rest = axis.bounds.nearest(present or 0.0)
+        begin = start or PossibleStart.unknown(actuator, rest, axis.limits)
         return evaluator_of(actuator).displacement(begin.state, of_mass=False)
     return low if zero.name == "bottom" else 0.5 * (low + high)
 
@@ -192,7 +192,7 @@ def reach_remarks(
     advice = "choose another --zero" if fits else "choose a smaller path"
     if fits and zero is None:
         advice = f"--zero {0.5 * (low + high - least - most):.4g} puts it into the middle"
-    if compensator._strays(cold):
+    if compensator._axes[0].strays(cold):
         hint = f"check the numbers and their unit{f', or {advice}' if fits else ''}"
         raise ModelError(f"got {least:.6g} to {most:.6g} um, {reached}", argument="displacement", hint=hint)
     from_zero = 1e6 * wanted - (0.0 if zero is None else least)

@@ -28,7 +28,7 @@ from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
 from dehyst._validation import interval, number
 from dehyst._views.lines import length
-from dehyst.control.compensator import allowed_limits
+from dehyst.control.axis import allowed_limits
 from dehyst.control.limits import VoltageLimits
 from dehyst.model import (
     Actuator,

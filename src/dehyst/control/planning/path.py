@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError, RecordError
 from dehyst._types import Array
-from dehyst._units import per_metre
 from dehyst._validation import for_each, untimely, vector
+from dehyst.control.axis import Axis
 from dehyst.control.compensator import Compensator
+from dehyst.control.coupling import targets_and_clamped
 from dehyst.control.following import Followed, follow_axes
 from dehyst.control.limits import outside_identified, unit_hint
 from dehyst.control.planning.homing import time_allowed
 from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
 from dehyst.control.planning.start import PossibleStart, StartError
 from dehyst.control.planning.ways import TOLERANCE, Begin, Way, begin_of, pace, simultaneous, usual_step, way_to
-from dehyst.control.stage_compensator import StageCompensator, axes_of, compensator_of, targets_and_clamped
 from dehyst.model import (
     Actuator,
     Stage,
@@ -43,7 +43,7 @@ _ROUNDING = 1e-9
 
 
 def plan_path(
-    model: Actuator | Stage | Compensator | StageCompensator,
+    model: Actuator | Stage | Compensator,
     path: ArrayLike,
     *,
     time: ArrayLike | None = None,
@@ -66,20 +66,20 @@ def plan_path(
 
     Parameters
     ----------
-    model : Actuator, Stage, Compensator or StageCompensator
-        A compensator gives limits, slew rates, units and `scaling`; its state has no effect.
+    model : Actuator, Stage or Compensator
+        A compensator gives limits, slew rates, units and `scale`; its state has no effect.
     path : (n,) or (n, axes) array_like
         Wanted displacement [m, or `units` of the compensator], as its sensor shows it.
     time : (n,) array_like, optional
         [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag. Default: a
         sample every `period`, if the compensator has one.
     limits, slew_rate : optional
-        As in `Compensator` and `StageCompensator`; only for an actuator or a stage.
+        As in `Compensator`; only for an actuator or a stage.
     velocity, acceleration : (n,) array_like, optional
         Of the path of a single axis, per second and per second squared, used with dynamics; default: those of its
         cubic spline.
     temperature : float, (n,) or (n, axes) array_like, optional
-        [degC] of the path; default: not known, and computed with the compensator's `scaling`. Without the part
+        [degC] of the path; default: not known, and computed with the compensator's `scale`. Without the part
         `thermal` it is only compared with that of the model's records.
     start : PossibleStart or State, or one an axis, optional
         The state before the path; default: unknown, at rest near the first sample.
@@ -119,7 +119,7 @@ def plan_path(
     >>> plan.voltage[plan.first :].shape
     (50,)
     """
-    task = Task(compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
+    task = Task(_compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
     task.set_rates(velocity, acceleration)
     task.shift(on_time)
     task.home_within = time_allowed(home_within)
@@ -136,7 +136,7 @@ def plan_path(
 
 
 def plan_voltage(
-    model: Actuator | Stage | Compensator | StageCompensator,
+    model: Actuator | Stage | Compensator,
     voltage: ArrayLike,
     *,
     time: ArrayLike | None = None,
@@ -147,7 +147,7 @@ def plan_voltage(
 
     Default of `start`: unknown, at rest at the first voltage. Others, and errors, as in `plan_path`.
     """
-    task = Task(compensator_of(model, None, None), voltage, "voltage", time, temperature)
+    task = Task(_compensator_of(model, None, None), voltage, "voltage", time, temperature)
     starts = [
         known or PossibleStart.unknown(loop.actuator, volts, loop.limits)
         for known, loop, volts in zip(task.given(start)[0], task.loops, task.firsts, strict=True)
@@ -169,20 +169,17 @@ class Task:
 
     def __init__(
         self,
-        compensator: Compensator | StageCompensator,
+        compensator: Compensator,
         rows: ArrayLike,
         what: str,
         time: ArrayLike | None,
         temperature: ArrayLike | None,
     ) -> None:
-        self.compensator, self.loops, self.voltage = compensator, axes_of(compensator), what == "voltage"
-        self.single = compensator if isinstance(compensator, Compensator) else None
-        if isinstance(compensator, Compensator):
-            self.stage = Stage((compensator.actuator,))
-            self.rows = (vector(rows, what) if self.voltage else compensator._in_metres(rows))[:, None]
-        else:
-            self.stage = compensator.stage
-            self.rows = self.stage.columns(rows, what)
+        self.compensator, self.loops, self.voltage = compensator, compensator._axes, what == "voltage"
+        self.single, self.stage = compensator._single, compensator.stage
+        self.rows = compensator._rows(rows, what)
+        if not self.voltage:
+            self.rows = self.rows / compensator._per_metre
         size, period = len(self.rows), compensator.period
         if not size:
             raise RecordError(argument="path", got="no samples", need="one at least")
@@ -211,9 +208,9 @@ class Task:
     def _decouple(self) -> None:
         """Find the displacements without coupling, and the first ones of the models."""
         self.moved = self.through(self.stage.decoupling, self.rows)
-        scales = [loop._scaling_at(warm, len(self.rows)) for loop, warm in zip(self.loops, self.warmth, strict=True)]
-        for j, (loop, (gain, offset)) in enumerate(zip(self.loops, scales, strict=True)):
-            if words := loop._straying((self.moved[:, j] - offset) / gain):
+        scales = [loop.scaling(warm, len(self.rows)) for loop, warm in zip(self.loops, self.warmth, strict=True)]
+        for j, (gain, offset) in enumerate(scales):
+            if words := self.compensator._straying(j, (self.moved[:, j] - offset) / gain):
                 raise ModelError(words if self.single else f"axis {self.stage.axes[j]}: {words}")
         gains, offsets = ([float(np.ravel(values)[0]) for values in column] for column in zip(*scales, strict=True))
 
@@ -234,9 +231,9 @@ class Task:
         """Take over the derivatives of a path of one axis."""
         for name, values in {"velocity": velocity, "acceleration": acceleration}.items():
             if values is not None:
-                if self.single is None:
+                if not self.single:
                     raise ModelError(argument=name, got="it for several axes", need="a path of one axis")
-                self.rates[name] = self.single._in_metres(values, name)
+                self.rates[name] = self.compensator._rows(values, name)[:, 0] / self.compensator._per_metre
                 if self.rates[name].size != len(self.rows):
                     got = f"{self.rates[name].size} values for {len(self.rows)} samples"
                     raise ModelError(argument=name, got=got, need="one a sample")
@@ -313,7 +310,7 @@ class Task:
         ways = [Way(begin.start, begin.start.state) for begin in begins]
         return ways, np.zeros((0, len(ways))), found
 
-    def jumps(self, loop: Compensator, volts: float | None, found: Followed) -> bool:
+    def jumps(self, loop: Axis, volts: float | None, found: Followed) -> bool:
         """Return whether a path begins with a step that its slew rate does not allow, or a fast one unlike its own."""
         if volts is None or self.time is None:
             return False
@@ -375,7 +372,7 @@ class Task:
         for loop, way, volts, warmth in zip(self.loops, ways, after.T, self.warmth, strict=True):
             voltage = np.concatenate([way.voltage, volts])
             motion = loop.actuator.simulate(voltage, time=time, state=way.start.state, extrapolate=True)
-            gain, offset = loop._scaling_at(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
+            gain, offset = loop.scaling(self.degrees(warmth, way.voltage.size, volts.size), voltage.size)
             moved.append(offset + gain * motion.displacement)
             states.append(motion.state)
         return self.through(self.stage.coupling, np.column_stack(moved)), states
@@ -409,7 +406,7 @@ class Task:
         for loop, way, each, warmth in zip(self.loops, ways, found, self.warmth, strict=True):
             voltage = np.concatenate([way.voltage, each.voltage]) if first else each.voltage
             error = way.start.error_along(loop.actuator, voltage, loop.limits, time=time, first=first + self.ahead)
-            gain, offset = loop._scaling_at(None if warmth is None else warmth[self.ahead :], size - self.ahead)
+            gain, offset = loop.scaling(None if warmth is None else warmth[self.ahead :], size - self.ahead)
             errors.append(error.scaled(gain, offset))
         return errors
 
@@ -451,7 +448,7 @@ class Task:
             if way.offer and time is not None:
                 remarks += (f"the path begins after {time[first + after] - time[0]:.4g} s; {way.offer}",)
             if wanted is None:
-                remarks += shortfall(each.voltage, each.clamped, loop._bounds, missed, tolerated)
+                remarks += shortfall(each.voltage, each.clamped, loop.bounds, missed, tolerated)
                 remarks += outside_identified(loop.actuator, each.voltage, refuse=False).warnings
                 remarks += self.remarks[j] + self.speeds(j, each)
             plan = PathPlan(
@@ -478,7 +475,7 @@ class Task:
         loop = self.loops[j]
         if self.time is None or self.time.size < 2 or loop.slew_rate is None or not found.clamped.any():
             return ()
-        gain, offset = loop._scaling_at(self.warmth[j], len(self.rows))
+        gain, offset = loop.scaling(self.warmth[j], len(self.rows))
         rates = {name: values / gain for name, values in self.rates.items()}
         target = (self.moved[:, j] - offset) / gain
         state = state_at(loop.actuator, loop.actuator.state, float(target[0]))
@@ -489,10 +486,19 @@ class Task:
         return (slewed,) if needed > loop.slew_rate else ()
 
     def result(self, plans: list[PathPlan]) -> PathPlan:
-        """Return the plan of several axes, or that of the only axis in the units of its compensator."""
-        if self.single is None:
-            return PathPlan.of_axes(self.stage.axes, plans)
-        units = self.single.units
-        hint = unit_hint(units, self.single.reach, self.rows[:, 0] * per_metre(units))
-        plan = replace(plans[0], warnings=(*plans[0].warnings, *hint))
-        return plan if units == plan.units else plan.in_units(units)
+        """Return the plan of several axes, or that of the only axis, in the units of the compensator."""
+        units, counts, made = self.compensator.units, self.compensator._per_metre, []
+        for plan, loop, column in zip(plans, self.loops, self.rows.T, strict=True):
+            hint = unit_hint(units, (counts * loop.reach[0], counts * loop.reach[1]), counts * column)
+            made.append(replace(plan, warnings=(*plan.warnings, *hint)).in_units(units))
+        return made[0] if self.single else PathPlan.of_axes(self.stage.axes, made)
+
+
+def _compensator_of(model: Actuator | Stage | Compensator, limits: Any, slew_rate: Any) -> Compensator:
+    """Return the compensator of a model, or the given one; raise `ModelError` for limits beside a compensator."""
+    if not isinstance(model, Compensator):
+        return Compensator(model, limits, slew_rate)
+    for name, value in {"limits": limits, "slew_rate": slew_rate}.items():
+        if value is not None:
+            raise ModelError(argument=name, got="some beside a compensator, which has its own", hint="leave them out")
+    return model

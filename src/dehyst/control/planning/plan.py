@@ -109,6 +109,7 @@ class PathPlan:
             followed=all(all_of("followed")),
             warnings=tuple(warnings),
             temperature=warm,
+            units=plans[0].units,
             each=tuple(plans),
         )
 

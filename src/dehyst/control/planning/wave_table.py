@@ -14,6 +14,7 @@ from dehyst._native import EMPTY
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._views.lines import span_of
+from dehyst.control.axis import Axis
 from dehyst.control.compensator import Compensator
 from dehyst.control.following import Followed, follow
 from dehyst.control.planning.homing import time_allowed
@@ -119,30 +120,30 @@ class _Steady(NamedTuple):
     repeats: float
 
 
-def _steady_cycle(compensator: Compensator, path: ScanPath, state: State, sent: float) -> _Steady:
+def _steady_cycle(axis: Axis, path: ScanPath, state: State, sent: float) -> _Steady:
     """Return the steady cycle of a path from a `state` at its first sample, with the voltage `sent` [V] before.
 
     It is computed; where voltages are clamped, cycles follow until their voltages repeat.
     """
-    size, actuator = len(path), compensator.actuator
-    begun = follow(compensator, **_rows(path.repeated(2)), state=state, present=sent)
+    size, actuator = len(path), axis.actuator
+    begun = follow(axis, **_rows(path.repeated(2)), state=state, present=sent)
     state = steady_state(actuator, path, begun.state)
     # In a cycle that repeats itself nothing limits the slew rate before the first sample.
     first = actuator.compensate(path.displacement, **timed(path), state=state, extrapolate=True)
-    present = compensator._bounds.nearest(float(first.voltage[0]))
+    present = axis.bounds.nearest(float(first.voltage[0]))
     for count in _CLAMPED:
         if count * size > _MOST_CLAMPED:
             break
         if count:
-            followed = follow(compensator, **_rows(path.repeated(count)), state=state, present=present)
+            followed = follow(axis, **_rows(path.repeated(count)), state=state, present=present)
             state, present = followed.state, float(followed.voltage[-1])
-        three = follow(compensator, **_rows(path.repeated(3)), state=state, present=present)
+        three = follow(axis, **_rows(path.repeated(3)), state=state, present=present)
         # At the ends of the middle cycle the slope of the voltage is known from both sides, which a lag needs.
         voltage = three.voltage[size : 2 * size]
         repeats = float(np.abs(three.voltage[2 * size : 3 * size] - voltage).max())
         if repeats <= _REPEATS * float(np.ptp(voltage)) or not three.clamped.any():
             break
-    voltage = _towards(voltage, float(voltage[0]), compensator)
+    voltage = _towards(voltage, float(voltage[0]), axis)
     closed, middle = np.append(voltage, voltage[0]), slice(size, 2 * size + 1)
     return _Steady(closed, three.displacement[middle], three.clamped[middle], state, repeats)
 
@@ -151,9 +152,9 @@ def _rows(path: ScanPath) -> dict[str, Any]:
     return {"displacement": path.displacement, **timed(path)}
 
 
-def _towards(voltage: Array, end: float, compensator: Compensator) -> Array:
+def _towards(voltage: Array, end: float, axis: Axis) -> Array:
     """Return a voltage (n,) [V] with its last samples changed so that `end` [V] follows within the slew rate."""
-    step = compensator._bounds.largest_step(compensator.period or inf)
+    step = axis.bounds.largest_step(axis.period or inf)
     if step == inf:
         return voltage
     far = step * np.arange(voltage.size, 0, -1)
@@ -329,19 +330,20 @@ def wave_table(
     else:
         begins = first.begins(given, now, near=present is None)
         ways, _, (begun,) = first.begun(begins)
-    steady = _steady_cycle(compensator, path, begun.state, float(begun.voltage[-1]))
+    axis = compensator._axes[0]
+    steady = _steady_cycle(axis, path, begun.state, float(begun.voltage[-1]))
     if cycles is None:
-        count = _start_up(compensator, path, begun, steady, least)
+        count = _start_up(axis, path, begun, steady, least)
     task = _task(compensator, path.repeated(count + 1), home_within)
     ways, way, (found,) = task.after(ways, begins) if ways[0].voltage.size else task.begun(begins)
     size = len(steady.voltage)
-    voltage = np.append(_towards(found.voltage[:-size], float(steady.voltage[0]), compensator), steady.voltage)
+    voltage = np.append(_towards(found.voltage[:-size], float(steady.voltage[0]), axis), steady.voltage)
     moved = task.motion(ways, voltage[:, None])[0][-voltage.size :, 0]
     error = float(np.abs(moved[-size:] - steady.reached).max())
     clamped = np.append(found.clamped[:-size], steady.clamped)
     plan = task.result(task.plans(ways, way, [Followed(voltage, moved, clamped, steady.state)]))
     before = ways[0].last if ways[0].voltage.size else begins[0].volts
-    _refuse_steps(compensator, voltage if before is None else np.append(before, voltage), count)
+    _refuse_steps(axis, voltage if before is None else np.append(before, voltage), count)
     return WaveTable(
         Cycle(steady.voltage[:-1], path.displacement, steady.reached[:-1], path.sample_rate),
         plan,
@@ -353,12 +355,12 @@ def wave_table(
     )
 
 
-def _start_up(compensator: Compensator, path: ScanPath, begun: Followed, steady: _Steady, least: float) -> int:
+def _start_up(axis: Axis, path: ScanPath, begun: Followed, steady: _Steady, least: float) -> int:
     """Return the cycles of start-up after which the steady cycle deviates by `least` [m], or the most that may be.
 
     `begun`: the first cycle.
     """
-    actuator, clamps, time = compensator.actuator, bool(steady.clamped.any()), path.repeated(1).time
+    actuator, clamps, time = axis.actuator, bool(steady.clamped.any()), path.repeated(1).time
     most, count, last = MOST_ROWS // len(path), 1, inf
     if clamps:
         most = min(most, _MOST_CLAMPED_CYCLES)
@@ -375,7 +377,7 @@ def _start_up(compensator: Compensator, path: ScanPath, begun: Followed, steady:
         if not ahead:
             return count
         present, cycles = float(begun.voltage[-1]), path.repeated(ahead)
-        begun, count = follow(compensator, **_rows(cycles), state=begun.state, present=present), count + ahead
+        begun, count = follow(axis, **_rows(cycles), state=begun.state, present=present), count + ahead
 
 
 def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -> Task:
@@ -387,10 +389,10 @@ def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -
     return task
 
 
-def _refuse_steps(compensator: Compensator, voltage: Array, cycles: int) -> None:
+def _refuse_steps(axis: Axis, voltage: Array, cycles: int) -> None:
     """Raise RecordError if a start-up is too short to lead to the steady cycle within the slew rate."""
     largest = float(np.abs(np.diff(voltage)).max())
-    if largest > compensator._bounds.largest_step(compensator.period or inf) * (1 + _REPEATS):
+    if largest > axis.bounds.largest_step(axis.period or inf) * (1 + _REPEATS):
         need = "more: within the slew rate they do not lead to the steady cycle"
         raise RecordError(argument="cycles", got=f"{cycles}", need=need)
 

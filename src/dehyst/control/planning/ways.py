@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dehyst._errors import RecordError
 from dehyst._native import EMPTY
 from dehyst._types import Array
-from dehyst.control.compensator import Compensator
+from dehyst.control.axis import Axis
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.homing import FASTEST_BRANCH, Homing, branch_seconds, shortest_homing
 from dehyst.control.planning.plan import HOMING, WAY
@@ -75,15 +75,15 @@ class Way(NamedTuple):
     waits: float = 0.0
 
 
-def begin_of(loop: Compensator, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Begin:
+def begin_of(loop: Axis, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Begin:
     """Return how an actuator stands: as given, or unknown at a voltage [V], or `near` the first sample [m]."""
     if known is not None:
         state = known.within(loop.actuator, loop.limits)
-        return Begin(known, state, loop._held(state) if present is None else present_voltage(loop._bounds, present))
+        return Begin(known, state, loop.held(state) if present is None else present_voltage(loop.bounds, present))
     if near:
         start = PossibleStart.unknown_near(loop.actuator, first, loop.limits)
         return Begin(start, start.within(loop.actuator, loop.limits), None)
-    volts = present_voltage(loop._bounds, present)
+    volts = present_voltage(loop.bounds, present)
     words = f"the homing begins at {volts:.6g} V, the limit next to 0 V: ramp there first, or give the present voltage"
     remark = (words,) if present is None and volts else ()
     start = PossibleStart.unknown(loop.actuator, volts, loop.limits)
@@ -98,7 +98,7 @@ def usual_step(time: Array | None) -> float:
 
 
 def way_to(
-    loop: Compensator, begin: Begin, first: float, time: Array | None, *, home: bool, within: float | None, rows: int
+    loop: Axis, begin: Begin, first: float, time: Array | None, *, home: bool, within: float | None, rows: int
 ) -> Way:
     """Return the shortest homing of an axis, if it is to `home`, and the way from its end to a path.
 
@@ -106,7 +106,7 @@ def way_to(
     longest time of homing and way.
     """
     actuator, (low, high), state, step = loop.actuator, loop.limits, begin.state, usual_step(time)
-    now, rate = loop._held(state) if begin.volts is None else begin.volts, 1 / step
+    now, rate = loop.held(state) if begin.volts is None else begin.volts, 1 / step
     branch = max(FASTEST_BRANCH, _FEWEST * step)
     branch = float(_TIMELESS) if time is None else max(branch, branch_seconds(actuator, branch))
     drive = Sampling(0.5 / branch, rate, base=now, present=now, limits=(low, high), slew_rate=pace(loop))
@@ -247,9 +247,9 @@ def played_homing(
     return homing, short if short.played.duration < homing.played.duration / _LONG else None
 
 
-def pace(compensator: Compensator) -> float | None:
+def pace(axis: Axis) -> float | None:
     """Return the largest slew rate [V/s] of jumps, homings and ways: no more than the records of the model have."""
-    rates = (compensator.slew_rate, slew_rate_of_records(compensator.actuator))
+    rates = (axis.slew_rate, slew_rate_of_records(axis.actuator))
     return min((rate for rate in rates if rate is not None), default=None)
 
 

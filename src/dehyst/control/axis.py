@@ -1,0 +1,291 @@
+"""One actuator within limits: its start, and its loop in the C core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dehyst._errors import ModelError, of_part
+from dehyst._native import CoreError, CoreState, Loop
+from dehyst._types import Array
+from dehyst._validation import for_each, interval, keep, number
+from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_sample
+from dehyst.control.preview import preview_filter
+from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits, stroke_of
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """An actuator within limits and its loop in C; lengths are in metres.
+
+    `given`: its state at the construction or last reset, by default (`assumed`) the actuator's own; `start`: this state
+    within the limits. `previews`, `warns`: as in `Compensator`. `per_metre`: the unit of steps and offers of the loop.
+    """
+
+    actuator: Actuator
+    bounds: VoltageLimits
+    period: float | None
+    given: State
+    assumed: bool = False
+    previews: bool = False
+    warns: bool = False
+    per_metre: float = 1.0
+    start: State = field(init=False)
+
+    def __post_init__(self) -> None:
+        keep(self, start=state_within_limits(self.actuator, self.given, self.limits))
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest voltage [V]."""
+        return self.bounds.low, self.bounds.high
+
+    @property
+    def slew_rate(self) -> float | None:
+        """Largest slew rate [V/s]; None if it is not limited."""
+        return self.bounds.slew_rate
+
+    @cached_property
+    def loop(self) -> Loop:
+        """The loop in C, made when first needed, because a plan does not need it.
+
+        Raise `ModelError` if a period is missing, too long for a resonance, or too short for the slew rate.
+        """
+        model, slew, seconds = evaluator_of(self.actuator), self.slew_rate, self.period or 0.0
+        if self.period is None and (model.needs_time or slew is not None):
+            words = "creep, inertia, a lag or a slew rate need the time between steps"
+            raise ModelError(words, hint="give the period [s]", change=("period",))
+        coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
+        most = float(np.finfo(np.float64).max)
+        change = most if slew is None else min(slew * seconds, most)
+        if change <= 0:
+            words = f"{slew:g} V/s allow no change in {seconds:g} s"
+            raise ModelError(words, argument="slew_rate", hint="give more, or a longer period")
+        numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
+        actuator, bounds, assumed = self.actuator, self.bounds, self.assumed
+
+        def warn(slewed: bool, displacement: float, voltage: float, before: float) -> None:
+            guess = before if assumed and before == begin else None
+            warn_of_sample(actuator, bounds, slewed, displacement, voltage, guess)
+
+        call = warn if self.warns else lambda *_: None
+        loop = model.core.loop(coefficients, self.preview[0], numbers, call, self.core_start)
+        loop.per_metre, begin = self.per_metre, loop.sent()
+        return loop
+
+    @property
+    def running(self) -> bool:
+        """Whether the loop was made; else nothing was sent."""
+        return "loop" in self.__dict__
+
+    @property
+    def core_start(self) -> CoreState:
+        """The start as numbers of the C core."""
+        return evaluator_of(self.actuator).core_state(self.start)
+
+    @cached_property
+    def preview(self) -> tuple[Array, int]:
+        """Taps of the preview filter, and the number of samples that it looks ahead."""
+        return preview_filter(self.actuator, self.period) if self.previews and self.period else (np.ones(1), 0)
+
+    @property
+    def voltage(self) -> float:
+        """The last voltage sent [V]; before any, the voltage that holds the actuator in its start."""
+        return self.loop.sent() if self.running else self.held(self.start)
+
+    @property
+    def assumed_voltage(self) -> float | None:
+        """The present voltage [V], if it is only assumed: no state was given, and nothing was sent; else None."""
+        begins = self.assumed and (not self.running or self.loop.sent() == self.held(self.start))
+        return self.voltage if begins else None
+
+    @property
+    def state(self) -> State:
+        """State after all voltages sent."""
+        return evaluator_of(self.actuator).state_of(CoreState(*self.loop.state())) if self.running else self.start
+
+    @property
+    def clamps(self) -> Clamps:
+        """Number of samples clamped so far, by kind."""
+        return Clamps(*self.loop.counts()[:2]) if self.running else Clamps(0, 0)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Displacements [m] at both limits of a slow major loop, with creep at rest, gain and offset."""
+        (low, high), (gain, offset) = self._reach, self.scaling()
+        return offset + gain * low, offset + gain * high
+
+    @property
+    def width(self) -> float:
+        """Width of the reach [m], or the stroke: a reach far beyond the records is extrapolated."""
+        return min(self.reach[1] - self.reach[0], stroke_of(self.actuator))
+
+    @cached_property
+    def _reach(self) -> tuple[float, float]:
+        return major_loop(self.actuator, self.limits)
+
+    def held(self, state: State) -> float:
+        """Return the voltage [V] within the limits that holds the actuator in a `state`, or the nearest limit."""
+        return self.bounds.nearest(self.actuator.voltage(state))
+
+    def scaling(self, temperature: ArrayLike | None = None, samples: int = 1) -> tuple[Any, Any]:
+        """Return gains and offsets [m] of `samples` at a `temperature`, one or (n,) [degC]; None: those of the loop.
+
+        Raise `ModelError` if the actuator does not depend on temperature.
+        """
+        if temperature is not None:
+            return demand_thermal(self.actuator.thermal).scale(temperature, samples)
+        gain, offset = self.loop.rest()[5:7].tolist() if self.running else (1.0, 0.0)
+        return gain, offset
+
+    def in_model(self, displacement: Array) -> Array:
+        """Return the displacement (n,) [m] of the model that makes a `displacement` (n,) [m]."""
+        gain, offset = self.scaling()
+        return np.asarray((displacement - offset) / gain)
+
+    def strays(self, displacement: Array) -> str:
+        """Return why a `displacement` (n,) [m] of the model is implausible; else ""."""
+        return stray_sentence(self.actuator, self.bounds, displacement)
+
+    def call(self, function: Callable[[float], float], displacement: float) -> float:
+        """Return the voltage [V] of a step or an offer of the loop for a displacement [m, or its unit]."""
+        try:
+            return function(displacement)
+        except TypeError:
+            return function(number(displacement, "displacement"))
+        except CoreError as error:
+            raise refusal(displacement) from error
+
+    def trial(self, displacement: float) -> tuple[float, float | None]:
+        """Return the voltage [V] of an offer and, if it is clamped, the displacement [m] that it causes, else None.
+
+        A mass is assumed to be at rest.
+        """
+        voltage = self.call(self.loop.offer, displacement)
+        reached, clamped = self.loop.trial()
+        return voltage, reached if clamped else None
+
+    def commit(self, voltage: float) -> None:
+        """Commit a `voltage` [V] as sent; raise `ModelError` as `Compensator.commit`."""
+        try:
+            self.loop.commit(voltage)
+        except CoreError as error:
+            raise ModelError(
+                f"got {voltage:g} V, too far outside the limits {self.bounds.words} to return in one step",
+                argument="voltage",
+                hint="give the voltage that was really sent, in volts; if it was that, ramp to the limits first",
+            ) from error
+
+    def scale(self, gain: float, offset: float) -> None:
+        """Set gain and offset [m] of the displacement; raise `ModelError` as `Compensator.scale`."""
+        try:
+            self.loop.scale(gain, offset)
+        except CoreError as error:
+            raise ModelError(argument="gain", got=gain, need="a positive number, and not too large") from error
+
+    def block(self) -> bytes:
+        """Return actuator, limits, period and start as the block that `dehyst_model_load` reads in C."""
+        return self.loop.block(*self.core_start, self.period or 0.0, self.preview[1])
+
+    def ids(self) -> tuple[int, int]:
+        """Return the checksums `id` and `shape` of the model in C; limits and start have no effect on them."""
+        self.block()
+        return self.loop.ids()
+
+    def snapshot(self) -> bytes:
+        """Return the whole memory of the loop."""
+        self.block()
+        return self.loop.save()
+
+    def restore(self, snapshot: object) -> None:
+        """Continue from a `snapshot`, see `restore_all`, which undoes what an error leaves."""
+        if not isinstance(snapshot, bytes):
+            raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="the bytes of snapshot()")
+        self.block()
+        try:
+            self.loop.restore(snapshot)
+        except CoreError as error:
+            raise ModelError(f"got one that is refused: {error}", argument="snapshot") from error
+        self.bounds.within(self.loop.sent(), "snapshot")
+
+
+def restore_all(axes: Sequence[Axis], snapshots: Any) -> None:
+    """Continue from `snapshots`, one an axis; raise `ModelError` as `Compensator.restore`: the memory is unchanged."""
+    given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
+    if given != len(axes):
+        raise ModelError(argument="snapshot", got=str(given), need=f"{len(axes)}, one for each")
+    with unchanged_by_errors(*axes):
+        for axis, snapshot in zip(axes, snapshots, strict=True):
+            axis.restore(snapshot)
+
+
+def axes_of(
+    actuators: Sequence[Actuator],
+    names: Sequence[str],
+    period: float | None,
+    *,
+    limits: Any = None,
+    slew_rate: Any = None,
+    state: Any = None,
+    runs: bool = False,
+    **options: Any,
+) -> tuple[Axis, ...]:
+    """Return the axis of each of several actuators; an error begins with its name.
+
+    `limits`, `slew_rate`, `state`: one or one an actuator. `runs`: whether a missing period is an error. `options`:
+    further fields of all.
+    """
+    given = {"limits": limits, "slew_rate": slew_rate, "state": state}
+    columns = [for_each(values, len(actuators), name) for name, values in given.items()]
+    if period is not None and number(period, "period") <= 0:
+        raise ModelError(argument="period", got=period, need="a positive number of seconds")
+    seconds, made = None if period is None else float(period), []
+    for name, actuator, allowed, slew, own in zip(names, actuators, *columns, strict=True):
+        try:
+            if not isinstance(actuator, Actuator):
+                raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
+            bounds = VoltageLimits(*allowed_limits(actuator, allowed), slew)
+            begin = actuator.state if own is None else own
+            made.append(Axis(actuator, bounds, seconds, begin, own is None, **options))
+            _ = runs and made[-1].loop
+        except ModelError as error:
+            raise of_part(error, name) from error
+    return tuple(made)
+
+
+def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
+    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none or they are no interval."""
+    chosen = actuator.limits if limits is None else limits
+    if chosen is None:
+        raise ModelError(
+            "no voltage limits: the actuator has none and none were given",
+            hint="give limits (low, high)",
+            change=("limits",),
+        )
+    return interval(chosen)
+
+
+@contextmanager
+def unchanged_by_errors(*axes: Axis) -> Iterator[None]:
+    """Restore the whole memory of all `axes` if an error occurs in the block."""
+    before = [(CoreState(*axis.loop.state()), axis.loop.rest(), axis.loop.counts()) for axis in axes]
+    try:
+        yield
+    except BaseException:
+        for axis, (state, rest, counts) in zip(axes, before, strict=True):
+            axis.loop.begin(*state)
+            axis.loop.go_on(rest, *counts)
+        raise
+
+
+def refusal(displacement: float) -> ModelError:
+    """Return the error of a displacement that cannot be followed."""
+    return ModelError(
+        argument="displacement", got=repr(displacement), need="a finite number of metres that the model can follow"
+    )
