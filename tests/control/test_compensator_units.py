@@ -6,7 +6,6 @@ import pickle
 import numpy as np
 import plain_records
 import pytest
-from summaries import anatomy
 
 from dehyst import ClampWarning, Compensator, ModelError
 from dehyst.control import plan_path
@@ -45,18 +44,6 @@ def test_a_clamped_path_is_reported_in_the_unit():
     pytest.importorskip("pandas")
     for column in ("phase", "voltage_V", "displacement_um", "expected_um", "clamped"):
         np.testing.assert_allclose(command.to_dataframe()[column], expected.to_dataframe()[column], rtol=1e-14)
-
-
-def test_derivatives_are_in_the_unit_too():
-    metres, micro = pair(model=anatomy("inertia"), period=1e-4)
-    time = 1e-4 * np.arange(60)
-    path = 8 + np.sin(300 * time)
-    slope, bend = 300 * np.cos(300 * time), -9e4 * np.sin(300 * time)
-    given = {"velocity": slope / 1e6, "acceleration": bend / 1e6}
-    expected = plan_path(metres, path / 1e6, home=False, **given).voltage
-    np.testing.assert_array_equal(
-        plan_path(micro, path, home=False, velocity=slope, acceleration=bend).voltage, expected
-    )
 
 
 def test_a_copy_keeps_the_unit():

@@ -90,6 +90,3 @@ def test_a_model_and_its_compensator_give_the_same_plan():
     for wrong in (None, WANTED, "model.json"):
         with pytest.raises(ModelError, match="model"):
             plan_path(wrong, WANTED, time=TIME)
-    for name in ("velocity", "acceleration"):
-        with pytest.raises(ModelError, match=f"{name}: got 5 values"):
-            plan_path(PLANT, WANTED, time=TIME, home=False, **{name: np.zeros(5)})

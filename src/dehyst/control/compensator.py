@@ -56,7 +56,7 @@ class Compensator:
         the first step names it; `reset` begins in another state.
     units : str, optional
         Unit of all displacements that this compensator takes and returns: "m" (default), "mm", "um", "nm" or "pm".
-        Velocities and accelerations follow. A `state` is in SI units always.
+        A `state` is in SI units always.
     preview : bool, optional
         Compensate the delay and inertia of a single axis too. A step then takes the displacement that is wanted
         `samples_ahead` samples later. By default it takes the presently wanted displacement, and delay and inertia are

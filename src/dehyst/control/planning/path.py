@@ -18,7 +18,7 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.coupling import targets_and_clamped
 from dehyst.control.following import Followed, follow_axes
 from dehyst.control.limits import outside_identified, unit_hint
-from dehyst.control.planning.homing import time_allowed
+from dehyst.control.planning.homing import Homing, time_allowed
 from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
 from dehyst.control.planning.start import PossibleStart, StartError
 from dehyst.control.planning.ways import TOLERANCE, Begin, Way, begin_of, pace, simultaneous, usual_step, way_to
@@ -40,6 +40,8 @@ from dehyst.records import impossible
 
 # Relative difference of times, and of voltage steps, that is rounding.
 _ROUNDING = 1e-9
+# A homing is long if it takes this many times the path that follows.
+_LONG = 2.0
 
 
 def plan_path(
@@ -49,8 +51,6 @@ def plan_path(
     time: ArrayLike | None = None,
     limits: Any = None,
     slew_rate: Any = None,
-    velocity: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
     temperature: ArrayLike | None = None,
     start: Any = None,
     home: bool | None = None,
@@ -75,9 +75,6 @@ def plan_path(
         sample every `period`, if the compensator has one.
     limits, slew_rate : optional
         As in `Compensator`; only for an actuator or a stage.
-    velocity, acceleration : (n,) array_like, optional
-        Of the path of a single axis, per second and per second squared, used with dynamics; default: those of its
-        cubic spline.
     temperature : float, (n,) or (n, axes) array_like, optional
         [degC] of the path; default: not known, and computed with the compensator's `scale`. Without the part
         `thermal` it is only compared with that of the model's records.
@@ -90,8 +87,7 @@ def plan_path(
         step does not reach.
     home_within : float, optional
         Longest duration of the homing and of the way to the path [s]; a shorter homing leaves a larger error of the
-        start. Default: as long as necessary; a remark offers a shorter one if it takes more than twice as long as the
-        path.
+        start. Default: as long as necessary; a remark says so if it takes more than twice as long as the path.
     present : float, or one an axis, optional
         Present voltage [V] of an unknown start: from there the homing begins, or without one the way to the first
         sample. Default 0 V or the nearest limit; without a homing: if none is given, at the first sample.
@@ -120,13 +116,11 @@ def plan_path(
     (50,)
     """
     task = Task(_compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
-    task.set_rates(velocity, acceleration)
     task.shift(on_time)
     task.home_within = time_allowed(home_within)
     given, now = task.given(start, present)
     if not home:
-        begins = task.begins(given, now, near=all(volts is None for volts in now))
-        ways, before, found = task.begun(begins)
+        ways, before, found = task.begun(task.begins(given, now, near=all(volts is None for volts in now)))
         errors = task.errors(ways, found)
         if home is not None or all(given) or not any(error.matters for error in errors):
             return task.result(task.plans(ways, before, found, errors=errors))
@@ -174,6 +168,7 @@ class Task:
         what: str,
         time: ArrayLike | None,
         temperature: ArrayLike | None,
+        rates: dict[str, Array] | None = None,
     ) -> None:
         self.compensator, self.loops, self.voltage = compensator, compensator._axes, what == "voltage"
         self.single, self.stage = compensator._single, compensator.stage
@@ -198,7 +193,8 @@ class Task:
                 raise ModelError(untimely(self.time, size))
             if size > 1 and (words := impossible("time", float(np.median(np.diff(self.time))))):
                 raise ModelError(words, argument="time")
-        self.rates: dict[str, Array] = {}
+        # Velocity [m/s] and acceleration [m/s^2] of the path of a single axis; by default those of its cubic spline.
+        self.rates = rates or {}
         self.home_within: float | None = None
         self.delays, self.ahead = [0.0] * len(actuators), 0
         self.remarks: list[tuple[str, ...]] = [()] * len(actuators)
@@ -226,17 +222,6 @@ class Task:
     def through(self, matrix: Array, columns: Array) -> Array:
         """Return columns (n, axes) times a matrix of the stage; a single axis is the same array."""
         return columns if self.single else apply(matrix, columns)
-
-    def set_rates(self, velocity: ArrayLike | None, acceleration: ArrayLike | None) -> None:
-        """Take over the derivatives of a path of one axis."""
-        for name, values in {"velocity": velocity, "acceleration": acceleration}.items():
-            if values is not None:
-                if not self.single:
-                    raise ModelError(argument=name, got="it for several axes", need="a path of one axis")
-                self.rates[name] = self.compensator._rows(values, name)[:, 0] / self.compensator._per_metre
-                if self.rates[name].size != len(self.rows):
-                    got = f"{self.rates[name].size} values for {len(self.rows)} samples"
-                    raise ModelError(argument=name, got=got, need="one a sample")
 
     def shift(self, on_time: bool | None) -> None:
         """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late."""
@@ -296,19 +281,12 @@ class Task:
 
     def begun(self, begins: list[Begin]) -> tuple[list[Way], Array, list[Followed]]:
         """Return what `after` does, with a way before the path only if its first step is a jump."""
-        # An actuator stands at the first sample, or is brought there slowly.
-        states = [
-            state_at(loop.actuator, begin.state, y)
-            if begin.volts is None or evaluator_of(loop.actuator).has_dynamics
-            else begin.state
-            for loop, begin, y in zip(self.loops, begins, self.firsts, strict=True)
-        ]
-        found = self.follow(states, [begin.volts for begin in begins], self.compensator.period)
-        pairs = zip(self.loops, begins, found, strict=True)
+        ways = [Way(begin.start, begin.state, last=begin.volts, step=self.compensator.period) for begin in begins]
+        begun = self.after(ways, begins)
+        pairs = zip(self.loops, begins, begun[2], strict=True)
         if any(self.jumps(loop, begin.volts, each) for loop, begin, each in pairs):
             return self.after(self.ways(begins, False), begins)
-        ways = [Way(begin.start, begin.start.state) for begin in begins]
-        return ways, np.zeros((0, len(ways))), found
+        return begun
 
     def jumps(self, loop: Axis, volts: float | None, found: Followed) -> bool:
         """Return whether a path begins with a step that its slew rate does not allow, or a fast one unlike its own."""
@@ -322,21 +300,20 @@ class Task:
 
     def after(self, ways: list[Way], begins: list[Begin]) -> tuple[list[Way], Array, list[Followed]]:
         """Return the ways to the path, the displacement (k, axes) [m] along them, and the voltages of the path."""
-        # A mass moves with the path from its first sample on.
+        # An actuator stands at the first sample, or is brought there; a mass moves with the path from there on.
         states = [
-            state_at(loop.actuator, way.state, y) if evaluator_of(loop.actuator).has_dynamics else way.state
+            state_at(loop.actuator, way.state, y)
+            if way.last is None or evaluator_of(loop.actuator).has_dynamics
+            else way.state
             for loop, way, y in zip(self.loops, ways, self.firsts, strict=True)
         ]
-        found = self.follow(states, [way.last for way in ways], ways[0].step)
+        options: dict[str, Any] = {"time": self.time, "period": ways[0].step, "temperature": self.warmth, **self.rates}
+        present = [way.last for way in ways]
+        found = follow_axes(self.stage, self.loops, self.moved, states=states, present=present, **options)
         before = self.lead(ways)
         # The way leads from one state of several possible ones.
         ways = [way if way.homing else way._replace(start=begin.start) for way, begin in zip(ways, begins, strict=True)]
         return ways, before, found
-
-    def follow(self, states: list[State], present: Sequence[float | None], period: float | None) -> list[Followed]:
-        """Return the voltages of the path from given states; it begins one `period` after the present voltages."""
-        options: dict[str, Any] = {"time": self.time, "period": period, "temperature": self.warmth, **self.rates}
-        return follow_axes(self.stage, self.loops, self.moved, states=states, present=present, **options)
 
     def ways(self, begins: Sequence[Begin], home: bool) -> list[Way]:
         """Return the ways to the first sample, which begin and end simultaneously: an axis with a shorter way waits.
@@ -445,8 +422,11 @@ class Task:
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
             remarks = way.remarks
-            if way.offer and time is not None:
-                remarks += (f"the path begins after {time[first + after] - time[0]:.4g} s; {way.offer}",)
+            if time is not None and self.is_long(way.homing):
+                remarks += (
+                    f"the path begins after {time[first + after] - time[0]:.4g} s; home within a shorter time to begin "
+                    "earlier, with more of the start left open",
+                )
             if wanted is None:
                 remarks += shortfall(each.voltage, each.clamped, loop.bounds, missed, tolerated)
                 remarks += outside_identified(loop.actuator, each.voltage, refuse=False).warnings
@@ -469,6 +449,12 @@ class Task:
             )
             plans.append(plan)
         return plans
+
+    def is_long(self, homing: Homing | None) -> bool:
+        """Return whether a homing of its own duration takes long for the path."""
+        if homing is None or self.time is None or self.home_within is not None:
+            return False
+        return len(homing.turns) > 1 and homing.played.duration > _LONG * float(np.ptp(self.time))
 
     def speeds(self, j: int, found: Followed) -> tuple[str, ...]:
         """Return a remark if the path of an axis needs more than its slew rate."""

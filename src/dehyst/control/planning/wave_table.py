@@ -382,8 +382,8 @@ def _start_up(axis: Axis, path: ScanPath, begun: Followed, steady: _Steady, leas
 
 def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -> Task:
     """Return the task of planning a path that need not be on time."""
-    task = Task(compensator, path.displacement, "displacement", path.time, None)
-    task.set_rates(path.velocity, path.acceleration)
+    rates = {"velocity": path.velocity, "acceleration": path.acceleration}
+    task = Task(compensator, path.displacement, "displacement", path.time, None, rates)
     task.shift(False)
     task.home_within = time_allowed(home_within)
     return task

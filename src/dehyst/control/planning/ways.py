@@ -17,7 +17,7 @@ from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.homing import FASTEST_BRANCH, Homing, branch_seconds, shortest_homing
 from dehyst.control.planning.plan import HOMING, WAY
 from dehyst.control.planning.start import PossibleStart, model_error
-from dehyst.model import Actuator, State, slew_rate_of_records, state_at, stroke_of
+from dehyst.model import Actuator, State, slew_rate_of_records, state_at
 from dehyst.waveforms import Branch, Sampling, volts
 
 # Fewest samples of a branch at the path's sample rate, and samples of a branch where a path has no time.
@@ -33,8 +33,6 @@ _ROUNDING = 1e-9
 _EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
 # If these are still too many, most samples of a hold are left out: their times grow by this factor.
 _SPARSER = 1.02
-# A homing is long if it takes this many times the path that follows; a shorter one has this many times its error.
-_LONG = 2.0
 # A larger file is more than 300 MB.
 MOST_ROWS = 5_000_000
 
@@ -57,21 +55,21 @@ class Way(NamedTuple):
 
     `state`: state at the end, simulated from the middle of the possible states. `voltage` (k,) [V] at `time` (k,) [s].
     `goal` [V]: voltage at the first sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s]
-    before this sample. `waits`: time [s] at the first voltage, for the homings of other axes.
+    before this sample; None if the actuator stands there. `waits`: time [s] at the first voltage, for the homings of
+    other axes.
     """
 
     start: PossibleStart
     state: State
     homing: Homing | None = None
-    offer: str = ""
     remarks: tuple[str, ...] = ()
     time: Array = EMPTY
     phase: NDArray[np.int8] = EMPTY.astype(np.int8)
     voltage: Array = EMPTY
     seconds: float = 0.0
     goal: float = 0.0
-    last: float = 0.0
-    step: float = 0.0
+    last: float | None = None
+    step: float | None = None
     waits: float = 0.0
 
 
@@ -115,10 +113,9 @@ def way_to(
         start = PossibleStart(begin.start.name, (state,))
         after = Way(start, reached, goal=goal, last=now, step=step)
         return _before_path(after, ramp, rate, rows)
-    least = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement)))
-    span, left = math.inf if time is None else float(np.ptp(time)), within
+    least, left = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement))), within
     while True:
-        homing, short = played_homing(actuator, drive, tolerance=least, within=left, path=span)
+        homing = played_homing(actuator, drive, tolerance=least, within=left)
         ramp, goal, reached = _ramp(actuator, drive, homing.state, first)
         if (
             within is None
@@ -132,14 +129,7 @@ def way_to(
         if left <= 0:
             got = f"{within:g} s, less than the way from a homing to the path"
             raise RecordError(argument="home_within", got=got, need=f"more than {ramp.size * step:.4g} s")
-    offer = ""
-    if short is not None:
-        seconds = short.played.duration + _ramp(actuator, drive, short.state, first)[0].size * step
-        opens, least = (100 * each.spread / stroke_of(actuator) for each in (short, homing))
-        digit = 10.0 ** (math.floor(math.log10(seconds)) - 2)
-        enough = digit * math.ceil(seconds / digit)
-        offer = f"home within {enough:.3g} s leaves up to {opens:.2g} % of the stroke open, this one {least:.2g} %"
-    after = Way(begin.start, reached, homing, offer, (*begin.remark, *homing.remarks), goal=goal, last=now, step=step)
+    after = Way(begin.start, reached, homing, (*begin.remark, *homing.remarks), goal=goal, last=now, step=step)
     if len(homing.turns) > 1:
         at = rows_of(homing.played.voltage[:-1])
         volts, seconds = homing.played.voltage[at], homing.played.duration
@@ -214,16 +204,11 @@ def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
     )
 
 
-def played_homing(
-    actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None, path: float
-) -> tuple[Homing, Homing | None]:
-    """Return the shortest homing at the sample rate of a path or a lower one, and a shorter one to offer, if any.
-
-    Raise `RecordError` if there are too many samples.
+def played_homing(actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None) -> Homing:
+    """Return the shortest homing at the sample rate of a path or a lower one.
 
     `drive`: speed and shape, with the sample rate of the path, the present voltage and limits. `tolerance`, `within`:
-    as in `shortest_homing`. `path` [s]: duration of what follows; a shorter homing is offered beside one that is long
-    for it.
+    as in `shortest_homing`.
     """
     rate = drive.rate
     # A long homing has a sample rate of its own: that of the path over a whole number.
@@ -231,20 +216,11 @@ def played_homing(
     if actuator.dynamics is not None:
         needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
     drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
-
-    def found(drive: Sampling, **more: float | None) -> Homing:
-        given = {"tolerance": tolerance, "within": within} | more
-        return shortest_homing(actuator, limits=drive.limits, present=drive.start, drive=drive, **given)
-
-    homing = found(drive)
+    given: dict[str, Any] = {"limits": drive.limits, "present": drive.start, "tolerance": tolerance, "within": within}
+    homing = shortest_homing(actuator, drive=drive, **given)
     if len(homing.turns) > 1 and homing.played.duration * rate <= _EVEN_SAMPLES and drive.sample_rate != rate:
-        drive = replace(drive, sample_rate=rate)
-        homing = found(drive)
-    if within is not None or len(homing.turns) < 2 or homing.played.duration <= _LONG * path:
-        return homing, None
-    # Without holds, and with the fewest branches as no tolerance asks for more.
-    short = found(drive, hold=0.0, tolerance=1.0)
-    return homing, short if short.played.duration < homing.played.duration / _LONG else None
+        homing = shortest_homing(actuator, drive=replace(drive, sample_rate=rate), **given)
+    return homing
 
 
 def pace(axis: Axis) -> float | None:
