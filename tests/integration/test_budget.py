@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1110,
     "cli": 401,
-    "control": 4129,
+    "control": 4118,
     "exports": 1266,
     "fleet": 311,
     "foundation": 1410,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2318,
 }
 HOUSE = {
-    "lines of Python": 38315,
+    "lines of Python": 38304,
     "files of Python": 191,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
