@@ -5,7 +5,6 @@ import re
 import runpy
 import shutil
 import subprocess
-from dataclasses import replace
 
 import compiled_exports
 import numpy as np
@@ -15,7 +14,7 @@ from compiled_exports import KINDS
 from node_programs import column, exported, node
 
 import dehyst
-from dehyst import Compensator, FileFormatError, ModelError, Thermal
+from dehyst import Compensator, FileFormatError, ModelError
 from dehyst.exports import export, wasm_module
 from dehyst.exports.golden_trace import Call, golden_trace
 from dehyst.exports.naming import shipped, shipped_bytes
@@ -350,9 +349,3 @@ def test_the_types_have_every_member():
         about = json.loads(text[text.index(b'{"format"') : text.index(b"}}") + 2])
         assert all(re.search(rf"^  {name}: ", types, re.MULTILINE) for name in about)
         assert about["needsPeriod"] == (kind in ("creep", "all", "moving"))
-
-
-def test_an_fmu_has_no_temperature(tmp_path):
-    warm = replace(KINDS["plain"]().actuator, thermal=Thermal(0.004))
-    with pytest.raises(ModelError, match="temperature"):
-        dehyst.export(Compensator(warm, (0, 100)), tmp_path / "a.fmu")

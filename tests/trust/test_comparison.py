@@ -238,16 +238,19 @@ def test_dehyst_is_compared_with_a_table_and_a_line(records):
     assert found.best.model == OURS
 
 
-def test_refusals(records):
-    chosen = {"truth": plant}
-    for arguments, options, error, said in (
-        (((),), {}, IdentifyError, "got no records"),
-        ((plain_records.loops(PLANT, (0, 1, 0, 1)),), {}, IdentifyError, "hold its last quarter out"),
-        ((np.zeros(4),), {}, IdentifyError, "need records"),
-        ((Record([0, 1], [0, 1], [0, 1]),), {}, RecordError, "samples"),
-    ):
-        with pytest.raises(error, match=said):
-            compare(*arguments, models=chosen, **options)
+@pytest.mark.parametrize(
+    ("records", "error"),
+    [
+        ((), IdentifyError),
+        (plain_records.loops(PLANT, (0, 1, 0, 1)), IdentifyError),
+        (np.zeros(4), IdentifyError),
+        (Record([0, 1], [0, 1], [0, 1]), RecordError),
+    ],
+    ids=["none", "no cycle before the last quarter", "numbers", "two samples"],
+)
+def test_refusals(records, error):
+    with pytest.raises(error):
+        compare(records, models={"truth": plant})
 
 
 def table_of(name="a <b>"):

@@ -166,18 +166,20 @@ def test_a_narrow_record_leaves_the_offset_open():
     assert any("covers 30" in remark for remark in recheck.remarks)
 
 
-def test_a_record_that_shows_nothing_is_refused():
-    record, model = loops.later(), loops.model()
-    for part, words in ((record[:10], "10 samples, 20 are needed"), (record[:150], "full cycle")):
-        with pytest.raises(RecordError, match=words):
-            dehyst.check(model, part)
-    still = Record(record.time, record.voltage, np.zeros(len(record)))
-    with pytest.raises(RecordError, match="constant"):
-        dehyst.check(model, still)
-    with pytest.raises(IdentifyError, match="got str"):
-        dehyst.check(model, "record.csv")
-    with pytest.raises(IdentifyError, match="goal: got 0"):
-        dehyst.check(model, record, goal=0)
+@pytest.mark.parametrize(
+    ("record", "options", "error"),
+    [
+        (loops.later()[:10], {}, RecordError),
+        (loops.later()[:150], {}, RecordError),
+        (replace(loops.later(), displacement=np.zeros(len(loops.later()))), {}, RecordError),
+        ("record.csv", {}, IdentifyError),
+        (loops.later(), {"goal": 0}, IdentifyError),
+    ],
+    ids=["few samples", "no cycle", "still", "a name", "no goal"],
+)
+def test_a_record_that_shows_nothing_is_refused(record, options, error):
+    with pytest.raises(error):
+        dehyst.check(loops.model(), record, **options)
 
 
 def test_a_check_as_json_has_no_trace_and_all_numbers():
