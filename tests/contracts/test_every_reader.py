@@ -77,8 +77,13 @@ def test_its_columns_are_numbers_with_names(path):
 @pytest.mark.parametrize("content", FOREIGN)
 def test_foreign_content_is_refused(path, content):
     path.write_bytes(FOREIGN[content])
-    with pytest.raises(DehystError, match=path.name):
+    with pytest.raises(DehystError, match=path.name) as caught:
         read(path)
+    # Its own words, and not the type of the library's error.
+    cause = caught.value.__cause__
+    if cause is not None and not isinstance(cause, DehystError):
+        assert type(cause).__name__ not in str(caught.value)
+        assert caught.value.got and caught.value.need and caught.value.hint
 
 
 def test_the_limit_of_bytes_holds(path):

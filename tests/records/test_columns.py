@@ -42,6 +42,7 @@ READ = {
     "a rate in the place of a time": ("time_s,voltage_V,y_um", "rate=2", (3, 4)),
     "one of several axes": ("time_s,voltage_V,x_um,y_um,z_um", "displacement=y_um", (3, 5)),
     "an axis beside the displacement": ("time_s,voltage_V,displacement_um,x_um", "", (3, 4)),
+    "a name that ends as a guess does": ("time_s,drive?_V,why?", "voltage=drive?_V, displacement=why?:um", (3, 4)),
     "a set-point beside it": ("time_s,voltage_V,target_um", "displacement=target", (3, 4)),
 }
 
@@ -57,10 +58,17 @@ def test_values(case, tmp_path):
         record = dehyst.read(tmp_path / "a.csv", columns)
         found = np.diff(record.time)[0], record.voltage[1], 1e6 * record.displacement[1]
         assert found == pytest.approx((5e-4 if "t_ms" in header else 0.5, volts, micrometres), rel=1e-12)
+        assert "guesses" not in record.meta
 
 
 REFUSED = {
     "no unit": ("time_s,voltage_V,displacement", ""),
+    "no unit of the time": ("time,voltage_V,y_um", ""),
+    "unknown unit": ("time_s,voltage_MV,y_um", ""),
+    "wrong unit": ("time_s,voltage_um,y_um", ""),
+    "twice": ("time_s,voltage_V,voltage_V,y_um", ""),
+    "no voltage": ("time_s,y_um", ""),
+    "no time": ("voltage_V,y_um", ""),
     "two fit": ("time_s,voltage_V,drive_V,y_um", ""),
     "two axes": ("time_s,voltage_V,x_um,y_um", ""),
     "no such name": ("time_s,voltage_V,y_um", "voltage=absent"),
@@ -157,6 +165,11 @@ PROPOSED = {
     "a length is no time": ("Height [nm],voltage_V,y_um", (1e3 * T, V, UM), "HZ, -, -"),
     "the measured one": ("time_s,voltage_V,Soll,Ist", (T, V, UM * 1.01, UM), "-, -, Ist:um?"),
     "not the command": ("time_s,voltage_V,target um,gauge um", (T, V, UM, UM), "-, -, gauge um:um?"),
+    "branches side by side": (
+        "drive (V),up (nm),down (nm)",
+        (np.arange(60.0), 10 * np.arange(60.0), 10 * np.arange(60.0) + 1),
+        "",
+    ),
     "names that stand twice": ("time_s,a,a", (T, V, UM), "-, 2:V?, 3:um?"),
 }
 

@@ -140,11 +140,3 @@ def test_guesses_of_several_axes_name_the_axis(tmp_path):
     assert again.meta["guesses"] == record.meta["guesses"]
     assert len([words for words in record.axis(0).problems() if "guessed, verify" in words]) == 2
     assert "guesses" not in read(tmp_path / "a.csv", "x=vx_V:x_um, y=vy_V:y_um").meta
-
-
-def test_a_name_may_end_as_a_guess_does(tmp_path):
-    (tmp_path / "a.csv").write_text("time_s,drive?_V,why?\n0,1,2\n1,2,3\n")
-    record = read(tmp_path / "a.csv", "voltage=drive?_V, displacement=why?:um")
-    assert record.displacement == pytest.approx([2e-6, 3e-6])
-    assert "guesses" not in record.meta
-    assert read(tmp_path / "a.csv", "voltage=drive?_V?, displacement=why?:um").meta["guesses"].keys() == {"voltage"}

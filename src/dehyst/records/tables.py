@@ -434,7 +434,7 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
 def _offset(first: _Timed, second: _Timed) -> float:
     """Return the time [s] from the zero of the first file's clock to that of the second's."""
     begin, later = first.clock.began, second.clock.began
-    origins = [f"times from {began[0]}" if began else "seconds from an unknown moment" for began in (begin, later)]
+    origins = [f"times from {moment.origin}" if moment else "seconds" for moment in (begin, later)]
     if origins[0] != origins[1]:
         raise FileFormatError(
             f"join: {first.source} has {origins[0]} and {second.source} has {origins[1]}, need one clock for both; "
@@ -442,8 +442,8 @@ def _offset(first: _Timed, second: _Timed) -> float:
         )
     if begin is None or later is None:
         return 0.0
-    offset = float(later[1] - begin[1]) + (later[2] - begin[2])
-    return offset - _DAY * round(offset / _DAY) if begin[0].startswith("midnight") else offset
+    offset = (later.nanoseconds - begin.nanoseconds) / 1e9
+    return offset - _DAY * round(offset / _DAY) if begin.origin.startswith("midnight") else offset
 
 
 def _common(kept: _Timed, moved: _Timed) -> tuple[Mask, list[str]]:

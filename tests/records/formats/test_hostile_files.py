@@ -43,15 +43,6 @@ def text(tmp_path, content, name="a.csv"):
     return path
 
 
-@pytest.mark.parametrize("name", ["a.mat", "a.npz", "a.npy", "a.h5", "a.tdms"])
-def test_a_damaged_file_is_refused_without_the_type_of_the_reader_s_error(tmp_path, name):
-    with pytest.raises(FileFormatError) as error:
-        read(text(tmp_path, b"no file of this kind" * 20, name))
-    cause = error.value.__cause__
-    assert cause is not None and type(cause).__name__ not in str(error.value)
-    assert error.value.got and error.value.need and error.value.hint
-
-
 # For ever
 
 

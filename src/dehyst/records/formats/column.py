@@ -10,6 +10,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst._units import FACTORS, quantity_of, symbol_of
+from dehyst.records.formats.notation import Moment
 
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 
@@ -167,7 +168,7 @@ class Column:
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
     outside of the name. `fault`: why the column cannot be used, and what to try. `unnamed`: if the file has no names
     and the name is therefore a number: the reason, and what to try. `guessed`: properties that the file does not state.
-    `began`: the first timestamp (origin, whole seconds, fraction). `kept`: whether a record keeps it as a further
+    `began`: the first timestamp, of a column that has them. `kept`: whether a record keeps it as a further
     channel, regardless of its name.
     `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
     that is known at events only. `group`: where it is in the file, with a slash behind each level; a part of the name.
@@ -179,7 +180,7 @@ class Column:
     fault: str = ""
     unnamed: str = ""
     guessed: str = ""
-    began: tuple[str, int, float] | None = None
+    began: Moment | None = None
     kept: bool = False
     timing: str = ""
     group: str = ""

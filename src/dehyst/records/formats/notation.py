@@ -104,14 +104,15 @@ _STAMP = re.compile(
 )
 _LONGEST = 64
 _DAY, _HOUR = 86_400, 3600
+# The number of the first of January 1970: nanoseconds since then fit into 64 bits.
+_FIRST_DAY = date(1970, 1, 1).toordinal()
 
 
 class Moment(NamedTuple):
-    """A timestamp: its origin ("UTC", "local time", "midnight", "midnight UTC"), whole seconds, and the fraction."""
+    """A timestamp: its origin ("UTC", "local time", "midnight", "midnight UTC"), and the nanoseconds since then."""
 
     origin: str
-    seconds: int
-    fraction: float
+    nanoseconds: int
 
 
 def moment(cell: str) -> Moment:
@@ -122,9 +123,9 @@ def moment(cell: str) -> Moment:
     day, _, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
     origin = " ".join(("midnight",) * (not day) + ("UTC",) * bool(zone)) or "local time"
     offset = _HOUR * int(ahead) + 60 * int(ahead[0] + more) if ahead else 0
-    days = date.fromisoformat(day[:10].replace("/", "-")).toordinal() if day else 0
+    days = date.fromisoformat(day[:10].replace("/", "-")).toordinal() - _FIRST_DAY if day else 0
     seconds = _DAY * days + _HOUR * int(hours) + 60 * int(minutes) + int(whole) - offset
-    return Moment(origin, seconds, float(f"0.{fraction or 0}"))
+    return Moment(origin, 1_000_000_000 * seconds + int(f"{fraction or '':0<9.9}"))
 
 
 def is_moment(cell: str) -> bool:
@@ -134,19 +135,18 @@ def is_moment(cell: str) -> bool:
     return False
 
 
-def clock_of(moments: list[Moment]) -> tuple[Array, tuple[str, int, float]]:
-    """Return the times [s] of timestamps since the first one, and its origin, whole seconds and fraction.
+def clock_of(moments: list[Moment]) -> Array:
+    """Return the times [s] of timestamps since the first one.
 
     A time of day that jumps back by half a day is the next day's. Raise `ValueError` with the reason if they count from
     different origins, or a clock without offset jumps by an hour.
     """
-    origin, begin, part = moments[0]
+    origin = moments[0].origin
     if origins := sorted({stamp.origin for stamp in moments} - {origin}):
         raise ValueError(
             f"its times count from {origin} and from {origins[0]}; write all with date and offset from UTC"
         )
-    whole, fraction = (np.array([stamp[k] for stamp in moments]) for k in (1, 2))
-    seconds = (whole - begin) + (fraction - part)
+    seconds = np.array([stamp.nanoseconds - moments[0].nanoseconds for stamp in moments]) / 1e9
     if origin.startswith("midnight"):
         seconds = seconds + _DAY * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
     jumps = np.diff(seconds)
@@ -157,4 +157,4 @@ def clock_of(moments: list[Moment]) -> tuple[Array, tuple[str, int, float]]:
             f"its times jump by an hour between samples {hour[0]} and {hour[0] + 1}: summer time, or a pause; "
             "write all with date and offset from UTC, or give the sample rate in Hz"
         )
-    return seconds, (origin, begin, part)
+    return seconds

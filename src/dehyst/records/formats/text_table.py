@@ -203,12 +203,12 @@ class _Table:
     def _column(self, place: int, data: Array) -> Column:
         """Return a column with the numbers that were read, or with the times of its timestamps."""
         fault = self.faults.get(place, "")
-        began: tuple[str, int, float] | None = None
+        began = self.clocks[place][0] if place in self.clocks and not fault else None
         stated = self.layout.units[place] if place < len(self.layout.units) else ""
         unit = "s" if place in self.clocks else symbol_of(stated) or stated
-        if place in self.clocks and not fault:
+        if began is not None:
             try:
-                data, began = clock_of(self.clocks[place])
+                data = clock_of(self.clocks[place])
             except ValueError as error:
                 fault = str(error)
         data = np.empty(0) if fault else data
