@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -50,24 +50,18 @@ class Scale(NamedTuple):
     def of(cls, text: str) -> Self:
         """Return the scale in a text; raise `FileFormatError` for one that cannot be used."""
         periodic, match = _PERIODIC.fullmatch(text), _FACTOR.fullmatch(text)
+        number = 0.0 if GAIN in text else float(periodic[2] if periodic else match[1])  # type: ignore[index]
         if GAIN in text:
             need = f"a number for {GAIN}, from the data sheet"
-            raise FileFormatError(argument="columns", got=f"*{text}", need=need)
-        number = float(periodic[2] if periodic else match[1])  # type: ignore[index]
-        if not isfinite(number) or number == 0 or (periodic and number < 0):
-            need = "a length above 0" if periodic else "a factor that is finite and not 0"
-            raise FileFormatError(argument="columns", got=f"*{text}", need=need)
-        if periodic:
-            if quantity_of(periodic[3]) != "displacement":
-                need = "a length, as in *fringe 316.4 nm"
-                raise FileFormatError(argument="columns", got=f"*{text}", need=need)
+        elif periodic and not (0 < number < inf and quantity_of(periodic[3]) == "displacement"):
+            need = "a length above 0, as in *fringe 316.4 nm"
+        elif not isfinite(number) or number == 0:
+            need = "a factor that is finite and not 0"
+        elif periodic:
             return cls(number, symbol_of(periodic[3]), "", periodic[1].lower())
-        return cls(number, match[2] or "", match[3] or "")  # type: ignore[index]
-
-    @property
-    def words(self) -> str:
-        """The scale in a sentence."""
-        return str(self) if self.unit else f"times {self}"
+        else:
+            return cls(number, match[2] or "", match[3] or "")  # type: ignore[index]
+        raise FileFormatError(argument="columns", got=f"*{text}", need=need)
 
     def __str__(self) -> str:
         number = f"{self.factor:.12g}"

@@ -32,6 +32,10 @@ _BRANCHES = (
     "all its columns only rise: if they hold the rising and the falling branch side by side, write the falling one "
     "below the rising one in reverse order, and give rate=HZ"
 )
+_UNNAMED = (
+    "its columns have no names; save three arrays with the names time_s, voltage_V and displacement_um, write such a "
+    "line above the table, not behind a # or %, or select them by their numbers, as voltage=2:V"
+)
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
 # Columns of a file that are compared with one another.
@@ -139,7 +143,7 @@ class Table:
         """
         entry, fits = self._fits(quantity, wanted)
         if not entry.name and self.columns and self.columns[0].unnamed:
-            raise ColumnError(self.source, quantity, self.columns[0].unnamed)
+            raise ColumnError(self.source, quantity, _UNNAMED)
         if len(fits) != 1:
             raise self._not_one(quantity, entry.name, fits)
         (column,) = fits

@@ -166,10 +166,10 @@ class Column:
     """One named column of a file.
 
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
-    outside of the name. `fault`: why the column cannot be used, and what to try. `unnamed`: if the file has no names
-    and the name is therefore a number: the reason, and what to try. `guessed`: properties that the file does not state.
-    `began`: the first timestamp, of a column that has them. `kept`: whether a record keeps it as a further
-    channel, regardless of its name.
+    outside of the name. `fault`: why the column cannot be used, and what to try. `unnamed`: whether the file has no
+    names, and the name is therefore a number. `guessed`: properties that the file does not state. `began`: the first
+    timestamp, of a column that has them. `kept`: whether a record keeps it as a further channel, regardless of its
+    name.
     `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
     that is known at events only. `group`: where it is in the file, with a slash behind each level; a part of the name.
     """
@@ -178,7 +178,7 @@ class Column:
     data: Array
     unit: str = ""
     fault: str = ""
-    unnamed: str = ""
+    unnamed: bool = False
     guessed: str = ""
     began: Moment | None = None
     kept: bool = False

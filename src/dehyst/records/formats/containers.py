@@ -33,11 +33,6 @@ _OBJECT = "holds a MATLAB object, which only MATLAB reads: save its fields as a 
 _CELL = "holds a cell array; save the arrays in its cells as variables of their own"
 _PYTHON = "holds Python objects, which are not opened, because that runs code; save arrays of numbers"
 _ELSEWHERE = "has its samples in another place, which is not read; copy them into the file, with h5repack or h5copy"
-# Why a file needs names.
-_UNNAMED = (
-    "its one array has shape {} and no names; name its rows or columns, or save three arrays with the names time_s, "
-    "voltage_V and displacement_um"
-)
 # Rows or columns of one array that are taken for series of samples.
 _MOST_SERIES = 32
 # Bytes in which the header of an array of NumPy states its type.
@@ -95,21 +90,19 @@ class _Array(NamedTuple):
         elif values.dtype.names:
             fields = {name: values[name] for name in values.dtype.names}
         named = {key if alone else f"{self.name}/{key}": row for key, row in fields.items()} or {self.name: values}
-        unnamed = _UNNAMED.format(self.values.shape) if alone and self.kind == "table" else ""
-        columns = [column for name, field in named.items() for column in _vector(name, field, self.unit, _group(name))]
-        return [replace(column, unnamed=unnamed) for column in columns]
+        unnamed = alone and self.kind == "table"
+        columns = []
+        for name, field in named.items():
+            # A structure may hold more than one number, or text, for each sample.
+            if field.dtype.kind in "fiu" and field.size == max(field.shape):
+                with np.errstate(all="ignore"):
+                    data = np.ascontiguousarray(field.ravel(), dtype=np.float64)
+                columns.append(Column(name, data, self.unit, unnamed=unnamed, group=_group(name)))
+        return columns
 
 
 def _group(name: str) -> str:
     return name[: name.rfind("/") + 1]
-
-
-def _vector(name: str, values: Any, unit: str = "", group: str = "") -> list[Column]:
-    """Return the column of an array of numbers in one dimension; others are left out."""
-    if values.dtype.kind not in "fiu" or values.size < 2 or values.size != max(values.shape):
-        return []
-    with np.errstate(all="ignore"):
-        return [Column(name, np.ascontiguousarray(values.ravel(), dtype=np.float64), unit, group=group)]
 
 
 def _columns_of(arrays: Sequence[_Array], allowance: Allowance) -> list[Column]:
@@ -252,14 +245,14 @@ def read_tdms(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read channels of a TDMS file; the time of a waveform follows from its properties."""
     from nptdms import TdmsFile
 
-    columns: list[Column] = []
-    waves: dict[str, Any] = {}
     with TdmsFile.open(stream) as file:
-        for name, channel in _channels(file).items():
-            allowance.take(len(channel), f"channel '{shortened(name)}'")
+        channels, arrays = _channels(file), []
+        for name, channel in channels.items():
+            allowance.check(len(channel) * np.dtype("f8").itemsize, f"channel '{shortened(name)}'")
             unit = str(channel.properties.get("unit_string", "")).strip()
-            if found := _vector(name, np.asarray(channel[:]), unit, f"{channel.group_name}/"):
-                columns, waves = columns + found, {**waves, name: channel}
+            arrays.append(_Array(name, np.asarray(channel[:]), unit))
+    columns = _columns_of(arrays, allowance)
+    waves = {column.name: channels[column.name] for column in columns}
     # A waveform has no time channel: its sampling is a property, the same for every channel of a run.
     if any(column.parts[0].lower() in ("time", "t") for column in columns):
         return columns

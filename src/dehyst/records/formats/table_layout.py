@@ -43,14 +43,6 @@ class Layout(NamedTuple):
     header: tuple[str, ...] = ()
     above: tuple[str, ...] = ()
 
-    @property
-    def unnamed(self) -> str:
-        """Why the columns of a table have no names, and what to try."""
-        return (
-            f"line {self.first + 1} is '{self.row[:60]}', but a header line with names and units is needed first, "
-            "not behind a # or %; try time_s,voltage_V,displacement_um"
-        )
-
 
 class _Line(NamedTuple):
     """A line with content, the number of lines before it, and its cells."""

@@ -212,8 +212,7 @@ class _Table:
             except ValueError as error:
                 fault = str(error)
         data = np.empty(0) if fault else data
-        unnamed = "" if self.layout.names else self.layout.unnamed
-        return Column(self.names[place], data, unit, fault, unnamed=unnamed, began=began)
+        return Column(self.names[place], data, unit, fault, unnamed=not self.layout.names, began=began)
 
 
 # Letters of the words for the time from one sample to the next, and for samples a second.
