@@ -70,7 +70,6 @@ QUANTITIES = {
         range=(0.0, 100.0),
     ),
 }
-_CLOCKS = QUANTITIES["time"].parts.split(", ")
 # Smallest and largest of what a piezo actuator and its instruments can have, in SI units; the units that smaller and
 # larger ones may be in.
 _POSSIBLE = {
@@ -99,6 +98,8 @@ _SET_POINT = re.compile(
     r"target|soll|ziel|vorgabe|führungsgr|request|consigne|desired|wanted|nominal|demand|command|reference|(?<![^\W\d_])(?:set|ref|cmd)(?![^\W\d_])|"
     r"set[\s_-]?(?:point|value|pos)"
 )
+# Names of columns that count samples.
+_COUNTS = re.compile(r"(?:index|idx|samples?|points?|count(?:er)?|no|nr|n|sequence|num|number|row)?")
 # Units of what is no voltage, length, time, temperature or load, where a name ends with one.
 _FOREIGN = re.compile(
     r"mA|uA|amps?|%|percent|prozent|pct|ppm|permille|deg|degrees?|m?rad|urad|arcsec|m?bar|psi|[kM]?Pa|counts?|cts|ticks?|steps?|"
@@ -258,11 +259,13 @@ class Column:
 
     @property
     def is_counter(self) -> bool:
-        """Whether it counts samples: whole numbers that rise by one, or more where some are left out; no time."""
+        """Whether it counts samples: whole numbers that rise by one, or more where some are left out, by its name."""
         word, unit = self.parts
         steps = np.diff(self.data)
         rises = steps.size > 0 and steps.min() == 1 and not (np.any(steps % 1) or self.data[0] % 1)
-        return rises and not symbol_of(unit) and not any(part in word.lower() for part in _CLOCKS)
+        # Instruments write a word in the place of a unit, as "Sequence".
+        named = unit or self.unnamed or _COUNTS.fullmatch(word.strip(" .#").lower())
+        return bool(rises and named and not symbol_of(unit))
 
 
 def _is_unit(text: str) -> bool:
