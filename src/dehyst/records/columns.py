@@ -63,6 +63,11 @@ class Scale(NamedTuple):
             return cls(number, match[2] or "", match[3] or "")  # type: ignore[index]
         raise FileFormatError(argument="columns", got=f"*{text}", need=need)
 
+    @property
+    def words(self) -> str:
+        """The scale in a sentence."""
+        return str(self) if self.unit else f"times {self}"
+
     def __str__(self) -> str:
         number = f"{self.factor:.12g}"
         if self.kind:

@@ -84,7 +84,7 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     channels = tuple(channel for channel, _ in others)
     guesses = {quantity: part.guess for quantity, part in used_as.items()}
     guesses |= {channel.name: column.guessed for channel, column in others}
-    scales = {quantity: f"*{part.entry.scale}" for quantity, part in used_as.items() if part.entry.scale is not None}
+    scales = {quantity: part.entry.scale.words for quantity, part in used_as.items() if part.entry.scale is not None}
     found = {quantity: part.column.name for quantity, part in first.items()}
     found |= {channel.name: column.name for channel, column in others}
     if columns.rate is not None:
