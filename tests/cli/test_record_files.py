@@ -155,34 +155,6 @@ def test_an_unreachable_path_names_the_range_and_the_option(far):
     assert table.column("displacement")[path] == pytest.approx(wanted + low, abs=1e-12)
 
 
-def test_the_middle_and_the_start_as_zero(far):
-    (far / "around.csv").write_text("time_s,displacement_um\n" + "".join(f"{k},{np.sin(k):.6f}\n" for k in range(9)))
-    done = run("compensate", "far.json", "around.csv", "-o", "out.csv")
-    assert "--zero -114 " in done.stderr
-    done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "mean", "--no-home")
-    low, high = major_loop(Actuator.load("far.json"), (0, 100))
-    assert read_table("out.csv").column("displacement")[0] == pytest.approx((low + high) / 2)
-    done = run(
-        "compensate",
-        "far.json",
-        "path.csv",
-        "-o",
-        "out2.csv",
-        "--zero",
-        "first",
-        "--start",
-        "bottom",
-        "--slew-rate",
-        "none",
-    )
-    assert done.exit_code == 0, done.stderr
-    first, wanted = read_table("out2.csv").column("displacement"), read_table("path.csv").column("displacement")
-    assert first[-len(wanted) :] - wanted == pytest.approx(low, abs=1e-9)
-    done = run("compensate", "far.json", "around.csv", "-o", "out.csv", "--zero", "top")
-    assert done.exit_code == 2
-    assert "bottom, first" in done.stderr
-
-
 @pytest.mark.parametrize("zero", ["bottom", "first", "mean", "-120"])
 def test_identify_places_the_zero(far, zero):
     known = read("far.csv")

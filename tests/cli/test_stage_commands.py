@@ -69,27 +69,6 @@ def test_bare_columns_are_taken_by_their_names_too(folder):
     assert (folder / "s.csv").read_bytes() == (folder / "t.csv").read_bytes()
 
 
-def test_the_start_of_a_path_is_homed_or_named(folder):
-    t = np.arange(0, 5, 0.02)
-    write_columns(folder / "o.csv", {"time_s": t, "x_um": 5 + np.sin(t), "y_um": 8 + np.sin(t)})
-    words = ["compensate", folder / "stage.json", folder / "o.csv", "--json"]
-    homed = result_of(run(*words, "--home", "--slew-rate", "300", "-o", folder / "homed.csv"))
-    assert homed["start"]["y"]["largest_difference_percent"] < 0.01
-    table = read_table(folder / "homed.csv")
-    steps = np.diff(table.column("time"))
-    for axis in "xy":
-        voltage = table.column("voltage", f"v{axis}_V")
-        assert voltage[0] == 0
-        assert np.abs(np.diff(voltage) / steps).max() <= 300 * (1 + 1e-6)
-    words += ["--limits", "0", "100"]
-    open_start = result_of(run(*words, "--home", "-o", folder / "open.csv", status=1))
-    assert any(words.startswith("y: not certified") for words in open_start["warnings"])
-    named = result_of(run(*words, "--start", "top", "-o", folder / "top.csv"))
-    assert any("top needs 120" in sentence for sentence in named["warnings"])
-    assert named["start"]["x"]["name"] == "top"
-    assert "leave one out" in run(*words, "--start", "top", "--home", "-o", folder / "n.csv", status=2)
-
-
 OWN_RIG = """
 from fake_rig import FakeRig
 from dehyst.instruments import AbstractRig
@@ -176,27 +155,6 @@ def test_a_check_of_a_stage_is_a_row_an_axis_of_the_log(folder):
     header, *rows = (folder / "log.csv").read_text().splitlines()
     axis = header.split(",").index("axis")
     assert [row.split(",")[axis] for row in rows] == ["x", "y"]
-
-
-def test_a_stage_is_simulated_from_any_start(folder):
-    t = np.arange(0, 6, 0.02)
-    write_columns(folder / "sim.csv", {"time_s": t, "vx_V": 40 + 10 * np.sin(t), "vy_V": 50 + 20 * np.sin(0.8 * t)})
-    words = ["simulate", folder / "stage.json", folder / "sim.csv", "--json"]
-    unknown = result_of(run(*words, "-o", folder / "s0.csv"))
-    table = read_table(folder / "s0.csv")
-    for axis in "xy":
-        low, middle, high = (
-            table.column("displacement", name)
-            for name in (f"{axis}_lowest_um", f"{axis}_expected_um", f"{axis}_highest_um")
-        )
-        assert np.all(low <= middle + 1e-12)
-        assert np.all(middle <= high + 1e-12)
-        assert np.ptp(high - low) > 0
-    assert unknown["start"]["x"]["name"] == "unknown"
-    top = result_of(run(*words, "-o", folder / "s2.csv", "--start", "top"))
-    assert top["start"]["y"]["name"] == "top"
-    after = result_of(run(*words, "-o", folder / "s3.csv", "--start", folder / "stage.csv"))
-    assert after["start"]["x"]["name"] == "stage.csv"
 
 
 def in_other_units(folder, name, columns, *, scales=(1, 1, 1, 1)):

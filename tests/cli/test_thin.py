@@ -175,20 +175,37 @@ def test_a_path_is_counted_from_its_zero(folder, zero):
     demand_equal(columns_of(folder / "out.csv", ["voltage_V"]), plan.voltage)
 
 
-@pytest.mark.parametrize("start", ["", "top", "MODEL-record.csv", "as:MODEL-record.csv", "history.csv"])
-@pytest.mark.parametrize("name", ["plain", "creep"])
-def test_simulate_writes_what_the_library_predicts(folder, name, start):
-    model, options = MODELS[name], ["--start", start.replace("MODEL", name)] if start else []
-    result("simulate", f"{name}.json", "history.csv", "-o", "s.csv", *options, cwd=folder)
-    known = {
-        "": lambda: None,
-        "top": lambda: PossibleStart.named(model, "top"),
-        "history.csv": lambda: PossibleStart.after(model, VOLTAGE, time=TIME, limits=model.limits),
-    }
+def played_before(model, start):
+    """The start of a voltage that is given as it is: the actuator need not stand there any more."""
     began = start.startswith("as:")
-    begin = known.get(start, lambda: start_of(model, record_of(model), began=began, limits=model.limits))()
-    plan = plan_voltage(model, VOLTAGE, time=TIME, start=begin)
-    demand_equal(columns_of(folder / "s.csv", ["expected_um"]), 1e6 * plan.expected)
-    if plan.left_open is not None:
-        ends = np.column_stack([plan.error.lowest, plan.error.highest])
-        demand_equal(columns_of(folder / "s.csv", ["lowest_um", "highest_um"]), 1e6 * ends)
+    if start in ("", "top"):
+        return named(start)(model)["start"] if start else None
+    if start == "history.csv":
+        return PossibleStart.after(model, VOLTAGE, time=TIME, limits=model.limits)
+    return starts(model, lambda actuator: start_of(actuator, record_of(actuator), began=began, limits=actuator.limits))
+
+
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [
+        *((name, start) for name in MODELS for start in ("", "top", "MODEL-record.csv")),
+        *((name, start) for name in ("plain", "creep") for start in ("as:MODEL-record.csv", "history.csv")),
+    ],
+)
+def test_simulate_writes_what_the_library_predicts(folder, name, start):
+    model, several = MODELS[name], name == "stage"
+    options = ["--start", start.replace("MODEL", name)] if start else []
+    file = "stage-record.csv" if several else "history.csv"
+    result("simulate", f"{name}.json", file, "-o", "s.csv", *options, cwd=folder)
+    played = np.column_stack([VOLTAGE, VOLTAGE]) if several else VOLTAGE
+    plan = plan_voltage(model, played, time=TIME, start=played_before(model, start))
+    axes = ["x_", "y_"] if several else [""]
+    demand_equal(columns_of(folder / "s.csv", [f"{axis}expected_um" for axis in axes]), 1e6 * plan.expected)
+    for axis, own in zip(axes, plan.each or (plan,), strict=True):
+        if own.left_open is not None and not several:
+            ends = np.column_stack([own.error.lowest, own.error.highest])
+            demand_equal(columns_of(folder / "s.csv", ["lowest_um", "highest_um"]), 1e6 * ends)
+        elif own.left_open is not None:
+            names = [f"{axis}{end}_um" for end in ("lowest", "expected", "highest")]
+            low, middle, high = columns_of(folder / "s.csv", names).T
+            assert np.all(low <= middle + 1e-9) and np.all(middle <= high + 1e-9) and np.ptp(high - low) > 0

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import click
 
+from dehyst._views.fields import json_values
 from dehyst.control import Axis, Compensator, PossibleStart
 from dehyst.control.planning.start import model_error
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
@@ -33,6 +34,8 @@ from dehyst.operations.paths import coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.operations.start import START, Start, start_words, starts_of
 
+# Entries of a start as JSON values.
+_BEGINS = "displacement_m=displacement voltage_V=voltage way"
 # Share of the limits' range by which a start may lie outside without a warning.
 _NEAR = 0.01
 
@@ -106,17 +109,22 @@ def export(
         warnings.simplefilter("always", SourceOnlyWarning)
         write(source, directory, number, name=name, period=None if loop else period)
     remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    begin, words = [*map(ExportedStart.of, loops)], []
-    for at, part, state, slew in zip(begin, loops, states, slews, strict=True):
-        way = f"; to bring the actuator there, {at.way}" if loop else ""
-        memory = f"memory begins at {at.words} {start_words(part.actuator, state, part.state)}{way}"
-        words.append([memory, *(slew.words if loop else [])])
     written = target.files(directory) if target.files is not None else sorted(directory.iterdir())
-    begun = [{"begins": {"displacement_m": at.displacement, "voltage_V": at.voltage, "way": at.way}} for at in begin]
-    fields = {"path": str(directory), "kind": kind, "files": list(map(str, written)), **known.merged(begun)}
-    fields |= known.merged([slew.fields() for slew in slews]) if loop else {}
-    line = f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in written)}"
-    return Result({**fields, "warnings": remarks}, [line, *known.prefixed(words)], warnings=remarks)
+    fields = {"path": str(directory), "kind": kind, "files": list(map(str, written)), "warnings": remarks}
+    lines = [f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in written)}"]
+    lines += known.prefixed(_memory_words(*each, led=loop) for each in zip(loops, states, strict=True))
+    if loop:
+        fields |= known.merged([slew.fields() for slew in slews])
+        lines += known.prefixed(slew.words for slew in slews)
+    memory = [{"begins": json_values(ExportedStart.of(part), _BEGINS)} for part in loops]
+    return Result(fields | known.merged(memory), lines, warnings=remarks)
+
+
+def _memory_words(axis: Axis, start: PossibleStart, *, led: bool) -> Iterator[str]:
+    """Yield where the memory begins, and how an actuator that is `led` by it is brought there."""
+    at = ExportedStart.of(axis)
+    way = f"; to bring the actuator there, {at.way}" if led else ""
+    yield f"memory begins at {at.words} {start_words(axis.actuator, start, axis.state)}{way}"
 
 
 def _start_remarks(axis: Axis, start: PossibleStart) -> Iterator[str]:

@@ -16,7 +16,6 @@ from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
-from dehyst.model.states import state_after_loops
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
 from dehyst.operations.files import Columns
@@ -79,8 +78,6 @@ def starts_of(
         found = _starts_in(model, start, start.path, limits, columns, rests=rests)
     else:
         found = [PossibleStart.named(actuator, start.name) for actuator in model.actuators]  # type: ignore[arg-type]
-        if model.stage is not None:
-            found = [*map(_played_within, model.actuators, found, limits)]
     return [*found], model.prefixed(begin.remarks for begin in found)
 
 
@@ -122,19 +119,6 @@ def _starts_in(
         found = found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found
         starts.append(replace(found, remarks=(*found.remarks, *remarks)))
     return starts
-
-
-def _played_within(actuator: Actuator, start: PossibleStart, limits: Limits) -> PossibleStart:
-    """Return a named start; if it is outside the limits, the start after loops between them, with a remark."""
-    allowed = limits or actuator.limits
-    state = start.state if allowed is None else state_after_loops(actuator, start.state, allowed)
-    if allowed is None or state is start.state:
-        return start
-    remark = (
-        f"the start {start.name} needs {actuator.voltage(start.state):.6g} V, outside the limits {allowed[0]:.6g} to "
-        f"{allowed[1]:.6g} V: it begins at {actuator.voltage(state):.6g} V, after loops between the limits"
-    )
-    return replace(start, states=(state,), remarks=(remark,))
 
 
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
