@@ -93,23 +93,6 @@ def test_an_identification_shows_its_progress_and_can_be_cancelled(person, bench
     assert person.page.locator("#model-body").is_hidden()
 
 
-def test_a_drawn_path_is_written_by_the_server(owner, bench_with_model):
-    owner.step("Path")
-    owner.page.get_by_label("Draw points").check()
-    owner.sees("The path can be followed", within="#path")
-    owner.write_voltage()
-    card = owner.page.locator("#voltage-list > li").first.inner_text()
-    _, content = owner.download("link", "Download CSV", within="#voltage-list")
-    file = max((bench_with_model.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
-    assert file.read_bytes() == content
-    table = {column.name: column.data for column in read_table(file).columns}
-    assert table["voltage_V"].min() >= 0
-    assert table["voltage_V"].max() <= 100
-    # A slow model keeps this number too, so that a path is planned while its points are dragged.
-    assert 100 <= np.count_nonzero(table["phase"] == 2) <= 10_001
-    assert f"{table['voltage_V'].size:,}".replace(",", " ")[-3:] in card
-
-
 def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
     """The page computes in WebAssembly, the server by the command: on the path they agree."""
     owner.step("Path")
@@ -191,22 +174,6 @@ def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp
     person.sees("Axis y", within="#insight")
     person.step("Export")
     assert person.page.locator("#export .kinds h3").all_inner_texts() == ["C99", "Model and report"]
-
-
-@pytest.mark.nightly
-def test_two_tabs_and_two_windows_show_the_same(browser, person, bench, loops):
-    second = person.tab()
-    second.goto(bench.base)
-    person.drop(loops)
-    second.locator("#record-list").get_by_text("loops").first.wait_for()
-    with visit(browser, bench) as elsewhere:
-        elsewhere.sees("loops", within="#record-list")
-        # A page that still fetches a record which is removed is told so, on its console too.
-        for page in (person.page, second, elsewhere.page):
-            page.locator("#records").get_by_label(re.compile("of loops, .* samples")).first.wait_for(state="attached")
-        elsewhere.click("button", re.compile("^Remove loops"))
-        second.locator("#record-list > li").wait_for(state="detached")
-    person.page.locator("#record-list > li").wait_for(state="detached")
 
 
 def test_a_model_is_assessed_checked_by_a_new_record_and_updated(person, loops, tmp_path):

@@ -115,6 +115,13 @@ class Stage:
         return entry
 
 
+@pytest.fixture
+def folder(tmp_path):
+    made = Folder(tmp_path / "bench")
+    yield made
+    made.close()
+
+
 def played(steps):
     """Run the steps of a test in an event loop of their own."""
 
@@ -409,17 +416,11 @@ def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
 @pytest.mark.parametrize(
     "damage", [{"records": [{"id": 3}]}, {"models": "x"}, {"last": "x"}, {"voltages": [None]}, {"records": 5}], ids=str
 )
-def test_a_damaged_state_is_refused_with_its_name(tmp_path, damage):
-    Folder(tmp_path / "bench").close()
-    (tmp_path / "bench" / "workbench.json").write_text(
-        json.dumps({"format": "dehyst-workbench", "version": 1, **damage})
-    )
-    folder = Folder(tmp_path / "bench")
-    try:
-        with pytest.raises(FileFormatError, match="damaged"):
-            WorkbenchSession(folder)
-    finally:
-        folder.close()
+def test_a_damaged_state_is_refused_with_its_name(folder, damage):
+    state = {"format": "dehyst-workbench", "version": 1, **damage}
+    (folder.path / "workbench.json").write_text(json.dumps(state))
+    with pytest.raises(FileFormatError, match="damaged"):
+        WorkbenchSession(folder)
 
 
 @pytest.mark.parametrize(
@@ -444,34 +445,17 @@ def test_points_that_make_no_path_are_refused(tmp_path, points, rate):
     assert not (tmp_path / "path.csv").exists()
 
 
-def test_names_stay_in_the_folder_and_never_replace(tmp_path):
-    folder = Folder(tmp_path / "bench")
-    try:
-        for name in ("../../x", ".", "a/b", "\0", "x" * 1000, "my stage (2)"):
-            place = folder.new("models", name, ".json")
-            assert place.startswith("models/")
-            assert (folder.path / place).resolve().parent == folder.path / "models"
-            (folder.path / place).write_text("{}")
-            assert folder.new("models", name, ".json") != place
-        with pytest.raises(FileFormatError):
-            folder.inside("models/../workbench.json")
-    finally:
-        folder.close()
-
-
-def test_two_that_arrive_together_get_two_names(tmp_path):
-    folder = Folder(tmp_path / "bench")
-    try:
-        names = [folder.new("uploads", "loops", suffix) for suffix in (".csv", ".csv", ".c\nv", "./x", ".")]
-        assert names == [
-            "uploads/loops.csv",
-            "uploads/loops-2.csv",
-            "uploads/loops",
-            "uploads/loops-2",
-            "uploads/loops-3",
-        ]
-    finally:
-        folder.close()
+def test_names_stay_in_the_folder_and_never_replace(folder):
+    for name in ("../../x", ".", "a/b", "\0", "x" * 1000, "my stage (2)"):
+        place = folder.new("models", name, ".json")
+        assert place.startswith("models/")
+        assert (folder.path / place).resolve().parent == folder.path / "models"
+        (folder.path / place).write_text("{}")
+        assert folder.new("models", name, ".json") != place
+    with pytest.raises(FileFormatError):
+        folder.inside("models/../workbench.json")
+    names = [folder.new("uploads", "loops", suffix) for suffix in (".csv", ".csv", ".c\nv", "./x", ".")]
+    assert names == [f"uploads/{name}" for name in ("loops.csv", "loops-2.csv", "loops", "loops-2", "loops-3")]
 
 
 def test_a_page_that_does_not_read_gets_the_newest_state_only():
@@ -493,12 +477,8 @@ def test_a_page_that_does_not_read_gets_the_newest_state_only():
     asyncio.run(run())
 
 
-def test_an_upload_that_ends_early_leaves_nothing(tmp_path):
-    folder = Folder(tmp_path / "bench")
-    try:
-        with pytest.raises(RuntimeError), folder.receive("uploads/a.csv") as upload:
-            upload.write(b"half")
-            raise RuntimeError
-        assert list((folder.path / "uploads").iterdir()) == []
-    finally:
-        folder.close()
+def test_an_upload_that_ends_early_leaves_nothing(folder):
+    with pytest.raises(RuntimeError), folder.receive("uploads/a.csv") as upload:
+        upload.write(b"half")
+        raise RuntimeError
+    assert list((folder.path / "uploads").iterdir()) == []

@@ -74,26 +74,19 @@ class Events:
 
 _PAGE = Path(__file__).with_name("page")
 _TYPES = {".css": "text/css", ".js": "text/javascript"}
-_SCRIPTS = '<script type="module"'
 # The record to try, which is made when it is asked for.
 EXAMPLE = "virtual-loops.csv"
 
 
 class PageFiles:
-    """The page, its scripts and styles, and a record to try.
-
-    The page lists all modules, because a browser would find nested imports only one after another.
-    """
+    """The page, its scripts and styles, and a record to try."""
 
     def __init__(self) -> None:
         texts = {name: files.text(name) for name in files.names()}
         texts |= {path.name: path.read_text(encoding="utf-8") for path in _PAGE.iterdir() if path.suffix in _TYPES}
         texts["declared.js"] = f"export const DECLARED = {json.dumps(forms.declared())};\n"
         self._files = {name: (text.encode(), _TYPES[Path(name).suffix]) for name, text in texts.items()}
-        scripts = sorted(name for name in self._files if name.endswith(".js"))
-        links = "".join(f'<link rel="modulepreload" href="/page/{name}">\n' for name in scripts)
-        page = (_PAGE / "index.html").read_text(encoding="utf-8")
-        self._index = page.replace(_SCRIPTS, links + _SCRIPTS, 1)
+        self._index = (_PAGE / "index.html").read_text(encoding="utf-8")
 
     async def index(self, _: Request) -> Response:
         """Return the page."""
