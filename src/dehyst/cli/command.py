@@ -74,14 +74,13 @@ def run_command(ctx: click.Context) -> None:
         sys.exit(status)
     finally:
         run.progress("")
-    details = ctx.params.get("details")
     if as_json:
         echo_json(result.as_dict())
     else:
-        for line in result.printed(details=bool(details)):
+        for line in result.printed(details=bool(ctx.params.get("details"))):
             echo(line)
         sys.stdout.flush()
-    for warning in (*result.warnings, *(result.remarks if details else ())):
+    for warning in result.warnings:
         note(warning)
     sys.exit(0 if result.good else 1)
 

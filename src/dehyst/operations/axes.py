@@ -17,12 +17,12 @@ from dehyst.control import Compensator, PathPlan
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Condition, Values, option
-from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, is_model, read_model, values_of
+from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, is_model, read_model
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import Entry, columns_of_axis
 from dehyst.records.files import record_of
-from dehyst.records.tables import ColumnError
+from dehyst.records.tables import ColumnError, chosen
 
 Limits = tuple[float, float] | None
 # Numbers, and limits, of an axis, or of all axes, "".
@@ -253,7 +253,7 @@ class AxesModel:
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, by the usual names, or as in the records."""
         if self.stage is None:
-            return values_of(table, quantity, columns)[:, None]
+            return chosen(table, columns, (quantity,))[quantity].values[:, None]
         names = self.named(table, quantity, columns)
         if columns.axes:
             own = [name for name in names.values() if name != MIDDLE]

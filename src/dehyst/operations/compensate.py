@@ -49,7 +49,6 @@ from dehyst.operations.paths import (
     TEMPERATURE,
     ZERO,
     Zero,
-    coverage_remarks,
     reach_remarks,
     read_path,
     reason_of,
@@ -183,7 +182,6 @@ def _requests(
         now = present_voltage(VoltageLimits(*(allowed or voltages_of(actuator))), given) if assumed else None
         stands = begin if begin is None or now is None else begin.standing_at(actuator, now)
         axes.append(_Request(actuator, allowed, slew, stands, now))
-    remarks += known.prefixed(coverage_remarks(request.actuator, request.limits) for request in axes)
     return axes, remarks
 
 
@@ -239,7 +237,7 @@ class _Task:
         plans = known.planned(plan_path, wanted, limits, slews, time=time.get("time_s"), **how)
         self.run.progress(f"writing {plans[0].voltage.size} rows")
         write_table(output, _written(known, plans, time))
-        return self.told(plans, len(plans[0].voltage), output, urgent)
+        return self.result(plans, len(plans[0].voltage), output, urgent)
 
     def tabulate(self, path: ScanPath, repeats: int, outputs: tuple[Path, Path], **how: Any) -> Result:
         """Write the wave table of a scan with its start-up, and its homing unless a start or --no-home is given."""
@@ -262,9 +260,13 @@ class _Task:
         self.run.progress(f"writing {rows} rows")
         write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
         write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
-        told = self.told([replace(plan, warnings=table.warnings)], rows, outputs[0], urgent)
+        line = (
+            f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "
+            f"{counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
+        )
+        found = self.result([replace(plan, warnings=table.warnings)], rows, outputs[0], urgent, line)
         fields = {
-            **told.fields,
+            **found.fields,
             "sample_rate_Hz": rate,
             "frequency_Hz": rate / len(cycle),
             "start_up_cycles": table.cycles,
@@ -273,15 +275,10 @@ class _Task:
             "settled": table.settled,
             "table": str(outputs[1]),
         }
-        line = (
-            f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "
-            f"{counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
-        )
-        good = told.good and table.settled and not plan.clamped.any()
-        return replace(told, fields=fields, lines=[*told.lines, line], good=good)
+        return replace(found, fields=fields, good=found.good and table.settled and not plan.clamped.any())
 
-    def told(self, plans: Sequence[PathPlan], samples: int, output: Path, urgent: list[str]) -> Result:
-        """Return what is printed of the plans of all axes, in a file of `samples` rows: what to expect, and to do."""
+    def result(self, plans: Sequence[PathPlan], samples: int, output: Path, urgent: list[str], *added: str) -> Result:
+        """Return what to expect of the plans of all axes, and to do, with `added` lines; a file has `samples` rows."""
         known, each = self.known, [*zip(self.axes, plans, strict=True)]
         urgent += known.prefixed(
             starts.before_path(request.actuator, plan, request.place, request.slew.bound, stands=request.stands)
@@ -318,10 +315,12 @@ class _Task:
             f"{counted(samples, 'sample')}, {', '.join(words)}: {output}",
             *files(Picture=self.plot),
             *known.prefixed(request.slew.words for request in self.axes),
+            *added,
         ]
         usable = not any(unusable(request.actuator, plan.promise) for request, plan in each)
         good = usable and all(plan.followed and plan.certified for plan in plans)
-        return Result(fields, lines, warnings=[*urgent, *others[:1]], remarks=others[1:], good=good)
+        more = [*lines, *others[1:]] if others[1:] else ()
+        return Result(fields, lines, more, [*urgent, *others[:1]], good)
 
 
 def _written(known: AxesModel, plans: Sequence[PathPlan], time: Mapping[str, Array]) -> dict[str, Array]:

@@ -30,7 +30,6 @@ from dehyst.operations.axes import (
 from dehyst.operations.command import FOLDER, Condition, Values, argument, command, flag, option
 from dehyst.operations.command import number as number_option
 from dehyst.operations.files import AS_FOUND
-from dehyst.operations.paths import coverage_remarks
 from dehyst.operations.run import Result, Run, demand_outputs
 from dehyst.operations.start import START, Start, start_words, starts_of
 
@@ -101,9 +100,7 @@ def export(
     allowed = bounds if loop else ANY_VOLTAGE
     compensator = Compensator(known.stage or known.actuators[0], allowed, period=period, preview=preview, **given)
     loops = compensator._axes
-    if loop:
-        remarks += known.prefixed(map(coverage_remarks, known.actuators, bounds))
-    remarks += known.prefixed(map(_start_remarks, loops, states))
+    remarks += known.prefixed(map(_remarks, loops, states))
     source = compensator if loop else replace(known.actuators[0], state=states[0].state)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
@@ -127,9 +124,15 @@ def _memory_words(axis: Axis, start: PossibleStart, *, led: bool) -> Iterator[st
     yield f"memory begins at {at.words} {start_words(axis.actuator, start, axis.state)}{way}"
 
 
-def _start_remarks(axis: Axis, start: PossibleStart) -> Iterator[str]:
-    """Yield warnings of a start that is clearly outside the limits, or open by more than the model's error."""
+def _remarks(axis: Axis, start: PossibleStart) -> Iterator[str]:
+    """Yield warnings of limits beyond the records, and of a start outside of them or open by more than the error."""
     actuator, (low, high) = axis.actuator, axis.limits
+    least, most = actuator.limits or (low, high)
+    if (low, high) != ANY_VOLTAGE and not least <= low <= high <= most:
+        yield (
+            f"limits: {low:.6g} to {high:.6g} V is used, but the model's records cover {least:.6g} to {most:.6g} V: "
+            "outside, the model is extrapolated"
+        )
     places, present = [actuator.displacement(state) for state in start.states], actuator.voltage(start.state)
     if not low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
         yield (

@@ -17,7 +17,6 @@ from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, TEXT_KEYS, VOLTAGE
 from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
-from dehyst.records.tables import chosen
 
 if TYPE_CHECKING:
     from dehyst.model import Actuator
@@ -28,11 +27,6 @@ _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; s
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)
 # Place of an axis that stays in the middle of its range.
 MIDDLE = "middle"
-
-
-def values_of(table: Table, quantity: str, columns: Columns) -> Array:
-    """Return the voltage or the displacement in a table."""
-    return chosen(table, columns, (quantity,))[quantity].values
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:

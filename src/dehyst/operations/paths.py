@@ -65,15 +65,6 @@ def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits,
     return remarks
 
 
-def coverage_remarks(actuator: Actuator, limits: Limits) -> list[str]:
-    """Return a remark if the given limits [V] allow voltages that the records of the model do not cover."""
-    low, high = actuator.limits or (-np.inf, np.inf)
-    if limits is None or (low <= limits[0] and limits[1] <= high):
-        return []
-    allowed = f"limits: {limits[0]:.6g} to {limits[1]:.6g} V is used"
-    return [f"{allowed}, but the model's records cover {low:.6g} to {high:.6g} V: outside, the model is extrapolated"]
-
-
 def reason_of(actuator: Actuator, promise: Promise | None) -> list[str]:
     """Return why a model is not usable for a path, or what a promise above 1 % of the stroke comes from."""
     if useless := unusable(actuator, promise):

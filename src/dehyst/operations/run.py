@@ -104,8 +104,6 @@ class Result:
         The lines with all details; by default `lines`.
     warnings : sequence of str
         Warnings about the result.
-    remarks : sequence of str
-        Further ones, shown with all details.
     good : bool
         False: done, but not good enough, for a reason in `lines`.
     """
@@ -114,7 +112,6 @@ class Result:
     lines: Sequence[str] = ()
     more: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    remarks: Sequence[str] = ()
     good: bool = True
 
     def as_dict(self) -> dict[str, Any]:
@@ -123,7 +120,7 @@ class Result:
 
     def printed(self, *, details: bool) -> list[str]:
         """Return the lines to print, with all `details` or with a line that says how to get them."""
-        if details or not (self.more or self.remarks):
+        if details or not self.more:
             return [*((details and self.more) or self.lines)]
         return [*self.lines, "", "Add --verbose for all that was found."]
 
