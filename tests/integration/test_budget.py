@@ -16,7 +16,7 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1110,
-    "cli": 401,
+    "cli": 400,
     "control": 4118,
     "exports": 1266,
     "fleet": 311,
@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 6018,
     "instruments": 2489,
     "model": 3517,
-    "operations": 3536,
+    "operations": 3512,
     "paper": 983,
     "records": 4587,
     "report": 1494,
@@ -33,14 +33,14 @@ ROOMS = {
     "virtual": 736,
     "waveforms": 1297,
     "web": 50,
-    "workbench": 2318,
+    "workbench": 2311,
 }
 HOUSE = {
-    "lines of Python": 38295,
+    "lines of Python": 38263,
     "files of Python": 191,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 34906,
+    "lines of tests": 34799,
     "lines of benchmarks": 4958,
     "words of docs": 27700,
     "public names": 111,
