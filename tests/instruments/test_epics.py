@@ -94,13 +94,13 @@ def test_a_laboratorys_own_names(ioc):
 
 def test_missing_variables_are_named(ioc):
     names = PvNames(position="POS", identity="NAME")
-    with pytest.raises(LinkError, match=f"{ioc.prefix}:POS, {ioc.prefix}:NAME: no answer"):
+    with pytest.raises(LinkError, match=f"{ioc.prefix}:POS: no answer"):
         EpicsRig.connect(ioc.prefix, names=names, timeout=0.5)
 
 
 def test_no_ioc():
     began = time.monotonic()
-    with pytest.raises(LinkError, match=r"NOBODY:VOLTAGE, .* EPICS_CA_ADDR_LIST"):
+    with pytest.raises(LinkError, match=r"NOBODY:VOLTAGE: .* EPICS_CA_ADDR_LIST"):
         EpicsRig.connect("NOBODY", timeout=0.5)
     assert time.monotonic() - began < 4 * 0.5  # they are waited for together
 

@@ -13,7 +13,7 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DehystError, DeviceError, LinkError, ModelError, RecordError, RigError
+from dehyst._errors import DehystError, DeviceError, LinkError, RecordError, RigError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
@@ -166,10 +166,7 @@ class AbstractRig(ABC):
         was attempted.
         """
         self._refuse_closed()
-        try:
-            requested = number(voltage, "voltage")
-        except ModelError as error:
-            raise RecordError(f"{error} of volts; nothing was sent") from error
+        requested = number(voltage, "voltage", error=RecordError)
         sent = self.limits.nearest(requested)
         if sent != requested:
             warnings.warn(

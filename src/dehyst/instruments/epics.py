@@ -27,7 +27,7 @@ _LOST = 2.0
 _SILENT = (80, 192)
 # Characters of an answer that a message quotes.
 _QUOTED = 60
-HINT = "does the IOC run, or hang, and does EPICS_CA_ADDR_LIST lead to it?"
+HINT = "is that its name, does the IOC run, or hang, and does EPICS_CA_ADDR_LIST lead to it?"
 
 _Value = TypeVar("_Value")
 
@@ -62,15 +62,9 @@ class ChannelAccess:
         self.prefix, self.timeout = prefix, timeout
         self._ca: Any = aioca
 
-    def demand(self, names: Sequence[str]) -> None:
-        """Raise `LinkError` if no server answers for one of the names within the timeout."""
-        answers = _run(self._ca.connect([self.prefix + name for name in names], timeout=self.timeout, throw=False))
-        absent = [self.prefix + name for name, answer in zip(names, answers, strict=True) if not answer.ok]
-        if absent:
-            raise LinkError(
-                f"{', '.join(absent)}: no answer within {self.timeout:g} s; {HINT} Give names, with None for those it "
-                "lacks"
-            )
+    def connect(self, names: Sequence[str]) -> None:
+        """Connect to all names at the same time; raise `LinkError` if no server answers for one of them."""
+        self._answers(self._ca.connect, names)
 
     def numbers(self, *names: str) -> list[float]:
         """Read numbers, all at the same time; raise `LinkError` if an answer is late, or is not a number."""
@@ -200,7 +194,7 @@ class EpicsRig(AbstractRig):
             Seconds that one exchange may take.
         """
         link = ChannelAccess(f"{prefix}:" if prefix[-1:].isalnum() else prefix, timeout)
-        link.demand([name for name in astuple(names) if name is not None])
+        link.connect([name for name in astuple(names) if name is not None])
         return cls(link, names, limits=limits, slew_rate=slew_rate)
 
     def _read(self) -> Reading:
