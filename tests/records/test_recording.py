@@ -151,3 +151,15 @@ def test_room_and_time_are_bounded(tmp_path):
         recording.add(SimpleNamespace(time=longest, voltage=longest, displacement=longest))
         assert time.process_time() - began < 1.0
     assert (tmp_path / "a.csv").stat().st_size < longest.size * 3 * 25 + 1000
+
+
+def test_several_axes_are_columns_of_one_file(tmp_path):
+    samples = block(0, 4)
+    voltage, displacement = (np.outer(values, [1, 2]) for values in (samples.voltage, samples.displacement))
+    with Recording(tmp_path / "a.csv", axes=("x", "y")) as recording:
+        recording.add(SimpleNamespace(time=samples.time, voltage=voltage, displacement=displacement))
+        with pytest.raises(RecordError):
+            recording.add(samples)
+    record = read(tmp_path / "a.csv", "x=vx_V:x_um, y=vy_V:y_um")
+    assert record.axes == ("x", "y") and record.voltage.tolist() == voltage.tolist()
+    np.testing.assert_allclose(record.displacement, displacement, rtol=1e-15)
