@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,13 +29,6 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,16}")
 _COMMAND = re.compile(r"(\*?[A-Z]{2,4}\??|#\d{1,2})(?=[\s{\[<(-]|$)")
 _OPTION = re.compile(r"(\d{1,6})\s*=\s*(\S.*)")
 _PARAMETER = re.compile(r"(0[xX][0-9A-Fa-f]{1,8}|\d{1,10})")
-
-
-class Options(NamedTuple):
-    """Record options [numbers of DRC] of an axis' position and an output channel's voltage."""
-
-    position: int
-    voltage: int
 
 
 def command(word: str, *arguments: object) -> str:
@@ -160,8 +152,8 @@ def commands(lines: Sequence[str]) -> frozenset[str]:
     return listed
 
 
-def options(lines: Sequence[str]) -> Options | None:
-    """Return the record options of position and voltage, from an answer of HDR?; None if it does not have both."""
+def options(lines: Sequence[str]) -> tuple[int, int] | None:
+    """Return the numbers of DRC of position and voltage, from an answer of HDR?; None if it does not have both."""
     listed, within = {}, False
     for line in lines:
         if line.lstrip().startswith("#"):
@@ -183,7 +175,7 @@ def options(lines: Sequence[str]) -> Options | None:
         if not matches:
             return None
         found.append(min(matches)[-1])
-    return Options(*found)
+    return found[0], found[1]
 
 
 def shown(got: object) -> str:

@@ -46,12 +46,12 @@ class WaveTraits(NamedTuple):
     """Properties of a controller that plays and records waves.
 
     `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: samples that both a wave table and
-    its recorder tables hold. `options`: record options of position and voltage. `tables`: number of recorder tables.
+    its recorder tables hold. `options`: numbers of DRC of position and voltage. `tables`: number of recorder tables.
     """
 
     servo_period: float
     longest: int
-    options: gcs_syntax.Options
+    options: tuple[int, int]
     tables: int
 
     def divider(self, rate: float) -> int:
@@ -264,7 +264,7 @@ class PiRig(AbstractRig):
             raise DeviceError(f"{self.name}: its servo does not go off; switch it off by hand")
         self._opened = True
 
-    def _prepare(self, voltage: Array, divider: int, options: gcs_syntax.Options) -> None:
+    def _prepare(self, voltage: Array, divider: int, options: tuple[int, int]) -> None:
         """Fill the wave tables with voltages (n, axes) [V], and set generators and recorder to play and record once."""
         client = self._client
         # Each generator plays a wave table of its own, numbered from 1 on.
@@ -282,8 +282,8 @@ class PiRig(AbstractRig):
                 client.set(command("WOS", rig._generator, 0))
         client.set(command("RTR", divider))
         for number, rig in numbered:
-            client.set(command("DRC", 2 * number - 1, rig.axis, options.position))
-            client.set(command("DRC", 2 * number, rig._channel, options.voltage))
+            client.set(command("DRC", 2 * number - 1, rig.axis, options[0]))
+            client.set(command("DRC", 2 * number, rig._channel, options[1]))
         if "DRT" in client.commands:
             # The default: the start of a wave starts the record.
             client.set(command("DRT", 0, 0, 0))
