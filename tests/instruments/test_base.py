@@ -604,19 +604,6 @@ def test_the_watch_sees_a_stretch_however_it_comes_in_lots(sizes, data):
     assert (whole is not None) == any(np.ptp(stretch) > 20.0 for stretch in stretches)
 
 
-def test_the_watch_lets_holds_and_coarse_digits_pass():
-    """They pass, and are not forgotten: what stands still from then on is told from where it stood."""
-    watch = SensorWatch(100.0)
-    for voltage, displacement in (([50.0] * 1000, [1e-6] * 1000), ([], []), ([50.0], [1e-6])):
-        watch.observe(np.asarray(voltage), np.asarray(displacement))
-    with pytest.raises(SensorError, match="goes from 50 to 71"):
-        watch.observe(np.array([71.0]), np.array([1e-6]))
-    coarse, voltage = SensorWatch(100.0), np.linspace(0, 100, 1001)
-    coarse.observe(voltage, np.round(voltage / 15) * 1e-6)
-    with pytest.raises(SensorError, match="goes from 79 to 100"):
-        coarse.observe(np.array([79.0]), np.array([7e-6]))
-
-
 # Signals.
 
 
