@@ -87,7 +87,7 @@ def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]
     # Between commas, a cell with a comma is in quotes.
     mark = '"' if sign == delimiter else sign
     for before, block in blocks():
-        for line, text in enumerate(block, before + 1):
+        for line, text in enumerate(block if mark in "".join(block) else (), before + 1):
             # The last line of a file may be cut off in the middle of a number.
             if mark not in text or not (text.endswith("\n") or len(block) == 1):
                 continue

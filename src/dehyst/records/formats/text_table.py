@@ -45,11 +45,11 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
     text.seek(0)
     number = 0
     while block := text.readlines(_BLOCK):
-        if len(max(block, key=len)) > _LONGEST_LINE:
-            long = next(k for k, line in enumerate(block, number + 1) if len(line) > _LONGEST_LINE)
+        # A block ends behind a line as long as that.
+        if len(block[-1]) > _LONGEST_LINE:
             raise FileFormatError(
-                f"line {long} is longer than {_LONGEST_LINE} characters, longer than any row of a measurement; check "
-                "that this is a table with a line for each sample"
+                f"line {number + len(block)} is longer than {_LONGEST_LINE} characters, longer than any row of a "
+                "measurement; check that this is a table with a line for each sample"
             )
         number += len(block)
         lines = block[:-1] if whole_lines and not block[-1].endswith("\n") else block
