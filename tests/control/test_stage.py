@@ -1,5 +1,6 @@
 """A stage: simulation and compensation of coupled axes, and its file."""
 
+import pickle
 import warnings
 from dataclasses import replace
 
@@ -213,6 +214,26 @@ def test_an_offer_that_is_not_committed_changes_nothing():
         loop.offer(row[::-1].copy())
         assert np.array_equal(loop.step(row), other.step(row))
     assert loop.clamps == other.clamps
+
+
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_a_stage_in_micrometres_and_its_copies_send_the_voltages_of_the_one_in_metres():
+    wanted, options = path(np.random.default_rng(5)), {"limits": (-60.0, 40.0), "slew_rate": 900.0, "period": 1e-3}
+    metres, micro = Compensator(stage(), **options), Compensator(stage(), units="um", **options)
+    metres.scale([1.02, 1.0, 0.97], 2e-8)
+    micro.scale([1.02, 1.0, 0.97], 2e-2)
+    np.testing.assert_allclose(micro.run(1e6 * wanted[:150]), metres.run(wanted[:150]), atol=1e-9)
+    np.testing.assert_allclose(micro.displacement, 1e6 * metres.displacement, rtol=1e-12)
+    np.testing.assert_allclose(micro.reach, 1e6 * np.array(metres.reach), rtol=1e-12)
+    plans = plan_path(metres, wanted, home=False), plan_path(micro, 1e6 * wanted, home=False)
+    np.testing.assert_allclose(plans[1].voltage, plans[0].voltage, atol=1e-9)
+    np.testing.assert_allclose(plans[1].expected, 1e6 * plans[0].expected, rtol=1e-9)
+    copied = pickle.loads(pickle.dumps(metres))
+    assert copied.clamps == metres.clamps
+    np.testing.assert_array_equal(copied.run(wanted[150:]), metres.run(wanted[150:]))
+    with pytest.raises(dehyst.ModelError) as caught:
+        Compensator(stage(), preview=True, **options)
+    assert caught.value.argument == "preview"
 
 
 @pytest.mark.parametrize("timed", [True, False])

@@ -253,8 +253,6 @@ def axes_of(
     seconds, made = None if period is None else float(period), []
     for name, actuator, allowed, slew, own in zip(names, actuators, *columns, strict=True):
         try:
-            if not isinstance(actuator, Actuator):
-                raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
             bounds = VoltageLimits(*allowed_limits(actuator, allowed), slew)
             begin = actuator.state if own is None else own
             made.append(Axis(actuator, bounds, seconds, begin, own is None, **options))
@@ -265,7 +263,9 @@ def axes_of(
 
 
 def allowed_limits(actuator: Actuator, limits: Sequence[float] | None) -> tuple[float, float]:
-    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none or they are no interval."""
+    """Return the given limits [V], or the actuator's; raise `ModelError` if there are none, or they are no interval."""
+    if not isinstance(actuator, Actuator):
+        raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
     chosen = actuator.limits if limits is None else limits
     if chosen is None:
         raise ModelError(

@@ -24,9 +24,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError, RecordError
+from dehyst._errors import RecordError
 from dehyst._types import Array
-from dehyst._validation import interval, number
+from dehyst._validation import Numbers, interval, number
 from dehyst._views.lines import length
 from dehyst.control.axis import allowed_limits
 from dehyst.control.limits import VoltageLimits
@@ -56,6 +56,8 @@ _MOST_BRANCHES, _FEWER = 12, 0.7
 _SAMPLES, _LEAST_CYCLE = 60, 8
 # Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
 _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
+# The time [s] that a homing may take.
+HOME_WITHIN = Numbers(positive=True, optional=True)
 # Random histories, and turns in each.
 _HISTORIES, _TURNS = 12, 8
 
@@ -128,8 +130,7 @@ def shortest_homing(
         Time [s] to wait at the last visit of either limit. Default: as long as the tolerance requires; if no hold
         suffices, the longest time constant of creep.
     within : float, optional
-        Longest duration [s]: holds are shorter, and branches faster, than the tolerance requires. Default: as long as
-        the tolerance requires.
+        Longest duration [s], with shorter holds and faster branches; default: as long as the tolerance requires.
 
     Returns
     -------
@@ -144,27 +145,21 @@ def shortest_homing(
     RecordError
         If the branches cannot be short enough within the slew rate of `drive`.
     """
-    if not isinstance(actuator, Actuator):
-        raise ModelError(argument="actuator", got=type(actuator).__name__, need="an Actuator")
     allowed = allowed_limits(actuator, limits)
     bounds = VoltageLimits(*allowed)
     ends = bounds.within(present, "present"), bounds.within(present if end is None else end, "end")
     range_ = float(np.ptp(actuator.spring.displacement))
-    least = _TOLERANCE * range_ if tolerance is None else number(tolerance, "tolerance")
-    if least <= 0:
-        raise ModelError(argument="tolerance", got=least, need="a positive number")
-    if hold is not None and number(hold, "hold") < 0:
-        raise ModelError(argument="hold", got=hold, need="0 or more seconds")
-    within = time_allowed(within)
+    least = _TOLERANCE * range_ if tolerance is None else Numbers(positive=True)(tolerance, "tolerance")
+    hold, within = Numbers(least=0.0, optional=True)(hold, "hold"), HOME_WITHIN(within, "home_within")
     sampling = drive or Sampling(frequency=0.5 / branch_seconds(actuator))
+    given = replace(sampling, base=ends[1], present=ends[0], limits=allowed)
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
-    for through in (recorded, allowed) if recorded[0] < recorded[1] and recorded != allowed else (allowed,):
-        given = replace(sampling, base=ends[1], present=ends[0], limits=allowed)
-        found = _TimedHoming(actuator, allowed, through, (ends[0], ends[1]), given, least).homing(hold, within)
+    if recorded[0] < recorded[1] and recorded != allowed:
+        found = _TimedHoming(actuator, allowed, recorded, ends, given, least).homing(hold, within)
         if found.certified:
-            break
-    return found
+            return found
+    return _TimedHoming(actuator, allowed, allowed, ends, given, least).homing(hold, within)
 
 
 class _TimedHoming:
@@ -356,13 +351,6 @@ def _rest_seconds(actuator: Actuator) -> float:
     zeta = dynamics.damping
     rate = dynamics.omega * (zeta if zeta <= 1 else zeta - np.sqrt(zeta**2 - 1))
     return max(seconds, _RESTS / float(rate))
-
-
-def time_allowed(within: float | None) -> float | None:
-    """Return the time [s] that a homing may take; refuse one that is not positive."""
-    if within is not None and number(within, "home_within") <= 0:
-        raise ModelError(argument="home_within", got=within, need="a positive number of seconds")
-    return within
 
 
 def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> State:

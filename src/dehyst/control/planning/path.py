@@ -18,7 +18,7 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.coupling import targets_and_clamped
 from dehyst.control.following import Followed, follow_axes
 from dehyst.control.limits import outside_identified, unit_hint
-from dehyst.control.planning.homing import Homing, time_allowed
+from dehyst.control.planning.homing import HOME_WITHIN
 from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
 from dehyst.control.planning.start import PossibleStart, StartError
 from dehyst.control.planning.ways import TOLERANCE, Begin, Way, begin_of, pace, simultaneous, usual_step, way_to
@@ -117,16 +117,8 @@ def plan_path(
     """
     task = Task(_compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
     task.shift(on_time)
-    task.home_within = time_allowed(home_within)
-    given, now = task.given(start, present)
-    if not home:
-        ways, before, found = task.begun(task.begins(given, now, near=all(volts is None for volts in now)))
-        errors = task.errors(ways, found)
-        if home is not None or all(given) or not any(error.matters for error in errors):
-            return task.result(task.plans(ways, before, found, errors=errors))
-        del ways, before, found, errors
-    begins = task.begins(given, now, home=bool(home))
-    return task.result(task.plans(*task.after(task.ways(begins, True), begins)))
+    task.home_within = HOME_WITHIN(home_within, "home_within")
+    return task.planned(start, present, home)
 
 
 def plan_voltage(
@@ -266,6 +258,17 @@ class Task:
                 raise ModelError(argument="start", got=repr(start), need="a State or a PossibleStart", hint=hint)
             found.append(PossibleStart("given", (start,)) if isinstance(start, State) else start)
         return found, for_each(present, len(self.loops), "present")
+
+    def planned(self, start: Any, present: Any, home: bool | None) -> PathPlan:
+        """Return the plan of the path, with a homing where `home` or the error of an unknown start asks for it."""
+        given, now = self.given(start, present)
+        if not home:
+            ways, before, found = self.begun(self.begins(given, now, near=all(volts is None for volts in now)))
+            errors = self.errors(ways, found)
+            if home is not None or all(given) or not any(error.matters for error in errors):
+                return self.result(self.plans(ways, before, found, errors=errors))
+        begins = self.begins(given, now, home=bool(home))
+        return self.result(self.plans(*self.after(self.ways(begins, True), begins)))
 
     def begins(
         self, given: Sequence[Any], present: Sequence[Any], *, near: bool = False, home: bool = False
@@ -421,12 +424,7 @@ class Task:
             tolerated = TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
-            remarks = way.remarks
-            if time is not None and self.is_long(way.homing):
-                remarks += (
-                    f"the path begins after {time[first + after] - time[0]:.4g} s; home within a shorter time to begin "
-                    "earlier, with more of the start left open",
-                )
+            remarks = way.remarks + self.patience(way)
             if wanted is None:
                 remarks += shortfall(each.voltage, each.clamped, loop.bounds, missed, tolerated)
                 remarks += outside_identified(loop.actuator, each.voltage, refuse=False).warnings
@@ -450,11 +448,15 @@ class Task:
             plans.append(plan)
         return plans
 
-    def is_long(self, homing: Homing | None) -> bool:
-        """Return whether a homing of its own duration takes long for the path."""
-        if homing is None or self.time is None or self.home_within is not None:
-            return False
-        return len(homing.turns) > 1 and homing.played.duration > _LONG * float(np.ptp(self.time))
+    def patience(self, way: Way) -> tuple[str, ...]:
+        """Return a remark on a homing that takes long for the path, unless its time was given."""
+        if way.homing is None or self.time is None or self.home_within is not None or len(way.homing.turns) < 2:
+            return ()
+        if way.homing.played.duration <= _LONG * float(np.ptp(self.time)):
+            return ()
+        seconds = way.seconds + float(self.time[self.ahead] - self.time[0])
+        words = "home within a shorter time to begin earlier, with more of the start left open"
+        return (f"the path begins after {seconds:.4g} s; {words}",)
 
     def speeds(self, j: int, found: Followed) -> tuple[str, ...]:
         """Return a remark if the path of an axis needs more than its slew rate."""

@@ -1,4 +1,9 @@
-"""The wave table of a periodic scan: the plan of its start-up, and the steady cycle in which all memory repeats."""
+"""The wave table of a periodic scan: the plan of its start-up, and the steady cycle in which all memory repeats.
+
+Without creep and smooth elements, all cycles from the second on are equal, because the first one wipes out all memory
+that the scan can wipe out. Creep and smooth elements settle slowly: their steady cycle is computed directly, and the
+start-up follows the path with voltages of its own until the steady voltages may be played.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +22,11 @@ from dehyst._views.lines import span_of
 from dehyst.control.axis import Axis
 from dehyst.control.compensator import Compensator
 from dehyst.control.following import Followed, follow
-from dehyst.control.planning.homing import time_allowed
+from dehyst.control.planning.homing import HOME_WITHIN
 from dehyst.control.planning.path import Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
-from dehyst.control.planning.ways import MOST_ROWS
+from dehyst.control.planning.ways import MOST_ROWS, Begin, Way
 from dehyst.model import Actuator, DisplacementCreep, State, creep_times
 from dehyst.waveforms import ScanPath, positive, refuse_long, whole
 
@@ -279,11 +284,6 @@ def wave_table(
 ) -> WaveTable:
     """Compute the wave table of a periodic path of one axis.
 
-    Without creep and smooth elements, all cycles from the second on are equal, because the first one wipes out all
-    memory that the scan can wipe out. Creep and smooth elements settle slowly: their steady cycle is computed directly
-    (`steady_state`), and the start-up follows the path with voltages of its own until the steady voltages may be
-    played.
-
     Parameters
     ----------
     actuator : Actuator
@@ -313,8 +313,27 @@ def wave_table(
     """
     compensator = Compensator(actuator, limits, slew_rate, period=1 / path.sample_rate)
     least = _TOLERANCE * (path.range[1] - path.range[0]) if tolerance is None else positive(tolerance, "tolerance")
-    most = MOST_ROWS // len(path)
-    count = 1 if cycles is None else whole(cycles, "cycles", 0)
+    count = 1 if cycles is None else _counted(cycles, path)
+    first, axis = _task(compensator, path.repeated(count), home_within), compensator._axes[0]
+    given, now = first.given(start, present)
+    homed = home or (home is None and start is None)
+    begins = first.begins(given, now, near=not homed and present is None, home=homed)
+    ways, _, (begun,) = first.after(first.ways(begins, True), begins) if homed else first.begun(begins)
+    steady = _steady_cycle(axis, path, begun.state, float(begun.voltage[-1]))
+    if cycles is None:
+        count = _start_up(axis, path, begun, steady, least)
+    plan, error = _closed(_task(compensator, path.repeated(count + 1), home_within), ways, begins, steady)
+    before = ways[0].last
+    voltage = plan.voltage[plan.voltage.size - (count + 1) * len(path) - 1 :]
+    _refuse_steps(axis, voltage if before is None else np.append(before, voltage), count)
+    cycle = Cycle(steady.voltage[:-1], path.displacement, steady.reached[:-1], path.sample_rate)
+    warnings = (*plan.warnings, *_unsettled(actuator, path, steady, count, error, least))
+    return WaveTable(cycle, plan, count, error, least, steady.state, warnings)
+
+
+def _counted(cycles: int, path: ScanPath) -> int:
+    """Return the given number of cycles in the start-up; raise `RecordError` if there are too many."""
+    count, most = whole(cycles, "cycles", 0), MOST_ROWS // len(path)
     if count > most:
         raise RecordError(
             argument="cycles",
@@ -322,37 +341,19 @@ def wave_table(
             need=f"{most} at most ({MOST_ROWS:g} samples)",
             hint="try fewer, or a lower sample rate",
         )
-    first = _task(compensator, path.repeated(count), home_within)
-    given, now = first.given(start, present)
-    if home or (home is None and start is None):
-        begins = first.begins(given, now, home=True)
-        ways, _, (begun,) = first.after(first.ways(begins, True), begins)
-    else:
-        begins = first.begins(given, now, near=present is None)
-        ways, _, (begun,) = first.begun(begins)
-    axis = compensator._axes[0]
-    steady = _steady_cycle(axis, path, begun.state, float(begun.voltage[-1]))
-    if cycles is None:
-        count = _start_up(axis, path, begun, steady, least)
-    task = _task(compensator, path.repeated(count + 1), home_within)
-    ways, way, (found,) = task.after(ways, begins) if ways[0].voltage.size else task.begun(begins)
+    return count
+
+
+def _closed(task: Task, ways: list[Way], begins: list[Begin], steady: _Steady) -> tuple[PathPlan, float]:
+    """Return the plan of a start-up that ends in the steady cycle, and the deviation [m] of this cycle there."""
+    ways, before, (found,) = task.after(ways, begins)
     size = len(steady.voltage)
-    voltage = np.append(_towards(found.voltage[:-size], float(steady.voltage[0]), axis), steady.voltage)
+    start_up = _towards(found.voltage[:-size], float(steady.voltage[0]), task.loops[0])
+    voltage = np.append(start_up, steady.voltage)
     moved = task.motion(ways, voltage[:, None])[0][-voltage.size :, 0]
-    error = float(np.abs(moved[-size:] - steady.reached).max())
     clamped = np.append(found.clamped[:-size], steady.clamped)
-    plan = task.result(task.plans(ways, way, [Followed(voltage, moved, clamped, steady.state)]))
-    before = ways[0].last if ways[0].voltage.size else begins[0].volts
-    _refuse_steps(axis, voltage if before is None else np.append(before, voltage), count)
-    return WaveTable(
-        Cycle(steady.voltage[:-1], path.displacement, steady.reached[:-1], path.sample_rate),
-        plan,
-        count,
-        error,
-        least,
-        steady.state,
-        (*plan.warnings, *_unsettled(actuator, path, steady, count, error, least)),
-    )
+    plan = task.result(task.plans(ways, before, [Followed(voltage, moved, clamped, steady.state)]))
+    return plan, float(np.abs(moved[-size:] - steady.reached).max())
 
 
 def _start_up(axis: Axis, path: ScanPath, begun: Followed, steady: _Steady, least: float) -> int:
@@ -385,7 +386,7 @@ def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -
     rates = {"velocity": path.velocity, "acceleration": path.acceleration}
     task = Task(compensator, path.displacement, "displacement", path.time, None, rates)
     task.shift(False)
-    task.home_within = time_allowed(home_within)
+    task.home_within = HOME_WITHIN(home_within, "home_within")
     return task
 
 
