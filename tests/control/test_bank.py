@@ -64,10 +64,6 @@ def alone(actuator, path, slew):
     return compensator.run(path), compensator
 
 
-def assert_equal(state, other):
-    assert state.as_dict() == other.as_dict()
-
-
 def slews(actuators, share):
     return [share * (actuator.limits[1] - actuator.limits[0]) / PERIOD for actuator in actuators]
 
@@ -77,14 +73,17 @@ def slews(actuators, share):
 def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share):
     actuators = mixed(seed, count)
     wanted = paths(actuators, 80, seed)
-    slew = slews(actuators, share)
-    bank = Bank(actuators, slew_rate=slew, period=PERIOD)
-    voltage = np.vstack([bank.compensate(wanted[:50]), [bank.step(row) for row in wanted[50:]]])
+    assert_bits_of_each(actuators, wanted, slews(actuators, share))
+
+
+def assert_bits_of_each(actuators, wanted, slew):
+    bank, half = Bank(actuators, slew_rate=slew, period=PERIOD), len(wanted) // 2
+    voltage = np.vstack([bank.compensate(wanted[:half]), [bank.step(row) for row in wanted[half:]]])
     for i, actuator in enumerate(actuators):
         expected, compensator = alone(actuator, wanted[:, i], slew[i])
         np.testing.assert_array_equal(voltage[:, i], expected)
         assert bank.clamps[i] == compensator.clamps
-        assert_equal(bank.states[i], compensator.state)
+        assert bank.states[i].as_dict() == compensator.state.as_dict()
 
 
 def classes():
@@ -111,14 +110,7 @@ def along_sines(actuators, samples):
 
 def test_every_class_has_the_bits_of_its_own_compensator():
     actuators = classes()
-    bank = Bank(actuators, period=PERIOD)
-    assert "8 actuators" in repr(bank) and f"every {PERIOD:g} s" in repr(bank)
-    wanted = along_sines(actuators, 300)
-    voltage = np.vstack([bank.compensate(wanted[:150]), [bank.step(row) for row in wanted[150:]]])
-    for i, actuator in enumerate(actuators):
-        expected, compensator = alone(actuator, wanted[:, i], None)
-        np.testing.assert_array_equal(voltage[:, i], expected)
-        assert_equal(bank.states[i], compensator.state)
+    assert_bits_of_each(actuators, along_sines(actuators, 300), [None] * len(actuators))
 
 
 def test_simulation_has_the_bits_of_a_committed_voltage():

@@ -35,7 +35,6 @@ def calls(actuator, **time):
         "follow": lambda: follow(compensator._axes[0], PATH, **time),
         "plan": lambda: plan_path(compensator, PATH, home=False, **time),
         "trajectory from a state": lambda: follow(compensator._axes[0], PATH, state=turned(actuator, 0.0), **time),
-        "trajectory with a velocity": lambda: follow(compensator._axes[0], PATH, velocity=np.zeros(N), **time),
         "trajectory with both": lambda: follow(
             compensator._axes[0], PATH, velocity=np.zeros(N), acceleration=np.zeros(N), **time
         ),
