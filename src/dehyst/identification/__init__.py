@@ -10,6 +10,7 @@ from dehyst.identification.comparison import (
     initial_state,
     prepare_for,
     state_after,
+    zero_by_voltages,
 )
 from dehyst.identification.coupling import SEPARATE, Plays, StageFit, refuse_still
 from dehyst.identification.expectation import Readiness

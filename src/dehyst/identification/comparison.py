@@ -23,7 +23,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, State, at_reference, needs_time
+from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, voltages_of
 from dehyst.records import Record, counting, largest, rms, turning_points
 
 # Rows at most: of a longer record some of its samples, evenly.
@@ -38,6 +38,8 @@ _TURN = 5e-3
 _OUTLIERS = 1e-3
 # Rows that the search for a zero uses, and its Gauss-Newton steps.
 _FEW, _TURNS = 1000, 2
+# Steps of the search for the zero without an offset of the voltages, and the part of the stroke that ends it.
+_STEPS, _CLOSE = 8, 1e-5
 # Creep from before a record is a part of the stroke: its prior, and the least error of a model, as parts of the stroke.
 _STRAINED, _DOUBT = 0.3, 1e-3
 
@@ -292,10 +294,35 @@ def _datum(compared: RecordComparison, actuator: Actuator) -> float:
     return compared.motion.at_rest * zero_of(cost, stroke, 1e-9)
 
 
+def zero_by_voltages(actuator: Actuator, record: Prepared, stroke: float) -> float:
+    """Return the shift [m] of a record to the axis of a model for which its voltages need no offset."""
+    (low, high), measured = voltages_of(actuator), record.record.displacement
+    # The middle of the loop first: a sensor may have its zero far away.
+    datum = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
+    for _ in range(_STEPS):
+        step = compare(actuator, record, stroke, datum=datum).last_offsets()[-1] * stroke / (high - low)
+        datum += step
+        if abs(step) < _CLOSE * stroke:
+            break
+    return datum
+
+
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
-    """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor."""
+    """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor.
+
+    Its voltages are moved as those of the identification were.
+    """
     known = actuator.identification or Identification()
-    return prepare(at_reference(actuator, record), ringing=known.ringing).without_lag(known.sensor_lag)
+    measured = at_reference(actuator, record)
+    if known.lead and record.hold == "line":
+        measured = earlier(measured, known.lead)
+    return prepare(measured, ringing=known.ringing).without_lag(known.sensor_lag)
+
+
+def earlier(record: Record, seconds: float) -> Record:
+    """Return a record whose voltages act that much earlier."""
+    time = np.minimum(record.time + seconds, record.time[-1])
+    return replace(record, voltage=np.interp(time, record.time, record.voltage))
 
 
 def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[RecordComparison, ...], float]:

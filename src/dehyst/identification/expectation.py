@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
-from dehyst.identification.checks import RemainingError
+from dehyst.identification.checks import REMEDIES, RemainingError
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict
 from dehyst.identification.rules import RULES
 from dehyst.model import Outcome, Promise, Validity, branches_of, distances, paces_of, temperature_range
@@ -276,7 +276,7 @@ def expectation(
         reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
     if outcome is Outcome.UNDETERMINED:
         reasons.append("the records do not determine all stiffnesses")
-    failed = [check.name for check in checks if check.verdict is Verdict.FAILS]
+    failed = [f"{check.name} ({REMEDIES[check.name]})" for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
     return Expectation(validity.anywhere, measured, noise, goal, basis, tuple(reasons), by_others)

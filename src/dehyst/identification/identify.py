@@ -16,7 +16,7 @@ from dehyst._types import Progress
 from dehyst._version import __version__
 from dehyst.identification import events, messages, search
 from dehyst.identification.checks import remaining_error, residual_checks
-from dehyst.identification.comparison import compare, errors_of
+from dehyst.identification.comparison import compare, earlier, errors_of, zero_by_voltages
 from dehyst.identification.coupling import identify_axes
 from dehyst.identification.expectation import HeldOutErrors, expectation, validity_of
 from dehyst.identification.fit import Fit
@@ -32,6 +32,9 @@ from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, with_identification
 from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
 
+# Records are played without an offset of their voltages if they need more than this part of the range, and are apart if
+# they are missed so many times as far then.
+_OFFSET, _TIMES = 0.02, 3.0
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
 
 
@@ -148,6 +151,7 @@ class _Run:
     first_model: Callable[[Actuator], None] | None = None
     remarks: list[str] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
+    lead: float = 0.0
 
     def prepared(self, *, ringing: bool) -> None:
         """Prepare all records; samples in which the displacement rings drive the elements or not."""
@@ -229,8 +233,8 @@ class _Run:
 
     def _lead(self, seconds: float) -> None:
         """Move the voltages of all records, as the displacement leads by a part of a sample: the delay becomes 0."""
-        self.records, self.others = ([_earlier(item, seconds) for item in part] for part in (self.records, self.others))
-        motion = replace(self.frame.motion, delay=0.0)
+        self.records, self.others = ([earlier(item, seconds) for item in part] for part in (self.records, self.others))
+        self.lead, motion = seconds, replace(self.frame.motion, delay=0.0)
         self.prepared(ringing=self.ringing)
         self.frame = replace(self.frame, motion=motion)
         self.remarks.append(messages.LEADS.format(seconds=1e3 * seconds))
@@ -263,6 +267,7 @@ class _Run:
             shared_datum=settings.shared_datum,
             drift=settings.drift,
             sensor_lag=settings.sensor_lag or 0.0,
+            lead=self.lead,
             ringing=self.ringing,
             slew_rate=recorded_slew_rate([(p.time, p.voltage) for item in self.training for p in item.pieces]),
         )
@@ -284,9 +289,13 @@ class _Run:
             "validation": [item.source() for item in self.held_out],
         }
 
-    def simulated(self, actuator: Actuator, drift: Any) -> tuple[list[RecordErrors], list[Trace]]:
-        """Simulate records whole, the training records first."""
-        errors, traces = [], []
+    def simulated(self, actuator: Actuator, drift: Any) -> tuple[list[RecordErrors], list[Trace], list[RecordErrors]]:
+        """Simulate records whole, the training records first; return errors, traces, and the errors that are judged.
+
+        Of records of two stages each has a constant of its own: if one needs an offset of its voltages, its error
+        without the offset is judged.
+        """
+        errors, traces, judged = [], [], []
         drifts = self.settings.drift and bool(np.any(drift))
         thermal = actuator.thermal
         for q, measured in enumerate((*self.training, *self.held_out)):
@@ -295,10 +304,18 @@ class _Run:
             datum = float(self.frame.motion.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
             drifting = bool(drift[q]) if trained else drifts and item.can_drift
             compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
-            error, trace = errors_of(actuator, compared, "training" if trained else "validation")
+            role = "training" if trained else "validation"
+            error, trace = errors_of(actuator, compared, role)
             errors.append(error)
             traces.append(trace)
-        return errors, traces
+            judged.append(error)
+            if abs(error.offset) > _OFFSET * (self.limits[1] - self.limits[0]):
+                datum = zero_by_voltages(actuator, item, self.stroke)
+                compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
+                alone = errors_of(actuator, compared, role)[0]
+                if alone.settled_largest > max(0.01 * RULES.apart * self.stroke, _TIMES * error.settled_largest):
+                    judged[q] = alone
+        return errors, traces, judged
 
     def _warms(self, made: Fitted) -> str:
         """Return the sentence on temperature."""
@@ -331,7 +348,7 @@ class _Run:
         actuator = self.named(made.actuator, made.structure)
         self.frame = made.frame
         records = (*self.training, *self.held_out)
-        errors, traces = self.simulated(actuator, made.frame.motion.drift)
+        errors, traces, judged = self.simulated(actuator, made.frame.motion.drift)
         trained = errors[: len(self.training)]
         checked = residual_checks(traces, self.stroke)
         outcome = Outcome.IDENTIFIED if self.determined else Outcome.UNDETERMINED
@@ -340,14 +357,14 @@ class _Run:
             outcome = Outcome.VALIDATION_MISSED
         if max(error.settled_largest for error in trained) > useless:
             outcome = Outcome.INACCURATE
+        apart = [(error, alone) for error, alone in zip(errors, judged, strict=True) if alone is not error]
         guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
-        drive = messages.drive_like(self.limits, self.training)
         words = f"{made.structure.words}, which miss held-out time by {100 * made.held_out / self.stroke:.2g} %"
         self.remarks[:0] = ([" ".join(guessed)] if guessed else []) + self.deadline.remarks(words)
         if self.temperatures is not None and made.frame.motion.thermal is not None:
             self.remarks.insert(0, self._warms(made))
-        self.remarks += messages.of_one_ended_loops([item.record.voltage for item in records], drive)
-        self.remarks += messages.of_rare_voltages(self.training, self.limits, drive)
+        self.remarks[:0] = messages.of_moved_zeros(trained)
+        self.remarks += messages.of_rare_voltages(self.training, self.limits)
         self.remarks += messages.of_held_out(self.held_out, self.limits)
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         delay = actuator.delay + actuator.lag
@@ -355,15 +372,16 @@ class _Run:
         remaining = tuple(remaining_error(trace) for trace in traces)
         noise = max(item.noise for item in records)
         caveats, lag = self.caveats(actuator, made.held_out)
+        caveats[:0] = [messages.of_offset(alone, error.offset) for error, alone in apart]
         held_out = HeldOutErrors(
             made.held_out,
             search.disagreement(actuator, self.alternatives, made, self.frame),
             max(item.noise for item in self.frame.training),
             search.new_in_time(self.frame),
         )
-        validated = outcome is not Outcome.INACCURATE
+        validated = outcome is not Outcome.INACCURATE and not apart
         given_records = [item.record for item in records]
-        validity = validity_of(given_records, errors, remaining, traces, held_out, noise, lag, validated=validated)
+        validity = validity_of(given_records, judged, remaining, traces, held_out, noise, lag, validated=validated)
         expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
         actuator = with_identification(
             actuator,
@@ -387,9 +405,3 @@ class _Run:
             promise=expected,
             remaining=remaining,
         )
-
-
-def _earlier(record: Record, seconds: float) -> Record:
-    """Return a record whose voltages act that much earlier."""
-    time = np.minimum(record.time + seconds, record.time[-1])
-    return replace(record, voltage=np.interp(time, record.time, record.voltage))

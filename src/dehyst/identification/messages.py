@@ -6,18 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dehyst._types import Array
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.regressors import epochs
 from dehyst.identification.results import FEWEST_DECADES, RecordErrors
-from dehyst.records import turning_points
-from dehyst.waveforms import Sampling
+from dehyst.model import excite_command
+from dehyst.records import percent
 
-# Least number of turning points of a protocol.
-_FEWEST_TURNS = 4
 # Held-out voltages may go beyond by the first part of the limits' range; the second is the outer part at each end, of
 # which samples are rare if fewer than this part of one passage through it.
 _MARGIN, _END, _LEAST_PASSAGE = 0.02, 0.1, 0.25
+# A zero that is moved by more than this part of the stroke is remarked.
+_MOVED = 0.1
 # A drift below this part of the stroke is not remarked.
 _SMALLEST_DRIFT = 2e-4
 
@@ -32,20 +31,6 @@ LEADS = (
 )
 
 
-def drive_like(limits: tuple[float, float], records: Sequence[Prepared]) -> Sampling:
-    """Return the sampling for a voltage to record: within limits [V], at the rate of the records."""
-    # Records leave a lowest voltage of 1e-15 V where 0 V was meant.
-    low = 0.0 if abs(limits[0]) < _MARGIN * 1e-3 * (limits[1] - limits[0]) else limits[0]
-    cycle = min(item.cycle for item in records)
-    return Sampling(frequency=1 / cycle, base=low, limits=(low, limits[1]))
-
-
-def _command(drive: Sampling, kind: str, options: str = "") -> str:
-    """Return the command that writes an excitation up to the highest voltage."""
-    highest = f"{drive.limits[1]:g}" if drive.limits is not None else ""
-    return drive.command(" ".join(filter(None, (kind, highest, options))))
-
-
 def of_lag(delay: float, lag: float, moved: float, stroke: float) -> str:
     """Return the sentence for a delay and a lag [s], in which the displacement moves by `moved` [m]."""
     late = f"The delay of {1e3 * delay:.3g} ms is not compensated: a path is late by it if the actuator delays. "
@@ -58,30 +43,29 @@ def of_lag(delay: float, lag: float, moved: float, stroke: float) -> str:
     )
 
 
-def of_one_ended_loops(voltages: Sequence[Array], drive: Sampling) -> list[str]:
-    """Return a remark if all inner loops turn at one end of the voltages [V]: a path may have others."""
-    low, high = min(float(v.min()) for v in voltages), max(float(v.max()) for v in voltages)
-    near = _END * (high - low)
-    minima, maxima = list[float](), list[float]()
-    for v in voltages:
-        turns = v[turning_points(v, _MARGIN * (high - low))]
-        rises = np.diff(turns, append=turns[-2:-1]) > 0
-        minima += turns[rises].tolist()
-        maxima += turns[~rises].tolist()
-    at_low, at_high = all(v < low + near for v in minima), all(v > high - near for v in maxima)
-    if at_low == at_high or len(minima) + len(maxima) < _FEWEST_TURNS:
-        return []
+def of_moved_zeros(errors: Sequence[RecordErrors]) -> list[str]:
+    """Return a remark for each record whose zero was moved far."""
     return [
-        f"All inner loops of the records turn at the {'lowest' if at_low else 'highest'} voltage. The expected error "
-        "allows for other loops; records with random turning points test them, and lower it: "
-        + _command(drive, "recommended")
+        f"{error.record}: the zero of its sensor was moved by {error.datum * 1e6:.4g} um, "
+        f"{percent(abs(error.datum), error.stroke):.2g} % of the stroke. If it was not zeroed anew, identify each record "
+        "alone: they may be of two stages."
+        for error in errors
+        if abs(error.datum) > _MOVED * error.stroke
     ]
 
 
-def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float], drive: Sampling) -> list[str]:
+def of_offset(error: RecordErrors, offset: float) -> str:
+    """Return a reason for care if a record is missed by an `error` unless its voltages have an `offset` [V]."""
+    return (
+        f"the model misses {error.record} by {percent(error.settled_largest, error.stroke):.2g} % of the stroke, unless "
+        f"its voltages are moved by {offset:.3g} V: identify each record alone, they may be of two stages"
+    )
+
+
+def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
     """Return remarks about ends of the limits [V] that the used samples pass for a small part of one cycle."""
     low, high = limits
-    width = _END * (high - low)
+    width, slow = _END * (high - low), excite_command(high, low, "--cycles 2 ", "raised-cosine")
     used = []
     for item in records:
         samples = counted_samples([(piece.voltage, epochs(piece, item.noise)) for piece in item.pieces])
@@ -94,7 +78,7 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float], d
         if passages < _LEAST_PASSAGE * _END:
             remarks.append(
                 f"Few samples lie {side} {edge:.4g} V; the limit is {end:.4g} V. The model is little better than "
-                f"extrapolated there. Record slow loops that reach it: {_command(drive, 'raised-cosine', '--cycles 2')}"
+                f"extrapolated there. Record slow loops that reach it: {slow}"
             )
     return remarks
 
@@ -126,7 +110,7 @@ def repaired(
             f"{'given' if given else 'estimated'}{part}); the voltages were delayed by it."
         )
     for error in errors:
-        if error.datum:
+        if 0 < abs(error.datum) <= _MOVED * error.stroke:
             sentences.append(f"{error.record}: the zero of its sensor was moved by {error.datum * 1e6:.4g} um.")
         if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
             sentences.append(f"{error.record}: {_drift(error)} was removed.")

@@ -35,6 +35,9 @@ class DecisionRules:
         "ratio of residuals",
         "A new sensor zero lowers the residual at once; a smaller gain comes from the model's shape.",
     )
+    apart: float = _rule(
+        0.5, "% of the stroke", "A record that is missed by more, unless its voltages have an offset, is of another stage."
+    )
     fewest_cycles: float = _rule(3, "cycles", "Fewer do not separate a drift from hysteresis.")
     carts_alone_gain: float = _rule(
         0.5,

@@ -63,6 +63,8 @@ class Identification(Entries):
         Whether records were allowed to drift.
     sensor_lag : float
         First-order lag of the sensor [s] that was removed from the records.
+    lead : float
+        Time [s] by which the voltages of the records were moved earlier: half a sample of a converter that holds.
     ringing : bool
         Whether the elements follow the ringing displacement after steps of the voltage.
     outcome : Outcome or None
@@ -91,6 +93,7 @@ class Identification(Entries):
     shared_datum: bool = entry("shared_datum", flag, False)
     drift: bool = entry("drift", flag, True)
     sensor_lag: float = entry("sensor_lag_s", _SIZE, 0.0)
+    lead: float = entry("lead_s", _SIZE, 0.0)
     ringing: bool = entry("ringing", flag, False)
     outcome: Outcome | None = entry("outcome", _outcome, None)
     provisional: bool = entry("provisional", flag, False)

@@ -248,6 +248,17 @@ class Promise:
         return self.parts["model"] > 0.01 * USELESS * self.stroke
 
     @property
+    def unusable(self) -> str:
+        """What to do if the model is not usable for the path, in words; else nothing."""
+        if not self.useless:
+            return ""
+        advice = "The records test the path: identify each alone to find the cause, or follow a slower path."
+        if any(gap.command for gap in self.untested):
+            advice = "Record what the records do not test (dehyst insight names it), and identify again."
+        words = f"of the largest error more than {USELESS:g} % of the stroke is its own"
+        return f"The model is not usable for {self.path}: {words}. {advice}"
+
+    @property
     def sentence(self) -> str:
         """The promise in words, errors in percent of the stroke."""
         largest, rms_ = (100 * error / self.stroke for error in (self.largest, self.rms))
@@ -351,21 +362,9 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     Without a promise they are those on its `temperature`.
     """
     if found is not None:
-        return *filter(None, [unusable(actuator, found)]), *(condition.sentence for condition in found.untested)
+        return *filter(None, [found.unusable]), *(condition.sentence for condition in found.untested)
     sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
     return (sentence,) if sentence else ()
-
-
-def unusable(actuator: Actuator, found: Promise | None) -> str:
-    """Return a sentence if an `actuator` is not usable for a path with a promise, or for any path; else nothing."""
-    useless = next((known for known in (found, promised(actuator)) if known is not None and known.useless), None)
-    if useless is None:
-        return ""
-    share = 100 * useless.parts["model"] / useless.stroke
-    return (
-        f"The model is not usable: it may miss {useless.path} by {share:.2g} % of the stroke, more than {USELESS:g} %. "
-        "Record the recommended excitation, and identify again."
-    )
 
 
 def _anywhere(validity: Validity) -> Array:

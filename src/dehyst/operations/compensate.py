@@ -16,7 +16,7 @@ from dehyst._types import Array
 from dehyst._views.html import escape
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
 from dehyst.control.planning.ways import MOST_ROWS, present_voltage
-from dehyst.model import Actuator, unusable, voltages_of
+from dehyst.model import Actuator, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
     AxesModel,
@@ -285,7 +285,7 @@ class _Task:
             for request, plan in each
         )
         said = known.prefixed(plan.warnings for plan in plans)
-        reasons = known.prefixed(reason_of(request.actuator, plan.promise) for request, plan in each)
+        reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
         urgent += [sentence for sentence in said if _CLAMPED in sentence]
         others = [*self.remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
         fields = {
@@ -317,7 +317,7 @@ class _Task:
             *known.prefixed(request.slew.words for request in self.axes),
             *added,
         ]
-        usable = not any(unusable(request.actuator, plan.promise) for request, plan in each)
+        usable = not any(plan.promise is not None and plan.promise.useless for plan in plans)
         good = usable and all(plan.followed and plan.certified for plan in plans)
         more = [*lines, *others[1:]] if others[1:] else ()
         return Result(fields, lines, more, [*urgent, *others[:1]], good)

@@ -131,7 +131,7 @@ def _answer(fit: Fit | StageFit) -> list[str]:
     brief = fit.summary().split("\n")
     if not isinstance(fit, Fit) or not fit.good or fit.promise is None:
         return brief
-    remarks = (*reason_of(fit.actuator, fit.promise.promise), *fit.promise.reservations, *fit.remarks)
+    remarks = (*reason_of(fit.promise.promise), *fit.promise.reservations, *fit.remarks)
     return [brief[0], *(f"  - {escaped(remark)}" for remark in remarks[:_REMARKS])]
 
 

@@ -14,7 +14,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import Actuator, Promise, demand_thermal, evaluator_of, tested_temperatures, unusable
+from dehyst.model import Actuator, Promise, demand_thermal, evaluator_of, tested_temperatures
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
 from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
@@ -65,12 +65,12 @@ def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits,
     return remarks
 
 
-def reason_of(actuator: Actuator, promise: Promise | None) -> list[str]:
+def reason_of(promise: Promise | None) -> list[str]:
     """Return why a model is not usable for a path, or what a promise above 1 % of the stroke comes from."""
-    if useless := unusable(actuator, promise):
-        return [useless]
     if promise is None or promise.largest <= _LARGE * promise.stroke:
         return []
+    if promise.unusable:
+        return [promise.unusable]
     cause = max(promise.parts, key=promise.parts.__getitem__)
     known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
     if cause == "model" and not known:

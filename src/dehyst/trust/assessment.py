@@ -35,7 +35,6 @@ from dehyst.model import (
     excite_command,
     matrix_lines,
     promised,
-    unusable,
     voltages_of,
 )
 from dehyst.records import Record, largest
@@ -189,8 +188,8 @@ class Insight(Plotted):
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used."""
-        remarks = self._of_others(), unusable(self.actuator, self.promise), self._open(), self._beyond()
-        return tuple(remark for remark in remarks if remark)
+        useless = "" if self.promise is None else self.promise.unusable
+        return tuple(filter(None, [self._of_others(), useless, self._open(), self._beyond()]))
 
     def _of_others(self) -> str:
         """Return a warning if the records are not those that the model was identified from."""
@@ -305,4 +304,6 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
         yield f"Directions of {known.subject} that the turning points determine, whatever the noise: {share}"
     commands = found.record_next
     yield "To record next:" if commands else "To record next: nothing; no excitation tests more."
+    if found.promise is not None and found.promise.delay:
+        yield "State who lags, if it is known (dehyst identify --lag-of or --sensor-lag): it lowers the promise."
     yield from (f"    {command}" for command in commands)

@@ -170,8 +170,19 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
             open_.append(place)
     # If not with the zero, then apart from a constant, as an error is.
     shape = [place for place in open_ if fit.names[place] != "zero"]
-    joint = [_together(fit, covariance, places, known, least) for places in (open_, shape) if len(places) > 1]
+    # One change alone comes first: an effect that it explains is not that of several.
+    named = [place for place, change in enumerate(found) if change.counts]
+    groups = [] if named and _explained(fit, named, known) else [open_, shape]
+    joint = [_together(fit, covariance, places, known, least) for places in groups if len(places) > 1]
     return *found, *([change for change in joint if change.counts] or joint)[:1]
+
+
+def _explained(fit: _ChangeFit, named: list[int], known: Known) -> bool:
+    """Return whether changes that a record shows alone, and a constant, leave no more than the model's own error."""
+    target = fit.left + fit.columns @ fit.values
+    columns = fit.columns[:, [*{*named, fit.names.index("zero")}]]
+    left = target - columns @ np.linalg.lstsq(columns, target, rcond=_DEPENDENT)[0]
+    return float(np.mean(left**2)) < (_OWN * known.own) ** 2 + known.noise**2 / fit.blocks.shape[1]
 
 
 def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:

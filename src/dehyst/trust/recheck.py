@@ -19,12 +19,12 @@ from dehyst._views.pictures import Plotted
 from dehyst.identification import (
     SEPARATE,
     Plays,
-    Prepared,
     Trace,
     compare,
     errors_of,
     prepare_for,
     refuse_still,
+    zero_by_voltages,
 )
 from dehyst.model import (
     Actuator,
@@ -33,7 +33,6 @@ from dehyst.model import (
     Stage,
     by_axis,
     excite_command,
-    major_loop,
     promised,
     stroke_of,
     untested,
@@ -268,8 +267,6 @@ _GOAL = 1.0
 _PART = 0.25
 # Turning points of a record that tells all changes apart, and how far one goes back, as a part of the range.
 _MANY, _TURN = 20, 0.02
-# Steps of the search for the sensor's zero, and the part of the stroke that ends it.
-_STEPS, _CLOSE = 8, 1e-5
 # A coupling that differs by more than this, and by so many standard errors, has changed.
 _COUPLED, _ERRORS = 0.005, 3.0
 # A record of less than this part of the model's voltages says nothing of the longest elements.
@@ -322,7 +319,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         prepared = prepare_for(actuator, record)
         prepared.span()
         stroke = stroke_of(actuator)
-        compared = compare(actuator, prepared, stroke, datum=_zero(actuator, prepared, stroke))
+        compared = compare(actuator, prepared, stroke, datum=zero_by_voltages(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
     slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
@@ -378,20 +375,6 @@ def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
     if plays.separate().min() < SEPARATE:
         return stage.coupling, np.full_like(stage.coupling, np.inf)
     return plays.coupling()
-
-
-def _zero(actuator: Actuator, record: Prepared, stroke: float) -> float:
-    """Return the shift [m] to the model's axis for which the voltages need no offset."""
-    (low, high), measured = voltages_of(actuator), record.record.displacement
-    # The middle of the loop first: a sensor may have its zero far away.
-    datum = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
-    for _ in range(_STEPS):
-        offset = compare(actuator, record, stroke, datum=datum).last_offsets()[-1]
-        step = offset * stroke / (high - low)
-        datum += step
-        if abs(step) < _CLOSE * stroke:
-            break
-    return datum
 
 
 def _steadied(trace: Trace) -> tuple[Array, float]:

@@ -201,12 +201,6 @@ class Sampling:
         """Voltage [V] at which a record begins."""
         return self.base if self.present is None else self.present
 
-    def command(self, protocol: str) -> str:
-        """Return the command that writes a `protocol` (kind and its arguments, as typed) with this sampling."""
-        limits = "" if self.limits is None else f" --limits {self.limits[0]:g} {self.limits[1]:g}"
-        pace = f" --base {self.base:g} --frequency {self.frequency:.3g}"
-        return f"dehyst excite {protocol}{pace}{limits} -o voltage.csv"
-
     def lead_in(self, highest: float) -> list[Branch]:
         """Return the branch from the present voltage to the base, at the mean speed of a branch of `highest` [V].
 
