@@ -185,7 +185,7 @@ def row_of(read: Callable[[Path], Record], name: str, path: Path) -> _Row:
             known |= _described(fit.actuator)
             if fit.promise is not None:
                 known["promise_percent"] = fit.promise.largest_percent
-            reason = "" if fit.good else fit.outcome.value if not fit.outcome.good else str(fit.promise)
+            reason = "" if fit.good else fit.outcome.value if not fit.outcome.good else str(fit)
             return _row(name, **known, reason=reason)
     except MissingExtraError:
         raise

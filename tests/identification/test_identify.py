@@ -107,7 +107,7 @@ def test_validation_records_get_errors_of_their_own():
     assert check.largest_percent < 1e-3
     assert check.datum == pytest.approx(0.05 * STROKE, abs=1e-5 * STROKE)
     assert (check.samples, check.samples + check.left_out) == (trace.residual.size, len(held_out))
-    assert fit.promise.tested and not alone.promise.tested
+    assert fit.promise.basis == "validation records" != alone.promise.basis
 
 
 def test_a_model_that_misses_validation_says_so():

@@ -12,9 +12,10 @@ from scipy.ndimage import shift
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, identify
 from dehyst.model import Validity, promised, with_identification
+from dehyst.model.branches import branches_of, paces_of
 from dehyst.model.promise import promise
 from dehyst.records import read_table, write_columns, write_record
-from dehyst.trust import insight
+from dehyst.trust import check, insight
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine, recommended, staircase
 from examples import at_night
@@ -159,3 +160,39 @@ def test_whatever_is_not_tested_has_a_command_that_tests_it(seed, tmp_path):
             records.append((table.column("time"), table.column("voltage")))
             played.add(command)
     assert asked == ()
+
+
+@pytest.mark.parametrize(("stroke", "width", "moved"), [(14.4e-6, 0.4, 0.0), (10.8e-6, 0.55, 0.0), (12e-6, 0.55, 6e-6)])
+def test_records_of_two_stages_are_named_and_do_not_lower_the_promise(stroke, width, moved):
+    excitation = recommend(Sampling(0.1, sample_rate=8.0))
+    stages = [PlayActuator(12e-6, TOP, plays=40), PlayActuator(stroke, TOP, width, plays=40, seed=1)]
+    records = [
+        Record(excitation.time, excitation.voltage, stage.play(excitation.voltage) + zero, name)
+        for stage, zero, name in zip(stages, (0.0, moved), ("first", "second"), strict=True)
+    ]
+    fit = identify(records)
+    reached = max(check(fit.actuator, record).without_noise for record in records)
+    assert reached <= fit.promise.largest
+    # A sensor that was zeroed anew is no other stage, and widens nothing.
+    apart = bool(fit.promise.reasons) and any(f"on {record.name} " in fit.promise.reasons[0] for record in records)
+    assert apart == (fit.promise.largest_percent > 1) == (not moved)
+    assert any(abs(error.datum) > 0.1 * error.stroke for error in fit.errors)
+    assert "zero of its sensor" in fit.remarks[0]
+
+
+def test_a_held_voltage_is_known_to_later_commands():
+    """Its records lead by half a sample: a model that forgot this would miss its own records."""
+    made = recommend(Sampling(0.1, sample_rate=8.0))
+    half = 0.5 / made.sample_rate
+    played = PlayActuator(highest=TOP, plays=30).play(np.interp(made.time + half, made.time, made.voltage))
+    record = Record(made.time, made.voltage, played, "held")
+    model = identify(record).actuator
+    assert model.identification.lead == pytest.approx(half, rel=0.2)
+    assert insight(model, record).misfit == pytest.approx(model.identification.largest_error, rel=0.1)
+
+
+def test_a_path_that_ends_in_a_turn_turns_no_faster():
+    time = np.arange(0, 0.203, 0.001)
+    voltage = 50 - 40 * np.cos(2 * np.pi * 20 * time)
+    rate = paces_of(time, voltage, branches_of(voltage, 100.0))[:, 1]
+    assert rate.max() == pytest.approx(40, rel=0.1)

@@ -55,8 +55,6 @@ class Expectation:
         "validation records" or parts of the training records, in words.
     reasons : tuple of str
         Phrases on why the model is not ready, besides its error.
-    tested : bool
-        Whether the errors come from validation records.
     """
 
     promise: Promise
@@ -65,7 +63,6 @@ class Expectation:
     goal: float
     basis: str
     reasons: tuple[str, ...] = ()
-    tested: bool = False
 
     @property
     def rms(self) -> float:
@@ -85,9 +82,6 @@ class Expectation:
     def __repr__(self) -> str:
         return f"<Expectation: {self.readiness.value}; {self.promise!r}; goal {self.goal:g} %>"
 
-    def __str__(self) -> str:
-        return self.sentence
-
     @property
     def largest_percent(self) -> float:
         """Expected largest error [% of the stroke]."""
@@ -96,7 +90,7 @@ class Expectation:
     @property
     def readiness(self) -> Readiness:
         """The verdict."""
-        if self.promise.useless:
+        if self.promise.unusable:
             return Readiness.NOT_USABLE
         return Readiness.USABLE if self.why_not_ready else Readiness.READY
 
@@ -106,12 +100,9 @@ class Expectation:
         above = self.largest_percent > self.goal
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
-    def _part(self, error: float) -> str:
-        return percent(error, self.stroke)
-
     def _both(self, error: float) -> str:
         length = f"{error * 1e9:.3g} nm" if error < 1e-6 else f"{error * 1e6:.3g} um"
-        return f"{self._part(error)} of the stroke ({length})"
+        return f"{percent(error, self.stroke)} of the stroke ({length})"
 
     @property
     def headline(self) -> str:
@@ -124,8 +115,9 @@ class Expectation:
     @property
     def origin(self) -> str:
         """Origin of the expected errors."""
-        missed = f"missed by {self._part(self.measured)} RMS, the sensor's noise is {self._part(self.noise)}"
-        return f"Judged on {self.basis}; the goal is {self.goal:g} %. The records are {missed}."
+        missed, noise = (percent(error, self.stroke) for error in (self.measured, self.noise))
+        found = f"The records are missed by {missed} RMS, the sensor's noise is {noise}."
+        return f"Judged on {self.basis}; the goal is {self.goal:g} %. {found}"
 
     @property
     def reservations(self) -> tuple[str, ...]:
@@ -143,7 +135,7 @@ class Expectation:
         return {
             **json_values(self, "readiness sentence"),
             "rms_percent": 100 * self.rms / self.stroke,
-            **json_values(self, f"largest_percent {numbers} basis tested reasons promise"),
+            **json_values(self, f"largest_percent {numbers} basis reasons promise"),
         }
 
 
@@ -271,15 +263,12 @@ def expectation(
     drifted = max(abs(error.drifted_percent) for error in errors)
     if drifted > goal:
         reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
-    fitted = max(error.settled_rms for error in training)
-    if by_others and measured > RULES.widest_gap * fitted:
-        reasons.append(f"validation records are missed {measured / fitted:.1f} times as far as training records")
     if outcome is Outcome.UNDETERMINED:
         reasons.append("the records do not determine all stiffnesses")
     failed = [f"{check.name} ({REMEDIES[check.name]})" for check in checks if check.verdict is Verdict.FAILS]
     if failed:
         reasons.append(f"failed checks: {', '.join(failed)}")
-    return Expectation(validity.anywhere, measured, noise, goal, basis, tuple(reasons), by_others)
+    return Expectation(validity.anywhere, measured, noise, goal, basis, tuple(reasons))
 
 
 def _less(error: float, noise: float) -> float:

@@ -32,8 +32,7 @@ from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, with_identification
 from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
 
-# Records are played without an offset of their voltages if they need more than this part of the range, and are apart if
-# they are missed so many times as far then.
+# Voltages are played without an offset above this part of their range; a record is apart if it is so many times worse.
 _OFFSET, _TIMES = 0.02, 3.0
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
 
@@ -292,8 +291,7 @@ class _Run:
     def simulated(self, actuator: Actuator, drift: Any) -> tuple[list[RecordErrors], list[Trace], list[RecordErrors]]:
         """Simulate records whole, the training records first; return errors, traces, and the errors that are judged.
 
-        Of records of two stages each has a constant of its own: if one needs an offset of its voltages, its error
-        without the offset is judged.
+        Of a record that needs an offset of its voltages, as one of another stage does, the error without it is judged.
         """
         errors, traces, judged = [], [], []
         drifts = self.settings.drift and bool(np.any(drift))
@@ -338,8 +336,7 @@ class _Run:
         moved = lag * max(rms(np.diff(record.displacement)) / record.sample_time for record in items)
         if moved <= missed:
             return caveats, 0.0
-        self.remarks.append(messages.of_lag(actuator.delay, actuator.lag, moved, self.stroke))
-        caveats.append(f"the records do not show whether the sensor or the actuator lags by {1e3 * lag:.3g} ms")
+        caveats.append(f"the records leave open who lags by {1e3 * lag:.3g} ms: state sensor_lag (0: none) or lag_of")
         return caveats, lag
 
     def finish(self, made: Fitted) -> Fit:

@@ -15,10 +15,8 @@ from dehyst.records import percent
 # Held-out voltages may go beyond by the first part of the limits' range; the second is the outer part at each end, of
 # which samples are rare if fewer than this part of one passage through it.
 _MARGIN, _END, _LEAST_PASSAGE = 0.02, 0.1, 0.25
-# A zero that is moved by more than this part of the stroke is remarked.
-_MOVED = 0.1
-# A drift below this part of the stroke is not remarked.
-_SMALLEST_DRIFT = 2e-4
+# A zero that is moved by less, and a smaller drift, as parts of the stroke, are not remarked.
+_SMALLEST_ZERO, _SMALLEST_DRIFT = 0.1, 2e-4
 
 STEPS = (
     "After steps of the voltage the displacement rings or overshoots. The expected error holds for paths without "
@@ -31,34 +29,22 @@ LEADS = (
 )
 
 
-def of_lag(delay: float, lag: float, moved: float, stroke: float) -> str:
-    """Return the sentence for a delay and a lag [s], in which the displacement moves by `moved` [m]."""
-    late = f"The delay of {1e3 * delay:.3g} ms is not compensated: a path is late by it if the actuator delays. "
-    early = f"The lag of {1e3 * lag:.3g} ms is compensated: a path is early by it if the sensor lags. "
-    return (
-        f"The displacement lags by {1e3 * (delay + lag):.3g} ms, in which it moves by {100 * moved / stroke:.2g} % of "
-        f"the stroke (RMS); the records do not show whether the sensor or the actuator lags. "
-        f"{late if delay else ''}{early if lag else ''}The expected error includes both. Look up the time constant of "
-        "the sensor, or record a step with a faster sensor, and give it (sensor_lag, --sensor-lag; 0: none)."
-    )
-
-
 def of_moved_zeros(errors: Sequence[RecordErrors]) -> list[str]:
     """Return a remark for each record whose zero was moved far."""
     return [
         f"{error.record}: the zero of its sensor was moved by {error.datum * 1e6:.4g} um, "
-        f"{percent(abs(error.datum), error.stroke):.2g} % of the stroke. If it was not zeroed anew, identify each record "
-        "alone: they may be of two stages."
+        f"{percent(abs(error.datum), error.stroke):.2g} % of the stroke. If it was not zeroed anew, the records may be "
+        "of two stages: identify each alone."
         for error in errors
-        if abs(error.datum) > _MOVED * error.stroke
+        if abs(error.datum) > _SMALLEST_ZERO * error.stroke
     ]
 
 
 def of_offset(error: RecordErrors, offset: float) -> str:
     """Return a reason for care if a record is missed by an `error` unless its voltages have an `offset` [V]."""
     return (
-        f"the model misses {error.record} by {percent(error.settled_largest, error.stroke):.2g} % of the stroke, unless "
-        f"its voltages are moved by {offset:.3g} V: identify each record alone, they may be of two stages"
+        f"{percent(error.settled_largest, error.stroke):.2g} % of the stroke is the error on {error.record} unless its "
+        f"voltages are moved by {offset:.3g} V: the records may be of two stages, identify each alone"
     )
 
 
@@ -98,7 +84,7 @@ def of_held_out(records: Sequence[Prepared], limits: tuple[float, float]) -> lis
 def repaired(
     errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool, low_pass: float = 0.0
 ) -> list[str]:
-    """Return sentences about the delay [s], for samples `sample` [s] apart, and each record's zero and drift.
+    """Return sentences about the delay [s], for samples `sample` [s] apart, and each record's drift.
 
     `low_pass` [s]: the part of the delay that is a lag of first order.
     """
@@ -109,12 +95,8 @@ def repaired(
             f"The displacement lags the voltage by {delay * 1e3:.4g} ms ({delay / sample:.3g} samples, "
             f"{'given' if given else 'estimated'}{part}); the voltages were delayed by it."
         )
-    for error in errors:
-        if 0 < abs(error.datum) <= _MOVED * error.stroke:
-            sentences.append(f"{error.record}: the zero of its sensor was moved by {error.datum * 1e6:.4g} um.")
-        if abs(error.drift) > _SMALLEST_DRIFT * error.stroke:
-            sentences.append(f"{error.record}: {_drift(error)} was removed.")
-    return sentences
+    drifted = (error for error in errors if abs(error.drift) > _SMALLEST_DRIFT * error.stroke)
+    return sentences + [f"{error.record}: {_drift(error)} was removed." for error in drifted]
 
 
 def _drift(error: RecordErrors) -> str:

@@ -36,7 +36,9 @@ class DecisionRules:
         "A new sensor zero lowers the residual at once; a smaller gain comes from the model's shape.",
     )
     apart: float = _rule(
-        0.5, "% of the stroke", "A record that is missed by more, unless its voltages have an offset, is of another stage."
+        0.5,
+        "% of the stroke",
+        "A record that is missed by more, unless its voltages have an offset, is of another stage.",
     )
     fewest_cycles: float = _rule(3, "cycles", "Fewer do not separate a drift from hysteresis.")
     carts_alone_gain: float = _rule(
@@ -81,9 +83,6 @@ class DecisionRules:
     loud: float = _rule(0.002, "part of the range", "More noise drags elements back and forth: their loops get narrow.")
     useless: float = _rule(USELESS, "% of the stroke", "A model with a larger expected error is not usable.")
     most_set_aside: float = _rule(0.1, "part of the samples", "If more was left out, the model is usable with care.")
-    widest_gap: float = _rule(
-        2.0, "ratio of errors", "Validation records missed this many times as far: the model is usable with care."
-    )
 
 
 RULES = DecisionRules()

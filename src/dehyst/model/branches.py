@@ -43,10 +43,7 @@ def branches_of(voltage: Array, span: float) -> NDArray[np.intp]:
 
 
 def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
-    """Return mean speed [V/s] and rate of turns [1/s] of each of the `branches` (k, 2), without the time at rest.
-
-    A last one counts as if it went as far as the one before: where it would turn is not known.
-    """
+    """Return mean speed [V/s] and rate of turns [1/s] of each of the `branches` (k, 2), without the time at rest."""
     if not len(at):
         return np.zeros((0, 2))
     step, height = np.diff(time), np.abs(np.diff(voltage[at], axis=1)[:, 0])
@@ -55,10 +52,11 @@ def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     moving = np.abs(np.diff(voltage)) > _AT_REST * mean[own] * step
     moved = np.append(0.0, np.cumsum(step * moving))
     seconds = np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300)
-    speed, rate = height / seconds, 1 / seconds
+    rate = 1 / seconds
+    # Where a last branch would turn is not known: as far as the one before.
     if len(at) > 1 and at[-1, 1] == len(voltage) - 1:
         rate[-1] *= min(height[-1] / height[-2], 1.0)
-    return np.column_stack([speed, rate])
+    return np.column_stack([height / seconds, rate])
 
 
 def hold_of(time: Array, voltage: Array, span: float) -> float:

@@ -243,20 +243,14 @@ class Promise:
         return f"{kept}{late}"
 
     @property
-    def useless(self) -> bool:
-        """Whether the model's part of the largest error exceeds 5 % of the stroke."""
-        return self.parts["model"] > 0.01 * USELESS * self.stroke
-
-    @property
     def unusable(self) -> str:
-        """What to do if the model is not usable for the path, in words; else nothing."""
-        if not self.useless:
+        """What to do if the model's part of the largest error exceeds 5 % of the stroke, in words; else nothing."""
+        if self.parts["model"] <= 0.01 * USELESS * self.stroke:
             return ""
         advice = "The records test the path: identify each alone to find the cause, or follow a slower path."
         if any(gap.command for gap in self.untested):
             advice = "Record what the records do not test (dehyst insight names it), and identify again."
-        words = f"of the largest error more than {USELESS:g} % of the stroke is its own"
-        return f"The model is not usable for {self.path}: {words}. {advice}"
+        return f"The model is not usable for {self.path}: its own error is over {USELESS:g} % of the stroke. {advice}"
 
     @property
     def sentence(self) -> str:

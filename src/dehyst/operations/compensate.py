@@ -317,7 +317,7 @@ class _Task:
             *known.prefixed(request.slew.words for request in self.axes),
             *added,
         ]
-        usable = not any(plan.promise is not None and plan.promise.useless for plan in plans)
+        usable = not any(plan.promise is not None and plan.promise.unusable for plan in plans)
         good = usable and all(plan.followed and plan.certified for plan in plans)
         more = [*lines, *others[1:]] if others[1:] else ()
         return Result(fields, lines, more, [*urgent, *others[:1]], good)

@@ -182,7 +182,7 @@ def _explained(fit: _ChangeFit, named: list[int], known: Known) -> bool:
     target = fit.left + fit.columns @ fit.values
     columns = fit.columns[:, [*{*named, fit.names.index("zero")}]]
     left = target - columns @ np.linalg.lstsq(columns, target, rcond=_DEPENDENT)[0]
-    return float(np.mean(left**2)) < (_OWN * known.own) ** 2 + known.noise**2 / fit.blocks.shape[1]
+    return bool(np.mean(left**2) < (_OWN * known.own) ** 2 + known.noise**2 / fit.blocks.shape[1])
 
 
 def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:
