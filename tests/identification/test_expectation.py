@@ -63,7 +63,6 @@ def test_validation_records_are_what_counts():
     assert found.rms == 5e-8
     verdict = expected(ERRORS, other, held_out=HeldOutErrors(1.0))
     assert verdict.basis == "validation records"
-    assert len(verdict.reasons) == 1
 
 
 def test_a_model_that_misses_its_training_records_is_not_usable():
