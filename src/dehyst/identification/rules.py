@@ -38,7 +38,7 @@ class DecisionRules:
     apart: float = _rule(
         0.5,
         "% of the stroke",
-        "A record that is missed by more, unless its voltages have an offset, is of another stage.",
+        "Without an offset of voltages, a record missed by more is another stage's.",
     )
     fewest_cycles: float = _rule(3, "cycles", "Fewer do not separate a drift from hysteresis.")
     carts_alone_gain: float = _rule(
