@@ -22,7 +22,7 @@ _PLACES, _FEWEST = 12, 3
 _RISK, _SMALLEST = 0.05, 0.1
 _OTHER_WIDTH = "the model's loops have another width there, which more loops that turn there may mend"
 _OTHER_MIDDLE = "the spring or the transformer bends more there than its knots allow"
-# What to try if a check fails, by its name.
+# Remedies, by the name of the check that fails.
 REMEDIES = {
     "Width": "record loops that turn at other voltages",
     "Middle line": "record slower loops over the whole range, and see that sensor and load stay the same",

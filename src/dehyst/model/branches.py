@@ -53,7 +53,7 @@ def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     moved = np.append(0.0, np.cumsum(step * moving))
     seconds = np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300)
     rate = 1 / seconds
-    # Where a last branch would turn is not known: as far as the one before.
+    # The turn of a last branch is not known: it counts as far as the branch before.
     if len(at) > 1 and at[-1, 1] == len(voltage) - 1:
         rate[-1] *= min(height[-1] / height[-2], 1.0)
     return np.column_stack([height / seconds, rate])
