@@ -183,8 +183,7 @@ def row_of(read: Callable[[Path], Record], name: str, path: Path) -> _Row:
             known |= {"stroke_um": 1e6 * record.stroke, "noise_nm": 1e9 * record.noise}
             fit = identify(record)
             known |= _described(fit.actuator)
-            if fit.promise is not None:
-                known["promise_percent"] = fit.promise.largest_percent
+            known["promise_percent"] = fit.promise.largest_percent
             reason = "" if fit.good else fit.outcome.value if not fit.outcome.good else str(fit)
             return _row(name, **known, reason=reason)
     except MissingExtraError:

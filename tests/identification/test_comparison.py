@@ -186,6 +186,6 @@ def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
     record = wide_record(actuator, 0.9 * plain_records.VOLTS)
     compared = compare(actuator, record, plain_records.STROKE, datum=0.0, drifting=True)
     assert compared.source.count > 1
-    last = compared.source.count - 1
-    few = replace(compared, found=replace(compared.found, offsets={last: compared.found.offsets[last]}))
-    assert few.offsets == [compared.offsets[last]] * compared.source.count
+    first = min(compared.found.offsets)
+    few = replace(compared, found=replace(compared.found, offsets={first: compared.found.offsets[first]}))
+    assert few.last_offsets() == [compared.found.offsets[first] - compared.base]

@@ -8,10 +8,9 @@ import pytest
 import structured_records as wide
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import savgol_filter
 
 from dehyst import Record
-from dehyst.identification.denoising import disturbs, local_polynomial, monotone, remove_jitter
+from dehyst.identification.denoising import disturbs, monotone, remove_jitter
 from dehyst.records.signals import turning_points
 from dehyst.virtual import PlayActuator
 
@@ -135,15 +134,3 @@ def test_a_short_piece_and_one_without_turns_are_taken():
     rising = Record(np.arange(6) / 10, np.arange(6.0), np.array([0, 1, 3, 2, 4, 5]) * 1e-6)
     np.testing.assert_allclose(monotone(rising).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
     np.testing.assert_allclose(remove_jitter(rising, 1e-6, 5e-6).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
-
-
-@pytest.mark.parametrize(
-    ("window", "order", "derivative"),
-    [(n, order, k) for n, order in ((5, 2), (9, 4), (13, 2), (3, 1)) for k in range(min(order, 2) + 1)],
-)
-@pytest.mark.parametrize("size", [13, 14, 200])
-def test_a_local_polynomial_is_the_filter_of_savitzky_and_golay(window, order, derivative, size):
-    y = np.random.default_rng(size).normal(size=size)
-    ours = local_polynomial(y, window, order, derivative, 0.01)
-    theirs = savgol_filter(y, window, order, deriv=derivative, delta=0.01)
-    assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9 * np.abs(theirs).max())

@@ -14,7 +14,7 @@ from dehyst.identification.expectation import Expectation, HeldOutErrors, expect
 from dehyst.model import Promise
 
 STROKE = 1e-5
-ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0)
+ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0, 5e-8, 1e-8)
 
 
 def record(*turns):

@@ -87,7 +87,7 @@ def unseen(turns, elements=10):
 def told(records, elements=10, *, movable=None):
     every = np.ones(elements, dtype=bool) if movable is None else movable
     knots = np.linspace(0, plain_records.STROKE, elements + 1)
-    return identifiability(records, Grid.maxwell_slip(grid(elements), knots, every))
+    return identifiability(records, Grid(grid(elements), knots[[0, -1]], knots, sliding=every))
 
 
 def told_of(turns, elements=10, **options):

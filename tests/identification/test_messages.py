@@ -13,7 +13,10 @@ from dehyst.identification import RecordErrors
 def test_a_drift_that_cannot_be_creep_is_not_called_so(rate, decades, steady, creeps):
     """Too large, too short to tell, or straight in time."""
     stroke = plain_records.STROKE
-    lengths = dict.fromkeys(("largest", "rms", "largest_with_drift", "rms_with_drift", "offset", "datum"), 0.0)
+    lengths = dict.fromkeys(
+        ("largest", "rms", "largest_with_drift", "rms_with_drift", "offset", "datum", "settled_largest", "settled_rms"),
+        0.0,
+    )
     errors = RecordErrors(
         "made", "training", 100, 0, **lengths, stroke=stroke, drift=rate * stroke, decades=decades, steady=steady
     )

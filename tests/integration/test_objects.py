@@ -107,21 +107,11 @@ def test_tables_have_units_in_their_names(things):
         "record": ["time_s", "voltage_V", "displacement_um"],
         "motion": ["voltage_V", "displacement_um"],
         "plan": ["phase", "voltage_V", "displacement_um", "expected_um", "clamped"],
-        "trace": ["time_s", "voltage_V", "measured_um", "simulated_um"],
     }
     for name, expected in columns.items():
         frame = things[name].to_dataframe()
         assert isinstance(frame, pandas.DataFrame)
         assert list(frame.columns) == expected
-    frame = things["trace"].to_dataframe()
-    np.testing.assert_allclose((frame.measured_um - frame.simulated_um) / 1e6, things["trace"].residual, atol=1e-15)
-
-
-def test_the_table_of_a_fit(fit):
-    pytest.importorskip("pandas")
-    errors = fit.to_dataframe()
-    assert errors.largest_percent.tolist() == [error.largest_percent for error in fit.errors]
-    np.testing.assert_allclose(errors.rms_nm, [error.rms * 1e9 for error in fit.errors])
 
 
 def test_a_name_that_is_nearly_right_is_suggested(fit):

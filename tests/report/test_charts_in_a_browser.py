@@ -5,11 +5,15 @@ import pytest
 from workbench_page import CHROMIUM
 
 from dehyst.identification import Fit, Outcome, Trace
-from dehyst.model import Actuator, MaxwellSlip, Spring
+from dehyst.identification.expectation import Expectation
+from dehyst.model import Actuator, MaxwellSlip, Promise, Spring
 from dehyst.report import write_report
 
 pytest.importorskip("playwright.sync_api", reason="needs playwright")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+
+PROMISE = Promise("any path", 1e-8, 5e-8, {"model": 5e-8}, np.full(1, 5e-8), 2e-5, 0.0)
+EXPECTED = Expectation(PROMISE, 1e-8, 1e-9, 1.0, "validation records")
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +25,7 @@ def file(tmp_path_factory):
     measured = simulated + np.random.default_rng(0).normal(0, 2e-8, time.size)
     trace = Trace("loops", "training", time, voltage, measured, simulated, began=-0.5)
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_report(path, Fit(actuator, Outcome.IDENTIFIED, traces=(trace,)))
+    write_report(path, Fit(actuator, Outcome.IDENTIFIED, EXPECTED, traces=(trace,)))
     return path
 
 

@@ -17,7 +17,7 @@ from dehyst.identification.frame import Frame, without_offset, zero_of
 from dehyst.identification.motion import Motion, Parts, moved
 from dehyst.identification.preparation import Prepared, as_list, prepare
 from dehyst.identification.program import Program, Solution
-from dehyst.identification.regressors import Epoch, Piece, RowSource
+from dehyst.identification.regressors import Epoch, RowSource
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.solver import ActiveSet
@@ -77,50 +77,27 @@ class RecordComparison:
     found: Solution
     base: float
 
-    @property
-    def pieces(self) -> list[Piece]:
-        """Of `source`."""
-        return self.source.pieces
-
-    @property
-    def epochs(self) -> list[list[Epoch]]:
-        """Of each piece."""
-        return self.source.epochs
-
-    @property
-    def motion(self) -> Motion:
-        """Its datum, drift and creep from before it."""
-        return self.frame.motion
-
-    @property
-    def offsets(self) -> list[float]:
-        """Offset [V] of each epoch; an epoch without rows after thinning has the offset of the nearest one."""
-        known = sorted(self.found.offsets)
-        nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in range(self.source.count)]
+    def last_offsets(self) -> list[float]:
+        """Offset [V] of the last epoch of each piece; without such an epoch, or its rows, that of the nearest one."""
+        known, numbers = sorted(self.found.offsets), np.cumsum([len(own) for own in self.source.epochs]) - 1
+        nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in np.maximum(numbers, 0).tolist()]
         return [self.found.offsets[k] - self.base for k in nearest]
 
-    def last_offsets(self) -> list[float]:
-        """Offset [V] of the last epoch of each piece; a piece without epochs has the offset of the piece before."""
-        offsets = self.offsets
-        return [offsets[max(count - 1, 0)] for count in np.cumsum([len(own) for own in self.epochs])]
+    def played(self, actuator: Actuator, number: int) -> tuple[State, list[Array]]:
+        """Return the start of a piece, and time, voltage, measured and simulated displacement where samples count.
 
-    def play(
-        self, actuator: Actuator, number: int, span: slice, begin: tuple[State, float]
-    ) -> Iterator[tuple[Array, ...]]:
-        """Yield time, voltage, measured and simulated displacement before creep, of each run of samples that count.
-
-        Over samples of the reduced piece of this number, from a state, its voltages less an offset [V]. In excluded
-        stretches, the measured displacement drives the model.
+        The piece is simulated whole, its voltages less their offset; in excluded stretches the measured displacement
+        drives the model.
         """
-        piece, (state, offset), block = self.whole[number], begin, self.given.block
-        last = len(piece) if span.stop == len(self.pieces[number].path) else span.stop * block
-        first = span.start * block + block // 2
+        start, offset, first = self.start_of(actuator, number)
+        piece, block, runs = self.whole[number], self.given.block, []
         # The piece's voltages are those that act, behind the amplifier.
-        model = replace(actuator._before_creep, lag=0.0)
-        for start, stop, counted in _runs(piece, first, last):
+        model, state = replace(actuator._before_creep, lag=0.0), replace(start, displacement_creep=())
+        begin = first * block + block // 2
+        for low, high, counted in _runs(piece, begin, len(piece)):
             # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
-            again = int(needs_time(actuator) and start > first)
-            run, own = slice(start - again, stop), slice(start, stop)
+            again = int(needs_time(actuator) and low > begin)
+            run, own = slice(low - again, high), slice(low, high)
             time, measured = piece.time[run], piece.displacement[run]
             if counted:
                 voltage = without_offset(actuator, piece.voltage[run], offset)
@@ -130,14 +107,26 @@ class RecordComparison:
                 motion = model.compensate(measured, time=time, state=state, extrapolate=True)
                 simulated = measured[again:]
             state = motion.state
-            yield piece.time[own], without_offset(actuator, piece.voltage[own], offset), measured[again:], simulated
+            voltage = without_offset(actuator, piece.voltage[own], offset)
+            runs.append((piece.time[own], voltage, measured[again:], simulated))
+        time, voltage, *paths = (np.concatenate(column) for column in zip(*runs, strict=True))
+        if (creep := actuator.displacement_creep) is not None:
+            paths = [creep.added(time, path, start.displacement_creep)[0] for path in paths]
+        kept = np.ones(time.size, dtype=bool)
+        for since, until in self.source.pieces[number].path.set_aside:
+            kept &= (time < since) | (time > until)
+        return start, [column[kept] for column in (time, voltage, *paths)]
 
-    def start_of(self, actuator: Actuator, number: int, first: int = 0) -> tuple[State, float]:
-        """Return the state at a piece's sample `first`, before creep, and the offset of its voltages [V].
+    def start_of(self, actuator: Actuator, number: int) -> tuple[State, float, int]:
+        """Return the state at the first sample of a piece that counts, the offset of its voltages [V], and that sample.
 
-        The carts are those that explain its voltages best before the displacement alone determines them.
+        None counts before the delay is over: its voltage is not recorded. The carts are those that explain the voltages
+        best before the displacement alone determines them.
         """
-        own, piece = self.epochs[number], self.pieces[number].path
+        own, piece = self.source.epochs[number], self.source.pieces[number].path
+        first = max(min(int(np.ceil(actuator.delay / piece.sample_time)), len(piece) - 1), 0)
+        if (whole := counting(piece)) is not None:
+            first = max(first, int(np.argmax(whole)))
         last = own[-1] if own else Epoch(0, 0, len(piece), 0.0)
         standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
         stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
@@ -151,7 +140,7 @@ class RecordComparison:
         tau, voltage = actuator.transformer, piece.voltage[places]
         held = (voltage if tau is None else tau(voltage)) - actuator.spring(y)
         known = None if standing or not own else self.last_offsets()[number]
-        counted = None if (whole := counting(piece)) is None else whole[places]
+        counted = None if whole is None else whole[places]
 
         def fit(force: Array, fades: Array, most: Array) -> StartState:
             return fit_start(actuator.slip, y, force, fades, most, known, counted)
@@ -164,8 +153,8 @@ class RecordComparison:
             if strained.cost < RULES.carts_alone_gain * start.cost:
                 start, begun = strained, elongations
         state = self.frame.state(self.source, number, Epoch(first, first, first + 1, 0.0), actuator)
-        state = replace(state, carts=start.carts)
-        return (state if begun is None else replace(state, smooth=begun)), start.constant
+        state = replace(state, carts=start.carts, smooth=state.smooth if begun is None else begun)
+        return self.with_creep(actuator, state, float(piece.time[first])), start.constant, first
 
     def with_creep(self, actuator: Actuator, state: State, time: float) -> State:
         """Return a state at a `time` [s] with creep in displacement."""
@@ -173,7 +162,7 @@ class RecordComparison:
         if creep is None:
             return state
         clock, m = self.before.with_lead
-        strains = creep.strains(clock, m, self.motion.begun[0] / creep.gains)
+        strains = creep.strains(clock, m, self.frame.motion.begun[0] / creep.gains)
         return replace(state, displacement_creep=np.array([np.interp(time, clock, strain) for strain in strains.T]))
 
 
@@ -227,10 +216,9 @@ def _compared(
     rows, shift = source.thinned(MOST_ROWS), frame.shift(0)
     whole = [replace(part, displacement=part.displacement + shift) for part in before.acting(motion.delay, motion.lag)]
     least = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
-    program = Program(rows, grid, least, 0.0)
-    parts = tuple(Parts(motion, frame.training, rows).of(names))
-    program = replace(program, near=coefficients(actuator), parts=parts)
-    found = _with_nuisances(program, coefficients(actuator), motion.gains)
+    parts, model = tuple(Parts(motion, frame.training, rows).of(names)), coefficients(actuator)
+    program = Program(rows, grid, least, 0.0, parts, model)
+    found = _with_nuisances(program, model, motion.gains)
     return RecordComparison(record, frame, source, before, whole, program, found, float(spring.voltage[0]))
 
 
@@ -287,11 +275,10 @@ def _datum(compared: RecordComparison, actuator: Actuator) -> float:
 
     def cost(shift: float) -> float:
         rows = replace(few, displacement=few.displacement + shift)
-        fresh = Program(rows, program.grid, program.floor, 0.0)
-        fresh = replace(fresh, near=model)
+        fresh = Program(rows, program.grid, program.floor, 0.0, near=model)
         return rms(_with_nuisances(fresh, model).unknowns)
 
-    return compared.motion.at_rest * zero_of(cost, stroke, 1e-9)
+    return compared.frame.motion.at_rest * zero_of(cost, stroke, 1e-9)
 
 
 def zero_by_voltages(actuator: Actuator, record: Prepared, stroke: float) -> float:
@@ -325,13 +312,10 @@ def earlier(record: Record, seconds: float) -> Record:
     return replace(record, voltage=np.interp(time, record.time, record.voltage))
 
 
-def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[tuple[RecordComparison, ...], float]:
-    """Compare an actuator with the records that it was identified from, by the options of its identification.
+def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[RecordComparison, ...]:
+    """Compare an actuator with records, by the options of its identification.
 
-    Returns
-    -------
-    tuple of RecordComparison, float
-        One for each record, and the stroke of the promise, or else the range of the widest loop [m].
+    Percentages refer to the stroke of the promise, or else to the range of the widest loop of the records.
     """
     prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification or Identification()
@@ -339,10 +323,9 @@ def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple
     stroke = max(spans) if known.validity is None else known.validity.stroke
     datum = 0.0 if known.shared_datum else None
     with one_thread():
-        compared = tuple(
+        return tuple(
             compare(actuator, item, stroke, datum=datum, drifting=known.drift and item.can_drift) for item in prepared
         )
-    return compared, stroke
 
 
 def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
@@ -358,14 +341,13 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
         compared = compare(actuator, prepare_for(actuator, lead), stroke)
-        own = compared.epochs[-1]
+        own, pieces = compared.source.epochs[-1], compared.source.pieces
     except ValueError:
         own = []
     if own:
-        number = len(compared.pieces) - 1
-        last = replace(own[-1], start=len(compared.pieces[number].path) - 1)
-        state = compared.frame.state(compared.source, number, last, actuator)
-        end = float(compared.pieces[number].path.time[-1])
+        last = replace(own[-1], start=len(pieces[-1].path) - 1)
+        state = compared.frame.state(compared.source, len(pieces) - 1, last, actuator)
+        end = float(pieces[-1].path.time[-1])
         state, creep = compared.with_creep(actuator, state, end), actuator.displacement_creep
         if creep is not None:
             # At rest after its motion, which does not count, the record creeps on.
@@ -396,16 +378,7 @@ def initial_state(actuator: Actuator, record: Record, stroke: float | None = Non
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     compared = compare(actuator, prepare_for(actuator, record), stroke)
-    piece = compared.pieces[0].path
-    first = _first_sample(piece, actuator.delay)
-    state, offset = compared.start_of(actuator, 0, first)
-    return compared.with_creep(actuator, state, float(piece.time[first])), offset
-
-
-def _first_sample(piece: Record, delay: float) -> int:
-    """Return the first sample that counts, and whose voltage is recorded: none is before the delay [s] is over."""
-    first = min(int(np.ceil(delay / piece.sample_time)), len(piece) - 1) if delay > 0 else 0
-    return first if (counted := counting(piece)) is None else max(first, int(np.argmax(counted)))
+    return compared.start_of(actuator, 0)[:2]
 
 
 def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:
@@ -413,16 +386,8 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
 
     `role`: "training" or "validation".
     """
-    record, drawn, starts = compared.given, [], []
-    for number, (_, piece) in enumerate(compared.pieces):
-        first = _first_sample(piece, actuator.delay)
-        start = compared.start_of(actuator, number, first)
-        starts.append(compared.with_creep(actuator, start[0], float(piece.time[first])))
-        runs = compared.play(actuator, number, slice(first, len(piece)), start)
-        time, voltage, *paths = (np.concatenate(column) for column in zip(*runs, strict=True))
-        if (creep := actuator.displacement_creep) is not None:
-            paths = [creep.added(time, path, starts[-1].displacement_creep)[0] for path in paths]
-        drawn.append(counted_of((time, voltage, *paths), piece))
+    record = compared.given
+    starts, drawn = zip(*(compared.played(actuator, k) for k in range(len(compared.source.pieces))), strict=True)
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
     # Errors are those at events; a turn of the voltage is filled.
@@ -433,7 +398,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         at = np.isin(time, record.record.time[events])
         trace = Trace(record.name, role, time[at], voltage[at], measured[at], simulated[at], record.start)
     settled, error, time = np.abs(trace.settled.residual), trace.residual, trace.time
-    curve, slope = record.drift_curve(record.record), float(compared.motion.drift[0])
+    curve, slope = record.drift_curve(record.record), float(compared.frame.motion.drift[0])
     drift = np.interp(time, record.record.time, curve)
     drifting = error + slope * (drift - drift.mean())
     return RecordErrors(
@@ -447,25 +412,14 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         rms_with_drift=rms(drifting),
         stroke=compared.frame.stroke,
         offset=float(np.median(list(compared.found.offsets.values()))) - compared.base,
-        datum=float(compared.motion.datum[0]),
+        datum=float(compared.frame.motion.datum[0]),
         drift=slope,
         decades=float(np.ptp(curve)),
         steady=record.steady,
-        starts=tuple(starts),
+        starts=starts,
         settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
         settled_rms=rms(settled),
     ), whole
-
-
-def counted_of(played: tuple[Array, ...], piece: Record) -> tuple[Array, ...]:
-    """Return the samples of `RecordComparison.play` that are not set aside."""
-    if not piece.set_aside:
-        return played
-    time = played[0]
-    kept = np.ones(time.size, dtype=bool)
-    for first, last in piece.set_aside:
-        kept &= (time < first) | (time > last)
-    return tuple(column[kept] for column in played)
 
 
 def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool]]:

@@ -19,7 +19,7 @@ from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
-from dehyst.identification.results import RecordErrors, Trace
+from dehyst.identification.results import RecordErrors
 from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
 from dehyst.records import Record
 
@@ -73,11 +73,6 @@ class StageFit:
         return self.stage
 
     @property
-    def traces(self) -> tuple[Trace, ...]:
-        """Measured and simulated displacement of each axis of each record."""
-        return tuple(trace for fit in self.fits for trace in fit.traces)
-
-    @property
     def errors(self) -> tuple[RecordErrors, ...]:
         """Errors of each record, those of one axis after another, on its decoupled displacement."""
         return tuple(error for fit in self.fits for error in fit.errors)
@@ -100,24 +95,24 @@ class StageFit:
 
     @property
     def verdict(self) -> str:
-        """One sentence on what to expect of the stage."""
+        """One sentence on what to expect of the stage: what is promised of its worst axis."""
         if self.exchanged:
             return (
                 f"Not usable: the voltage of another axis moves {', '.join(self.exchanged)} more than its own does; "
                 "are the columns of displacements exchanged?"
             )
-        named = [(axis, error) for axis, fit in zip(self.axes, self.fits, strict=True) for error in fit.errors]
-        held = [pair for pair in named if pair[1].role == "validation"]
-        judged, source = (held, "held-out") if held else (named, "training")
-        axis, worst = max(judged, key=lambda pair: pair[1].largest_percent)
-        levels = {fit.promise.readiness for fit in self.fits if fit.promise is not None}
-        head = "Ready for use" if levels == {Readiness.READY} else "Usable, with care"
-        if not self.good or Readiness.NOT_USABLE in levels:
-            head = "Not usable"
-        return (
-            f"{head}: the {source} records are missed by {worst.largest_percent:.2g} % of the stroke at most "
-            f"(axis {axis}), {max(error.rms_percent for _, error in judged):.2g} % RMS"
+        # The axis that is of least use, then that with the largest error.
+        levels = list(Readiness)
+        axis, worst = max(
+            zip(self.axes, self.fits, strict=True),
+            key=lambda pair: (
+                not pair[1].good,
+                levels.index(pair[1].promise.readiness),
+                pair[1].promise.largest_percent,
+            ),
         )
+        ended = "" if worst.outcome.good else f"; {worst.outcome.value.rstrip('.')}"
+        return f"{worst.promise.headline} (axis {axis}){ended}"
 
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--verbose`."""
@@ -129,8 +124,9 @@ class StageFit:
         return json_values(self, keys) | {"fits": by_axis(self.axes, self.fits)}
 
     def _brief(self) -> Iterator[str]:
-        """Yield the verdict, and what to expect of each axis."""
-        yield f"{self.verdict}."
+        """Yield what to expect of each axis, or why the stage is of no use."""
+        if self.exchanged:
+            yield self.verdict
         for axis, fit in zip(self.axes, self.fits, strict=True):
             yield f"Axis {axis}: {fit.summary().splitlines()[0]}"
 
@@ -144,14 +140,13 @@ class StageFit:
             yield from ("", f"Axis {axis}: {fit.summary(full=True)}")
 
 
-# Records to train on, records held out, and a progress report -> the fit of one axis.
-IdentifyAxis = Callable[[list[Record], list[Record], Progress], Fit]
-
-
 def identify_axes(
-    training: Sequence[Record], held_out: Sequence[Record], identify: IdentifyAxis, report: Progress
+    training: Sequence[Record],
+    held_out: Sequence[Record],
+    identify: Callable[[list[Record], list[Record], Progress], Fit],
+    report: Progress,
 ) -> StageFit:
-    """Identify a stage: its coupling matrix, and each axis by itself.
+    """Identify a stage: its coupling matrix, and each axis by itself, by `identify`.
 
     Plays of the voltages give the motion of each actuator, and least squares of all displacements on these motions the
     coupling matrix. Then each axis is identified from its voltage and ``coupling^-1 y``.
@@ -173,9 +168,17 @@ def identify_axes(
     with one_thread():
         plays = Plays.of(training)
         _refuse_inseparable(names, plays.separate())
-        _refuse_unmoved(names, plays)
         coupling, uncertainty = plays.coupling()
-    fits = _axis_fits(training, held_out, coupling, identify, report)
+    table, fits = inverse(coupling), list[Fit]()
+    for j, axis in enumerate(names):
+        alone, validate = (
+            [record.axis(j, apply(table, record.displacement)[:, j]) for record in some]
+            for some in (training, held_out)
+        )
+        try:
+            fits.append(identify(alone, validate, lambda words, axis=axis: report(f"axis {axis}: {words}")))  # type: ignore[misc]
+        except (RecordError, IdentifyError) as error:
+            raise type(error)(f"axis {axis}: {error}") from error
     provenance = {
         "dehyst": __version__,
         "records": [{"name": record.name, **record.meta} for record in training],
@@ -188,24 +191,7 @@ def identify_axes(
         provenance=provenance,
         recorded_columns=tuple(training[0].meta.get("axes", ())),
     )
-    return StageFit(stage, fits, coupling, uncertainty, names)
-
-
-def _axis_fits(
-    training: Sequence[Record], held_out: Sequence[Record], coupling: Array, identify: IdentifyAxis, report: Progress
-) -> tuple[Fit, ...]:
-    """Identify each axis on its decoupled displacement."""
-    table, fits = inverse(coupling), []
-    for j, axis in enumerate(training[0].axes):
-        alone, validate = (
-            [record.axis(j, apply(table, record.displacement)[:, j]) for record in some]
-            for some in (training, held_out)
-        )
-        try:
-            fits.append(identify(alone, validate, lambda words, axis=axis: report(f"axis {axis}: {words}")))  # type: ignore[misc]
-        except (RecordError, IdentifyError) as error:
-            raise type(error)(f"axis {axis}: {error}") from error
-    return tuple(fits)
+    return StageFit(stage, tuple(fits), coupling, uncertainty, names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +200,7 @@ class Plays:
 
     Attributes
     ----------
+    axes : tuple of str
     blocks : tuple of (m, K) array
         For each voltage, curves of its plays.
     slow : (m, P) array
@@ -224,6 +211,7 @@ class Plays:
         Number of the span of time.
     """
 
+    axes: tuple[str, ...]
     blocks: tuple[Array, ...]
     slow: Array
     displacement: Array
@@ -240,6 +228,7 @@ class Plays:
         blocks = [[_play_curves(u)[::every] for u in ((record.voltage - low) / width).T] for record in records]
         displacement = [record.displacement[::every] for record in records]
         return cls(
+            records[0].axes,
             tuple(map(np.concatenate, zip(*blocks, strict=True))),
             block_diag(*[_slow(record)[::every] for record in records]),
             np.concatenate(displacement),
@@ -250,8 +239,16 @@ class Plays:
         """Return the coupling matrix (axes, axes), and the standard error of each entry.
 
         Each displacement is fitted to the plays of all voltages: those of its own voltage are the motion of its
-        actuator. Then all displacements are fitted to these motions.
+        actuator. Then all displacements are fitted to these motions. Raise `RecordError` if the voltages together
+        explain next to nothing of the motion of a displacement.
         """
+        explained = 1 - self.unexplained(self.displacement, self.blocks)
+        for name, share in zip(self.axes, explained.tolist(), strict=True):
+            if share < _EXPLAINED:
+                raise RecordError(
+                    f"axis {name}: its displacement follows none of the voltages: they explain {100 * share:.2g} % of "
+                    "its motion; check its sensor, and the column that is read: --columns"
+                )
         rows, first, motions = _scaled([*self.blocks, self.slow]), 0, []
         for block, measured in zip(self.blocks, self.displacement.T, strict=True):
             grams, rights = self._weighted(rows, measured)
@@ -297,7 +294,7 @@ class Plays:
     def unexplained(self, motion: Array, blocks: Sequence[Array]) -> Array:
         """Return the share of each motion (m, k), slow ones aside, that the columns of `blocks` do not explain."""
         energies = [(_left(rows, motion) ** 2).sum(axis=0) for rows in ([self.slow], [self.slow, *blocks])]
-        return np.asarray(energies[1] / np.maximum(energies[0], 1e-300))
+        return np.asarray((energies[1] + 1e-300) / (energies[0] + 1e-300))
 
 
 def _play_curves(u: Array) -> Array:
@@ -339,17 +336,13 @@ def _slow(record: Record) -> Array:
 
 
 def refuse_still(records: Sequence[Record]) -> None:
-    """Raise `RecordError` if the voltage or the displacement of an axis moves in none of the records."""
+    """Raise `RecordError` if the voltage of an axis moves in none of the records."""
     for j, name in enumerate(records[0].axes):
         if all(np.ptp(record.voltage[:, j]) == 0 for record in records):
             held = records[0].voltage[0, j]
             raise RecordError(
                 f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves: record all axes moving, one "
                 "after the other or together: dehyst excite stage"
-            )
-        if all(np.ptp(record.displacement[:, j]) == 0 for record in records):
-            raise RecordError(
-                f"axis {name}: its displacement does not move; check its sensor, and the column that is read: --columns"
             )
 
 
@@ -374,15 +367,4 @@ def _refuse_inseparable(names: Sequence[str], shares: Array) -> None:
                 f"axis {name}: its voltage moves together with those of {others} at all times ({100 * share:.2g} % of "
                 "its motion is its own), so that their displacements cannot be distinguished; record the axes one "
                 "after the other, or together with different periods: dehyst excite stage"
-            )
-
-
-def _refuse_unmoved(names: Sequence[str], plays: Plays) -> None:
-    """Raise `RecordError` if the voltages together explain next to nothing of the motion of a displacement."""
-    explained = 1 - plays.unexplained(plays.displacement, plays.blocks)
-    for name, share in zip(names, explained, strict=True):
-        if share < _EXPLAINED:
-            raise RecordError(
-                f"axis {name}: its displacement follows none of the voltages: they explain {100 * share:.2g} % of its "
-                "motion; check its sensor, and the column that is read: --columns"
             )

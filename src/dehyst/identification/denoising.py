@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,31 +12,6 @@ from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.rules import RULES
 from dehyst.model import Dynamics
 from dehyst.records import Record, counting, turning_points, white_noise
-
-
-def local_polynomial(y: Array, window: int, order: int, derivative: int = 0, step: float = 1.0) -> Array:
-    """Return the value or a derivative at each sample of the polynomial that fits its neighbours best.
-
-    `y` (n,): evenly sampled, n >= window. `window`, `order`: samples of a polynomial, an odd number, and its order; the
-    first and last half window have one polynomial each. `derivative`: 0: the value. `step`: sample time [s].
-
-    Returns
-    -------
-    (n,) array
-    """
-    half = window // 2
-    places = np.arange(-half, half + 1.0)
-    powers = np.vander(places, order + 1, increasing=True)
-    inverse = np.linalg.pinv(powers)
-    scale = factorial(derivative) / step**derivative
-    result = np.empty(y.size)
-    result[half : y.size - half] = np.convolve(y, inverse[derivative, ::-1] * scale, mode="valid")
-    for ends, samples in ((slice(0, half), y[:window]), (slice(y.size - half, None), y[-window:])):
-        polynomial = np.polynomial.Polynomial(inverse @ samples).deriv(derivative)
-        own = places[:half] if ends.start == 0 else places[half + 1 :]
-        result[ends] = polynomial(own) / step**derivative
-    return result
-
 
 # Noise below this part of the range has no effect on elements.
 _QUIET = 3e-4
@@ -56,8 +30,10 @@ def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
 
 def derivatives(piece: Record) -> tuple[Array, Array]:
     """Return velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
+    from scipy.signal import savgol_filter
+
     y, step = piece.displacement, piece.sample_time
-    first, second = (local_polynomial(y, _WINDOW, _ORDER, derivative, step) for derivative in (1, 2))
+    first, second = (savgol_filter(y, _WINDOW, _ORDER, deriv=derivative, delta=step) for derivative in (1, 2))
     return first, second
 
 
@@ -74,11 +50,6 @@ def disturbs(noise: float, stroke: float) -> bool:
     return noise > RULES.loud * stroke
 
 
-def left_of(noise: float, stroke: float) -> float:
-    """Return by how much noise [m] `remove_jitter` leaves the range of a path uncertain."""
-    return 0.0 if disturbs(noise, stroke) else noise
-
-
 def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     """Return a piece whose displacement moves as an actuator does.
 
@@ -86,6 +57,8 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     [m]: if the noise is significant, parabolas through neighbours, over a part of a cycle, come first; of loud noise
     over wider parts, each branch by itself, or a turn would lie beyond what the actuator reaches.
     """
+    from scipy.signal import savgol_filter
+
     part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
     if disturbs(noise, stroke):
         return _between_turns(piece, 2 * (part // 2) + 1)
@@ -93,7 +66,7 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     y = piece.displacement.copy()
     for start, stop in _stretches(piece):
         if 5 <= window <= stop - start:
-            y[start:stop] = local_polynomial(y[start:stop], window, 2)
+            y[start:stop] = savgol_filter(y[start:stop], window, 2)
     return monotone(replace(piece, displacement=y))
 
 
@@ -103,6 +76,8 @@ def _between_turns(piece: Record, window: int) -> Record:
     An error at a turn stays in the elements for the whole branch after it. So a turn is the mean of what both branches
     show, and no sample of a branch lies beyond its turns, as the ends of a monotone fit to noise do.
     """
+    from scipy.signal import savgol_filter
+
     y, branches = piece.displacement.copy(), _counted_branches(piece)
     sums, counts = np.zeros(y.size), np.zeros(y.size)
     for start, stop, _ in branches:
@@ -110,7 +85,7 @@ def _between_turns(piece: Record, window: int) -> Record:
         own = slice(start, min(stop + 1, y.size))
         values = piece.displacement[own]
         width = min(window, 2 * ((values.size - 1) // 2) + 1)
-        sums[own] += local_polynomial(values, width, 2) if width >= 5 else values
+        sums[own] += savgol_filter(values, width, 2) if width >= 5 else values
         counts[own] += 1
     smooth = np.divide(sums, counts, out=y, where=counts > 0)
     path = monotone(replace(piece, displacement=smooth)).displacement.copy()

@@ -77,7 +77,7 @@ def identified(
     identify: Callable[[list[Record], list[Record]], Fit],
     rounds: int = 2,
 ) -> Fit:
-    """Return the fit of records, those of events filled first, then by the fit before until little moves.
+    """Return the fit of records; those of events are filled first, then by the fit before until little moves.
 
     `held_out`: records to validate. `identify`: fits records, whose turns of the voltage count as events, too; its
     first traces are those of the records, in order. `rounds`: most fits after the first.

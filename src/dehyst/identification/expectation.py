@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._types import Array
 from dehyst._views.fields import json_values
-from dehyst._views.lines import percent
+from dehyst._views.lines import length, percent
 from dehyst.identification.checks import REMEDIES, RemainingError
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict
 from dehyst.identification.rules import RULES
@@ -101,8 +101,7 @@ class Expectation:
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
     def _both(self, error: float) -> str:
-        length = f"{error * 1e9:.3g} nm" if error < 1e-6 else f"{error * 1e6:.3g} um"
-        return f"{percent(error, self.stroke)} of the stroke ({length})"
+        return f"{percent(error, self.stroke)} of the stroke ({length(error)})"
 
     @property
     def headline(self) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array
-from dehyst.identification.denoising import derivatives, left_of
+from dehyst.identification.denoising import derivatives, disturbs
 from dehyst.identification.motion import Motion, Parts
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.program import SMALLEST_GAIN, Program, Solution
@@ -100,7 +100,9 @@ class Frame:
     def bare(self) -> RowSource:
         """Epochs of all paths, without elements."""
         grid = Structure(elements=2, knots=2).grid((0.0, 1.0), self.voltages)
-        noise = [left_of(self.training[q].noise, self.stroke) for q, _, _ in self.paths]
+        # Without loud noise, which is taken out of the paths.
+        left = [0.0 if disturbs(item.noise, self.stroke) else item.noise for item in self.training]
+        noise = [left[q] for q, _, _ in self.paths]
         pieces = [Piece(q, path) for q, _, path in self.paths]
         return RowSource.of(pieces, grid, noise, leads=[item.lead for item in self.before])
 

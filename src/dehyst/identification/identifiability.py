@@ -10,7 +10,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.rules import RULES
-from dehyst.identification.structure import Grid
+from dehyst.identification.structure import Grid, Structure
 from dehyst.model import parts_in_segments
 from dehyst.records import Record, turning_points
 
@@ -68,8 +68,9 @@ def identifiability(records: list[Record], grid: Grid) -> Identifiability:
             path = np.concatenate([places[:1], *branches])
             outlines.append((q, Record(np.arange(float(path.size)), path, path, "outline")))
     source = RowSource.of(outlines, grid, [0.0] * len(outlines))
-    rows, values = source.thinned(max(1, len(source))), np.zeros(np.count_nonzero(grid.movable))
-    if len(rows) and values.size:
+    values = np.zeros(np.count_nonzero(grid.movable))
+    if len(source) and values.size:
+        rows = source.thinned(len(source))
         constants = rows.epoch[:, None] == np.unique(rows.epoch)
         others = np.hstack([constants, parts_in_segments(grid.knots, rows.displacement)])
         others = others / np.maximum(np.abs(others).max(axis=0), np.finfo(float).tiny)
@@ -82,9 +83,7 @@ def identifiability(records: list[Record], grid: Grid) -> Identifiability:
 
 def probed(records: list[Record], span: tuple[float, float]) -> Identifiability:
     """Return the directions of ten Maxwell-slip elements over a stroke [m] that the turning points determine."""
-    stroke = span[1] - span[0]
-    rho = 0.5 * stroke / _PROBES * np.arange(1.0, _PROBES + 1)
-    grid = Grid.maxwell_slip(rho, np.linspace(*span, _PROBES + 1), 2 * rho < stroke * (1 - 1e-9))
+    grid = Structure(elements=_PROBES, knots=_PROBES + 1).grid(span, span)
     return replace(identifiability(records, grid), probing=True)
 
 

@@ -23,14 +23,14 @@ from dehyst.identification.fit import Fit
 from dehyst.identification.frame import Frame
 from dehyst.identification.identifiability import probed
 from dehyst.identification.motion import Motion, temperatures_of
-from dehyst.identification.preparation import ENOUGH, Prepared, demand_short, list_of, prepare
+from dehyst.identification.preparation import ENOUGH, Prepared, as_list, demand_short, list_of, prepare
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, Identification, Outcome, with_identification
-from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
+from dehyst.model import Actuator, Identification, Outcome, promised, with_identification
+from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 
 # Voltages are played without an offset above this part of their range; a record is apart if it is so many times worse.
 _OFFSET, _TIMES = 0.02, 3.0
@@ -108,7 +108,7 @@ def identify(
     _refuse_copies([*training, *held_out])
 
     def alone(training: list[Record], held_out: list[Record], report: Progress) -> Fit:
-        some, others = ([of_one_axis(record) for record in records] for records in (training, held_out))
+        some, others = as_list(training), as_list(held_out)
         once = [first_model]
 
         def fit(some: list[Record], others: list[Record]) -> Fit:
@@ -116,8 +116,7 @@ def identify(
             return _Run(settings, some, others, report, goal, deadline, first).fit()
 
         with one_thread():
-            sensed = all(record.measured is None for record in (*some, *others))
-            return fit(some, others) if sensed else events.identified(some, others, fit)
+            return events.identified(some, others, fit)
 
     if training[0].axes:
         fit: Any = identify_axes(training, held_out, alone, report)
@@ -362,7 +361,6 @@ class _Run:
             self.remarks.insert(0, self._warms(made))
         self.remarks[:0] = messages.of_moved_zeros(trained)
         self.remarks += messages.of_rare_voltages(self.training, self.limits)
-        self.remarks += messages.of_held_out(self.held_out, self.limits)
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         delay = actuator.delay + actuator.lag
         repaired = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)
@@ -387,11 +385,16 @@ class _Run:
             goal=self.goal,
             validity=validity,
         )
+        for item in self.held_out:
+            played = promised(actuator, item.record.voltage)
+            gaps = () if played is None else played.untested
+            self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
         options = {**self.provenance(made.structure), "delay_s": delay, "stroke_m": self.stroke}
         repairs = [sentence for item in records for sentence in item.sentences]
         return Fit(
             actuator,
             outcome,
+            expected,
             tuple(errors),
             (*repairs, *repaired),
             tuple(self.remarks),
@@ -399,6 +402,5 @@ class _Run:
             options=options,
             checks=checked,
             trials=tuple(self.trials),
-            promise=expected,
             remaining=remaining,
         )

@@ -12,9 +12,9 @@ from dehyst.identification.results import FEWEST_DECADES, RecordErrors
 from dehyst.model import excite_command
 from dehyst.records import percent
 
-# Held-out voltages may go beyond by the first part of the limits' range; the second is the outer part at each end, of
-# which samples are rare if fewer than this part of one passage through it.
-_MARGIN, _END, _LEAST_PASSAGE = 0.02, 0.1, 0.25
+# The outer part of the limits' range at each end, of which samples are rare if fewer than this part of one passage
+# through it.
+_END, _LEAST_PASSAGE = 0.1, 0.25
 # A zero that is moved by less, and a smaller drift, as parts of the stroke, are not remarked.
 _SMALLEST_ZERO, _SMALLEST_DRIFT = 0.1, 2e-4
 
@@ -67,18 +67,6 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -
                 f"extrapolated there. Record slow loops that reach it: {slow}"
             )
     return remarks
-
-
-def of_held_out(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
-    """Return remarks about held-out records that leave the limits [V]."""
-    low, high = limits
-    margin, ranges = _MARGIN * (high - low), [(item.name, *item.record.voltage_range) for item in records]
-    return [
-        f"{name}: the model is extrapolated: its voltages, {lowest:.4g} to {highest:.4g} V, leave those of the "
-        f"training records, {low:.4g} to {high:.4g} V."
-        for name, lowest, highest in ranges
-        if lowest < low - margin or highest > high + margin
-    ]
 
 
 def repaired(

@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification import cleaning
-from dehyst.identification.denoising import disturbs, local_polynomial, remove_dynamics, remove_jitter
+from dehyst.identification.denoising import disturbs, remove_dynamics, remove_jitter
 from dehyst.identification.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
@@ -145,19 +145,20 @@ class Prepared:
         """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
         if not lag:
             return self
+        from scipy.signal import savgol_filter
+
         demand_short(lag, "sensor_lag", self.cycle)
         # Few samples a cycle leave no room for a long window.
         window = 9 if self.cycle > _MANY * self.record.sample_time else 5
 
-        def before(piece: Record) -> Record:
-            rate = local_polynomial(piece.displacement, window, 4, 1, piece.sample_time)
-            return replace(piece, displacement=piece.displacement + lag * rate)
+        def before(piece: Record) -> Array:
+            rate = savgol_filter(piece.displacement, window, 4, deriv=1, delta=piece.sample_time)
+            return np.asarray(piece.displacement + lag * rate)
 
-        pieces, record = tuple(map(before, self.pieces)), before(self.record)
+        known = self if self.lead is None or len(self.lead) >= _SHORTEST else replace(self, lead=None)
+        made = known._changed(before)
         sentence = f"{self.name}: displacements are those before the sensor's lag of {1e3 * lag:.4g} ms, as given."
-        lead = None if self.lead is None or len(self.lead) < _SHORTEST else before(self.lead)
-        sentences = (*self.sentences, sentence)
-        return replace(self, record=record, lead=lead, pieces=pieces, noise=record.noise, sentences=sentences)
+        return replace(made, noise=made.record.noise, sentences=(*self.sentences, sentence))
 
     def without_creep(self, part: DisplacementCreep, start: Array | None = None) -> Prepared:
         """Return the record with the displacements before creep in displacement.

@@ -113,10 +113,9 @@ class Piece(NamedTuple):
 
 
 class NumberedEpoch(NamedTuple):
-    """An epoch with its number among all epochs, and the numbers of its record and its piece."""
+    """An epoch with its number among all epochs, and the number of its piece."""
 
     number: int
-    record: int
     piece: int
     epoch: Epoch
 
@@ -156,7 +155,7 @@ class RowSource:
 
     def numbered(self) -> tuple[NumberedEpoch, ...]:
         """Return all epochs with their numbers."""
-        places = [(piece.record, k, epoch) for k, piece in enumerate(self.pieces) for epoch in self.epochs[k]]
+        places = [(piece, epoch) for piece, own in enumerate(self.epochs) for epoch in own]
         return tuple(NumberedEpoch(number, *place) for number, place in enumerate(places))
 
     def thinned(self, most: int) -> Rows:

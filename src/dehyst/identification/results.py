@@ -1,31 +1,20 @@
-"""The results of an identification: outcome, errors and traces of records, checks; files of traces."""
+"""The results of an identification: errors and traces of records, checks."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
-from math import isnan, nan
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, packed, write_atomically
 from dehyst._text import counted, escaped
 from dehyst._types import Array
-from dehyst._validation import keep
-from dehyst._views import tables
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
 from dehyst.model import State
 from dehyst.records import turning_points
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 # A rate of creep from a smaller part of a decade is an extrapolation.
 FEWEST_DECADES = 0.5
@@ -55,7 +44,7 @@ class RecordErrors:
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     settled_largest, settled_rms : float
         Errors after the second turning point of the voltage [m], the largest one but for one sample in a thousand: the
-        first rise from an unknown state, and single outliers, are set aside. Default: errors of all samples.
+        first rise from an unknown state, and single outliers, are set aside.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
@@ -73,15 +62,11 @@ class RecordErrors:
     offset: float
     datum: float
     drift: float
+    settled_largest: float
+    settled_rms: float
     decades: float = 1.0
     steady: bool = False
     starts: tuple[State, ...] = field(default=(), compare=False)
-    settled_largest: float = nan
-    settled_rms: float = nan
-
-    def __post_init__(self) -> None:
-        if isnan(self.settled_rms):
-            keep(self, settled_largest=self.largest, settled_rms=self.rms)
 
     def __repr__(self) -> str:
         errors = f"largest {self.largest_percent:.3g} %, RMS {self.rms_percent:.3g} %"
@@ -164,15 +149,6 @@ class Trace:
         kept = {name: getattr(self, name)[at:] for name in ("time", "voltage", "measured", "simulated")}
         return replace(self, **kept)
 
-    def to_dataframe(self) -> DataFrame:
-        """Return the columns time_s, voltage_V, measured_um and simulated_um as a pandas DataFrame.
-
-        Raise `MissingExtraError` if pandas is not installed.
-        """
-        lengths = {"measured_um": self.measured * 1e6, "simulated_um": self.simulated * 1e6}
-        columns = {"time_s": self.time, "voltage_V": self.voltage, **lengths}
-        return tables.frame(columns, record=self.record, role=self.role)
-
 
 class Verdict(Enum):
     """Whether a property holds; the value is the word to show."""
@@ -209,25 +185,3 @@ class Check:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return {**asdict(self), "verdict": self.verdict.name}
-
-
-# Name of the first array of traces.
-_HEADS = "dehyst-output"
-_COLUMNS = {"time_s": "time", "voltage_V": "voltage", "measured_m": "measured", "simulated_m": "simulated"}
-
-
-def write_traces(path: PathLike, traces: Sequence[Trace]) -> None:
-    """Write `traces` to a `path` that ends in .npz.
-
-    It has the arrays time_s_1, voltage_V_1, measured_m_1 and simulated_m_1 of the first record, and so on; the array
-    "dehyst-output" is JSON in bytes: name, role and first time [s] of each.
-
-    Raise `FileFormatError` if the suffix is not .npz, or the file cannot be written.
-    """
-    if Path(path).suffix.lower() != ".npz":
-        raise FileFormatError(f"{path}: traces are written as a NumPy archive; give a name that ends in .npz")
-    heads = [{"record": t.record, "role": t.role, "first_s": min(t.began, *t.time[:1])} for t in traces]
-    arrays = {_HEADS: np.frombuffer(json.dumps(heads).encode(), dtype=np.uint8)}
-    for k, trace in enumerate(traces, 1):
-        arrays |= {f"{column}_{k}": getattr(trace, name) for column, name in _COLUMNS.items()}
-    write_atomically(path, packed(arrays))

@@ -136,11 +136,6 @@ class Grid:
     sliding: Mask | None = None
 
     @classmethod
-    def maxwell_slip(cls, breakaway: Array, knots: Array, sliding: Mask | None = None) -> Grid:
-        """Return the grid of Maxwell-slip elements and a spring."""
-        return cls(breakaway, knots[[0, -1]], knots, sliding=sliding)
-
-    @classmethod
     def of_actuator(cls, actuator: Actuator, sliding: Mask | None = None) -> Grid:
         """Return the grid of the parts of an actuator."""
         slip, knots = actuator.slip, actuator.spring.displacement

@@ -16,11 +16,9 @@ from dehyst._errors import DehystError, IdentifyError
 from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
-from dehyst.identification.results import write_traces
 from dehyst.model import Actuator, Stage, with_identification
 from dehyst.operations.command import (
     INPUT,
-    OUTPUT,
     Values,
     argument,
     beside,
@@ -70,7 +68,6 @@ def identify(
     output: Path | None = output("Write the model here (JSON).", required=False),
     validate: tuple[Path, ...] = option("Held-out records, which are only simulated.", INPUT, multiple=True),
     report: Path | None = page(),
-    traces: Path | None = option("Write measured and simulated path here (.npz).", OUTPUT),
     zero: Zero | None = option("Zero, in the first record; default: the sensor's.", ZERO),
     time_limit: float | None = number("Time after which the search ends [s]."),
     slew_rate: float | None = number("Largest slew rate [V/s] of later paths; the model keeps it.", beside("output")),
@@ -102,8 +99,6 @@ def identify(
             raise
     if output is not None:
         _with_defaults(fit.model, columns, slew_rate).save(output)
-    if traces is not None:
-        write_traces(traces, fit.traces)
     if report is not None:
         run.progress("drawing the report")
         quick = deadline.ended or not isinstance(fit, Fit)
@@ -129,7 +124,7 @@ def _with_defaults(model: Actuator | Stage, columns: Columns, slew_rate: float |
 def _answer(fit: Fit | StageFit) -> list[str]:
     """Return the promise of a good fit and its first reservations and remarks; of another one, all reasons."""
     brief = fit.summary().split("\n")
-    if not isinstance(fit, Fit) or not fit.good or fit.promise is None:
+    if not isinstance(fit, Fit) or not fit.good:
         return brief
     remarks = (*reason_of(fit.promise.promise), *fit.promise.reservations, *fit.remarks)
     return [brief[0], *(f"  - {escaped(remark)}" for remark in remarks[:_REMARKS])]

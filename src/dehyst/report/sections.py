@@ -27,9 +27,6 @@ _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_U
 def verdict(fit: Fit) -> str:
     """Return the verdict in the colour of its readiness: its number first, then the outcome of the identification."""
     expected = fit.promise
-    if expected is None:
-        word = Readiness.NOT_USABLE.value.capitalize()
-        return f'<p class="outcome red" role="status"><strong>{word}</strong> {words(fit.outcome.value)}</p>'
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
     said = (

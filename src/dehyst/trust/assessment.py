@@ -94,8 +94,8 @@ def insight(
     progress("reading the records beside the model")
     allowed = actuator.limits if limits is None else interval(limits)
     with one_thread():
-        compared, stroke = compare_all(actuator, records)
-        return Insight(actuator, compared, stroke, allowed, plan)
+        compared = compare_all(actuator, records)
+        return Insight(actuator, compared, compared[0].frame.stroke, allowed, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class Insight(Plotted):
 
         For models with more parts it concerns ten plain Maxwell-slip elements instead.
         """
-        pieces = [piece for item in self.comparisons for _, piece in item.pieces]
+        pieces = [piece for item in self.comparisons for _, piece in item.source.pieces]
         grid = Grid.of_actuator(self.actuator)
         if self.actuator._wide:
             return probed(pieces, (float(grid.knots[0]), float(grid.knots[-1])))

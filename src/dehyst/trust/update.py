@@ -303,7 +303,7 @@ class _Refit:
         fold = part_of((rows.time - self.record.time[0]) / float(np.ptp(self.record.time))) % FOLDS
         alike = _ALIKE if self.recheck.tells else _ALIKE_BY_MANY
         # A drift is solved for beside the changes: before them it would take a part of these.
-        drift = Parts(compared.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
+        drift = Parts(compared.frame.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
         return Program(rows, grid, compared.program.floor, alike, tuple(drift), coefficients(near), FOLDS, fold)
 
     def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:
