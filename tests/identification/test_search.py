@@ -92,6 +92,13 @@ def test_above_the_nyquist_frequency_or_overdamped_there_is_no_resonance(dynamic
     assert ("inertia" in names, motion.dynamics) == (False, None)
 
 
+def test_a_low_pass_as_slow_as_the_cycles_is_a_lag():
+    dynamics = Dynamics(300.0, 4.0)
+    motion, names = found([driven(dynamics)])
+    assert names >= {"lag"}
+    assert motion.lag == pytest.approx(2 * dynamics.damping / dynamics.omega, rel=0.15)
+
+
 def test_slow_cycles_show_no_resonance():
     """A thousand samples a cycle: what has a mass then is the sensor's noise."""
     v = tracking_trials.tops(3, 600)

@@ -190,9 +190,9 @@ class _Search:
         """Return the better of the best so far and the same records with parts of these names."""
         return _best([best, self.tried(frame, names, more, near)])
 
-    def own(self, made: Fitted) -> tuple[str, ...]:
-        """Return the names of the parts that a solution has beside those that always move."""
-        return tuple(name for name in made.names if name not in self.always)
+    def own(self, made: Fitted, *without: str) -> tuple[str, ...]:
+        """Return the names of the parts that a solution has beside those that always move, and `without` some."""
+        return tuple(name for name in made.names if name not in (*self.always, *without))
 
 
 def moving(
@@ -227,18 +227,23 @@ def moving(
     if lag and beside:
         # A lag may hide the others, and they may stand for a lag: it must show itself beside the best of them.
         other = min(beside, key=lambda made: made.score)
-        names = tuple(name for name in search.own(other) if name != "delay")
+        names = search.own(other, "delay")
         begin = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
         best = search.better(best, begin, names if "delay" in other.names else ("delay", *names), near=other.found)
     if "delay" in best.names:
-        at, names = best.frame.motion, tuple(name for name in search.own(best) if name != "delay")
+        at = best.frame.motion
         slow = replace(best.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
-        best = search.better(best, slow, ("lag", *names), near=best.found)
+        best = search.better(best, slow, ("lag", *search.own(best, "delay")), near=best.found)
     if more and _may_swing(frame):
         swinging = _tuned(search.tried(best.frame, (*search.own(best), "inertia")))
         search.trials[-1] = replace(search.trials[-1], held_out=swinging.held_out)
+        at = swinging.frame.motion
         if swinging.score < best.score and _excited(swinging.frame):
             best = swinging
+        elif lag and at.dynamics is not None and at.dynamics.damping > RULES.damped:
+            # A low-pass alone has no turns of Gauss and Newton from 0; what is damped shows about its time constant.
+            slow = replace(best.frame, motion=replace(best.frame.motion, delay=0.0, lag=at.damping))
+            best = search.better(best, slow, ("lag", *search.own(best, "delay", "lag")))
     return best.frame, best.names, search.trials
 
 
