@@ -123,19 +123,18 @@ def strangers() -> list[str]:
 def paper() -> list[str]:
     head = (
         *("The paper's experiment on a virtual actuator, largest error in % of the range", "paper"),
-        *("its method, N = 10", "whole record, the same loops", "whole record, descending tops added"),
-        "Goldfarb and Celanovic, relaxed",
+        *("its method, N = 10", "whole records, descending tops added", "Goldfarb and Celanovic, relaxed"),
     )
     rows = []
     for key, what in (("asymmetric", ""), ("symmetric", ", a loop of symmetric width")):
         for row in data("paper")[key]["summary"]:
             if row["unit"] == "%" and row["key"] != "nominal":
-                models = ("paper", "breakpoints", "record", "record_tops", "goldfarb")
+                models = ("paper", "breakpoints", "record", "goldfarb")
                 rows.append([f"{row['quantity']}{what}", *(f"{row[name]:.2f}" for name in models)])
     nominal = next(row for row in data("paper")["asymmetric"]["summary"] if row["key"] == "nominal")
     return [
         *table(head, rows),
-        f"| Nominal ratio, no model | {nominal['paper']:.2f} | {nominal['actuator']:.2f} | | | |",
+        f"| Nominal ratio, no model | {nominal['paper']:.2f} | {nominal['actuator']:.2f} | | |",
     ]
 
 

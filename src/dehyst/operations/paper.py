@@ -16,8 +16,8 @@ _TITLES = {
     "asymmetric": "Virtual E-280.10",
     "symmetric": "The same without its asymmetric map: these errors come from the method, not from the model class",
 }
-_WIDTHS = (9, 12, 13, 12)
-_HEADS = (("paper", "ours, by", "ours, whole", "with more"), ("", "its method", "record", "loops"))
+_WIDTHS = (9, 12, 13)
+_HEADS = (("paper", "ours, by", "ours, whole"), ("", "its method", "records"))
 
 
 @command("paper")
@@ -41,7 +41,7 @@ def _table(found: Paper) -> list[str]:
         lines += [f"  {'':<42}{_cells(head)}" for head in _HEADS]
         for row in summary(repeated):
             first = row["actuator"] if row["breakpoints"] is None else row["breakpoints"]
-            texts = ("" if x is None else f"{x:.3f}" for x in (row["paper"], first, row["record"], row["record_tops"]))
+            texts = ("" if x is None else f"{x:.3f}" for x in (row["paper"], first, row["record"]))
             lines.append(f"  {row['quantity'] + ', ' + row['unit'].replace('µ', 'u'):<42}{_cells(texts)}")
         lines.append("")
     return lines

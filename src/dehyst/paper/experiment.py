@@ -23,7 +23,8 @@ PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
 PRE_ENERGISED = 100.0
 CYCLES = 3
 DRIVE = Sampling(frequency=0.01, sample_rate=5.0)
-ELEMENTS = 10
+# Elements of the paper's method, and of the identification from whole records.
+ELEMENTS, MORE_ELEMENTS = 10, 40
 # With it the nominal ratio misses a full-stroke raised cosine by what the paper reports, 13.6 % of the range.
 WIDTH = 0.715
 # Samples of half a cycle and of a cycle.
@@ -83,11 +84,6 @@ class PaperTracking:
         return 100 * (self.reached - self.wanted) / self.stroke
 
 
-# Elements of each identification. "breakpoints" is the paper's method, the others take whole records; "record_tops" has
-# descending tops in its training, in addition to the major and the small loop.
-PLANS = {"breakpoints": ELEMENTS, "record_10": ELEMENTS, "record": 40, "record_tops": 40}
-
-
 @dataclass(frozen=True, eq=False)
 class PaperTrial:
     """An identified model compared with the truth.
@@ -138,35 +134,27 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
     loops = raised_cosine(list(PEAKS.values()), cycles=CYCLES, drive=DRIVE).voltage
     runs = {start: Measured.of(truth, start, loops, seed) for seed, start in enumerate(STARTS)}
     runs["tops"] = Measured.of(truth, RELAXED, descending_tops(PEAKS["major"], drive=DRIVE).voltage, len(runs))
-    trials = {key: _identify(truth, runs, key, progress) for key in PLANS}
     relaxed = runs[RELAXED]
-    break_points = loops_of([relaxed.cut("major"), relaxed.cut("small")], ELEMENTS)
+    major_and_small = [relaxed.cut("major"), relaxed.cut("small")]
+    progress("identifying by the paper's method")
+    models = {"breakpoints": identify(major_and_small, elements=ELEMENTS).actuator}
+    progress("identifying from whole records")
+    # Recorded later, with the sensor's zero left where it was.
+    tops = runs["tops"]
+    moved = tops.record.displacement + tops.zero - relaxed.zero
+    models["record"] = _from_records(
+        [*major_and_small, replace(tops.record, displacement=moved, name="tops")], progress
+    )
+    trials = {key: paper_trial(truth, relaxed, actuator) for key, actuator in models.items()}
+    break_points = loops_of(major_and_small, ELEMENTS)
     return Experiment(truth, runs, break_points, trials, _track(truth, relaxed, None))
 
 
-def _identify(truth: PlayActuator, runs: Mapping[str, Measured], key: str, progress: Progress) -> PaperTrial:
-    """Identify on the major and the small loop, and on the further records of the plan."""
-    step = f"identifying, {key.replace('_', ' ')}"
-    progress(step)
-    relaxed = runs[RELAXED]
-    records = [relaxed.cut("major"), relaxed.cut("small")]
-    if key == "breakpoints":
-        return paper_trial(truth, relaxed, identify(records, elements=PLANS[key]).actuator)
-    if key == "record_tops":
-        # Recorded later, with the sensor's zero left where it was.
-        tops = runs["tops"]
-        moved = tops.record.displacement + tops.zero - relaxed.zero
-        records.append(replace(tops.record, displacement=moved, name="tops"))
-    # The virtual sensor neither lags nor creeps, and it is not zeroed between loops.
-    fit = identification.identify(
-        records,
-        progress=lambda words: progress(f"{step}: {words}"),
-        structure=Structure(elements=PLANS[key], knots=PLANS[key] + 1, smoothing=0.0),
-        shared_datum=True,
-        delay=0.0,
-        drift=False,
-    )
-    return paper_trial(truth, relaxed, fit.actuator)
+def _from_records(records: list[Record], progress: Progress) -> Actuator:
+    """Identify from whole records of a sensor that neither lags nor creeps, and is not zeroed between loops."""
+    structure = Structure(elements=MORE_ELEMENTS, knots=MORE_ELEMENTS + 1, smoothing=0.0)
+    fixed: dict[str, Any] = {"shared_datum": True, "delay": 0.0, "drift": False}
+    return identification.identify(records, progress=progress, structure=structure, **fixed).actuator
 
 
 def paper_trial(truth: PlayActuator, run: Measured, actuator: Actuator) -> PaperTrial:

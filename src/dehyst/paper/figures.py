@@ -23,10 +23,9 @@ _DASHED, _DOTTED = (0, (4, 1.5)), (0, (1.5, 1))
 _LINES: dict[str, dict[str, Any]] = {
     "nominal": {"color": INK, "lw": 0.9, "ls": (0, (1, 1.2)), "label": "nominal ratio"},
     "breakpoints": {"color": plots.SIMULATED, "lw": 1.0, "label": "paper's method"},
-    "record": {"color": _GREEN, "lw": 1.0, "ls": _DASHED, "label": "whole record"},
-    "record_tops": {"color": plots.FALLING, "lw": 1.0, "ls": (0, (2, 1)), "label": "whole record, tops added"},
+    "record": {"color": plots.FALLING, "lw": 1.0, "ls": (0, (2, 1)), "label": "whole records"},
 }
-_TRACKED = ("breakpoints", "record_tops")
+_TRACKED = ("breakpoints", "record")
 _DISPLACEMENT, _VOLTAGE, _TIME = "displacement (µm)", "voltage (V)", "time (s)"
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _Draw = TypeVar("_Draw", bound=Callable[..., None])
@@ -202,22 +201,18 @@ def _initial_states(found: Experiment, _: Experiment, left: Axes, right: Axes) -
     _finish(right, _VOLTAGE, "pre-energised less relaxed (µm)", "upper right", "(b)", ylim=(lowest, 0.25))
 
 
-@_figure(7, size=(PAGE, 4.4), rows=2, columns=3, share=True)
+@_figure(7, size=(PAGE, 4.4), rows=2, columns=2, share=True)
 def _loops(found: Experiment, _: Experiment, *axes: Axes) -> None:
     """Draw loops measured and simulated.
 
-    The major and the small loop were fitted, the medium one was not. Below: measured minus simulated in the last
-    cycle.
+    The major and the small loop were fitted, and descending tops by (b); the medium one was not. Below: measured minus
+    simulated in the last cycle.
     """
     run = found.runs[RELAXED]
-    shown = {
-        "breakpoints": "(a) paper's method, N = 10",
-        "record": "(b) whole record, N = 40",
-        "record_tops": "(c) the same, tops added",
-    }
+    shown = {"breakpoints": "(a) paper's method, N = 10", "record": "(b) whole records, N = 40"}
     v, y = run.record.voltage, run.record.displacement
     styles = dict(zip(PEAKS, ((plots.FALLING, "-"), (plots.SIMULATED, _DASHED), (_GREEN, _DOTTED)), strict=True))
-    for upper, lower, (key, title) in zip(axes[:3], axes[3:], shown.items(), strict=True):
+    for upper, lower, (key, title) in zip(axes[:2], axes[2:], shown.items(), strict=True):
         simulated = found.trials[key].simulated
         for loop, (colour, dashes) in styles.items():
             s = run.known(loop)
@@ -239,12 +234,11 @@ def _parallel_spring(found: Experiment, _: Experiment, ax: Axes) -> None:
     h = keq x + g rises everywhere: Assumption I holds. With the paper's constants g is strongly negative; only h
     matters.
     """
-    p, other = (physical(found, key) for key in ("breakpoints", "record_10"))
+    p = physical(found)
     x, linear = 1e6 * p.deformation, p.equivalent_stiffness * p.deformation
     ax.plot(x, p.parallel, color=INK, lw=1.2, marker="o", ms=3, label="h = keq x + g")
     ax.plot(x, linear, color=plots.MEASURED, lw=1.0, ls=_DASHED, label="keq x")
     ax.plot(x, p.nonlinear, color=plots.SIMULATED, lw=1.0, marker="s", ms=2.6, label="g")
-    ax.plot(1e6 * other.deformation, other.parallel, color=_GREEN, lw=1.0, ls=_DOTTED, label="h, whole record")
     _finish(ax, "deformation x (µm)", "force (N)", "upper left", zero=True)
 
 

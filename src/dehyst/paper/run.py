@@ -105,11 +105,9 @@ def _tables(result: Paper) -> Iterator[str]:
         yield f"<h2>{_ACTUATORS[name].capitalize()}</h2>\n{_muted(_OF_SUMMARY)}"
         yield table(("Quantity", "Paper", ("Measured", "no model"), *tables.MODELS.values()), _summary(found), texts=1)
     yield f"<h2>Table 1: stiffness and breakaway friction, N = 10</h2>\n{_muted(_OF_TABLE1)}"
-    methods = ((name, method) for method in ("paper's method", "whole record") for name in ("kᵢ (N/m)", "fᵢ (N)"))
-    formats = ("{:.0f}", "{:.2f}", "{:.0f}", "{:.4f}", "{:.0f}", "{:.4f}")
     numbers = zip(*tables.table1(result.asymmetric).values(), strict=True)
-    rows = [tuple(shape.format(x) for shape, x in zip(formats, row, strict=True)) for row in numbers]
-    yield table(("i", "rᵢ (µm)", *methods), rows, texts=0)
+    rows = [(f"{i:.0f}", f"{r:.2f}", f"{k:.0f}", f"{f:.4f}") for i, r, k, f in numbers]
+    yield table(("i", "rᵢ (µm)", "kᵢ (N/m)", "fᵢ (N)"), rows, texts=0)
 
 
 def _summary(found: Experiment) -> Iterator[Row]:

@@ -26,8 +26,7 @@ PAPER = {
 }
 MODELS = {
     "breakpoints": ("The paper's method", "N = 10"),
-    "record": ("Whole record", "N = 40, same records"),
-    "record_tops": ("Whole record", "N = 40, descending tops added"),
+    "record": ("Whole records", "N = 40, descending tops added"),
 }
 
 
@@ -60,21 +59,19 @@ def summary(found: Experiment) -> list[dict[str, Any]]:
     ]
 
 
-def physical(found: Experiment, key: str) -> Physical:
-    """Return a trial's model in the paper's symbols, with the paper's constants."""
-    return Physical.of(found.trials[key].actuator, **CONSTANTS)
+def physical(found: Experiment) -> Physical:
+    """Return the model of the paper's method in the paper's symbols, with the paper's constants."""
+    return Physical.of(found.trials["breakpoints"].actuator, **CONSTANTS)
 
 
 def table1(found: Experiment) -> dict[str, Array]:
-    """Return the columns of Table 1, N = 10: by the paper's method, and by the whole-record method."""
-    ours, record = physical(found, "breakpoints"), physical(found, "record_10")
+    """Return the columns of Table 1, N = 10, by the paper's method."""
+    ours = physical(found)
     return {
         "i": np.arange(1.0, ours.stiffness.size + 1),
         "r_um": 1e6 * ours.breakaway,
         "k_N_per_m": ours.stiffness,
         "f_N": ours.friction,
-        "whole_record_k_N_per_m": record.stiffness,
-        "whole_record_f_N": record.friction,
     }
 
 
