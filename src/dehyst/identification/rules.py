@@ -62,7 +62,7 @@ class DecisionRules:
         0.6, "ratio of held-out errors", "Where the voltage never rests, creep can follow a drift or the loops' memory."
     )
     static_gain: float = _rule(
-        0.95, "ratio of held-out errors", "Elements that yield gradually must predict better than others alone."
+        0.95, "ratio of held-out errors", "A transformer, or elements that yield gradually, must predict better."
     )
     excited: float = _rule(
         1e-07,

@@ -120,7 +120,8 @@ class Fitted:
     def score(self) -> float:
         """The held-out error divided by what the parts must save."""
         gains = _GAINS if any(self.frame.rests) else _GAINS | {"creep": RULES.hidden_creep_gain}
-        return self.held_out / prod(gains.get(name, 1.0) for name in self.names)
+        static = RULES.static_gain if self.structure.transformer else 1.0
+        return self.held_out / prod(gains.get(name, 1.0) for name in self.names) / static
 
 
 # Parts that another structure leaves as they are.
@@ -321,7 +322,7 @@ def static(
             best, others = closed, [replace(structure, smooth=False) for structure in others]
     made = [best, *(solved(structure, best) for structure in others)]
     if structures is not OPEN:
-        best = min(made, key=lambda each: each.held_out)
+        best = min(made, key=lambda each: each.score)
     report("solving the program of all samples")
     if swings:
         frame = tuned(best.frame, best.source, best.program, best.found)
