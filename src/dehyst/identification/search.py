@@ -120,8 +120,9 @@ class Fitted:
     def score(self) -> float:
         """The held-out error divided by what the parts must save."""
         gains = _GAINS if any(self.frame.rests) else _GAINS | {"creep": RULES.hidden_creep_gain}
-        static = RULES.static_gain if self.structure.transformer else 1.0
-        return self.held_out / prod(gains.get(name, 1.0) for name in self.names) / static
+        # Grades and a transformer bend the same branches: beside them it must save twice as much.
+        bends = bool(self.structure.transformer) * (1 + (self.structure.grades > 1))
+        return self.held_out / prod(gains.get(name, 1.0) for name in self.names) / RULES.static_gain**bends
 
 
 # Parts that another structure leaves as they are.
