@@ -111,11 +111,6 @@ def test_an_effect_that_is_not_there_is_not_found():
     assert any("degC" in reason for reason in fit.promise.reasons)
 
 
-def test_the_range_of_temperatures():
-    found, _ = temperatures_of([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)])
-    assert (found.low, found.high) == (pytest.approx(15, abs=0.2), pytest.approx(45, abs=0.2))
-
-
 def test_expansion_between_records_is_found_where_they_share_a_zero():
     records = [at(*ends, seed, offset=5e-8) for seed, ends in enumerate(((15, 16), (29, 31), (45, 44)))]
     thermal = dehyst.identify(records, **SETTINGS, shared_datum=True).actuator.thermal

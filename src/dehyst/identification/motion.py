@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,7 @@ _A_DECADE, _LONGEST = 2, 1.0
 # Parts of the range of temperatures, of which records must have some.
 _PLACES, _FEWEST = 8, 3
 
-
-def _nothing() -> Array:
-    return np.zeros(0)
+_nothing = partial(np.zeros, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +152,10 @@ class Parts:
 
     def _at_rows(self, columns: Sequence[tuple[Array, Array]]) -> Array:
         """Return columns (n, k) of each record, given with their times, at the rows."""
-        rows, found = self.rows, None
+        rows, found = self.rows, np.zeros((len(self.rows), columns[0][1].shape[1]))
         for q, (time, values) in enumerate(columns):
             own = rows.record == q
-            if found is None:
-                found = np.zeros((len(rows), values.shape[1]))
             found[own] = np.column_stack([np.interp(rows.time[own], time, column) for column in values.T])
-        assert found is not None
         return found
 
     def _for_each_record(self, columns: Array) -> Array:

@@ -289,9 +289,7 @@ def _may_swing(frame: Frame) -> bool:
 def _excited(frame: Frame) -> bool:
     """Whether the records have a resonance below their Nyquist frequency that a voltage has energy at."""
     dynamics = frame.motion.dynamics
-    if dynamics is None:
-        return False
-    if dynamics.damping > RULES.damped:
+    if dynamics is None or dynamics.damping > RULES.damped:
         return False
     resonance = dynamics.frequency
     pieces = [piece for item in frame.training for piece in item.pieces]
