@@ -390,7 +390,7 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
 def test_the_files_say_where_memory_begins(tmp_path, kind):
     compensator = KINDS[kind]()
     export(compensator, tmp_path / "c")
-    outset = ExportedStart.of(compensator)
+    outset = ExportedStart.of(compensator._axes[0])
     held = compensator.actuator.voltage(compensator._clone().state)
     assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
     for file in ("README.md", "piezo.c"):
@@ -408,7 +408,7 @@ def test_the_way_to_where_memory_begins_leads_there(rising):
         actuator.voltage(turned(actuator, plain_records.STROKE)),
     )
     state = turned(actuator, plain_records.STROKE if rising else 0, rising=rising)
-    outset = ExportedStart.of(Compensator(actuator, (low, high), state=state))
+    outset = ExportedStart.of(Compensator(actuator, (low, high), state=state)._axes[0])
     first, words = (low, "raise the voltage slowly from its lowest") if rising else (high, "lower the voltage slowly")
     assert outset.way.startswith(words)
     elsewhere = actuator.relaxed(0.5 * (low + high))
