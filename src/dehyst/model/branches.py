@@ -130,8 +130,10 @@ class Untested:
 
 def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
     """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
-    top, base = (float(f"{volts:.3g}") for volts in (highest, lowest if abs(lowest) > 1e-3 * highest else 0.0))
-    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o excitation.csv"
+    # Rounded inwards: the stage may not allow more.
+    step = 10.0 ** (np.floor(np.log10(highest - lowest)) - 3)
+    top, base = step * np.floor(highest / step + 1e-6), step * np.ceil(lowest / step - 1e-6)
+    return f"dehyst excite {kind} {top:g} --base {base if abs(base) > 1e-3 * top else 0:g} {option}-o excitation.csv"
 
 
 def untested_by(
@@ -144,14 +146,12 @@ def untested_by(
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
         yield Untested("voltages", words, excite_command(*ends))
-    path = voltage[at]
-    edges = np.linspace(low, high, CELLS + 1)
+    path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Random turns are a test of those between them.
     if outside and not validity.turns_anywhere:
-        yield Untested(
-            "turns", f"{outside} of {len(path)} branches begin where no record turned.", excite_command(high, low)
-        )
+        words = f"{outside} of {len(path)} branches begin where no record turned."
+        yield Untested("turns", words, excite_command(high, low))
     if time is None or time.size < 2:
         return
     speed, rate = paces_of(time, voltage, at).T
