@@ -220,7 +220,8 @@ def moving(
     items, steady = frame.training, [replace(item, steady=True) for item in frame.training]
     ways = list[tuple[tuple[str, ...], Any, str]]([(("creep", "begun"), items, "")] if more else [])
     ways += [(("drift",), items, ""), (("drift",), steady, ", in proportion to time")] if drift else []
-    base = search.better(best, frame, ("delay",)) if lag else best
+    late = search.tried(frame, ("delay",)) if lag else best
+    base = _best([best, late])
     beside = [
         search.tried(replace(base.frame, training=items), (*search.own(base), *names), words, base.found)
         for names, items, words in ways
@@ -232,20 +233,18 @@ def moving(
         names = search.own(other, "delay")
         begin = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
         best = search.better(best, begin, names if "delay" in other.names else ("delay", *names), near=other.found)
-    if "delay" in best.names:
-        at = best.frame.motion
-        slow = replace(best.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
-        best = search.better(best, slow, ("lag", *search.own(best, "delay")), near=best.found)
+    late = best if "delay" in best.names else late
+    at = late.frame.motion
+    # Behind a low-pass as slow as the cycles a delay is too long, and still shows about its time constant.
+    too_long = at.delay > RULES.longest_lag * min(item.cycle for item in frame.training)
+    if "delay" in late.names and (late is best or too_long):
+        slow = replace(late.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
+        best = search.better(best, slow, ("lag", *search.own(late, "delay")), near=late.found)
     if more and _may_swing(frame):
         swinging = _tuned(search.tried(best.frame, (*search.own(best), "inertia")))
         search.trials[-1] = replace(search.trials[-1], held_out=swinging.held_out)
-        at = swinging.frame.motion
         if swinging.score < best.score and _excited(swinging.frame):
             best = swinging
-        elif lag and at.dynamics is not None and at.dynamics.damping > RULES.damped:
-            # A low-pass alone has no turns of Gauss and Newton from 0; what is damped shows about its time constant.
-            slow = replace(best.frame, motion=replace(best.frame.motion, delay=0.0, lag=at.damping))
-            best = search.better(best, slow, ("lag", *search.own(best, "delay", "lag")))
     return best.frame, best.names, search.trials
 
 

@@ -160,7 +160,6 @@ def compensate(
     path = period.repeated(declared["cycles"])
     remarks += made.warnings
     how |= {"temperature": temperature_of(known, temperature, columns, remark=remarks.append), "on_time": on_time}
-    how |= {"velocity": path.velocity, "acceleration": path.acceleration}
     return task.follow(path.displacement[:, None], {"time_s": path.time}, output, **how)
 
 
