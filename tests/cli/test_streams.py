@@ -61,13 +61,14 @@ def test_a_reader_that_has_gone_is_left_quietly(folder, command):
 
 
 @full
-def test_a_standard_error_that_is_full_changes_no_result(folder):
+def test_a_standard_error_that_is_full_or_closed_changes_no_result(folder):
     command = ["compensate", "model.json", "path.csv", "-o", "o.csv", "--limits", "0", "0.5", "--force"]
     status, out, err = run(*command, cwd=folder)
     assert status == 1 and "CLAMPED" in err
     with FULL.open("wb") as stream:
         assert run(*command, cwd=folder, stderr=stream)[:2] == (status, out)
         assert run("simulate", "absent", "absent", "-o", "x.csv", cwd=folder, stderr=stream)[0] == 2
+    assert run(*command, cwd=folder, stderr=None, preexec_fn=lambda: os.close(2))[:2] == (status, out)
 
 
 @full

@@ -70,11 +70,19 @@ def _write(text: str, *, err: bool) -> None:
     except OSError:
         if not err:
             raise
+        # The rest of the text is discarded, or the stream would fail at the end of the program.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 @contextmanager
 def guarded_streams() -> Iterator[None]:
     """Run a command so that a standard output that cannot be written ends with a message and status 1."""
+    # A stream that was closed must not give its number to the next file.
+    while os.open(os.devnull, os.O_RDWR) <= 2:
+        pass
+    sys.stdout, sys.stderr = (
+        stream or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w") for stream in (sys.stdout, sys.stderr)
+    )
     for stream in (sys.stdout, sys.stderr):
         # Characters that a stream cannot encode are escaped.
         if isinstance(stream, TextIOWrapper):
