@@ -63,6 +63,7 @@ def test_speeds_holds_and_voltages_beyond_the_records_are_named():
     fast, held, beyond = motion(0, 100, 0, branch=0.3), motion(0, 100, hold=10), motion(0, 110, 0)
     for time, voltage in (fast, held, beyond):
         assert len(promise(TOPS, voltage, time).untested) == 1
+    assert promise(TOPS, beyond[1], beyond[0]).parts["voltages"] == pytest.approx(0.1 * TOPS.stroke)
     # A slow branch stays long at each voltage as well.
     time, voltage = motion(0, 40, 0, branch=3)
     assert len(promise(TOPS, voltage, time).untested) == 2
@@ -146,6 +147,10 @@ def test_temperatures_to_record_cover_those_in_use(tested, used, reference, need
     [
         ("rms_m", -1.0),
         ("rms_m", "x"),
+        ("rms_m", 1e300),
+        ("speeds_V_per_s", []),
+        ("new", None),
+        ("temperatures_degC", []),
         ("limits_V", [1, 0]),
         ("branches_V", [[0.0, float("nan")]]),
         ("new", [0]),

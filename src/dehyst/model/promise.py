@@ -71,6 +71,8 @@ _FASTER, _LAGS_FASTER, _OFTENER, _GROWTH = 0.4, 1.2, 3.0, 0.6
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
+# Numbers of a validity are at most so large; temperatures may be unknown.
+_LARGEST, _UNKNOWN = 1e9, ("temperatures", None)
 # Entries of a validity in a file, and their names.
 _ENTRIES = (
     "rms_m=rms largest_m=largest disagreement_m=disagreement growth_m=growth stroke_m=stroke limits_V=limits new "
@@ -134,9 +136,12 @@ class Validity:
         pairs = {
             name: None if pair is None else tuple(number(end, name) for end in pair) for name, pair in given.items()
         }
-        wrong = [name for name, value in numbers.items() if value < 0]
-        if wrong or not np.isfinite(kept).all() or not self.stroke or any(p and len(p) != 2 for p in pairs.values()):
-            raise ModelError(f"{', '.join(wrong) or 'branches or pairs'}: need finite numbers of 0 or more")
+        wrong = [name for name, value in numbers.items() if not 0 <= value <= _LARGEST]
+        wrong += [name for name, pair in pairs.items() if len(pair or ()) != 2 and (name, pair) != _UNKNOWN]
+        if wrong or not np.isfinite(kept).all() or not self.stroke:
+            raise ModelError(
+                f"{', '.join(wrong) or 'branches or stroke'}: need numbers of 0 to {_LARGEST:g}, pairs of 2"
+            )
         (low, high), (cold, warm) = pairs["limits"] or (0.0, 0.0), pairs["temperatures"] or (0.0, 0.0)
         if not (low < high and cold <= warm):
             raise ModelError(f"limits or temperatures: got {pairs}, need the lower one first")
@@ -208,7 +213,7 @@ class Promise:
     rms, largest : float
         RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
     parts : mapping of str to float
-        What `largest` is the sum of [m]: "model"; and, where they add something, "temperature", "start" and "clamped".
+        What `largest` is the sum of [m]: "model"; and "temperature", "start", "clamped", "voltages" if they add to it.
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -325,7 +330,8 @@ def promise(
     parts, rms_, half = {"model": largest}, rms_ + 0.5 * cost.largest, half + cost.along
     if cost.largest:
         parts["temperature"] = cost.largest
-    for name, error in (("start", np.asarray(opened)), ("clamped", np.abs(missed))):
+    errors = {"start": np.asarray(opened), "clamped": np.abs(missed), "voltages": _beyond(validity, v)}
+    for name, error in errors.items():
         if np.any(error):
             rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
     largest = sum(parts.values())
@@ -385,6 +391,12 @@ def _closing(branches: Array, span: float) -> float:
     (begin, end), band = branches.T, BAND * span
     back = np.sign(end - begin)[:, None] * (end - begin[:, None]) <= band
     return float(np.mean((back & (np.abs(begin - end[:, None]) <= band)).any(axis=1))) if len(branches) else 0.0
+
+
+def _beyond(validity: Validity, voltage: Array) -> Array:
+    """Return the whole way [m] of voltages (n,) [V] beyond those of the records, where nothing is known."""
+    over = np.maximum(voltage - validity.limits[1], validity.limits[0] - voltage)
+    return np.where(over > BAND * validity.span, over * validity.stroke / validity.span, 0.0)
 
 
 def _grown(new: Array | float) -> Array:

@@ -132,7 +132,8 @@ def begin_words(actuator: Actuator, path: PathPlan, limits: Limits) -> str:
     if path.homing is None:
         return start_words(actuator, path.start, path.start.within(actuator, limits))
     seconds = "" if path.seconds is None else f", {path.seconds:.4g} s"
-    return f"(homed first from {path.homing.turns[0]:.6g} V, {counted(path.first, 'sample')}{seconds})"
+    samples = f"{counted(path.first, 'sample')}{seconds}; each row has its time"
+    return f"(homed first from {path.homing.turns[0]:.6g} V, {samples})"
 
 
 def open_start(path: PathPlan) -> list[str]:
