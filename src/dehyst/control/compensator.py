@@ -312,7 +312,7 @@ class Compensator:
 
     @property
     def reach(self) -> Any:
-        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest and the `scale` *."""
+        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest, scaled."""
         return self._shaped(tuple(end * self._per_metre for end in axis.reach) for axis in self._axes)
 
     def reset(self, state: State | Sequence[State | None] | None = None) -> None:

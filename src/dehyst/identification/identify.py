@@ -306,7 +306,7 @@ class _Run:
             errors.append(error)
             traces.append(trace)
             judged.append(error)
-            if abs(error.offset) > _OFFSET * (self.limits[1] - self.limits[0]):
+            if len([*self.records, *self.others]) > 1 and abs(error.offset) > _OFFSET * np.ptp(self.limits):
                 datum = zero_by_voltages(actuator, item, self.stroke)
                 compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
                 alone = errors_of(actuator, compared, role)[0]
