@@ -302,7 +302,7 @@ class Compensator:
 
     @property
     def clamps(self) -> Any:
-        """Number of samples clamped so far *, by kind."""
+        """Number * of samples clamped so far, by kind."""
         return self._shaped(axis.clamps for axis in self._axes)
 
     @property
@@ -312,7 +312,7 @@ class Compensator:
 
     @property
     def reach(self) -> Any:
-        """Displacements [m, or `units`] at both limits of a slow major loop, with creep at rest, scaled."""
+        """Displacements * at both limits of a slow major loop, creep at rest, at the present `scale` [m or `units`]."""
         return self._shaped(tuple(end * self._per_metre for end in axis.reach) for axis in self._axes)
 
     def reset(self, state: State | Sequence[State | None] | None = None) -> None:
@@ -330,7 +330,7 @@ class Compensator:
         return self._shaped(axis.snapshot() for axis in self._axes)
 
     def restore(self, snapshot: Any) -> None:
-        """Continue from a `snapshot` *, or from the block of `dehyst_loop_save` in C.
+        """Continue from a `snapshot`, or from the block of `dehyst_loop_save` in C.
 
         Its actuator has the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
         resonance, lag and period agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The
