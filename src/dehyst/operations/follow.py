@@ -180,5 +180,5 @@ def _head(known: AxesModel, followed: FollowedPath) -> str:
     if followed.clamped:
         head += f"; {followed.clamped} samples were clamped at a limit or by the slew rate"
     if False in followed.kept:
-        head += "; that is more than was promised: dehyst check tells what has changed"
+        head += "; that is more than was promised: dehyst check shows what has changed"
     return head

@@ -63,8 +63,8 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
         way = loops.sense(v, y)
         sign = f"the time has the wrong sign: give rate={rate:.6g} in its place if the samples are even"
         turn = "the rows are in reverse order: turn them round, such as array[::-1]"
-        told = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
-        return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {told}"
+        remedy = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
+        return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {remedy}"
     begins = np.flatnonzero(steps < 0.0) + 1
     again = np.abs(time[begins] - time[0]) <= _AGAIN * (time[begins - 1] - time[0])
     if begins.size and np.diff([0, *begins.tolist(), time.size]).min() >= _SWEEP and again.all():

@@ -46,7 +46,7 @@ def number_in(cell: str, decimal: str = ".") -> float:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, also in a notation that Python does not read; an empty one is none."""
+    """Return whether a cell is a number, also in a notation that Python does not read; an empty cell is not."""
     try:
         number_in(cell)
     except ValueError:
