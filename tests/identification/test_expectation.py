@@ -26,14 +26,14 @@ def record(*turns):
 TOPS = record(0, 100, 0, 100, 0, 80, 0, 60, 0, 40, 0)
 
 
-def seen(*errors, held_out=None, noise=0.0, vibration=0.0, records=None, lag=0.0):
+def seen(*errors, held_out=None, noise=0.0, vibration=0.0, records=None, **lags):
     causes = []
     for error in errors:
         shares = min(noise**2 / error.rms**2, 1.0), min(0.5 * vibration**2 / error.rms**2, 1.0)
         causes.append(RemainingError(error.record, error.role, error.rms, shares[0], 0.0, shares[1], 0.0, 5.0))
     records = records or [TOPS] * len(errors)
     traces = [trace(record) for record in records]
-    return validity_of(records, errors, causes, traces, held_out or HeldOutErrors(), noise, lag)
+    return validity_of(records, errors, causes, traces, held_out or HeldOutErrors(), noise, **lags)
 
 
 def trace(record, error=0.0):
@@ -94,7 +94,7 @@ def test_what_the_sensor_adds_is_not_of_the_path():
 
 
 def test_a_lag_of_unknown_cause_is_a_number_of_its_own():
-    known, open_ = expected(ERRORS), expected(ERRORS, lag=1e-3)
+    known, open_ = expected(ERRORS), expected(ERRORS, lag=1e-3, lag_open=True)
     assert known.rms < open_.rms < 2 * known.rms
     assert (open_.promise.delay, known.promise.delay) == (1e-3, 0.0)
 

@@ -60,7 +60,7 @@ def things(record, fit, insight):
     }
 
 
-SHOWN = ["record", "actuator", "fit", "insight", "motion", "plan"]
+SHOWN = ["record", "actuator", "fit", "insight", "plan"]
 
 
 def test_repr_and_print_are_one_printable_line_without_arrays(things):
@@ -105,7 +105,6 @@ def test_tables_have_units_in_their_names(things):
     pandas = pytest.importorskip("pandas")
     columns = {
         "record": ["time_s", "voltage_V", "displacement_um"],
-        "motion": ["voltage_V", "displacement_um"],
         "plan": ["phase", "voltage_V", "displacement_um", "expected_um", "clamped"],
     }
     for name, expected in columns.items():

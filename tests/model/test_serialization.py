@@ -91,7 +91,7 @@ def test_comes_back_exactly(tmp_path_factory, actuator):
     assert repr(dict(actuator.provenance)) == repr(dict(back.provenance))
 
 
-TESTED = Validity(1e-9, 3e-9, 1e-9 / 3, 1e-5, (0.0, 100.0), [[0.0, 100.0]], temperatures=(20.0, 25.0))
+TESTED = Validity(1e-9, 3e-9, 1e-9 / 3, 1e-5, (0.0, 100.0), [[0.0, 100.0]], lag_open=True, temperatures=(20, 25))
 
 
 def made():

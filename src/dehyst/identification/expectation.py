@@ -160,15 +160,14 @@ def validity_of(
     traces: Sequence[Trace],
     held_out: HeldOutErrors,
     noise: float,
-    lag: float = 0.0,
     *,
     validated: bool = True,
+    **lags: Any,
 ) -> Validity:
     """Return the domain of validity of a model from its records.
 
     `records`, `errors`, `remaining`, `traces`: one each, training first. `noise`: standard deviation of the sensor [m].
-    `lag` [s] that may be the sensor's. `validated`: whether validation records, if there are any, replace held-out
-    parts.
+    `validated`: whether validation records, if there are any, replace held-out parts. `lags`: entries of `Validity`.
     """
     training, validation = ([q for q, each in enumerate(errors) if each.role == r] for r in ("training", "validation"))
     new, judged = held_out.new, training
@@ -196,8 +195,8 @@ def validity_of(
         growth=grown,
         stroke=errors[0].stroke,
         new=new,
-        lag=lag,
         temperatures=temperature_range(records[q] for q in training),
+        **lags,
     )
 
 

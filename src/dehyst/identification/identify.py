@@ -322,21 +322,21 @@ class _Run:
         better = by_words[f"moves: {' and '.join(names)}"] / by_words["moves: nothing"]
         return self.temperatures.sentence(made.frame.motion, {name: made.spread(name) for name in names}, better)
 
-    def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], float]:
-        """Return reasons for care, and the lag [s] in the records that may be the sensor's."""
+    def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], bool]:
+        """Return reasons for care, and whether the records leave open who lags."""
         caveats = [self.left_out] if self.left_out else []
         step = max(resolution(item.record.voltage)[1] for item in self.training)
         if step > RULES.coarse_voltage:
             caveats.append(f"the voltage is recorded in steps of {100 * step:.2g} % of its range")
         lag = actuator.delay + actuator.lag
         if self.settings.lags is not None or not lag:
-            return caveats, 0.0
+            return caveats, False
         items = [item.reduced.record for item in self.training]
         moved = lag * max(rms(np.diff(record.displacement)) / record.sample_time for record in items)
         if moved <= missed:
-            return caveats, 0.0
+            return caveats, False
         caveats.append(f"the records leave open who lags by {1e3 * lag:.3g} ms: state sensor_lag (0: none) or lag_of")
-        return caveats, lag
+        return caveats, True
 
     def finish(self, made: Fitted) -> Fit:
         """Simulate all records whole, and judge the actuator."""
@@ -366,7 +366,7 @@ class _Run:
         repaired = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)
         remaining = tuple(remaining_error(trace) for trace in traces)
         noise = max(item.noise for item in records)
-        caveats, lag = self.caveats(actuator, made.held_out)
+        caveats, lag_open = self.caveats(actuator, made.held_out)
         caveats[:0] = [messages.of_offset(alone, error.offset) for error, alone in apart]
         held_out = HeldOutErrors(
             made.held_out,
@@ -376,7 +376,8 @@ class _Run:
         )
         validated = outcome is not Outcome.INACCURATE and not apart
         given_records = [item.record for item in records]
-        validity = validity_of(given_records, judged, remaining, traces, held_out, noise, lag, validated=validated)
+        lags: dict[str, Any] = {"lag": delay, "lag_open": lag_open, **({"lag_error": 0.0} if given else {})}
+        validity = validity_of(given_records, judged, remaining, traces, held_out, noise, validated=validated, **lags)
         expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
         actuator = with_identification(
             actuator,

@@ -15,13 +15,10 @@ from dehyst._errors import ModelError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import keep, number, vector
-from dehyst._views import html, tables
 from dehyst._views.lines import span_of
 from dehyst.model.entries import Entries, Numbers, demand_keys, entry
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from dehyst.model.entries import Numeric
 
 
@@ -115,21 +112,6 @@ class Motion:
     def __repr__(self) -> str:
         voltage, displacement = span_of(self.voltage, "V"), span_of(self.displacement, "um", 1e6)
         return f"<Motion: {counted(self.voltage.size, 'sample')}, {voltage}, {displacement}>"
-
-    def _repr_html_(self) -> str:
-        rows = [
-            ("samples", self.voltage.size),
-            ("voltage", span_of(self.voltage, "V")),
-            ("displacement", span_of(self.displacement, "µm", 1e6)),
-        ]
-        return html.block("Motion", html.facts(rows))
-
-    def to_dataframe(self) -> DataFrame:
-        """Return the columns voltage_V and displacement_um as a pandas DataFrame.
-
-        Raise `MissingExtraError` if pandas is not installed.
-        """
-        return tables.frame({"voltage_V": self.voltage, "displacement_um": self.displacement * 1e6})
 
 
 class AbstractModel(ABC):

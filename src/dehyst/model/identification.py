@@ -7,7 +7,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import ModelError
-from dehyst.model.entries import Entries, Numbers, entry, flag, text
+from dehyst.model.entries import Entries, Numbers, entry, flag, instance, text
 from dehyst.model.promise import Validity
 
 if TYPE_CHECKING:
@@ -43,10 +43,6 @@ def _outcome(value: object, where: str) -> Outcome | None:
     if not isinstance(value, str) or value not in Outcome.__members__:
         raise ModelError(argument=where, got=repr(value), need=f"one of {', '.join(Outcome.__members__)}, or null")
     return Outcome[value]
-
-
-def _validity(value: object, where: str) -> Validity | None:
-    return value if value is None or isinstance(value, Validity) else Validity.from_dict(value)
 
 
 @dataclass(frozen=True)
@@ -100,7 +96,7 @@ class Identification(Entries):
     largest_error: float | None = entry("largest_error_m", replace(_SIZE, optional=True), None)
     goal: float | None = entry("goal_percent", replace(_SIZE, optional=True), None)
     slew_rate: float | None = entry("slew_rate_V_per_s", _RATE, None)
-    validity: Validity | None = entry("validity", _validity, None)
+    validity: Validity | None = entry("validity", instance(Validity, optional=True), None)
     allowed_slew_rate: float | None = entry("allowed_slew_rate_V_per_s", _RATE, None)
     columns: str = entry("columns", text, "")
 

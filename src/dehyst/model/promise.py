@@ -12,7 +12,7 @@ found on virtual actuators whose mechanisms are not instances of the model, and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,17 +21,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import keep, number
+from dehyst._validation import Numbers
 from dehyst._views.fields import json_values
-from dehyst.model.branches import BAND, Untested, branches_of, distances, hold_of, not_recorded, paces_of, untested_by
+from dehyst.model.branches import (
+    ALIKE,
+    BAND,
+    Untested,
+    branches_of,
+    distances,
+    hold_of,
+    not_recorded,
+    paces_of,
+    untested_by,
+)
 from dehyst.model.dynamics import Thermal
-from dehyst.model.entries import demand_keys
+from dehyst.model.entries import Entries, entry, flag
 from dehyst.model.states import stroke_of
 from dehyst.model.temperatures import TemperatureCost
 from dehyst.records import rms
 
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
+    from dehyst.model.entries import Numeric
 
 # The start of a path in words; a known start of another name has its name.
 _BEGINS = {
@@ -62,26 +73,40 @@ _LEAST, _AGREES = 1e-4, 0.3
 _GROWS, _NEWEST = 2.6, 0.3
 # A model with a larger error is not usable [% of the stroke].
 USELESS = 5.0
-# The bound grows by this power of the speed of the path by that of the records, if it is faster; by the other one where
-# the records leave open who lags. So it does with the rate of turns, from so many times that of the records on.
-# Beside it is this part of the growth of the records' error with the pace.
-_FASTER, _LAGS_FASTER, _OFTENER, _GROWTH = 0.4, 1.2, 3.0, 0.6
+# The bound grows by this power of the speed of the path by that of the records, if it is faster. So it does with the
+# rate of turns, from so many times that of the records on. Beside it is this part of the growth of the records' error
+# with the pace.
+_FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
+# Records may hide errors from a lag, and from its form, that are such parts of the error that they show. The largest
+# speed by the mean one of a branch; the RMS error from a lag by the largest one; and the largest one from its form.
+_HIDDEN, _FORM_HIDDEN, _PEAK, _LATE_RMS, _FORM = 0.15, 2.5, 1.9, 0.5, 0.25 * np.pi**2
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
+# Branches up to this quantile of the paces are slow.
+_MOST_OF_THEM = 0.25
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
-# Numbers of a validity are at most so large; temperatures may be unknown.
-_LARGEST, _UNKNOWN = 1e9, ("temperatures", None)
-# Entries of a validity in a file, and their names.
-_ENTRIES = (
-    "rms_m=rms largest_m=largest disagreement_m=disagreement growth_m=growth stroke_m=stroke limits_V=limits new "
-    "speeds_V_per_s=speeds rates_per_s=rates hold_s=hold lag_s=lag temperatures_degC=temperatures branches_V=branches"
-)
+_SIZE, _NUMBERS = Numbers(least=0.0, largest=1e9), Numbers(1, largest=1e9)
+
+
+def _pair(value: Any, where: str) -> tuple[float, float] | None:
+    """Return two numbers; temperatures may be unknown."""
+    if value is None and where.endswith("temperatures"):
+        return None
+    found = _NUMBERS(value, where).tolist()
+    if len(found) != 2:
+        raise ModelError(argument=where, got=f"{len(found)} numbers", need="two")
+    return found[0], found[1]
+
+
+def _branches(value: Any, where: str) -> Array:
+    """Return pairs of voltages (k, 2), which may be none."""
+    return np.asarray(Numbers(2, largest=1e9)(value, where) if np.size(value) else np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, eq=False)
-class Validity:
+class Validity(Entries):
     """The domain of validity of a model: what its records tested, and its error on held-out parts.
 
     Attributes
@@ -108,48 +133,40 @@ class Validity:
         Increase of the RMS error [m] from slow branches to the fastest one.
     hold : float
         Longest time at one voltage [s].
-    lag : float
-        Time [s] by which the displacement lags the voltage, if the records leave open whether the sensor lags; else 0.
+    lag, lag_error : float
+        Time [s] by which the displacement lags the voltage, as estimated, and by how much that may be wrong.
+    lag_open : bool
+        Whether the records leave open who lags, actuator or sensor.
     temperatures : (float, float) or None
         Lowest and highest temperature of the records [degC]; None if one of them has none.
     """
 
-    rms: float
-    largest: float
-    disagreement: float
-    stroke: float
-    limits: tuple[float, float]
-    branches: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    new: tuple[float, float] = (0.0, 0.0)
-    speeds: tuple[float, float] = (0.0, 0.0)
-    rates: tuple[float, float] = (0.0, 0.0)
-    growth: float = 0.0
-    hold: float = 0.0
-    lag: float = 0.0
-    temperatures: tuple[float, float] | None = None
+    _part = "validity"
+    rms: float = entry("rms_m", _SIZE)
+    largest: float = entry("largest_m", _SIZE)
+    disagreement: float = entry("disagreement_m", _SIZE)
+    stroke: float = entry("stroke_m", replace(_SIZE, positive=True))
+    limits: tuple[float, float] = entry("limits_V", _pair)
+    branches: Numeric = entry("branches_V", _branches, ())
+    new: tuple[float, float] = entry("new", _pair, (0.0, 0.0))
+    speeds: tuple[float, float] = entry("speeds_V_per_s", _pair, (0.0, 0.0))
+    rates: tuple[float, float] = entry("rates_per_s", _pair, (0.0, 0.0))
+    growth: float = entry("growth_m", _SIZE, 0.0)
+    hold: float = entry("hold_s", _SIZE, 0.0)
+    lag: float = entry("lag_s", _SIZE, 0.0)
+    lag_error: float = entry("lag_error_s", _SIZE, 0.0)
+    lag_open: bool = entry("lag_open", flag, False)
+    temperatures: tuple[float, float] | None = entry("temperatures_degC", _pair, None)
 
-    def __post_init__(self) -> None:
-        kept = np.array(self.branches, dtype=np.float64).reshape(-1, 2)
-        names = "rms", "largest", "disagreement", "stroke", "growth", "hold", "lag"
-        numbers = {name: number(getattr(self, name), name) for name in names}
-        given = {name: getattr(self, name) for name in ("limits", "new", "speeds", "rates", "temperatures")}
-        pairs = {
-            name: None if pair is None else tuple(number(end, name) for end in pair) for name, pair in given.items()
-        }
-        wrong = [name for name, value in numbers.items() if not 0 <= value <= _LARGEST]
-        wrong += [name for name, pair in pairs.items() if len(pair or ()) != 2 and (name, pair) != _UNKNOWN]
-        if wrong or not np.isfinite(kept).all() or not self.stroke:
-            raise ModelError(
-                f"{', '.join(wrong) or 'branches or stroke'}: need numbers of 0 to {_LARGEST:g}, pairs of 2"
-            )
-        (low, high), (cold, warm) = pairs["limits"] or (0.0, 0.0), pairs["temperatures"] or (0.0, 0.0)
+    def _demand_together(self) -> None:
+        (low, high), (cold, warm) = self.limits, self.temperatures or (0.0, 0.0)
         if not (low < high and cold <= warm):
-            raise ModelError(f"limits or temperatures: got {pairs}, need the lower one first")
-        keep(self, branches=kept, **numbers, **pairs)
+            got = f"{self.limits} V, {self.temperatures} degC"
+            raise ModelError(argument="validity limits or temperatures", got=got, need="the lower one first")
 
     @classmethod
     def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
-        """Return the validity from time (n,) [s] and voltage (n,) [V] of `records`; `numbers`: the errors by name."""
+        """Return the validity from time (n,) [s] and voltage (n,) [V] of `records`; `numbers`: others by name."""
         given = list(records)
         ends = [float(end) for _, voltage in given for end in (voltage.min(), voltage.max())]
         limits = min(ends), max(ends)
@@ -162,6 +179,9 @@ class Validity:
         every = np.concatenate(paces)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * BAND * span)), axis=0) * (0.25 * BAND * span)
         least, most = (every.min(axis=0), every.max(axis=0)) if len(every) else np.zeros((2, 2))
+        # As far as most branches have the pace of the fastest ones, a creep looks like a lag.
+        alike = float((np.quantile(every, _MOST_OF_THEM, axis=0) / most).max()) if len(every) else 1.0
+        numbers = {"lag_error": numbers.get("lag", 0.0) * alike} | numbers
         numbers |= {"speeds": (least[0], most[0]), "rates": (least[1], most[1]), "hold": hold}
         return cls(limits=limits, branches=kept[:: 1 + len(kept) // _MOST], **numbers)
 
@@ -187,20 +207,6 @@ class Validity:
         """The promise for any path like the records."""
         return promise(self)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return json_values(self, _ENTRIES)
-
-    @classmethod
-    def from_dict(cls, data: Any) -> Validity:
-        """Rebuild from the `data` of `as_dict`; raise `ModelError` if a value is impossible."""
-        names = {key: name or key for key, _, name in (entry.partition("=") for entry in _ENTRIES.split())}
-        demand_keys(data, set(names), "validity")
-        try:
-            return cls(**{names[key]: value for key, value in data.items()})
-        except (TypeError, ValueError) as error:
-            raise ModelError(f"validity: {error}") from error
-
 
 @dataclass(frozen=True, eq=False)
 class Promise:
@@ -213,7 +219,7 @@ class Promise:
     rms, largest : float
         RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
     parts : mapping of str to float
-        What `largest` is the sum of [m]: "model"; and "temperature", "start", "clamped", "voltages" if they add to it.
+        What `largest` sums [m]: "model"; "temperature", "lag", "start", "clamped", "voltages" if they add to it.
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -249,8 +255,8 @@ class Promise:
 
     @property
     def unusable(self) -> str:
-        """What to do if the model's part of the largest error exceeds 5 % of the stroke, in words; else nothing."""
-        if self.parts["model"] <= 0.01 * USELESS * self.stroke:
+        """What to do if the model's own largest error, with its lag's, exceeds 5 % of the stroke, in words."""
+        if self.parts["model"] + self.parts.get("lag", 0.0) <= 0.01 * USELESS * self.stroke:
             return ""
         advice = "The records test the path: identify each alone to find the cause, or follow a slower path."
         if any(gap.command for gap in self.untested):
@@ -317,8 +323,9 @@ def promise(
     v = _anywhere(validity) if v is None else v
     at, beyond, whole = newness(validity, v)
     speed, rate = _paces(validity, v, clock, at)
-    wider, power = (_LAGGING, _LAGS_FASTER) if validity.lag else (1.0, _FASTER)
-    shown = validity.shown * _kind(validity, v, clock, at) * wider * max(speed, rate / _OFTENER, 1.0) ** power
+    shown = validity.shown * _kind(validity, v, clock, at) * (_LAGGING if validity.lag_open else 1.0)
+    late = _late(validity, shown, speed, rate)
+    shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
     shown = float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth))
     rms_, largest = (factor * shown * float(_grown(whole)) for factor in (RMS, LARGEST))
     # Any path like the records is as fast as their fastest part, where they may be missed by more.
@@ -330,6 +337,8 @@ def promise(
     parts, rms_, half = {"model": largest}, rms_ + 0.5 * cost.largest, half + cost.along
     if cost.largest:
         parts["temperature"] = cost.largest
+    if late:
+        parts["lag"], rms_, half = late, float(np.hypot(rms_, _LATE_RMS * late)), half + late
     errors = {"start": np.asarray(opened), "clamped": np.abs(missed), "voltages": _beyond(validity, v)}
     for name, error in errors.items():
         if np.any(error):
@@ -339,8 +348,8 @@ def promise(
     untested += [Untested("temperature", cost.sentence)] if cost.sentence else []
     start = _BEGINS.get(begins, f" from the start {begins}")
     words = "any path like the records" if voltage is None else f"this path{start}"
-    offset = _OFFSET * parts["model"]
-    return Promise(words, rms_, largest, parts, half, validity.stroke, offset, validity.lag, tuple(untested))
+    offset, delay = _OFFSET * parts["model"], validity.lag if validity.lag_open else 0.0
+    return Promise(words, rms_, largest, parts, half, validity.stroke, offset, delay, tuple(untested))
 
 
 def promised(
@@ -417,6 +426,19 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
     resting = float(seconds[speed < _RESTS * speed.max()].sum() / seconds.sum())
     longer = hold_of(time, voltage, validity.span) / validity.hold if validity.hold else 1.0
     return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
+
+
+def _late(validity: Validity, shown: float, speed: float, rate: float) -> float:
+    """Return the largest error [m] on a path of another speed and rate, by those of the records, from an unknown lag.
+
+    An error of the lag counts at first order, unless it is apart as an open delay is; and its form, a delay or a
+    low-pass, at second order. `shown`: error that the records show [m].
+    """
+    faster, oftener = max(speed - 1.0, 0.0), max(rate**2 - ALIKE**2, 0.0)
+    fastest = validity.speeds[1] * validity.stroke / validity.span
+    wrong = 0.0 if validity.lag_open else np.hypot(validity.lag_error * fastest, _HIDDEN * shown)
+    form = min(_FORM * (validity.lag * validity.rates[1]) ** 2 * validity.stroke, _FORM_HIDDEN * shown)
+    return float(min(np.hypot(_PEAK * wrong * faster, form * oftener), validity.stroke))
 
 
 def _paces(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> list[float]:
