@@ -524,17 +524,6 @@ def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
         rig.read()
 
 
-def test_an_output_that_is_read_away_from_what_was_sent_is_reported():
-    rig = FakeRig((0.0, 100.0))
-    sent = rig.instrument.put
-    rig._put = lambda voltage: sent(min(voltage + 30.0, 100.0))
-    with pytest.raises(DeviceError) as caught:
-        rig.set_voltage(40.0)
-    assert (caught.value.got, caught.value.need) == ("a reading of 70 V", "40 V, as was sent")
-    (note,) = caught.value.__notes__
-    assert not note.safe
-
-
 def test_a_readback_may_come_late():
     rig = FakeRig((0.0, 100.0))
     read = rig._read

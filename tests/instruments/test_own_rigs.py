@@ -1,6 +1,7 @@
 """The files in `examples/instruments`, on fakes of their libraries; rigs are held to the contract of all rigs too."""
 
 import runpy
+import time
 
 import fake_nidaqmx
 import numpy as np
@@ -25,7 +26,7 @@ def test_each_is_short(path):
 def test_a_card_whose_clock_does_not_arrive(monkeypatch):
     monkeypatch.setattr("dehyst.instruments.waves._PATIENCE", 0.0)
     with fake_nidaqmx.opened((-2.0, 10.0)) as (rig, card):
-        card.clockless, rig._device_speed = True, 1e6
+        card.clockless, rig._now = True, lambda: 1e6 * time.monotonic()
         with pytest.raises(LinkError, match="empty batches"):
             rig.play(Excitation("up", np.linspace(0, 50, 101), 1000.0))
         assert card.voltage == 0.0

@@ -109,8 +109,9 @@ def test_after_a_fault_all_axes_are_brought_back(fault, error):
             rig.play(ex(waves()))
         assert voltages(bench) == [0.0] * 3
         assert error is not SensorError or "sensor of axis" in str(caught.value)
-        (note,) = [note for note in caught.value.__notes__ if note.startswith("The voltage")]
-        assert note == "The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."
+        note = caught.value.__notes__[0]
+        brought = note == "The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."
+        assert note.safe and brought == (error is not SensorError)
         assert all(axis.log.highest <= high for axis, high in zip(bench.axes, HIGHEST, strict=True))
 
 
@@ -128,9 +129,9 @@ def test_a_link_that_stays_lost_is_reported(fault):
 def test_retreat_ramps_all_axes_at_once(monkeypatch):
     waits = []
     monkeypatch.setattr(AbstractRig, "_wait", lambda self, seconds: waits.append(seconds))
-    monkeypatch.setattr(AbstractRig, "_now", lambda self: sum(waits))
     with served(speed=1.0) as (server, bench), rig_of(server) as rig:
         for single in rig.rigs:
+            monkeypatch.setattr(single, "_now", lambda: sum(waits))
             single.set_voltage(50.0)
         waits.clear()
         assert rig.retreat().tolist() == [0.0] * 3

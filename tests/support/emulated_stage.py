@@ -1,5 +1,6 @@
 """Emulated controllers of several axes, served over a socket."""
 
+import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -50,5 +51,6 @@ def served(*faults, speed=20.0, stage=None, **options):
 @contextmanager
 def rig_of(server, axes="1,2,3", **options):
     with open_rig(f"pi://127.0.0.1:{server.port}/{axes}", **options) as rig:
-        rig._device_speed = server.controller.instrument._speed
+        for each in rig.rigs:
+            each._now = lambda: server.controller.instrument._speed * time.monotonic()
         yield rig

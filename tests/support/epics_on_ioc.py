@@ -43,5 +43,5 @@ def by_channel_access(longest=None, **options):
         _IOCS.append(IocProcess(actuator={"highest": HIGH, "noise": 1e-10}, limits=(LOW, HIGH), speed=2.0))
     instrument = RemoteInstrument(_IOCS[0])
     with EpicsRig.connect(_IOCS[0].prefix, **options) as rig:
-        rig._device_speed = 2.0
+        rig._now = lambda: 2.0 * time.monotonic()
         yield rig, instrument

@@ -1,5 +1,6 @@
 """PI rigs on the emulated controller, for the contract of rigs: in this process, and over a socket."""
 
+import time
 from contextlib import contextmanager
 
 from emulator import Controller, Server
@@ -57,5 +58,5 @@ def by_tcp(longest=65536, **options):
         Server(Controller(instrument), port=0) as server,
         PiRig.connect("127.0.0.1", server.port, **options) as rig,
     ):
-        rig._device_speed = 2.0
+        rig._now = lambda: 2.0 * time.monotonic()
         yield rig, Locked(instrument, server.lock)

@@ -172,7 +172,7 @@ class FollowedPath:
             return corrected.step(next(ahead), measured)
 
         reached = self._play(player, volts, wanted, len(wanted), step)
-        self.clamped = _clamps(loop)
+        self.clamped = int(np.sum(loop.clamps))
         return reached
 
     def _learn(self, player: Player, states: Any, most: int) -> None:
@@ -194,7 +194,7 @@ class FollowedPath:
             falls = len(errors) <= _LAST or min(errors[-_LAST:]) < (1 - _LOWER) * min(errors[:-_LAST])
             if not (repetition.believed and falls):
                 break
-        self.clamped += _clamps(loop)
+        self.clamped += int(np.sum(loop.clamps))
         if not repetition.errors or not repetition.believed:
             stray = f"read more than {1e6 * repetition.bound:.3g} um from the model"
             self.remarks.append(f"nothing was learnt: voltages were clamped, or the sensor {stray}; try dehyst update")
@@ -205,8 +205,3 @@ class FollowedPath:
         if self._several:
             return TrackedPath(time, wanted, got, self._strokes, self._axes)
         return TrackedPath(time, wanted[:, 0], got[:, 0], float(self._strokes[0]))
-
-
-def _clamps(loop: Compensator) -> int:
-    """Return the number of samples that were clamped or slewed."""
-    return int(np.sum(loop.clamps))

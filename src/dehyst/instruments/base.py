@@ -13,7 +13,7 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import DehystError, DeviceError, LinkError, RecordError, RigError
+from dehyst._errors import DehystError, DeviceError, LinkError, RecordError, RigError, SensorError
 from dehyst._types import Array
 from dehyst._validation import number
 from dehyst.control import ClampWarning, VoltageLimits
@@ -108,8 +108,6 @@ class AbstractRig(ABC):
         if longest is not None and longest < 2:
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
-        self._device_speed = 1.0  # seconds of the device in one of the host: an emulator may be faster
-        self._host_paced = False  # whether the host sends each voltage of the wave
 
     def __setattr__(self, name: str, value: object) -> None:
         """Refuse an attribute that would hide a method on which limits and retreat rely."""
@@ -449,6 +447,8 @@ class AbstractRig(ABC):
             known = "; ".join(f"{rig.axis + ': ' if self._parts else ''}{rig._output.words}" for rig in self.rigs)
             holds = "the device holds, or plays to its end, what it has; see to it by hand"
             said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {holds}."
+        elif isinstance(cause, SensorError):
+            said = f"{safe} V was sent{to} and is read, but the sensor did not move; see to it by hand."
         elif any(math.isnan(rig._output.read) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
         elif not all(rig._output.reached(rig.safe) for rig in self.rigs):

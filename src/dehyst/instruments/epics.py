@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Coroutine, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 
@@ -29,23 +29,11 @@ _SILENT = (80, 192)
 _QUOTED = 60
 HINT = "is that its name, does the IOC run, or hang, and does EPICS_CA_ADDR_LIST lead to it?"
 
-_Value = TypeVar("_Value")
-
 
 # The event loop, in a thread of its own, for all exchanges of this process; it runs until the process ends: channels
 # belong to the loop that made them, and Channel Access calls it back as long as they exist.
 _LOOP = asyncio.new_event_loop()
 threading.Thread(target=_LOOP.run_forever, name="dehyst instruments", daemon=True).start()
-
-
-def _run(task: Coroutine[Any, Any, _Value]) -> _Value:
-    """Return the result of a coroutine; if the wait is interrupted, cancel the coroutine."""
-    future = asyncio.run_coroutine_threadsafe(task, _LOOP)
-    try:
-        return future.result()
-    except BaseException:
-        future.cancel()
-        raise
 
 
 class ChannelAccess:
@@ -121,8 +109,13 @@ class ChannelAccess:
     def _answers(self, request: Any, names: Sequence[str], **options: Any) -> list[Any]:
         """Return the answers to a request on these variables; raise LinkError or DeviceError if one failed."""
         pvs = [self.prefix + name for name in names]
-
-        answers: list[Any] = _run(request(pvs, timeout=self.timeout, throw=False, **options))
+        task = request(pvs, timeout=self.timeout, throw=False, **options)
+        future = asyncio.run_coroutine_threadsafe(task, _LOOP)
+        try:
+            answers: list[Any] = future.result()
+        except BaseException:
+            future.cancel()
+            raise
         for pv, answer in zip(pvs, answers, strict=True):
             if answer.ok:
                 continue

@@ -212,7 +212,8 @@ class GcsClient:
         number = self.query("ERR?", gcs_syntax.error, commands)
         if number:
             after = f" after {gcs_syntax.shown(commands)}" if commands else ""
-            raise DeviceError(f"{self.name}: {gcs_syntax.sentence(number)}{after}")
+            meaning = gcs_syntax.ERRORS.get(number, "see its manual, list of error codes")
+            raise DeviceError(f"{self.name}: error {number}: {meaning}{after}")
 
     def clear(self) -> None:
         """Clear a latched error, and resynchronise."""

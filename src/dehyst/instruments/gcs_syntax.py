@@ -28,7 +28,7 @@ _WORD = re.compile(r"[!-~]+")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,16}")
 _COMMAND = re.compile(r"(\*?[A-Z]{2,4}\??|#\d{1,2})(?=[\s{\[<(-]|$)")
 _OPTION = re.compile(r"(\d{1,6})\s*=\s*(\S.*)")
-_PARAMETER = re.compile(r"(0[xX][0-9A-Fa-f]{1,8}|\d{1,10})")
+_PARAMETER = re.compile(r"(\S+)\s+(?:0[xX]([0-9A-Fa-f]{1,8})|(\d{1,10}))")
 
 
 def command(word: str, *arguments: object) -> str:
@@ -130,8 +130,8 @@ def values(lines: Sequence[str], keys: Sequence[str]) -> list[float]:
 def parameter(lines: Sequence[str], item: str, number: int) -> float:
     """Return one parameter from an answer of SPA? like `1 0x0E000200=0.00005`; raises LinkError."""
     key, _, value = single(lines).partition("=")
-    words = key.split()
-    if len(words) != 2 or words[0] != item or not _PARAMETER.fullmatch(words[1]) or _decoded(words[1]) != number:
+    match = _PARAMETER.fullmatch(key.strip())
+    if not match or match[1] != item or (int(match[2], 16) if match[2] else int(match[3])) != number:
         raise LinkError(f"got {shown(lines)}, need the parameter {number:#010x} of {item}")
     return real(value.strip())
 
@@ -216,7 +216,7 @@ def table(lines: Sequence[str], rows: int, columns: int) -> tuple[float, Array]:
 
 _NARROW = "the voltage is out of its limits, which are narrower than it reported; request narrower limits"
 # Numbers of the public list that the commands used here can lead to.
-_ERRORS = {
+ERRORS = {
     7: _NARROW,
     17: _NARROW,
     66: _NARROW,
@@ -228,12 +228,3 @@ _ERRORS = {
     405: _NARROW,
     -1024: "the position error was too large, and it switched the servo off",
 }
-
-
-def sentence(number: int) -> str:
-    """Return the meaning of an error number."""
-    return f"error {number}: {_ERRORS.get(number, 'see its manual, list of error codes')}"
-
-
-def _decoded(text: str) -> int:
-    return int(text, 16) if text[:2].lower() == "0x" else int(text)

@@ -92,9 +92,9 @@ class Output:
         """Take note that a `voltage` [V] was sent, and taken."""
         self.plays(np.array([voltage]), 0.0)
 
-    def plays(self, voltage: Array, rate: float, speed: float = 1.0) -> None:
-        """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]; `speed`: seconds of the device in one."""
-        self._sent, self._pace, self._row, self._unconfirmed = voltage, speed * rate, 0, None
+    def plays(self, voltage: Array, rate: float) -> None:
+        """Take note of a wave (n,) [V] that begins now, at a `rate` [Hz]."""
+        self._sent, self._pace, self._row, self._unconfirmed = voltage, rate, 0, None
         self._soonest = -self._pace * self._rig._now()
         self._recent.clear()
 
@@ -122,7 +122,7 @@ class Output:
         if self._unconfirmed is not None:
             return f"{self._unconfirmed:.6g} V was sent last, and no answer confirms it"
         if self._sent.size == 1:
-            return f"{self.likely:.6g} V was the last that it confirmed"
+            return f"{self.likely:.6g} V was the last that it acknowledged"
         # Samples that came are certain; the later voltages depend on the clock of the device alone.
         left = self._sent[self._row :]
         way = f"between {left.min():.6g} and {left.max():.6g} V"
@@ -168,11 +168,13 @@ class Output:
             except RigError:
                 pass
         self.read = math.nan
+        # A readback that contradicts is not waited for again.
+        readings = 1 if contradiction else _READINGS
         for _ in range(_SENT):
             yield from self._steps(present, end, always=True)
             present = end
             try:
-                self.read = yield from self._confirmed(end, end, end)
+                self.read = yield from self._confirmed(end, end, end, readings)
             except ReadbackError:
                 raise
             except RigError:
@@ -239,13 +241,15 @@ class Output:
             )
         return nearest
 
-    def _confirmed(self, sent: float, low: float, high: float) -> Generator[float, float, float]:
-        """Return the reading [V] once it is near `low` to `high`; yield a wait before each further one.
+    def _confirmed(
+        self, sent: float, low: float, high: float, readings: int = _READINGS
+    ) -> Generator[float, float, float]:
+        """Return the reading [V] once it is near `low` to `high`, of so many `readings`; yield a wait between them.
 
         Raise `ReadbackError`, which says what was `sent`, if it does not come there in time.
         """
         begin, read = self._rig._now(), math.nan
-        for count in range(_READINGS):
+        for count in range(readings):
             asked = self._rig._now()
             try:
                 read = self._rig._voltage_read()

@@ -214,9 +214,9 @@ def arriving(
     watch, after = WaveWatch(rig, excitation, rate), -math.inf
     waves = rig._wave if step is None else partial(host_timed, rig, step=step)
     for sent in pieces(excitation.voltage, rig.longest) if step is None else [excitation.voltage.copy()]:
-        count, rig._host_paced, outputs = 0, False, [each._output for each in rig.rigs]
+        count, outputs = 0, [each._output for each in rig.rigs]
         for output, column in zip(outputs, columns_of(sent), strict=True):
-            output.plays(column, rate, rig._device_speed)
+            output.plays(column, rate)
         steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)
         # Closed before the retreat: what a driver does at the end of a wave must not come after it.
         with closing(_batches(rig, partial(waves, sent, rate), _PATIENCE + 2 * len(sent) / rate)) as batches:
@@ -225,7 +225,7 @@ def arriving(
                 if not samples.time.size:
                     continue
                 count, after = count + samples.time.size, float(samples.time[-1])
-                for output in outputs if not rig._host_paced else ():
+                for output in outputs:
                     output.observe(count)
                 listen(samples)
                 watch.observe(samples, sent[count - samples.time.size : count], steepest)
@@ -270,7 +270,6 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
     Readings have the device's time, just after each voltage. `step`: as of `AbstractRig.play`; it replaces the voltages
     after the first.
     """
-    rig._host_paced = True
     period, readings, yielded, read = 1 / rate, [], rig._now(), None
     for k in range(len(voltage)):
         if step is not None:
