@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from importlib import import_module
 from sys import modules
-from typing import TYPE_CHECKING
 
 from dehyst._version import __version__
 
+TYPE_CHECKING = False  # without loading typing
 if TYPE_CHECKING:
     from dehyst._errors import (
         DehystError,

@@ -83,10 +83,14 @@ def test_a_full_device_as_output_is_a_sentence(folder):
     assert (folder / "full.csv").is_symlink()
 
 
-def test_ctrl_c_is_a_sentence():
+# Modules whose loading is interrupted: of the command line, of the command, and none, so that it runs.
+@pytest.mark.parametrize("module", ["click", "dehyst.cli.command", "numpy", "its work"])
+def test_ctrl_c_is_a_sentence(module):
+    stop = "os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)"
     code = (
-        "import os, signal, time, dehyst.operations.demo\n"
-        "dehyst.operations.demo.journey = lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)\n"
+        f"import builtins, os, signal, sys, time, types\nload, work = builtins.__import__, {module == 'its work'}\n"
+        f"builtins.__import__ = lambda name, *rest: {stop} if name == {module!r} else load(name, *rest)\n"
+        f"if work: import dehyst.operations.demo as demo; demo.journey = lambda tell: {stop}\n"
         "from dehyst.cli import main; main()"
     )
     done = subprocess.run(

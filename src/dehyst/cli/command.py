@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import warnings
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ import click
 
 from dehyst._errors import DecimalSignError, DehystError, DeviceError, LinkError, SensorError
 from dehyst._text import escaped
-from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, note, progress_line
+from dehyst.cli.terminal import echo, echo_json, note, progress_line
 from dehyst.operations.command import HOUSE, command_of
 from dehyst.operations.run import Run, perform, terminable
 from dehyst.records.columns import text_of
@@ -65,13 +64,6 @@ def run_command(ctx: click.Context) -> None:
     except DehystError as error:
         _refuse(ctx, error, as_json, run.known)
         sys.exit(1 if isinstance(error, LinkError | DeviceError | SensorError) else 2)
-    except (KeyboardInterrupt, SystemExit) as error:
-        status = error.code if isinstance(error, SystemExit) else INTERRUPTED
-        names = {128 + number: number.name for number in signal.Signals} | {INTERRUPTED: "Ctrl-C"}
-        by = names.get(status)  # type: ignore[arg-type]
-        for sentence in (f"stopped by {by}", *getattr(error, "__notes__", ())) if by else ():
-            note(sentence)
-        sys.exit(status)
     finally:
         run.progress("")
     if as_json:

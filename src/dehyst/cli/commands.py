@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import io
+import signal
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
-from importlib import import_module
 from typing import Any
 
 import click
 
 from dehyst._version import __version__
-from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, guarded_streams
+from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, guarded_streams, note
 from dehyst.operations.command import argument_of
 from dehyst.operations.registry import JOURNEY, find
-
-# Commands of this room, beside the operations: where they are, under which heading, and in a few words.
-_OWN = {"workbench": ("dehyst.cli.workbench", "Try it", "All steps in a browser, with your records")}
 
 
 class Commands(click.Group):
@@ -31,8 +28,8 @@ class Commands(click.Group):
         self.journey: dict[str, dict[str, str]] = {
             heading: {name: words for name, (_, words) in entries.items()} for heading, entries in JOURNEY.items()
         }
-        for own, (_, heading, words) in _OWN.items():
-            self.journey[heading][own] = words
+        # The command of this room, beside the operations.
+        self.journey["Try it"]["workbench"] = "All steps in a browser, with your records"
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands in the order of the journey."""
@@ -40,11 +37,11 @@ class Commands(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command, which is loaded now; None if there is none."""
-        if cmd_name not in self.list_commands(ctx):
-            return None
-        own = _OWN.get(cmd_name)
-        found: click.Command = import_module(own[0]).workbench if own else find(cmd_name)
-        return found
+        if cmd_name == "workbench":
+            from dehyst.cli.workbench import workbench
+
+            return workbench
+        return find(cmd_name) if cmd_name in self.list_commands(ctx) else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings, each with a few words."""
@@ -59,6 +56,18 @@ class Commands(click.Group):
         if args[0] not in names and (near := get_close_matches(args[0], names)):
             ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, near))}?")
         return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Load and run a command; say by which signal it was stopped, and where this left the voltage."""
+        try:
+            return super().invoke(ctx)
+        except (KeyboardInterrupt, SystemExit) as error:
+            status = error.code if isinstance(error, SystemExit) else INTERRUPTED
+            names = {128 + number: number.name for number in signal.Signals} | {INTERRUPTED: "Ctrl-C"}
+            by = names.get(status)  # type: ignore[arg-type]
+            for sentence in (f"stopped by {by}", *getattr(error, "__notes__", ())) if by else ():
+                note(sentence)
+            sys.exit(status)
 
     def main(  # type: ignore[override]
         self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any

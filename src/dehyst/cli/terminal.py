@@ -40,23 +40,14 @@ def note(sentence: object) -> None:
 
 def progress_line() -> Callable[[str], None]:
     """Return a function that shows progress: it overwrites one line on a terminal, elsewhere it prints one at times."""
-    if not sys.stderr.isatty():
-        return _every_few_seconds()
-
-    def progress(words: str) -> None:
-        line = f"{escaped(words)}{' ...' if words else ''}"
-        _write(f"\r\033[K{line[: shutil.get_terminal_size().columns - 1]}", err=True)
-
-    return progress
-
-
-def _every_few_seconds() -> Callable[[str], None]:
-    """Return a function that prints what it is given if its last line is some seconds old."""
-    last = time.monotonic()
+    terminal, last = sys.stderr.isatty(), time.monotonic()
 
     def progress(words: str) -> None:
         nonlocal last
-        if words and time.monotonic() - last >= _FEW_SECONDS:
+        if terminal:
+            line = f"{escaped(words)}{' ...' if words else ''}"
+            _write(f"\r\033[K{line[: shutil.get_terminal_size().columns - 1]}", err=True)
+        elif words and time.monotonic() - last >= _FEW_SECONDS:
             last = time.monotonic()
             note(words)
 
