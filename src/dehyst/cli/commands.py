@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import Any
 
-import click
+try:
+    import click
 
-from dehyst._version import __version__
-from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, guarded_streams, note
-from dehyst.operations.command import argument_of
-from dehyst.operations.registry import JOURNEY, find
+    from dehyst._version import __version__
+    from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, guarded_streams, note
+    from dehyst.operations.command import argument_of
+    from dehyst.operations.registry import JOURNEY, find
+except KeyboardInterrupt:
+    os.write(2, b"dehyst: stopped by Ctrl-C\n")
+    sys.exit(130)
 
 
 class Commands(click.Group):
