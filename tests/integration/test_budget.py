@@ -16,7 +16,7 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1105,
-    "cli": 407,
+    "cli": 405,
     "control": 4109,
     "exports": 1266,
     "fleet": 310,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2311,
 }
 HOUSE = {
-    "lines of Python": 38001,
+    "lines of Python": 37999,
     "files of Python": 191,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
