@@ -52,7 +52,7 @@ def untimely(time: Array, samples: int) -> str:
         return f"time: got {time.size} values for {samples} samples, need one a sample"
     k = int(np.argmax(np.diff(time) <= 0)) + 1
     got = f"got {time[k]:.9g} s after {time[k - 1]:.9g} s at value {k}"
-    return f"time: {got}, need strictly increasing times; sort the rows, and leave out those that repeat a time"
+    return f"time: {got}, need strictly increasing times; sort the samples, and leave out those that repeat a time"
 
 
 def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> Any:

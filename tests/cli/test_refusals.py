@@ -58,7 +58,7 @@ REFUSED = {
     "compensate model.json loops.csv -o out.csv --limits 0 inf": "limits",
     "compensate model.json absent.csv -o out.csv": ("", "absent.csv"),
     "compensate model.json far.csv -o out.csv": ("", "far.csv"),
-    "compensate model.json back.csv -o out.csv": ("", "sort the rows"),
+    "compensate model.json back.csv -o out.csv": ("", "sort the samples"),
     "simulate damaged.json loops.csv -o out.csv": ("", "damaged.json: validity rms:"),
     "compensate creep.json untimed.csv -o out.csv": ("", "--columns rate=HZ"),
     "compensate model.json path.csv -o out.csv --slew-rate -1": "slew_rate",

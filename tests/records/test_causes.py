@@ -198,7 +198,7 @@ def test_uneven_steps_are_no_noise(seed):
         (T[::-1], "wrong sign"),
         (np.floor(T / 0.05) * 0.05, 50),
         (np.floor(T / 0.03) * 0.03, 50),
-        (np.concatenate([T[:500], T[:400], T[: V.size - 900]]), "rows 500, 900 of"),
+        (np.concatenate([T[:500], T[:400], T[: V.size - 900]]), "samples 500, 900 of"),
         (T - 8.0 * (T > 10), 50),
         ((T + 86390) % 86400, 50),
         (T[np.arange(T.size) // 2], 100),
@@ -209,7 +209,7 @@ def test_a_time_that_does_not_rise_has_its_own_cause(time, told):
     with pytest.raises(RecordError, match=told if isinstance(told, str) else "rate=") as caught:
         Record(time, V, Y)
     assert "drop" not in str(caught.value)
-    assert ("sort the rows" in str(caught.value)) == ("set back" in str(caught.value))
+    assert ("sort the samples" in str(caught.value)) == ("set back" in str(caught.value))
     if not isinstance(told, str):
         assert float(re.search(r"rate=([\d.]+)", str(caught.value))[1]) == pytest.approx(told, rel=2e-3)
 

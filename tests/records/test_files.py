@@ -126,7 +126,7 @@ OF_THE_RECORD = ("missing cell", "no number", "time that does not rise")
 def test_broken_text(tmp_path, case):
     with pytest.raises(RecordError if case in OF_THE_RECORD else FileFormatError) as caught:
         read(text(tmp_path, BROKEN[case]))
-    assert ROWS not in BROKEN[case] or re.search("line [23] ", str(caught.value))
+    assert ROWS not in BROKEN[case] or re.search("row [23] ", str(caught.value))
 
 
 def test_no_permission(tmp_path, monkeypatch):

@@ -68,7 +68,7 @@ def test_joined_by_sample(tmp_path):
     short = text(tmp_path, "displacement_um\n1\n2\n", "c.csv")
     with pytest.raises(FileFormatError) as caught:
         read(drive, f"rate={RATE}, join={short}")
-    assert (caught.value.argument, caught.value.got) == ("join", f"{N} samples in a.csv and 2 in c.csv")
+    assert (caught.value.argument, caught.value.got) == ("join", f"{N} rows in a.csv and 2 in c.csv")
     apart = text(tmp_path, "time_s,y_um\n100,1\n101,2\n", "d.csv")
     with pytest.raises(FileFormatError, match="common"):
         read(text(tmp_path, "time_s,voltage_V\n0,1\n1,2\n2,3\n"), f"join={apart}")

@@ -91,9 +91,9 @@ def test_columns_are_read(tmp_path, name):
 
 # Text, and words of the refusal.
 REFUSED = {
-    "two signs": ("a;b\n1.5;1,5\n", "line 2 holds '1.5'"),
-    "a doubtful point": ("a;b\n0,5;1.234\n", "line 2 holds '1.234'"),
-    "a doubtful comma": ("a;b\n0.5;1,234\n", "line 2 holds '1,234'"),
+    "two signs": ("a;b\n1.5;1,5\n", "row 2 holds '1.5'"),
+    "a doubtful point": ("a;b\n0,5;1.234\n", "row 2 holds '1.234'"),
+    "a doubtful comma": ("a;b\n0.5;1,234\n", "row 2 holds '1,234'"),
     "a comma alone": ("a;b\n12,011;1\n", "thousand times"),
     "a point alone": ("a\tb\n12.011\t1\n", "thousand times"),
     "both alone": ("a;b\n12,011;9.022\n", "one decimal sign"),
@@ -104,10 +104,10 @@ REFUSED = {
     "a comma, below metadata": ("Type,DCV\nNo,Value\n1,30,012\n2,31,512\n", "decimal=comma"),
     "a comma and a blank without names": ("0,5, 1,25\n0,6, 1,35\n", "decimal=comma"),
     "a comma in one column": ("y_um\n0,5\n1,5\n", "decimal=comma"),
-    "numbers above the names": ("OVER,1,2\nt,v,w\n0,1,2\n1,2,3\n", "line 1"),
-    "the header again": ("t,v\n0,1\n1,2\nt,v\n0,1\n", "lines 2, 5"),
-    "names and units again": ("t,v\ns,V\n0,1\n1,2\n2,3\nt,v\ns,V\n0,1\n1,2\n", "lines 3, 7"),
-    "a comment with the names again": ("# t v\n0 1\n1 2\n# t v\n0 1\n", "lines 2, 5"),
+    "numbers above the names": ("OVER,1,2\nt,v,w\n0,1,2\n1,2,3\n", "row 1"),
+    "the header again": ("t,v\n0,1\n1,2\nt,v\n0,1\n", "rows 2, 5"),
+    "names and units again": ("t,v\ns,V\n0,1\n1,2\n2,3\nt,v\ns,V\n0,1\n1,2\n", "rows 3, 7"),
+    "a comment with the names again": ("# t v\n0 1\n1 2\n# t v\n0 1\n", "rows 2, 5"),
 }
 
 
@@ -122,7 +122,7 @@ def test_two_readings_are_refused(tmp_path, name):
 
 def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
     table(";", HEAD, point(T, 3), point(V, 4), point(UM, 5))(tmp_path / "a.csv")
-    with pytest.raises(FileFormatError, match=r"'time_s': line 2 holds '0\.000'"):
+    with pytest.raises(FileFormatError, match=r"'time_s': row 2 holds '0\.000'"):
         read(tmp_path / "a.csv", "decimal=comma")
     for nonsense in ("", ";", 5, True):
         with pytest.raises(FileFormatError, match="decimal: got"):
@@ -224,7 +224,7 @@ def test_a_sample_rate_replaces_timestamps_that_are_refused(tmp_path):
 
 def test_a_number_is_not_cut_off_where_a_comment_may_begin(tmp_path):
     (tmp_path / "a.csv").write_text(f"{HEAD}\n0,1,2\n1,2,3#5\n")
-    with pytest.raises(FileFormatError, match="line 3 holds '3#5'"):
+    with pytest.raises(FileFormatError, match="row 3 holds '3#5'"):
         read(tmp_path / "a.csv")
 
 
@@ -240,7 +240,7 @@ def test_a_joined_sensor_keeps_its_noise(tmp_path):
 def test_a_file_whose_time_cannot_be_read_is_not_joined_by_its_samples(tmp_path):
     drive(point(T, 3), "time_s")(tmp_path / "a.csv")
     table(",", "time_s,displacement_um", ["x", *point(T[1:], 3)], point(UM, 6))(tmp_path / "b.csv")
-    with pytest.raises(FileFormatError, match="line 2 holds 'x'"):
+    with pytest.raises(FileFormatError, match="row 2 holds 'x'"):
         read(tmp_path / "a.csv", f"join={tmp_path / 'b.csv'}")
 
 

@@ -80,7 +80,7 @@ def _span(values: Array) -> list[float]:
 def _column_lines(table: Table) -> Iterator[str]:
     """Yield the columns of a file with their original names and units."""
     samples = max((column.data.size for column in table.columns), default=0)
-    yield f"{table.source}: {counted(samples, 'sample')} of {counted(len(table.columns), 'column')}"
+    yield f"{table.source}: {counted(samples, 'row')} of {counted(len(table.columns), 'column')}"
     shown = table.columns[:_MOST]
     width = max(6, *(min(len(column.name), 60) for column in shown))
     yield f"  {'column':<{width}}  {'unit':<8}range"

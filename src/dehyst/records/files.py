@@ -26,7 +26,7 @@ from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
 _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju", ".parquet"), "; save it as CSV or .xlsx") | {
-    ".lvm": "; save it as TDMS, or as a table with one header line"
+    ".lvm": "; save it as TDMS, or as a table with one header row"
 }
 _MEASURED = ("voltage", "displacement")
 _SIGNS = {"point": ".", "comma": ","}

@@ -74,7 +74,7 @@ def leading(record: Record, cycles: list[Span]) -> str:
         return _shift(record, early)
     return (
         "the displacement leads the voltage in the loops: either the columns look swapped, check which is which; or "
-        "the rows look reversed in time, turn them round, such as record.displacement[::-1]"
+        "the samples look reversed in time, turn them round, such as record.displacement[::-1]"
     )
 
 
@@ -99,7 +99,7 @@ def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | 
     return (
         f"the voltage jumps back by up to {np.abs(steps[far]).max():.4g} V in one sample, in "
         f"{counted(jumps.size, 'place')}, first after sample {jumps[0]}: branches that are sorted by voltage; put the "
-        "rows back into the order in which they were measured, every second branch in reverse"
+        "samples back into the order in which they were measured, every second branch in reverse"
     )
 
 

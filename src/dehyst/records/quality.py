@@ -62,15 +62,15 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
         v, y = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
         way = loops.sense(v, y)
         sign = f"the time has the wrong sign: give rate={rate:.6g} in its place if the samples are even"
-        turn = "the rows are in reverse order: turn them round, such as array[::-1]"
+        turn = "the samples are in reverse order: turn them round, such as array[::-1]"
         remedy = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
-        return f"the time falls from row to row, from {time[0]:.9g} s to {time[-1]:.9g} s; {remedy}"
+        return f"the time falls from sample to sample, from {time[0]:.9g} s to {time[-1]:.9g} s; {remedy}"
     begins = np.flatnonzero(steps < 0.0) + 1
     again = np.abs(time[begins] - time[0]) <= _AGAIN * (time[begins - 1] - time[0])
     if begins.size and np.diff([0, *begins.tolist(), time.size]).min() >= _SWEEP and again.all():
-        rows = ", ".join(map(str, begins[:_NAMED])) + ", ..." * (begins.size > _NAMED)
+        samples = ", ".join(map(str, begins[:_NAMED])) + ", ..." * (begins.size > _NAMED)
         return (
-            f"the time starts again in row{'s' * (begins.size > 1)} {rows} of {time.size}, counted from 0: "
+            f"the time starts again at sample{'s' * (begins.size > 1)} {samples} of {time.size}, counted from 0: "
             f"{begins.size + 1} sweeps; read each as a record of its own, and give all of them to identify"
         )
     i = int(bad[0])
@@ -79,14 +79,14 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     if begins.size:
         rate = 1 / float(np.median(steps[steps > 0]))
         return (
-            f"{words}; sort the rows by time if they are mixed up, cut the record in two there if the clock was set "
+            f"{words}; sort the samples by time if they are mixed up, cut the record in two there if the clock was set "
             f"back, or give the sample rate in place of these times, rate={rate:.6g} if it is even"
         )
     digit = float(np.diff(np.unique(time)).min())
     digits = int(np.clip(np.log10(float(np.ptp(time)) / digit), 3, 6))
     return (
-        f"{words}: times in steps of {digit:.3g} s, coarser than the samples, or rows that are written twice; give the "
-        f"sample rate in their place, rate={rate:.{digits}g} if it is even"
+        f"{words}: times in steps of {digit:.3g} s, coarser than the samples, or samples that are written twice; give "
+        f"the sample rate in their place, rate={rate:.{digits}g} if it is even"
     )
 
 

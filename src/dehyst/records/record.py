@@ -155,7 +155,7 @@ class Record(Plotted):
             got = ", ".join(f"{column} {len(values)}" for column, values in arrays.items())
             raise self._error(f"columns differ in length ({got}); give one value each per sample")
         if len(self) < 2:
-            raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the row range")
+            raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the range of samples")
         choice(self.hold, "hold", _HOLDS, error=RecordError)
         keep(self, measured=self._measured())
         arrays["displacement"] = self.displacement

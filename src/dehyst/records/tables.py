@@ -34,7 +34,7 @@ _BRANCHES = (
 )
 _UNNAMED = (
     "its columns have no names; save three arrays with the names time_s, voltage_V and displacement_um, write such a "
-    "line above the table, not behind a # or %, or select them by their numbers, as voltage=2:V"
+    "row above the table, not behind a # or %, or select them by their numbers, as voltage=2:V"
 )
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
@@ -412,7 +412,7 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         if broken := [file for file in (table, other) if all(column.fault for column in file.columns)]:
             raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
         if table.rows != other.rows:
-            got = f"{table.rows} samples in {table.source} and {other.rows} in {other.source}"
+            got = f"{table.rows} rows in {table.source} and {other.rows} in {other.source}"
             hint = "give the rate of the first, or save each with its time"
             raise FileFormatError(argument="join", got=got, need="as many, or a time in both", hint=hint)
         return replace(table, columns=(*table.columns, *added))

@@ -56,7 +56,7 @@ def text(tmp_path, content, name="a.csv"):
     ],
 )
 def test_endless_lines(tmp_path, content):
-    refused(text(tmp_path, content), r"line \d is longer than 1000000 characters")
+    refused(text(tmp_path, content), r"row \d is longer than 1000000 characters")
 
 
 RUNS = [mark * 20_000 for mark in (" ", "_", "[", "(", "]", "\t", " _", "[ ", "]]", ") ")]
@@ -87,7 +87,7 @@ def test_many_blank_lines_before_a_comment(tmp_path):
 
 @pytest.mark.parametrize("cell", ["5_0", "\u0665\u0660", "\u22125"])
 def test_numbers_that_only_python_writes(tmp_path, cell):
-    refused(text(tmp_path, f"{HEAD}\n{BODY.replace('50.0', cell, 1)}"), f"line 2 holds '{cell}', which is no number")
+    refused(text(tmp_path, f"{HEAD}\n{BODY.replace('50.0', cell, 1)}"), f"row 2 holds '{cell}', which is no number")
 
 
 # Once

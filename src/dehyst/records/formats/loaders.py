@@ -110,7 +110,7 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     stream.seek(0)
     if head.lstrip(b"\xef\xbb\xbf").startswith(b"LabVIEW Measurement"):
         # Its channels may have starts, steps and clocks of their own.
-        raise FileFormatError("LabVIEW's measurement files are not read; save it as TDMS, or below one line of names")
+        raise FileFormatError("LabVIEW's measurement files are not read; save it as TDMS, or below one row of names")
     if _END.search(head):
         return read_gcs(stream, allowance)
     # Each line of a record of dehyst ends: one that does not was cut off while it was written.

@@ -92,7 +92,7 @@ def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]
             if mark not in text or not (text.endswith("\n") or len(block) == 1):
                 continue
             for cell in filter(number.fullmatch, cells_of(text, delimiter)):
-                first = first or f"line {line} holds '{cell[:_SHOWN]}'"
+                first = first or f"row {line} holds '{cell[:_SHOWN]}'"
                 if not _DOUBTFUL.fullmatch(cell):
                     return first, True
     return first, False

@@ -100,7 +100,7 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     texts = [(k, text) for k, text in enumerate(written) if text.strip("; \t,")]
     plain = [text for _, text in texts if not text.lstrip().startswith(_MARKS)][:_HEAD]
     if not plain:
-        raise FileFormatError("nothing but blank and comment lines; a header line and rows are needed")
+        raise FileFormatError("nothing but blank rows and comments; a header row and rows of numbers are needed")
     delimiter = _delimiter(plain, decimal)
     lines, comments = list[_Line](), list[_Line]()
     for k, text in texts:
@@ -127,7 +127,7 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
         return _without_names(lines, place, delimiter, shape)
     over = [line for line in lines[begin:place] if line.number < heading.first and line.text not in heading.header]
     if faulty := [line for line in over if shape.is_row(line.cells)]:
-        raise FileFormatError(f"line {faulty[0].number + 1} holds numbers above the names; correct or remove it")
+        raise FileFormatError(f"row {faulty[0].number + 1} holds numbers above the names; correct or remove it")
     rest = [line.number for line in lines if line.number >= heading.first]
     # A row that looks like a comment: #N/A,1,2.
     marked = [line.number for line in comments if not is_comment(line.cells, shape.width, delimiter)]
@@ -144,7 +144,7 @@ def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape:
     doubtful = delimiter == "," and "." not in line.text and (mixed or (names and len(cells) < shape.width))
     if doubtful or (names and 1 < len(cells) != shape.width):
         raise FileFormatError(
-            f"line {line.number + 1} is '{shortened(line.text.strip())}', {shape.width} cells, but the line above has "
+            f"row {line.number + 1} is '{shortened(line.text.strip())}', {shape.width} cells, but the row above has "
             f"{len(cells)} names: commas may be decimal signs too",
             hint="state decimal=comma if they are, or correct the names",
             change=("decimal",),

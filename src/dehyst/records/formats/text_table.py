@@ -48,8 +48,8 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
         # A block ends behind a line as long as that.
         if len(block[-1]) > _LONGEST_LINE:
             raise FileFormatError(
-                f"line {number + len(block)} is longer than {_LONGEST_LINE} characters, longer than any row of a "
-                "measurement; check that this is a table with a line for each sample"
+                f"row {number + len(block)} is longer than {_LONGEST_LINE} characters, longer than any row of a "
+                "measurement; check that this is a table with a row for each sample"
             )
         number += len(block)
         lines = block[:-1] if whole_lines and not block[-1].endswith("\n") else block
@@ -113,7 +113,7 @@ class _Table:
     def columns(self, allowance: Allowance) -> list[Column]:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
         lines = sum(len(block) for _, block in self.blocks())
-        allowance.take(lines * self.width, "the number of its lines")
+        allowance.take(lines * self.width, "the number of its rows")
         # Memory is taken as it is filled.
         columns = np.empty((self.width, lines))
         for number, block in self.blocks():
@@ -128,7 +128,7 @@ class _Table:
         if self.headers:
             starts = ", ".join(map(str, [self.layout.first + 1, *self.headers][:_LISTED]))
             raise FileFormatError(
-                f"{len(self.headers) + 1} tables, which begin at the lines {starts}: these are several records",
+                f"{len(self.headers) + 1} tables, which begin at the rows {starts}: these are several records",
                 hint="save each in a file of its own, and give all of them as records of one actuator",
             )
         return [self._column(place, columns[place, : self.count]) for place in range(self.width)]
@@ -167,7 +167,7 @@ class _Table:
             kind = "timestamp" if is_clock else "number" if self.decimal == "." else "number with a decimal comma"
             kind += ", nor a timestamp as 2026-03-04T12:00:00" * (not is_clock and cell.count(":") == 2)
             line = numbers[cells.index(cell)]
-            self.faults[place] = f"line {line} holds '{shortened(cell)}', which is no {kind}; correct it"
+            self.faults[place] = f"row {line} holds '{shortened(cell)}', which is no {kind}; correct it"
         unread = is_clock or place in self.faults
         return np.full(len(cells), np.nan) if unread else np.array(values)
 
@@ -187,14 +187,14 @@ class _Table:
                 continue
             if self.hole:
                 raise FileFormatError(
-                    f"line {self.hole} is an empty row within the table, which moves the samples behind it; fill it "
+                    f"row {self.hole} is empty within the table, which moves the samples behind it; fill it "
                     "in, or remove it if no sample is missing"
                 )
             if len(cells) == width + 1 and not cells[-1]:
                 cells.pop()
             if len(cells) != width:
                 raise FileFormatError(
-                    f"line {number} has {len(cells)} cells where the header has {width}: "
+                    f"row {number} has {len(cells)} cells where the header has {width}: "
                     f"'{(delimiter or ' ').join(cells)[:60]}'; correct it"
                 )
             count += 1
