@@ -127,8 +127,9 @@ def test_a_command_that_was_played_is_not_asked_for_again(tmp_path):
     asked = insight(model, records).record_next
     assert len(asked) == 2
     for k, command in enumerate(asked):
-        assert run(*shlex.split(command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
-        table = read_table(tmp_path / "excitation.csv")
+        # Each is a file of its own: no command is refused because of another.
+        assert run(*shlex.split(command)[1:], "--sample-rate", "8", cwd=tmp_path, keep=True)[0] == 0
+        table = read_table(tmp_path / shlex.split(command)[-1])
         time, voltage = (table.column(name) for name in ("time", "voltage"))
         records.append(Record(time, voltage, truth.play(voltage), f"asked-{k}"))
     model = identify(records).actuator
@@ -156,7 +157,7 @@ def test_whatever_is_not_tested_has_a_command_that_tests_it(seed, tmp_path):
         assert played.isdisjoint(gap.command for gap in asked)
         for command in dict.fromkeys(gap.command for gap in asked):
             assert run(*shlex.split(command)[1:], "--force", cwd=tmp_path)[0] == 0
-            table = read_table(tmp_path / "excitation.csv")
+            table = read_table(tmp_path / shlex.split(command)[-1])
             records.append((table.column("time"), table.column("voltage")))
             played.add(command)
     assert asked == ()

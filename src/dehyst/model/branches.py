@@ -133,7 +133,10 @@ def excite_command(highest: float, lowest: float, option: str = "", kind: str = 
     # Rounded inwards: the stage may not allow more.
     step = 10.0 ** (np.floor(np.log10(highest - lowest)) - 3)
     top, base = step * np.floor(highest / step + 1e-6), step * np.ceil(lowest / step - 1e-6)
-    return f"dehyst excite {kind} {top:g} --base {base if abs(base) > 1e-3 * top else 0:g} {option}-o excitation.csv"
+    base = base if abs(base) > 1e-3 * top else 0.0
+    # Different excitations have different files.
+    file = "_".join([kind, f"{top:g}", *[f"{base:g}"] * bool(base), *option.split()[1::2]])
+    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o {file}.csv"
 
 
 def untested_by(
