@@ -7,7 +7,7 @@ import plain_records
 import pytest
 
 from dehyst import Actuator, Compensator, ModelError, Stage, plan_path
-from dehyst.model import Identification, turned, with_identification
+from dehyst.model import Identification, parts_of, turned, with_identification
 
 STEP, DELAY = 5e-3, 0.0172
 TIME = STEP * np.arange(600)
@@ -35,6 +35,14 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
     late = plan_path(LATE, WANTED, time=TIME, home=home, start=start, on_time=False)
     assert np.abs(shown(LATE, late) - WANTED).max() > 2e-2 * plain_records.STROKE
     assert any("on time" in said for said in plan.warnings) and any("later" in said for said in late.warnings)
+
+
+def test_the_model_says_of_its_lag_what_plans_do():
+    models = [replace(LATE, identification=Identification(lag_of=lag_of)) for lag_of in ("actuator", "sensor", "")]
+    said = [{part.name: part.sentence for part in parts_of(model)}["Delay"] for model in models]
+    start = turned(PLANT, float(WANTED[0]))
+    leads = [plan_path(model, WANTED, time=TIME, start=start).voltage.size > TIME.size for model in models]
+    assert leads == ["lead" in sentence for sentence in said] and len({*said}) == 3
 
 
 @pytest.mark.parametrize("lag_of", ["", "sensor"])

@@ -47,9 +47,7 @@ class DisplacementCreep(Entries):
     time_constants: Numeric = entry("time_constants_s", Numbers(1, positive=True, divides=True))
     gains: Numeric = entry("gains", Numbers(1, least=0.0))
 
-    def _demand_together(self) -> None:
-        """Raise `ModelError` unless each branch has one of each."""
-        self._demand_one_size()
+    _demand_together = Entries._demand_one_size
 
     def __len__(self) -> int:
         return self.time_constants.size

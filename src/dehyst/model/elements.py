@@ -62,9 +62,7 @@ class MaxwellSlip(Entries):
     breakaway: Numeric = entry("breakaway_m", _BREAKAWAY)
     stiffness: Numeric = entry("stiffness_V_per_m", _STIFFNESS[1])
 
-    def _demand_together(self) -> None:
-        """Raise `ModelError` unless each element has one of each."""
-        self._demand_one_size()
+    _demand_together = Entries._demand_one_size
 
     def __len__(self) -> int:
         return self.breakaway.size
@@ -237,9 +235,7 @@ class SmoothSlip(Entries):
     closing: Numeric = entry("closing", Numbers(1, least=0.5, most=1.0))
     stiffness: Numeric = entry("stiffness_V_per_m", _STIFFNESS[1])
 
-    def _demand_together(self) -> None:
-        """Raise `ModelError` unless each element has one of each."""
-        self._demand_one_size()
+    _demand_together = Entries._demand_one_size
 
     def __len__(self) -> int:
         return self.length.size

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,11 +19,11 @@ from dehyst.model.states import creep_times, quasistatic, turned, voltages_of
 # Duration of a step response in longest time constants, and its number of times.
 _DURATION, _TIMES = 3.0, 160
 _PLACES = 400
-_FURTHER = {
-    "transformer": "transformer",
-    "displacement_creep": "creep",
-    "smooth": "smooth elements",
-    "dynamics": "inertia",
+# What a lag means for a planned path, by who lags.
+_LATE = {
+    "actuator": "the voltages of a path with times lead the path by it",
+    "sensor": "the sensor lags, not the path",
+    "": "a path is that much late, unless the sensor lagged",
 }
 
 
@@ -45,19 +45,13 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     knots = f"{actuator.spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
     parts = [_slip(actuator.slip, actuator.spring)]
     parts.append(Part("Parallel spring", knots, float(np.ptp(actuator.spring.voltage))))
-    if actuator.transformer is not None:
-        parts.append(_transformer(actuator.transformer))
-    if actuator.displacement_creep is not None:
-        parts.append(_creep(actuator.displacement_creep))
-    if actuator.thermal is not None:
-        parts.append(_thermal(actuator.thermal, actuator.reach[0]))
-    if actuator.smooth is not None:
-        parts.append(_smooth(actuator.smooth))
-    if actuator.dynamics is not None:
-        parts.append(_dynamics(actuator.dynamics, actuator.spring))
+    for name, (_, told) in _FURTHER.items():
+        if (part := getattr(actuator, name)) is not None:
+            parts.append(told(part, actuator))
     if actuator.delay:
         late = f"The measured displacement lags the voltage by {_seconds(actuator.delay)}"
-        parts.append(Part("Delay", f"{late}; it is left out of the model and is not compensated."))
+        lags = "" if actuator.identification is None else actuator.identification.lag_of
+        parts.append(Part("Delay", f"{late}; {_LATE[lags]}."))
     if actuator.lag:
         late = f"The acting voltage lags the command by {_seconds(actuator.lag)}"
         parts.append(Part("Amplifier", f"{late}; it is compensated."))
@@ -117,7 +111,7 @@ def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:
     return Part("Slip elements", f"{sentence}.", float(slip.friction.sum()))
 
 
-def _transformer(transformer: Transformer) -> Part:
+def _transformer(transformer: Transformer, _: Actuator) -> Part:
     deviation = bend(transformer)
     most, v = int(np.argmax(np.abs(deviation))), transformer.voltage
     gains = transformer.slopes / (np.ptp(transformer.drive) / np.ptp(v))
@@ -129,24 +123,23 @@ def _transformer(transformer: Transformer) -> Part:
     return Part("Transformer", sentence)
 
 
-def _creep(creep: DisplacementCreep) -> Part:
+def _creep(creep: DisplacementCreep, _: Actuator) -> Part:
     times = creep.time_constants
     branches = "one branch" if len(creep) == 1 else f"{len(creep)} branches"
     spread = f", {_seconds(times.min())} to {_seconds(times.max())}" if len(creep) else ""
     grows = f"a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %"
-    sentence = f"{branches} behind the elements{spread}: {grows}."
-    return Part("Creep", sentence, None)
+    return Part("Creep", f"{branches} behind the elements{spread}: {grows}.")
 
 
-def _thermal(thermal: Thermal, lowest: float) -> Part:
+def _thermal(thermal: Thermal, actuator: Actuator) -> Part:
     # Rounded, as it may be 0.
-    at_lowest = round(thermal.offset + thermal.gain * lowest, 15)
+    at_lowest = round(thermal.offset + thermal.gain * actuator.reach[0], 15)
     shift = f", and the displacement at the lowest voltage by {1e9 * at_lowest:+.3g} nm/K" if at_lowest else ""
     sentence = f"from {thermal.reference:.4g} degC on, the stroke changes by {100 * thermal.gain:+.3g} %/K{shift}."
-    return Part("Temperature", sentence, None)
+    return Part("Temperature", sentence)
 
 
-def _smooth(smooth: SmoothSlip) -> Part:
+def _smooth(smooth: SmoothSlip, _: Actuator) -> Part:
     lengths = np.unique(smooth.length) * 1e6
     elements = f"One element that yields gradually over {lengths[0]:.3g} um"
     if len(smooth) > 1:
@@ -155,14 +148,24 @@ def _smooth(smooth: SmoothSlip) -> Part:
     return Part("Smooth elements", f"{elements}: inner loops do not quite close.", holds)
 
 
-def _dynamics(dynamics: Dynamics, spring: Spring) -> Part:
-    free, driven = resonance(dynamics, spring)
+def _dynamics(dynamics: Dynamics, actuator: Actuator) -> Part:
+    free, driven = resonance(dynamics, actuator.spring)
     sentence = f"Resonance at {free:.4g} Hz with a damping of {dynamics.damping:.3g}"
     if dynamics.series:
         sentence += f", under a voltage at {driven:.4g} Hz about the mean slope"
     slow = 0.1 * driven
     error = 100 * abs(1 / (1 - 0.1**2 + 0.2j * dynamics.damping) - 1)
     return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {error:.2g} %.")
+
+
+# Name in one line and sentence of each part that an actuator may have.
+_FURTHER: dict[str, tuple[str, Any]] = {
+    "transformer": ("transformer", _transformer),
+    "displacement_creep": ("creep", _creep),
+    "thermal": ("", _thermal),
+    "smooth": ("smooth elements", _smooth),
+    "dynamics": ("inertia", _dynamics),
+}
 
 
 def _seconds(time: float) -> str:
@@ -181,7 +184,7 @@ def _ranges(actuator: Actuator, unit: str = "um") -> tuple[str, str, str]:
 def one_line(actuator: Actuator) -> str:
     """Return name, parts, voltages and displacements in one line, without computations that could fail."""
     graded = "graded " if isinstance(actuator.slip, GradedSlip) else ""
-    further = [words for name, words in _FURTHER.items() if getattr(actuator, name) is not None]
+    further = [words for name, (words, _) in _FURTHER.items() if words and getattr(actuator, name) is not None]
     parts = ", ".join([f"{graded}{counted(len(actuator.slip), 'slip element')}", *further])
     return "<Actuator '{}': {}, {}, {}>".format(escaped(actuator.name), parts, *_ranges(actuator)[:2])
 
