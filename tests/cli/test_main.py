@@ -85,29 +85,6 @@ def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     assert (status, "--lag" in err) == (2, True)
 
 
-KINDS = {
-    "raised-cosine": ["200", "100"],
-    "descending-tops": ["200"],
-    "recommended": ["200", "--frequency", "0.1"],
-    "staircase": ["200", "--hold", "5"],
-    "homing": ["200"],
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_excitation_is_written_within_its_limits(kind, tmp_path):
-    arguments = [*KINDS[kind], "--limits", "-20", "200", "--present", "5", "--slew-rate", "20"]
-    status, out, err = run("excite", kind, *arguments, "-o", "v.csv", "--json", cwd=tmp_path)
-    assert status == 0, err
-    table, told = read_table(tmp_path / "v.csv"), json.loads(out)
-    time, voltage = table.column("time"), table.column("voltage")
-    assert told["samples"] == voltage.size
-    assert voltage[0] == 5
-    assert voltage.min() >= -20
-    assert voltage.max() <= 200
-    assert np.abs(np.diff(voltage)).max() <= 20 * np.diff(time).max() * (1 + 1e-9)
-
-
 def test_homing_of_a_model_is_certified(folder):
     status, out, _ = run("excite", "homing", "--model", "model.json", "-o", "home.csv", cwd=folder)
     assert status == 0

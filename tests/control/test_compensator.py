@@ -1,7 +1,5 @@
 """The loop: what it sends is within limits, what it remembers is what was sent, and it goes on where it was stopped."""
 
-import copy
-import itertools
 import math
 import pickle
 import threading
@@ -69,28 +67,6 @@ def gap(first, other):
     return max(abs(first.deformation - other.deformation), *differences)
 
 
-@given(st.sampled_from(sorted(PLANTS)), st.integers(0, 10**6), st.booleans())
-def test_steps_and_runs_are_one_and_the_memory_is_what_was_sent(name, seed, slewing):
-    actuator, path = PLANTS[name], wanted(seed)
-    start = started(actuator, seed)
-    low, high, rate = 30.0, 140.0, 3000.0 if slewing else None
-    stepped, ran = (Compensator(actuator, (low, high), rate, period=PERIOD, state=start) for _ in range(2))
-    first, start = stepped.voltage, stepped.state
-    assert low <= first <= high
-    voltage = quietly(lambda: np.array([stepped.step(y) for y in path]))
-    np.testing.assert_array_equal(quietly(ran.run, path), voltage)
-    assert voltage.min() >= low
-    assert voltage.max() <= high
-    changes = np.abs(np.diff(np.append(first, voltage)))
-    if slewing:
-        assert changes.max() <= rate * PERIOD + 1e-12 * high
-    assert ran.clamps == stepped.clamps
-    motion = replayed(actuator, start, voltage)
-    for compensator in (stepped, ran):
-        assert gap(compensator.state, motion.state) < 1e-11 * plain_records.STROKE
-        assert compensator.voltage == voltage[-1]
-
-
 @given(st.sampled_from(STRUCTURES), st.integers(0, 10**6))
 def test_what_is_not_clamped_is_followed(name, seed):
     actuator, path = PLANTS[name], wanted(seed)
@@ -152,43 +128,6 @@ def test_a_voltage_from_which_no_step_returns_within_the_slew_rate_is_refused(vo
         compensator.commit(start)
         voltage = compensator.step(goal)
         assert 5 <= voltage <= 90 and abs(voltage - start) <= 1.5 * (1 + 1e-9)
-
-
-def test_an_offer_leaves_no_trace_until_it_is_committed():
-    actuator = PLANTS["all"]
-    first, other = (Compensator(actuator, FREE, period=PERIOD, state=started(actuator, 2)) for _ in range(2))
-    for y, missed in itertools.pairwise(wanted(5)):
-        other.offer(missed)
-        voltage = other.offer(y)
-        assert other.offer(y) == voltage
-        other.commit(voltage)
-        assert first.step(y) == voltage
-    assert gap(first.state, other.state) == 0
-
-
-def test_another_voltage_than_offered_is_what_the_memory_follows():
-    """A converter of 10 bits."""
-    actuator = PLANTS["creep"]
-    start = started(actuator, 3)
-    compensator = Compensator(actuator, (0, 300), period=PERIOD, state=start)
-    sent = []
-    for y in plain_records.path((0.5, 0.9, 0.1, 0.7), 60):
-        sent.append(round(compensator.offer(y) / 0.15) * 0.15)
-        compensator.commit(sent[-1])
-    assert gap(compensator.state, replayed(actuator, start, np.array(sent)).state) < 1e-11 * plain_records.STROKE
-    assert compensator.clamps == (0, 0)
-
-
-def test_a_held_period_lets_creep_go_on():
-    actuator = PLANTS["creep"]
-    start = started(actuator, 3)
-    compensator = Compensator(actuator, FREE, period=PERIOD, state=start)
-    voltage = compensator.step(start.deformation + 1e-6)
-    for _ in range(50):
-        compensator.hold()
-    moved = replayed(actuator, start, np.full(51, voltage))
-    assert gap(compensator.state, moved.state) < 1e-11 * plain_records.STROKE
-    assert compensator.state.deformation != start.deformation + 1e-6
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, "1", None, [1e-6], 1j])
@@ -267,17 +206,6 @@ def test_a_clamp_that_is_made_an_error_has_moved_nothing():
     assert compensator.snapshot() == before
 
 
-@pytest.mark.parametrize("name", sorted(PLANTS))
-def test_a_snapshot_goes_on_bit_for_bit(name):
-    actuator, path = PLANTS[name], wanted(11)
-    make = lambda: Compensator(actuator, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True)  # noqa: E731
-    first, other = make(), make()
-    quietly(first.run, path[:150])
-    other.restore(first.snapshot())
-    assert other.clamps == first.clamps
-    np.testing.assert_array_equal(quietly(other.run, path[150:]), quietly(first.run, path[150:]))
-
-
 def test_a_snapshot_of_another_loop_is_refused():
     kept = Compensator(PLANT, FREE, period=1e-3).snapshot()
     for other in (
@@ -337,21 +265,6 @@ def test_two_threads_cannot_share_a_loop():
     alone = Compensator(PLANT, (-1e3, 1e3))
     alone.run(path)
     assert gap(alone.state, compensator.state) == 0
-
-
-@pytest.mark.parametrize("name", sorted(PLANTS))
-def test_copies_and_pickles_have_a_memory_of_their_own(name):
-    path = wanted(8)
-    compensator = Compensator(PLANTS[name], (20, 140), 5e3, period=PERIOD, state=started(PLANTS[name], 1))
-    quietly(compensator.run, path[:100])
-    others = [copy.deepcopy(compensator), pickle.loads(pickle.dumps(compensator))]
-    rest = quietly(compensator.run, path[100:])
-    for other in others:
-        assert other.clamps != compensator.clamps
-        np.testing.assert_array_equal(quietly(other.run, path[100:]), rest)
-    fresh = pickle.loads(pickle.dumps(Compensator(PLANT, FREE)))
-    assert fresh.clamps == (0, 0)
-    assert "20 to 140 V, 5000 V/s" in repr(compensator) and "every 0.005 s" in repr(compensator)
 
 
 def test_what_is_no_snapshot_or_lies_outside_the_limits_is_refused():
