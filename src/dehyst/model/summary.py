@@ -19,7 +19,7 @@ from dehyst.model.states import creep_times, quasistatic, turned, voltages_of
 # Duration of a step response in longest time constants, and its number of times.
 _DURATION, _TIMES = 3.0, 160
 _PLACES = 400
-# What a lag means for a planned path, by who lags.
+# A lag in a planned path, by who lags.
 _LATE = {
     "actuator": "the voltages of a path with times lead the path by it",
     "sensor": "the sensor lags, not the path",
