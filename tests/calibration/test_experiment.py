@@ -117,9 +117,10 @@ def test_two_calibrations_into_one_folder_are_refused(tmp_path):
 )
 def test_a_rig_that_warms_or_drifts_for_sure_is_remarked(degrees, changes, count):
     time = np.linspace(0, 1, 50)
-    warm = [Record(time, time, time, others={"temperature_C": 20 + k * degrees * time}) for k in (0, 1)]
     changed = [found for found in (Change(*change, 1e-8) for change in changes) if found.counts]
-    assert len([*_remarks(warm, [SimpleNamespace(changed=changed, stroke=1e-5)])]) == count
+    for scale, wrong in ((1e-7, 0), (1e-10, 1), (1e-4, 1)):
+        warm = [Record(time, 100 * time, 100 * scale * time, others={"temperature_C": 20 + degrees * time})]
+        assert len([*_remarks(warm, [SimpleNamespace(changed=changed, stroke=1e-5)])]) == count + wrong
 
 
 def test_it_goes_on_after_an_interrupt(tmp_path):

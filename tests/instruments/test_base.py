@@ -515,9 +515,7 @@ def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
     with pytest.raises(ValueError, match="first") as caught:
         rig.play(UP, listen)
     [note] = caught.value.__notes__
-    assert note.startswith("The voltage could not be brought to 0 V (")
     assert f"{error}" in note
-    assert "device holds" in note
     assert not note.safe
     assert rig.done[-1] == "close"
     with pytest.raises(RigError, match="is closed"):

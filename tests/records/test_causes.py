@@ -7,7 +7,7 @@ import pytest
 from truths import BoucWenActuator, PreisachActuator
 
 from dehyst import Record, RecordError
-from dehyst.records import cleaned, loops
+from dehyst.records import cleaned, guesses, loops
 from dehyst.records.cleaning import spikes
 from dehyst.records.signals import new_samples, sensor_noise
 from dehyst.virtual import PlayActuator
@@ -72,6 +72,8 @@ def test_a_good_record_has_no_cause(mechanism, drive):
         good = record(v, noisy(late(MECHANISMS[mechanism](v), shift)))
         good.check_usable()
         assert good.problems() == ()
+        # A unit that is wrong by a thousand is asked about.
+        assert [len(guesses(record(v, k * good.displacement))) for k in (1e-3, 1.0, 1e3)] == [1, 0, 1]
         assert loops.early_turns(good) == 0
 
 

@@ -18,7 +18,7 @@ from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification import Fit, StageFit, identify
 from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
-from dehyst.records import Record
+from dehyst.records import Record, guesses
 from dehyst.trust import Insight, Recheck, check, insight
 
 # The model, next to the folder of records: of one axis, and of several.
@@ -153,13 +153,12 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
     after = play(modelled)
     found: Any = check(fit.model, after, goal=plan.goal)
     checked: tuple[Recheck, ...] = getattr(found, "rechecks", (found,))
-    rows = rig.rows(len(modelled.excitation))
     limits, rates = [[each.limits.low, each.limits.high] for each in rig.rigs], [each.slew_rate for each in rig.rigs]
     return Calibration(
         fit,
         training=tuple(training),
         nominal=TrackedPath.of(linear, before, rig.rows(len(linear.excitation))),
-        compensated=TrackedPath.of(modelled, after, rows),
+        compensated=TrackedPath.of(modelled, after, rig.rows(len(modelled.excitation))),
         checked=checked,
         goal=plan.goal,
         remarks=(*modelled.warnings, *_remarks(session.sequence, checked)),
@@ -190,12 +189,13 @@ def _identified(
 
 
 def _remarks(records: Sequence[Record], checked: Sequence[Recheck]) -> Iterator[str]:
-    """Remark a rig that warms or drifts: by its temperature, and by what the check of the last record found."""
+    """Remark a rig that warms, drifts, or measures in a wrong unit, by its records and the check of the last one."""
     warmth = [record.temperature for record in records if record.temperature is not None]
     if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))
         yield f"The rig warmed or cooled during the calibration, from {low:.2f} to {high:.2f} degC in all."
-    for axis, recheck in zip(records[-1].axes or ("",), checked, strict=True):
+    for j, (axis, recheck) in enumerate(zip(records[-1].axes or ("",), checked, strict=True)):
+        yield from guesses(records[-1].axis(j))
         for change in recheck.changed:
             if set(change.parts) <= _DRIFTS:
                 where = f"Axis {axis}, since" if axis else "Since"

@@ -188,7 +188,10 @@ def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
         return 0
     over = float(turns[-1])
     if len(turns) < 3:
-        over += _HALVES * _half_life(y - gain * v, turns[-1])
+        # The samples in which half of the overshoot is gone; its peak is the first.
+        rest = (y - gain * v)[turns[-1] : turns[-1] + _SOON]
+        away = np.abs(rest - np.median(rest[rest.size // 2 :]))
+        over += _HALVES * (int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1)
     else:
         half, swings = (turns[-1] - turns[0]) / (len(turns) - 1), np.abs(np.diff(y[turns]))
         # The size falls by the same factor each half period.
@@ -212,13 +215,6 @@ def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list
             break
         own.append(turn)
     return own
-
-
-def _half_life(y: Array, first: int) -> int:
-    """Return the samples in which half of an overshoot (n,) is gone; its peak is sample `first`."""
-    rest = y[first : first + _SOON]
-    away = np.abs(rest - np.median(rest[rest.size // 2 :]))
-    return int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1
 
 
 def glitches(voltage: Array, displacement: Array) -> Mask:

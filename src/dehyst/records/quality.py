@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 LARGEST, SHORTEST = 1e30, 1e-30
 # Fewest events from which a loop is identified.
 _LEAST_EVENTS = 60
+# Least and largest displacement for each volt [m/V] of stages, also by the input of an amplifier.
+_GAINS = (2e-9, 5e-5)
 # Fewer samples show no spike; least samples of a sweep.
 _FEWEST, _SWEEP = 20, 3
 # A time starts again within this part of its way so far.
@@ -98,9 +100,16 @@ def other_unit(record: Record) -> str:
 
 
 def guesses(record: Record) -> tuple[str, ...]:
-    """Return a sentence about each guess made when a record was read."""
-    guessed = record.meta.get("guesses")
-    return tuple(f"The {key} is guessed, verify: {words}." for key, words in dict(guessed or {}).items())
+    """Return what to verify of a record: guesses made when it was read, and units in which no stage moves."""
+    guessed, columns = record.meta.get("guesses"), {"voltage": record.voltage, "displacement": record.displacement}
+    doubts = [f"The {quantity} has {words}" for quantity, v in columns.items() if (words := unlikely(quantity, v))]
+    driven, moved = (float(np.ptp(np.quantile(values, (0.05, 0.95)))) for values in columns.values())
+    if not doubts and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
+        doubts = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
+    return (
+        *(f"The {key} is guessed, verify: {words}." for key, words in dict(guessed or {}).items()),
+        *(f"{doubt}; check its unit and scale." for doubt in doubts),
+    )
 
 
 def problems(record: Record) -> tuple[str, ...]:
@@ -113,7 +122,6 @@ def problems(record: Record) -> tuple[str, ...]:
         *_of_samples(clean.record),
         *(sentence[0].upper() + sentence[1:] for sentence in clean.sentences),
         *loops.remarks(clean.record),
-        *_of_units(clean.record),
         *(map(str, remarks) if isinstance(remarks, list | tuple) else ()),
     )
 
@@ -150,11 +158,6 @@ def _of_samples(record: Record) -> Iterator[str]:
         if part > 0.005 and often and not polled:
             yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
 
-
-def _of_units(record: Record) -> Iterator[str]:
-    for quantity, values in (("displacement", record.displacement), ("voltage", record.voltage)):
-        if words := unlikely(quantity, values):
-            yield f"The {quantity} has {words}; check its unit and scale."
     temperatures = [channel.column for channel in record.others if channel.role == "temperature"]
     if len(temperatures) > 1:
         yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
