@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.identification.denoising import disturbs, monotone, remove_jitter
+from dehyst.identification.cleaning import disturbs, monotone, remove_jitter
 from dehyst.records.signals import turning_points
 from dehyst.virtual import PlayActuator
 

@@ -12,7 +12,7 @@ import tracking_trials
 
 from dehyst import Dynamics, Record
 from dehyst.identification import Structure, search
-from dehyst.identification.denoising import derivatives, remove_dynamics
+from dehyst.identification.cleaning import derivatives, remove_dynamics
 from dehyst.identification.motion import creep_times
 from examples import at_night, spanning
 

@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1266,
     "fleet": 310,
     "foundation": 1410,
-    "identification": 5829,
+    "identification": 5818,
     "instruments": 2454,
     "model": 3529,
     "operations": 3507,
@@ -36,8 +36,8 @@ ROOMS = {
     "workbench": 2311,
 }
 HOUSE = {
-    "lines of Python": 37998,
-    "files of Python": 191,
+    "lines of Python": 37987,
+    "files of Python": 190,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
     "lines of tests": 34646,

@@ -12,7 +12,7 @@ from dehyst._errors import IdentifyError
 from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
-from dehyst.identification.denoising import disturbs
+from dehyst.identification.cleaning import disturbs
 from dehyst.identification.frame import Frame, without_offset, zero_of
 from dehyst.identification.motion import Motion, Parts, moved
 from dehyst.identification.preparation import Prepared, as_list, prepare

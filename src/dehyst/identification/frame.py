@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._native import slip_elongations
 from dehyst._types import Array
-from dehyst.identification.denoising import derivatives, disturbs
+from dehyst.identification.cleaning import derivatives, disturbs
 from dehyst.identification.motion import Motion, Parts
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.program import SMALLEST_GAIN, Program, Solution

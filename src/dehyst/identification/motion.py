@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.identification.denoising import derivatives
+from dehyst.identification.cleaning import derivatives
 from dehyst.identification.preparation import Prepared, behind
 from dehyst.identification.regressors import Rows
 from dehyst.identification.rules import RULES

@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification import cleaning
-from dehyst.identification.denoising import disturbs, remove_dynamics, remove_jitter
+from dehyst.identification.cleaning import disturbs, remove_dynamics, remove_jitter
 from dehyst.identification.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal

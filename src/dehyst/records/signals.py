@@ -135,9 +135,9 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
 
 def turning_points(values: Array, band: float) -> NDArray[np.intp]:
     """Find the extremes from which the signal goes back by more than `band`, see `dehyst.records.reversals`."""
-    # Only inner local extremes and samples of plateaus can be turning points, or complete a way back.
+    # Only inner local extremes and ends of plateaus can be turning points, or complete a way back.
     steps = np.sign(np.diff(values))
-    kept = np.concatenate(([0], np.flatnonzero(steps[:-1] * steps[1:] <= 0.0) + 1, [len(values) - 1]))
+    kept = np.concatenate(([0], np.flatnonzero(steps[:-1] != steps[1:]) + 1, [len(values) - 1]))
     turns: list[int] = []
     low = high = float(values[0])
     at_low = at_high = direction = 0
