@@ -15,7 +15,7 @@ from dehyst.control import PathPlan, plan_path
 from dehyst.operations.axes import AxesModel, AxisNumbers, of_one_axis, slew_option
 from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, number, option, output, page, pair
 from dehyst.operations.files import COLUMNS, RECORD, Columns
-from dehyst.operations.paths import ZERO, Zero, reach_remarks, read_path, zero_of_path
+from dehyst.operations.paths import ZERO, Zero, reach_remarks, read_path, zeros_of_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start, starts_of
 from dehyst.records import percent
@@ -91,7 +91,7 @@ def _planned(
     own = Columns(displacement=columns.wanted, temperature=columns.temperature)
     rows, warmth, clock = read_path(known, trajectory, own, remark=run.note)
     begins, remarks = starts_of(known, start, [limits], columns)
-    path = rows[:, 0] + zero_of_path(actuator, limits, zero, begins[0])
+    path = (rows + zeros_of_path(known, [limits], zero, begins))[:, 0]
     for remark in [*remarks, *reach_remarks(actuator, path, limits, zero, warmth)]:
         run.note(remark)
     when = {"time": clock.get("time_s"), "temperature": warmth}

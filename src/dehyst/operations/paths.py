@@ -125,25 +125,6 @@ def temperature_column(path: PathPlan) -> dict[str, Array]:
     return {} if path.temperature is None else {"temperature_C": path.temperature}
 
 
-def zero_of_path(
-    actuator: Actuator,
-    limits: Limits,
-    zero: Zero | None,
-    start: PossibleStart | None = None,
-    present: float | None = None,
-) -> float:
-    """Return the model's displacement [m] that is the zero of a path."""
-    if zero is None or not zero.name:
-        return 0.0 if zero is None else zero.um * 1e-6
-    axis = Compensator(actuator, limits)._axes[0]
-    low, high = axis.reach
-    if zero.name == "first":
-        rest = axis.bounds.nearest(present or 0.0)
-        begin = start or PossibleStart.unknown(actuator, rest, axis.limits)
-        return evaluator_of(actuator).displacement(begin.state, of_mass=False)
-    return low if zero.name == "bottom" else 0.5 * (low + high)
-
-
 def zeros_of_path(
     known: AxesModel,
     limits: Sequence[Limits],
@@ -152,10 +133,17 @@ def zeros_of_path(
     present: Sequence[Any] = (),
 ) -> Array:
     """Return the displacement (axes,) [m] that is the zero of a path; `starts`, `present` [V]: of each actuator."""
-    unknown = [None] * len(known.axes)
-    each = zip(known.actuators, limits, starts or unknown, present or unknown, strict=True)
-    places = np.array([zero_of_path(actuator, allowed, zero, *state) for actuator, allowed, *state in each])
-    return known.moved(places[None])[0] if zero is not None and zero.name else places
+    unknown, places = [None] * len(known.axes), []
+    if zero is None or not zero.name:
+        return np.full(len(unknown), 0.0 if zero is None else zero.um * 1e-6)
+    for actuator, own, start, volts in zip(known.actuators, limits, starts or unknown, present or unknown, strict=True):
+        axis = Compensator(actuator, own)._axes[0]
+        low, high = axis.reach
+        if zero.name == "first":
+            begin = start or PossibleStart.unknown(actuator, axis.bounds.nearest(volts or 0.0), axis.limits)
+            low = evaluator_of(actuator).displacement(begin.state, of_mass=False)
+        places.append(0.5 * (low + high) if zero.name == "mean" else low)
+    return known.moved(np.array([places]))[0]
 
 
 def reach_remarks(
