@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -20,14 +21,14 @@ from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
 from dehyst.operations.files import Columns
 from dehyst.records import Record, read_table
+from dehyst.records.formats.loaders import LOADERS
 from dehyst.trust import start_of
+from dehyst.trust.start import BEGAN
 
 _COMPUTED = (
     "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
     "give a record for more"
 )
-# Before the file of a record whose beginning, not whose end, is the start.
-_AS = "as:"
 
 
 @dataclass(frozen=True)
@@ -41,17 +42,23 @@ class Start:
     path: Path | None = None
     began: bool = False
 
-    metavar: ClassVar[str] = f"{'|'.join(NAMES)}|FILE|{_AS}RECORD"
+    metavar: ClassVar[str] = f"{'|'.join(NAMES)}|FILE|{BEGAN}RECORD"
 
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the start in a text; raise ValueError that says what is needed."""
         if text in NAMES:
             return cls(text)
-        began = text.startswith(_AS) and not Path(text).exists()
-        path = Path(text.removeprefix(_AS) if began else text)
+        began = text.startswith(BEGAN) and not Path(text).exists()
+        path = Path(text.removeprefix(BEGAN) if began else text)
+        if began and not path.exists():
+            # A model names its records without a suffix.
+            files = [file for file in path.parent.glob(f"{escape(path.name)}.*") if file.suffix in LOADERS]
+            if len(files) > 1:
+                raise ValueError(f"got {text!r}, need one of {', '.join(sorted(file.name for file in files))}")
+            path = files[0] if files else path
         if not path.exists():
-            needed = f"need {', '.join(NAMES)}, a file of what was played before, or {_AS}RECORD"
+            needed = f"need {', '.join(NAMES)}, a file of what was played before, or {BEGAN}RECORD"
             raise ValueError(f"got {text!r}, {needed}")
         return cls("", path, began)
 
@@ -105,7 +112,7 @@ def _starts_in(
     if start.began and not measured:
         raise ModelError(
             argument="start",
-            got=f"{_AS}{name}, without a measured displacement",
+            got=f"{BEGAN}{name}, without a measured displacement",
             need="a record with one: it determines the state in which the record began",
         )
     time = table.column("time") if measured or any(map(needs_time, model.actuators)) else None
@@ -131,9 +138,9 @@ def begin_words(actuator: Actuator, path: PathPlan, limits: Limits) -> str:
     """Describe what comes before a path, or the state before its first sample, in brackets."""
     if path.homing is None:
         return start_words(actuator, path.start, path.start.within(actuator, limits))
-    seconds = "" if path.seconds is None else f", {path.seconds:.4g} s"
-    samples = f"{counted(path.first, 'sample')}{seconds}; each row has its time"
-    return f"(homed first from {path.homing.turns[0]:.6g} V, {samples})"
+    seconds = "" if path.time is None else f" in {path.homing.played.duration:.4g} s"
+    samples = f"{counted(path.first, 'sample')}, each row has its time"
+    return f"(homed first from {path.homing.turns[0]:.6g} V{seconds}; {samples})"
 
 
 def open_start(path: PathPlan) -> list[str]:
@@ -147,12 +154,13 @@ def open_start(path: PathPlan) -> list[str]:
 
 
 def path_start_fields(path: PathPlan) -> dict[str, Any]:
-    """Return the start of a path, and the homing before it, as JSON values."""
+    """Return the start of a path, and the homing before it without the way, as JSON values."""
     error, homed = path.left_open, path.homing is not None
+    timed = homed and path.time is not None
     return {
         "start": {"name": path.start.name, **({} if error is None else error.as_dict())},
         "homing_samples": path.first if homed else 0,
-        "homing_s": path.seconds if homed else 0.0,
+        "homing_s": path.homing.played.duration if timed else None if homed else 0.0,
         "certified": path.certified if homed else None,
     }
 
