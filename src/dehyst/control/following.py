@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dehyst._errors import ModelError, of_part
 from dehyst._native import CoreState
 from dehyst._types import Array, Mask
 from dehyst._validation import vector
@@ -81,30 +80,13 @@ def follow(
     return found._replace(displacement=reached)
 
 
-def follow_axes(
-    stage: Stage,
-    loops: Sequence[Axis],
-    moved: Array,
-    *,
-    states: Sequence[State],
-    present: Sequence[float | None],
-    temperature: Sequence[Array | None],
-    **options: Any,
-) -> list[Followed]:
+def follow_axes(stage: Stage, moved: Array, followed: Callable[[int, Array], Followed]) -> list[Followed]:
     """Return the voltages of each actuator for displacements `moved` (n, axes) [m], already without coupling.
 
-    Where an axis is clamped, the targets of the free ones are corrected, as in each step of `Compensator`. The
-    lists have one entry for each axis; `options`: as in `follow`.
+    `followed` takes an axis and the displacement (n,) [m] of its actuator. Where an axis is clamped, the targets of the
+    free ones are corrected, as in each step of `Compensator`.
     """
-    axes = range(len(loops))
-
-    def followed(j: int, target: Array) -> Followed:
-        given: dict[str, Any] = {"state": states[j], "present": present[j], "temperature": temperature[j]}
-        try:
-            return follow(loops[j], target, **given, **options)
-        except ModelError as error:
-            raise of_part(error, f"axis {stage.axes[j]}" if len(loops) > 1 else "") from error
-
+    axes = range(moved.shape[1])
     targets, found = moved, [followed(j, moved[:, j]) for j in axes]
     settled = _ROUNDING * max(float(np.ptp(moved)), np.finfo(np.float64).tiny)
     for _ in range(_PASSES if len(axes) > 1 and any(each.clamped.any() for each in found) else 0):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import DehystError, ModelError
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._validation import interval, keep, number, untimely, vector
 from dehyst.model import Actuator, Range, major_loop, voltage_error
 
@@ -56,6 +56,10 @@ class VoltageLimits:
     def nearest(self, voltage: float) -> float:
         """Return the `voltage` [V], or the limit that it exceeds."""
         return min(max(voltage, self.low), self.high)
+
+    def reached(self, voltage: Array) -> Mask:
+        """Return which voltages (n,) [V] are at a limit."""
+        return np.asarray((voltage <= self.low) | (voltage >= self.high))
 
     def within(self, voltage: float, what: str, *, error: type[DehystError] = ModelError) -> float:
         """Return a present `voltage` [V]; raise `error` if it lies outside the limits; `what` is its name."""
@@ -254,10 +258,9 @@ def warn_of_sample(
     """
     head = f"axis {axis}: " if axis else ""
     reason = "the slew rate allows no more" if slewed else "that is a limit"
-    if stray := stray_sentence(actuator, limits, np.array([displacement if target is None else target])):
-        reason += f". {stray}"
     words = f"CLAMPED: {head}{displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
-    warnings.warn(ClampWarning(words, assumed if slewed else None), None, _caller())
+    wanted = np.array([displacement if target is None else target])
+    _warn(words, actuator, limits, wanted, assumed if slewed else None)
 
 
 def warn_of_run(
@@ -265,10 +268,15 @@ def warn_of_run(
 ) -> None:
     """Warn the caller of `Compensator.run` that some of the voltages are clamped; `assumed` as in `warn_of_sample`."""
     reason = f"{clamps.limited} at the limits {limits.words}, {clamps.slewed} by the slew rate"
-    if stray := stray_sentence(actuator, limits, displacement):
-        reason += f". {stray}"
     words = f"{sum(clamps)} of {displacement.size} voltages clamped: {reason}"
-    warnings.warn(ClampWarning(words, assumed if clamps.slewed else None), None, _caller())
+    _warn(words, actuator, limits, displacement, assumed if clamps.slewed else None)
+
+
+def _warn(words: str, actuator: Actuator, limits: VoltageLimits, displacement: Array, assumed: float | None) -> None:
+    """Warn of clamped voltages, and say why displacements (n,) [m] are implausible."""
+    if stray := stray_sentence(actuator, limits, displacement):
+        words += f". {stray}"
+    warnings.warn(ClampWarning(words, assumed), None, _caller())
 
 
 def stray_sentence(actuator: Actuator, limits: VoltageLimits, displacement: Array) -> str:

@@ -111,7 +111,7 @@ def shortest_homing(
     """Find a short voltage that leads from any state to a known state.
 
     It goes through the limits, or only through the range of the model's records where that is narrower and suffices.
-    Its branches and holds are just long enough for the model. For a real actuator, a larger excursion homes it too.
+    Its branches and holds are just long enough for the model; a larger excursion homes the actuator too.
 
     Parameters
     ----------
@@ -121,22 +121,19 @@ def shortest_homing(
     present, end : float, optional
         Present and final voltage [V]; default: 0, and back to the present voltage.
     tolerance : float, optional
-        Allowed difference of the displacement [m] between any two histories; default: 1e-3 of the range of the
-        spring's knots.
+        Allowed difference of the displacement [m] of any two histories; default: 1e-3 of the spring's range.
     drive : Sampling, optional
-        Speed and shape of the branches; default: branches of 50 s, or a twentieth of the longest creep time constant,
-        and no shorter than fifty periods of a resonance.
+        Speed and shape of the branches; default: 50 s, or a twentieth of the longest creep time constant, and at least
+        fifty periods of a resonance.
     hold : float, optional
-        Time [s] to wait at the last visit of either limit. Default: as long as the tolerance requires; if no hold
-        suffices, the longest time constant of creep.
+        Time [s] at the last visit of either limit. Default: as the tolerance requires, else the longest creep time.
     within : float, optional
         Longest duration [s], with shorter holds and faster branches; default: as long as the tolerance requires.
 
     Returns
     -------
     Homing
-        If the limits are too narrow or the time too short, the best homing within them, not certified, with a remark
-        on what it leaves, and on the hold that would suffice.
+        If limits or time do not suffice, the best one, not certified, with remarks on what it leaves and would need.
 
     Raises
     ------
@@ -148,41 +145,40 @@ def shortest_homing(
     allowed = allowed_limits(actuator, limits)
     bounds = VoltageLimits(*allowed)
     ends = bounds.within(present, "present"), bounds.within(present if end is None else end, "end")
-    range_ = float(np.ptp(actuator.spring.displacement))
-    least = _TOLERANCE * range_ if tolerance is None else Numbers(positive=True)(tolerance, "tolerance")
+    usual = _TOLERANCE * float(np.ptp(actuator.spring.displacement))
+    least = usual if tolerance is None else Numbers(positive=True)(tolerance, "tolerance")
     hold, within = Numbers(least=0.0, optional=True)(hold, "hold"), HOME_WITHIN(within, "home_within")
     sampling = drive or Sampling(frequency=0.5 / branch_seconds(actuator))
     given = replace(sampling, base=ends[1], present=ends[0], limits=allowed)
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
-    if recorded[0] < recorded[1] and recorded != allowed:
-        found = _TimedHoming(actuator, allowed, recorded, ends, given, least).homing(hold, within)
+    for through in [recorded, allowed] if recorded[0] < recorded[1] and recorded != allowed else [allowed]:
+        found = _TimedHoming(actuator, allowed, through, ends, given, least).homing(hold, within)
         if found.certified:
-            return found
-    return _TimedHoming(actuator, allowed, allowed, ends, given, least).homing(hold, within)
+            break
+    return found
 
 
+@dataclass
 class _TimedHoming:
-    """A homing over time through both `limits`, from the states that bound all histories within what is allowed.
+    """A homing over time through both `limits`, from the states that bound all histories within what is `allowed`.
 
-    Its parameters are the number of branches, and the holds [s] at the last visit of either limit.
+    `ends`: first and last voltage [V]. Its parameters are the number of branches, and the holds [s] at the last visit
+    of either limit.
     """
 
-    def __init__(
-        self,
-        actuator: Actuator,
-        allowed: tuple[float, float],
-        limits: tuple[float, float],
-        ends: tuple[float, float],
-        sampling: Sampling,
-        tolerance: float,
-    ) -> None:
-        self.actuator, self.limits, self.ends, self.sampling = actuator, limits, ends, sampling
-        self.tolerance = tolerance
-        self.states = possible_states(actuator, ends[0], allowed, sampling.half)
+    actuator: Actuator
+    allowed: tuple[float, float]
+    limits: tuple[float, float]
+    ends: tuple[float, float]
+    sampling: Sampling
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        self.states = possible_states(self.actuator, self.ends[0], self.allowed, self.sampling.half)
         # The longest time constant of creep [s].
-        self.longest = float(creep_times(actuator).max(initial=0.0))
-        self._cycle = self._few(self.sampling.branches(_way_through(limits, ends[1], ends[1], 2)))
+        self.longest = float(creep_times(self.actuator).max(initial=0.0))
+        self._cycle = self._few(self.sampling.branches(_way_through(self.limits, self.ends[1], self.ends[1], 2)))
 
     def homing(self, hold: float | None, within: float | None) -> Homing:
         """Return the shortest homing; with a `hold` [s] this is given, and it may take no longer than `within` [s]."""

@@ -60,7 +60,7 @@ class PathPlan:
         what its records tested.
     followed : bool
         Whether voltages miss the path by no more than the promise, or where there is none by no more than a thousandth
-        of the range of the spring's knots; true for a given voltage.
+        of the range of the spring's knots, and limits clamp not all of them; true for a given voltage.
     warnings : tuple of str
         Remarks on the homing, on clamped voltages, on a delay, and on what the records do not test.
     temperature : (n,) array or None
@@ -189,13 +189,15 @@ class PathPlan:
         return tables.frame(columns)
 
 
-def shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float, tolerated: float) -> tuple[str, ...]:
+def shortfall(
+    voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float, *, followed: bool
+) -> tuple[str, ...]:
     """Return a sentence on a path that is `missed` [m] by its voltages (n,) [V], or none.
 
-    A miss beyond what is `tolerated` [m] is a failure; below, it is a remark.
+    With clamped voltages it is a remark if the path is `followed`, else a failure.
     """
     if not clamped.any():
-        if missed <= tolerated:
+        if followed:
             return ()
         # Then only a mass or an amplifier can be left behind.
         return (
@@ -203,9 +205,9 @@ def shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: floa
             "actuator's state, or moves too fast for its sample rate",
         )
     count = int(np.count_nonzero(clamped))
-    at_limit = int(np.count_nonzero(clamped & ((voltage <= limits.low) | (voltage >= limits.high))))
+    at_limit = int(np.count_nonzero(clamped & limits.reached(voltage)))
     words = (
         f"{count} of {voltage.size} voltages ({at_limit} at the limits {limits.words}, {count - at_limit} by the slew "
         f"rate), the first at sample {int(np.argmax(clamped))}; the path is missed by up to {missed * 1e6:.4g} um"
     )
-    return (f"CLAMPED: {words}" if missed > tolerated else f"clamped: {words}, less than what is promised",)
+    return (f"clamped: {words}, less than what is promised" if followed else f"CLAMPED: {words}",)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -71,15 +70,22 @@ class PossibleStart:
         time: ArrayLike | None = None,
         first: int = 0,
     ) -> StartError:
-        """Return the error of a motion due to the start, see `StartError.along`.
+        """Return the error of a motion due to the start: the `actuator` is simulated from each possible state.
 
-        If the history is unknown, the `actuator` rests at the first `voltage`, after voltages within the `limits` [V].
-        `time` and `first`: as in `StartError.along`.
+        `voltage`: (n,) [V]. If the history is unknown, the actuator rests at the first one, after voltages within the
+        `limits` [V]. `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: number of the first sample that
+        counts, such as the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a state
+        does not fit.
         """
         v, states = vector(voltage, "voltage"), self.states
         if self.name == "unknown" and v.size:
             states = possible_states(actuator, float(v[0]), limits)
-        return StartError.along(actuator, states, v, time=time, first=first)
+        lowest, highest = np.full(v.size - first, np.inf), np.full(v.size - first, -np.inf)
+        for state in states:
+            y = actuator.simulate(v, time=time, state=state, extrapolate=True).displacement[first:]
+            np.minimum(lowest, y, out=lowest)
+            np.maximum(highest, y, out=highest)
+        return StartError(lowest, highest, stroke_of(actuator), model_error(actuator))
 
     @classmethod
     def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
@@ -184,23 +190,6 @@ class StartError:
         if np.ndim(gain) == 0 and (gain, offset) == (1.0, 0.0):
             return self
         return replace(self, lowest=offset + gain * self.lowest, highest=offset + gain * self.highest)
-
-    @classmethod
-    def along(
-        cls, actuator: Actuator, states: Sequence[State], voltage: ArrayLike, *, time: Any = None, first: int = 0
-    ) -> StartError:
-        """Simulate an `actuator` with a `voltage` (n,) [V] from each of the `states` that bound its start.
-
-        `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: number of the first sample that counts, such as
-        the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a state does not fit.
-        """
-        v = vector(voltage, "voltage")
-        lowest, highest = np.full(v.size - first, np.inf), np.full(v.size - first, -np.inf)
-        for state in states:
-            y = actuator.simulate(v, time=time, state=state, extrapolate=True).displacement[first:]
-            np.minimum(lowest, y, out=lowest)
-            np.maximum(highest, y, out=highest)
-        return cls(lowest, highest, stroke_of(actuator), model_error(actuator))
 
     @property
     def difference(self) -> Array:

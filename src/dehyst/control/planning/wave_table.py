@@ -26,7 +26,7 @@ from dehyst.control.planning.homing import HOME_WITHIN
 from dehyst.control.planning.path import Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
-from dehyst.control.planning.ways import MOST_ROWS, Begin, Way
+from dehyst.control.planning.ways import MOST_ROWS, Way
 from dehyst.model import Actuator, DisplacementCreep, State, creep_times
 from dehyst.waveforms import ScanPath, positive, refuse_long, whole
 
@@ -131,7 +131,7 @@ def _steady_cycle(axis: Axis, path: ScanPath, state: State, sent: float) -> _Ste
     It is computed; where voltages are clamped, cycles follow until their voltages repeat.
     """
     size, actuator = len(path), axis.actuator
-    begun = follow(axis, **_rows(path.repeated(2)), state=state, present=sent)
+    begun = _followed(axis, path.repeated(2), state, sent)
     state = steady_state(actuator, path, begun.state)
     # In a cycle that repeats itself nothing limits the slew rate before the first sample.
     first = actuator.compensate(path.displacement, **timed(path), state=state, extrapolate=True)
@@ -140,9 +140,9 @@ def _steady_cycle(axis: Axis, path: ScanPath, state: State, sent: float) -> _Ste
         if count * size > _MOST_CLAMPED:
             break
         if count:
-            followed = follow(axis, **_rows(path.repeated(count)), state=state, present=present)
+            followed = _followed(axis, path.repeated(count), state, present)
             state, present = followed.state, float(followed.voltage[-1])
-        three = follow(axis, **_rows(path.repeated(3)), state=state, present=present)
+        three = _followed(axis, path.repeated(3), state, present)
         # At the ends of the middle cycle the slope of the voltage is known from both sides, which a lag needs.
         voltage = three.voltage[size : 2 * size]
         repeats = float(np.abs(three.voltage[2 * size : 3 * size] - voltage).max())
@@ -153,8 +153,9 @@ def _steady_cycle(axis: Axis, path: ScanPath, state: State, sent: float) -> _Ste
     return _Steady(closed, three.displacement[middle], three.clamped[middle], state, repeats)
 
 
-def _rows(path: ScanPath) -> dict[str, Any]:
-    return {"displacement": path.displacement, **timed(path)}
+def _followed(axis: Axis, path: ScanPath, state: State, sent: float) -> Followed:
+    """Return the voltages of a path from a `state`, with the voltage `sent` [V] before."""
+    return follow(axis, path.displacement, **timed(path), state=state, present=sent)
 
 
 def _towards(voltage: Array, end: float, axis: Axis) -> Array:
@@ -315,17 +316,18 @@ def wave_table(
     least = _TOLERANCE * (path.range[1] - path.range[0]) if tolerance is None else positive(tolerance, "tolerance")
     count = 1 if cycles is None else _counted(cycles, path)
     first, axis = _task(compensator, path.repeated(count), home_within), compensator._axes[0]
-    given, now = first.given(start, present)
-    homed = home or (home is None and start is None)
-    begins = first.begins(given, now, near=not homed and present is None, home=homed)
-    ways, _, (begun,) = first.after(first.ways(begins, True), begins) if homed else first.begun(begins)
+    first.give(start, present)
+    if home or (home is None and start is None):
+        first.home(again=True)
+    else:
+        first.begin()
+    way, begun = first.parts[0].way, first.parts[0].found
     steady = _steady_cycle(axis, path, begun.state, float(begun.voltage[-1]))
     if cycles is None:
         count = _start_up(axis, path, begun, steady, least)
-    plan, error = _closed(_task(compensator, path.repeated(count + 1), home_within), ways, begins, steady)
-    before = ways[0].last
+    plan, error = _closed(_task(compensator, path.repeated(count + 1), home_within), way, steady)
     voltage = plan.voltage[plan.voltage.size - (count + 1) * len(path) - 1 :]
-    _refuse_steps(axis, voltage if before is None else np.append(before, voltage), count)
+    _refuse_steps(axis, voltage if way.last is None else np.append(way.last, voltage), count)
     cycle = Cycle(steady.voltage[:-1], path.displacement, steady.reached[:-1], path.sample_rate)
     warnings = (*plan.warnings, *_unsettled(actuator, path, steady, count, error, least))
     return WaveTable(cycle, plan, count, error, least, steady.state, warnings)
@@ -344,16 +346,17 @@ def _counted(cycles: int, path: ScanPath) -> int:
     return count
 
 
-def _closed(task: Task, ways: list[Way], begins: list[Begin], steady: _Steady) -> tuple[PathPlan, float]:
+def _closed(task: Task, way: Way, steady: _Steady) -> tuple[PathPlan, float]:
     """Return the plan of a start-up that ends in the steady cycle, and the deviation [m] of this cycle there."""
-    ways, before, (found,) = task.after(ways, begins)
-    size = len(steady.voltage)
-    start_up = _towards(found.voltage[:-size], float(steady.voltage[0]), task.loops[0])
+    (part,), size = task.parts, len(steady.voltage)
+    part.way = way
+    task.follow()
+    start_up = _towards(part.found.voltage[:-size], float(steady.voltage[0]), part.loop)
     voltage = np.append(start_up, steady.voltage)
-    moved = task.motion(ways, voltage[:, None])[0][-voltage.size :, 0]
-    clamped = np.append(found.clamped[:-size], steady.clamped)
-    plan = task.result(task.plans(ways, before, [Followed(voltage, moved, clamped, steady.state)]))
-    return plan, float(np.abs(moved[-size:] - steady.reached).max())
+    moved = task.motion(voltage[:, None])[0][-voltage.size :, 0]
+    clamped = np.append(part.found.clamped[:-size], steady.clamped)
+    part.found = Followed(voltage, moved, clamped, steady.state)
+    return task.plan(), float(np.abs(moved[-size:] - steady.reached).max())
 
 
 def _start_up(axis: Axis, path: ScanPath, begun: Followed, steady: _Steady, least: float) -> int:
@@ -377,8 +380,8 @@ def _start_up(axis: Axis, path: ScanPath, begun: Followed, steady: _Steady, leas
             last = deviation
         if not ahead:
             return count
-        present, cycles = float(begun.voltage[-1]), path.repeated(ahead)
-        begun, count = follow(axis, **_rows(cycles), state=begun.state, present=present), count + ahead
+        begun = _followed(axis, path.repeated(ahead), begun.state, float(begun.voltage[-1]))
+        count += ahead
 
 
 def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -> Task:

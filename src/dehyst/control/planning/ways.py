@@ -37,29 +37,17 @@ _SPARSER = 1.02
 MOST_ROWS = 5_000_000
 
 
-class Begin(NamedTuple):
-    """How an actuator stands before a path: its possible starts, the state to plan from, and its voltage [V].
-
-    Without a voltage, the actuator stands at the first sample of the path. `remark`: a sentence on the voltage, if it
-    is assumed.
-    """
-
-    start: PossibleStart
-    state: State
-    volts: float | None
-    remark: tuple[str, ...] = ()
-
-
 class Way(NamedTuple):
-    """The homing of an axis and the way to the first sample of a path, excluding this sample.
+    """How an actuator stands before a path, or its homing and way to the first sample, excluding this sample.
 
-    `state`: state at the end, simulated from the middle of the possible states. `voltage` (k,) [V] at `time` (k,) [s].
-    `goal` [V]: voltage at the first sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s]
-    before this sample; None if the actuator stands there. `waits`: time [s] at the first voltage, for the homings of
-    other axes.
+    `start`: the possible states before; `origin`: the one from which the way is simulated; `state`: at the end.
+    `remarks`: on the homing, in sentences. `voltage` (k,) [V] at `time` (k,) [s]. `goal` [V]: voltage at the first
+    sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s] before this sample; None if the
+    actuator stands there. `waits`: time [s] at the first voltage, for the homings of other axes.
     """
 
     start: PossibleStart
+    origin: State
     state: State
     homing: Homing | None = None
     remarks: tuple[str, ...] = ()
@@ -73,19 +61,24 @@ class Way(NamedTuple):
     waits: float = 0.0
 
 
-def begin_of(loop: Axis, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Begin:
+def stand(loop: Axis, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Way:
     """Return how an actuator stands: as given, or unknown at a voltage [V], or `near` the first sample [m]."""
+    actuator, volts = loop.actuator, None
+    remarks: tuple[str, ...] = ()
     if known is not None:
-        state = known.within(loop.actuator, loop.limits)
-        return Begin(known, state, loop.held(state) if present is None else present_voltage(loop.bounds, present))
-    if near:
-        start = PossibleStart.unknown_near(loop.actuator, first, loop.limits)
-        return Begin(start, start.within(loop.actuator, loop.limits), None)
-    volts = present_voltage(loop.bounds, present)
-    words = f"the homing begins at {volts:.6g} V, the limit next to 0 V: ramp there first, or give the present voltage"
-    remark = (words,) if present is None and volts else ()
-    start = PossibleStart.unknown(loop.actuator, volts, loop.limits)
-    return Begin(start, start.within(loop.actuator, (volts, volts)), volts, remark)
+        start, state = known, known.within(actuator, loop.limits)
+        volts = loop.held(state) if present is None else present_voltage(loop.bounds, present)
+    elif near:
+        start = PossibleStart.unknown_near(actuator, first, loop.limits)
+        state = start.within(actuator, loop.limits)
+    else:
+        volts = present_voltage(loop.bounds, present)
+        start = PossibleStart.unknown(actuator, volts, loop.limits)
+        state = start.within(actuator, (volts, volts))
+        if present is None and volts:
+            words = f"the homing begins at {volts:.6g} V, the limit next to 0 V: ramp there first"
+            remarks = (f"{words}, or give the present voltage",)
+    return Way(start, state, state, remarks=remarks, last=volts)
 
 
 def usual_step(time: Array | None) -> float:
@@ -96,45 +89,42 @@ def usual_step(time: Array | None) -> float:
 
 
 def way_to(
-    loop: Axis, begin: Begin, first: float, time: Array | None, *, home: bool, within: float | None, rows: int
+    loop: Axis, before: Way, first: float, time: Array | None, *, home: bool, within: float | None, rows: int
 ) -> Way:
     """Return the shortest homing of an axis, if it is to `home`, and the way from its end to a path.
 
-    `first` [m]: the first sample of the path of the model, at `time` (n,) [s] of `rows` samples. `within` [s]: the
-    longest time of homing and way.
+    `before`: how the actuator stands. `first` [m]: the first sample of the path of the model, at `time` (n,) [s] of
+    `rows` samples. `within` [s]: the longest time of homing and way.
     """
-    actuator, (low, high), state, step = loop.actuator, loop.limits, begin.state, usual_step(time)
-    now, rate = loop.held(state) if begin.volts is None else begin.volts, 1 / step
+    actuator, step = loop.actuator, usual_step(time)
+    now, rate = loop.held(before.state) if before.last is None else before.last, 1 / step
     branch = max(FASTEST_BRANCH, _FEWEST * step)
     branch = float(_TIMELESS) if time is None else max(branch, branch_seconds(actuator, branch))
-    drive = Sampling(0.5 / branch, rate, base=now, present=now, limits=(low, high), slew_rate=pace(loop))
+    drive = Sampling(0.5 / branch, rate, base=now, present=now, limits=loop.limits, slew_rate=pace(loop))
+    way = before._replace(last=now, step=step)
     if not home:
-        ramp, goal, reached = _ramp(actuator, drive, state, first)
-        start = PossibleStart(begin.start.name, (state,))
-        after = Way(start, reached, goal=goal, last=now, step=step)
-        return _before_path(after, ramp, rate, rows)
-    least, left = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement))), within
-    while True:
-        homing = played_homing(actuator, drive, tolerance=least, within=left)
-        ramp, goal, reached = _ramp(actuator, drive, homing.state, first)
-        if (
-            within is None
-            or left is None
-            or left < within
-            or homing.played.duration + ramp.size * step <= within + step
-        ):
-            break
+        ramp, goal, reached = _ramp(actuator, drive, before.state, first)
+        return _before_path(way._replace(state=reached, goal=goal), ramp, rate, rows)
+    least = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement)))
+
+    def homed(seconds: float | None) -> tuple[Homing, Array, float, State]:
+        homing = played_homing(actuator, drive, tolerance=least, within=seconds)
+        return homing, *_ramp(actuator, drive, homing.state, first)
+
+    homing, ramp, goal, reached = homed(within)
+    if within is not None and homing.played.duration + ramp.size * step > within + step:
         # The way is part of the time that is allowed.
-        left = within - ramp.size * step
-        if left <= 0:
+        if within <= ramp.size * step:
             got = f"{within:g} s, less than the way from a homing to the path"
             raise RecordError(argument="home_within", got=got, need=f"more than {ramp.size * step:.4g} s")
-    after = Way(begin.start, reached, homing, (*begin.remark, *homing.remarks), goal=goal, last=now, step=step)
+        homing, ramp, goal, reached = homed(within - ramp.size * step)
+    remarks = (*before.remarks, *homing.remarks)
+    way = way._replace(origin=way.start.state, state=reached, homing=homing, remarks=remarks, goal=goal)
     if len(homing.turns) > 1:
         at = rows_of(homing.played.voltage[:-1])
         volts, seconds = homing.played.voltage[at], homing.played.duration
-        after = after._replace(time=at / homing.played.sample_rate, voltage=volts, seconds=seconds)
-    return _before_path(after, ramp, rate, rows)
+        way = way._replace(time=at / homing.played.sample_rate, voltage=volts, seconds=seconds)
+    return _before_path(way, ramp, rate, rows)
 
 
 def simultaneous(ways: list[Way]) -> list[Way]:
