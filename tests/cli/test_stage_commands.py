@@ -132,17 +132,8 @@ def test_show_check_and_insight(folder):
 
 
 def test_a_record_of_axes_is_shown_written_and_drawn(folder):
-    words = [
-        "show",
-        folder / "stage.csv",
-        "--columns",
-        AXES,
-        "-o",
-        folder / "shown.npz",
-        "--report",
-        folder / "shown.html",
-    ]
-    output = run(*words)
+    words = ["show", folder / "stage.csv", "--columns", AXES]
+    output = run(*words, "-o", folder / "shown.npz", "--report", folder / "shown.html")
     assert output.count("displacement (um)") == 2
     again = read(folder / "shown.npz", "x=vx_V:x_m, y=vy_V:y_m")
     assert np.array_equal(again.voltage, read(folder / "stage.csv", AXES).voltage)

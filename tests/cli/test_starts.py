@@ -127,3 +127,34 @@ def test_the_answer_comes_first_and_the_rest_by_verbose(folder):
     assert len(brief.splitlines()) == 5 and len(remarks.splitlines()) <= 1
     assert (folder / "p.html").read_text().count("data-chart=") == 3
     assert run(*words, cwd=folder, keep=True)[0] == 2
+
+
+def test_a_path_that_lies_beyond_a_limit_as_a_whole_has_status_1(folder):
+    """Far beyond the records, the promise is larger than the miss."""
+    write_columns(folder / "beyond.csv", {"time_s": np.arange(50) * 0.1, "displacement_um": np.linspace(25, 27, 50)})
+    words = ("compensate", "model.json", "beyond.csv", "-o", "v.csv", "--start", "top", "--limits", 0)
+    for limit, status, clamped in ((270, 1, 50), (300, 0, 0)):
+        found, told = result(*words, limit, cwd=folder)
+        assert (found, told["clamped"]) == (status, clamped)
+        assert any("CLAMPED" in words for words in told["warnings"]) == (status == 1)
+        assert told["missed_um"] < 1e6 * (told["promise"]["largest_m"] - told["promise"]["parts"].get("clamped_m", 0.0))
+
+
+def test_the_duration_of_a_homing_is_told_without_the_way(folder):
+    words = ("compensate", "creep.json", "path.csv", "-o", "v.csv", "--home-within", 5)
+    _, told = result(*words, cwd=folder)
+    time, phase = column(folder, "v.csv", "time_s"), column(folder, "v.csv", "phase")
+    assert (
+        told["homing_s"] == pytest.approx(time[phase == 1][0], abs=1e-9) and 4 < told["homing_s"] < time[phase == 2][0]
+    )
+    assert f"homed first from 0 V in {told['homing_s']:.4g} s" in run(*words, cwd=folder)[1]
+
+
+def test_a_record_is_found_by_its_name_in_the_model_if_that_is_unique(folder):
+    words = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--start")
+    (name,) = (record["name"] for record in Actuator.load(folder / "model.json").provenance["records"])
+    by_name, by_file = (result(*words, f"as:{text}", cwd=folder)[1] for text in (name, f"{name}.csv"))
+    assert name == "loops" and by_name["start"]["name"] == "as:loops.csv" and by_name["state"] == by_file["state"]
+    write_columns(folder / "loops.tsv", {"time_s": [0.0]})
+    assert run(*words, "as:loops", cwd=folder)[0] == run(*words, "as:loop", cwd=folder)[0] == 2
+    (folder / "loops.tsv").unlink()

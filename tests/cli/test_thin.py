@@ -123,7 +123,7 @@ CASES = [
     *((name, words) for name in MODELS for words in EACH),
     *((name, words) for name in ("plain", "creep") for words in ALONE),
     *((name, words) for name in ("plain", "stage") for words in WARM),
-    *(("stage", words) for words in OWN),
+    *(("stage", words) for words in [*OWN, "path --start as:MODEL-record.csv"]),
     ("plain", "rooms --columns temperature=stage_C"),
 ]
 GIVEN = {**EACH, **ALONE, **WARM, **OWN, "rooms --columns temperature=stage_C": {"temperature": DEGREES}}
@@ -189,7 +189,8 @@ def played_before(model, start):
     ("name", "start"),
     [
         *((name, start) for name in MODELS for start in ("", "top", "MODEL-record.csv")),
-        *((name, start) for name in ("plain", "creep") for start in ("as:MODEL-record.csv", "history.csv")),
+        *((name, "as:MODEL-record.csv") for name in MODELS),
+        *((name, "history.csv") for name in ("plain", "creep")),
     ],
 )
 def test_simulate_writes_what_the_library_predicts(folder, name, start):

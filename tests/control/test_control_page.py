@@ -29,18 +29,10 @@ def test_the_code_on_the_page_runs(tmp_path, monkeypatch):
     time = 1e-3 * np.arange(names["sent"].size + 1)
     y = actuator.simulate(np.append(first.voltage, names["sent"]), time=time, state=first.state).displacement[1:]
     plain_records.assert_close(y, names["wanted"], 1e-12 * plain_records.STROKE)
-    check_its_loop(names)
-    check_its_device(names, actuator)
-
-
-def check_its_loop(names):
     assert names["feedback"].believed and abs(names["feedback"].correction) < 1e-3 * plain_records.STROKE
     repetition = names["repetition"]
     assert repetition.believed and repetition.errors[-1] <= repetition.errors[0] < 1e-2 * plain_records.STROKE
     assert len(names["table"].cycle) == len(names["wanted"])
-
-
-def check_its_device(names, actuator):
     written = []
 
     def write(voltage):

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -85,29 +86,22 @@ def test_the_bounding_states_are_where_a_long_way_ends(name, side):
 @examples(8, nightly=60)
 @given(seed=st.integers(0, 10**6))
 def test_in_time_no_past_is_left_farther_than_said(name, seed):
-    actuator = TIMED[name]
-    found = _timed(name)
-    start = past(actuator, seed, 0.0)
-    time = found.played.time
-    reached = actuator.simulate(found.played.voltage, time=time, state=start, extrapolate=True).state
-    assert abs(reached.deformation - found.state.deformation) <= found.spread + 1e-12 * plain_records.STROKE
+    actuator, found, slack = TIMED[name], _timed(name), 1e-12 * plain_records.STROKE
+
+    def moved(played, state):
+        return actuator.simulate(played.voltage, time=played.time, state=state, extrapolate=True)
+
+    reached = moved(found.played, past(actuator, seed, 0.0)).state
+    assert abs(reached.deformation - found.state.deformation) <= found.spread + slack
     further = DRIVE.play("", DRIVE.branches([0.0, 150.0, 20.0, 260.0, -40.0, 0.0]))
-    time = further.time
-    paths = [
-        actuator.simulate(further.voltage, time=time, state=state, extrapolate=True).displacement
-        for state in (reached, found.state)
-    ]
+    apart = np.abs(moved(further, reached).displacement - moved(further, found.state).displacement).max()
     # A mass may overshoot by as much as it was off.
-    assert (
-        np.abs(paths[0] - paths[1]).max()
-        <= (2 if actuator.dynamics else 1) * found.spread + 1e-12 * plain_records.STROKE
-    )
+    assert apart <= (2 if actuator.dynamics else 1) * found.spread + slack
 
 
-def _timed(name, found={}):  # noqa: B006
-    if name not in found:
-        found[name] = shortest_homing(TIMED[name], present=0.0, drive=DRIVE)
-    return found[name]
+@cache
+def _timed(name):
+    return shortest_homing(TIMED[name], present=0.0, drive=DRIVE)
 
 
 def test_longer_holds_leave_less_until_it_is_certified():
@@ -129,14 +123,9 @@ def test_smooth_elements_are_said_to_be_simulated_not_proven():
 
 
 def test_without_elements_there_is_only_creep_to_home():
-    actuator = Actuator(
-        MaxwellSlip([], []),
-        Spring([0, 1e-5], [0, 100]),
-        displacement_creep=DisplacementCreep([5.0], [0.1]),
-        limits=(0, 100),
-    )
-    found = shortest_homing(actuator, hold=60.0)
-    assert found.certified
+    creep = DisplacementCreep([5.0], [0.1])
+    actuator = Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), displacement_creep=creep, limits=(0, 100))
+    assert shortest_homing(actuator, hold=60.0).certified
 
 
 @pytest.mark.parametrize("damping", [0.05, 2.0])

@@ -8,7 +8,7 @@ import pytest
 import structured_records
 
 from dehyst import Compensator, DisplacementCreep, Dynamics, ModelError, RecordError, Stage, Thermal
-from dehyst.control import PossibleStart, StartError, plan_path, wave_table
+from dehyst.control import PossibleStart, plan_path, wave_table
 from dehyst.control.planning.path import plan_voltage
 from dehyst.control.planning.start import model_error
 from dehyst.model import Identification, SmoothSlip, Validity, apply, needs_time, standing, turned, with_identification
@@ -51,12 +51,10 @@ def way(rng, size, limits=LIMITS):
 def test_the_possible_states_bound_every_history(name):
     actuator, rng = ACTUATORS[name], np.random.default_rng(3)
     voltage, time = way(rng, 300)
-    states = PossibleStart.unknown(actuator, float(voltage[0])).states
-    error = StartError.along(actuator, states, voltage, time=time)
+    error = PossibleStart.unknown(actuator, float(voltage[0])).error_along(actuator, voltage, time=time)
     for _ in range(30):
         state = history(actuator, rng, float(voltage[0]))
-        when = time
-        y = actuator.simulate(voltage, time=when, state=state).displacement
+        y = actuator.simulate(voltage, time=time, state=state).displacement
         # The order is that of the electrical side: a mass rings a little about it.
         slack = (1e-9 if actuator.dynamics is None else 1e-6) * STROKE
         assert np.all((error.lowest - slack <= y) & (y <= error.highest + slack))

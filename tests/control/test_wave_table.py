@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import DisplacementCreep, Dynamics, RecordError
-from dehyst.control import Compensator, wave_table
+from dehyst.control import Compensator, plan_path, wave_table
 from dehyst.control.following import follow
 from dehyst.control.planning.wave_table import steady_state, timed
 from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing, turned, voltages_of
@@ -21,28 +21,31 @@ UM = 1e-6
 PLAIN = replace(plain_records.plant(10), limits=(-50.0, 250.0))
 CREEP = DisplacementCreep([0.05, 0.4], [0.02, 0.03])
 SMOOTH = SmoothSlip([1e-6, 4e-6, 9e-6], [1.0, 0.5, 0.75], [2e6, 1e6, 5e5])
+GRADED = GradedSlip(PLAIN.slip.breakaway, [0, 8e-6, 16e-6], np.outer(PLAIN.slip.stiffness, [1, 0.9]))
 ACTUATORS = {
     "plain": PLAIN,
-    "graded": replace(
-        PLAIN, slip=GradedSlip(PLAIN.slip.breakaway, [0, 8e-6, 16e-6], np.outer(PLAIN.slip.stiffness, [1, 0.9]))
-    ),
+    "graded": replace(PLAIN, slip=GRADED),
     "transformer": replace(PLAIN, transformer=Transformer([-50, 100, 250], [-50, 110, 250])),
     "creep": replace(PLAIN, displacement_creep=CREEP),
     "smooth": replace(PLAIN, smooth=SMOOTH),
     "creep and smooth": replace(PLAIN, displacement_creep=CREEP, smooth=SMOOTH),
 }
 TRIANGLE = Triangle(2 * UM, 12 * UM, 10, turns=0.2)
-SCANS = {
-    "triangle": TRIANGLE,
-    "sine": Triangle(2 * UM, 12 * UM, 5, turns=1.0),
-}
+SCANS = {"triangle": TRIANGLE, "sine": Triangle(2 * UM, 12 * UM, 5, turns=1.0)}
 
 
 def simulated(actuator, played, state=None):
     """What the actuator does with all that is played, by default after slow loops."""
     start = standing(actuator, float(played.voltage[0]), voltages_of(actuator)) if state is None else state
-    time = played.time
-    return actuator.simulate(played.voltage, time=time, state=start).displacement
+    return actuator.simulate(played.voltage, time=played.time, state=start).displacement
+
+
+def test_a_way_without_a_homing_is_shown_as_in_a_plan_of_the_path():
+    path, given = TRIANGLE.path(), {"home": False, "present": 200, "slew_rate": 1e4}
+    table = wave_table(PLAIN, path, **given)
+    plan = plan_path(PLAIN, path.displacement, time=path.time, **given)
+    assert 0 < plan.first <= table.plan.first
+    np.testing.assert_array_equal(table.plan.expected[: plan.first], plan.expected[: plan.first])
 
 
 def unknown(table):
