@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from command_line import WRITTEN, refused, result, run
+from command_line import result, run
 from virtual_loops import record_loops
 
 from dehyst import Actuator
@@ -51,20 +51,6 @@ def test_identify_prints_a_table_and_writes_a_report(folder):
     assert err == ""  # beside a terminal, progress is for longer work only
 
 
-def test_compensate_then_simulate_gives_the_path_back(folder):
-    given = ("--start", "top", "--slew-rate", "none")
-    assert run("compensate", "model.json", "path.csv", "-o", "voltage.csv", *given, cwd=folder)[0] == 0
-    voltage = read_table(folder / "voltage.csv")
-    assert voltage.names == ("time_s", "phase", "displacement_um", "voltage_V", "expected_um")
-    back = ("-o", "back.csv", "--start", "top", "--json")
-    status, out, _ = run("simulate", "model.json", "voltage.csv", *back, cwd=folder)
-    assert status == 0 and not any("CLAMPED" in sentence for sentence in json.loads(out)["warnings"])
-    wanted = read_table(folder / "path.csv").column("displacement")
-    back = read_table(folder / "back.csv").column("displacement", "expected_um")[-wanted.size :]
-    # Both files are rounded: the voltages, then the displacements.
-    assert np.abs(back - wanted).max() < 2 * WRITTEN * np.abs(wanted).max()
-
-
 def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
     status, got = result("compensate", "model.json", "path.csv", "-o", "low.csv", "--limits", "0", "100", cwd=folder)
     assert status == 1 and got["clamped"] > 0 and any("CLAMPED" in warning for warning in got["warnings"])
@@ -89,8 +75,6 @@ def test_homing_of_a_model_is_certified(folder):
     status, out, _ = run("excite", "homing", "--model", "model.json", "-o", "home.csv", cwd=folder)
     assert status == 0
     assert "certified" in out
-    assert refused("excite", "homing", "-o", "home2.csv", cwd=folder)["argument"] == "highest"
-    assert refused("excite", "homing", "9", "--model", "model.json", "-o", "h.csv", cwd=folder)["argument"] == "highest"
 
 
 def test_the_newcomers_trap_is_caught(folder):

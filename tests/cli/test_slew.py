@@ -107,5 +107,3 @@ def test_later_commands_read_and_move_as_the_model_keeps_it(tmp_path):
         made = result("export", "model.json", "firmware", "--period", 1e-3, *more, "--force", cwd=tmp_path)[1]
         assert (made["slew_V_per_s"], made["slew_from"]) == expected
     assert "which the model keeps" in run("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=tmp_path)[1]
-    wrong = run("identify", "own.csv", *words, "--slew-rate", 0, cwd=tmp_path)
-    assert wrong[0] == 2 and "--slew-rate: got 0" in wrong[2]
