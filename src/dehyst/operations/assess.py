@@ -11,7 +11,7 @@ from typing import Any
 
 from dehyst._errors import FileFormatError
 from dehyst._io import unwritten, write_atomically
-from dehyst.control import PathPlan, plan_path
+from dehyst.control import plan_path
 from dehyst.operations.axes import AxesModel, AxisNumbers, of_one_axis, slew_option
 from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, number, option, output, page, pair
 from dehyst.operations.files import COLUMNS, RECORD, Columns
@@ -59,7 +59,15 @@ def insight(
     else:
         plan = None
         if trajectory is not None:
-            plan = _planned(run, known, trajectory, columns, limits, known.slews(slew_rate)[0].bound, zero, start)
+            # Columns are those of the records, but for the wanted displacement.
+            own = Columns(displacement=columns.wanted, temperature=columns.temperature)
+            path, warmth, clock = read_path(known, trajectory, own, remark=run.note)
+            begins, remarks = starts_of(known, start, [limits], columns)
+            path = path + zeros_of_path(known, [limits], zero, begins)
+            for remark in [*remarks, *reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth)]:
+                run.note(remark)
+            when = {"time": clock.get("time_s"), "temperature": warmth, "start": begins}
+            (plan,) = known.planned(plan_path, path, [limits], [known.slews(slew_rate)[0].bound], **when)
         assessed = insight_one(known.actuators[0], training, plan=plan, **asked)
         found, head = (assessed,), []
     if report is not None:
@@ -73,29 +81,6 @@ def insight(
 
     good = not any(part.warnings() for part in found)
     return Result(assessed.as_dict(), lines(full=False), lines(full=True), good=good)
-
-
-def _planned(
-    run: Run,
-    known: AxesModel,
-    trajectory: Path,
-    columns: Columns,
-    limits: tuple[float, float] | None,
-    slew_rate: float | None,
-    zero: Zero | None,
-    start: Start | None,
-) -> PathPlan:
-    """Return the plan of a trajectory, as compensate makes it."""
-    (actuator,) = known.actuators
-    # Columns are those of the records, but for the wanted displacement.
-    own = Columns(displacement=columns.wanted, temperature=columns.temperature)
-    rows, warmth, clock = read_path(known, trajectory, own, remark=run.note)
-    begins, remarks = starts_of(known, start, [limits], columns)
-    path = (rows + zeros_of_path(known, [limits], zero, begins))[:, 0]
-    for remark in [*remarks, *reach_remarks(actuator, path, limits, zero, warmth)]:
-        run.note(remark)
-    when = {"time": clock.get("time_s"), "temperature": warmth}
-    return known.planned(plan_path, path[:, None], [limits], [slew_rate], start=begins, **when)[0]
 
 
 @command("check")
@@ -126,7 +111,6 @@ def check(
         lines = [line for axis, recheck in each for line in (f"Axis {axis}", *_check_lines(recheck), "")]
         lines.append("Coupling: changed" if fields["changes"] else "Coupling: as in the model")
         lines += [f"  - {sentence}" for sentence in fields["changes"]]
-        fields |= {"axes": known.by_axis([recheck.as_dict() for recheck in found])}
     return Result(fields, [*lines, *files(Log=log)], warnings=warnings, good=whole.good)
 
 

@@ -143,7 +143,21 @@ def homing(
     """Home by a way up to HIGHEST [V] and back, or with --model the shortest way to a known state."""
     if (highest is None) == (model is None):
         raise ModelError(argument="highest", need="either a highest voltage or --model")
-    return _excited(standard.homing, highest, **given) if model is None else _home(run, model, hold=hold, **given)
+    if model is None:
+        return _excited(standard.homing, highest, **given)
+    actuator = read_model(run, model)
+    output, hertz, bounds = given.pop("output"), given.pop("frequency") or _HOMING, given.pop("limits")
+    limits = bounds or actuator.limits
+    base = given.pop("base") or (0.0 if limits is None else float(np.clip(0.0, *limits)))
+    drive = Sampling(hertz, limits=limits, base=base, **given)
+    ends = {"present": drive.start, "end": drive.base}
+    way = shortest_homing(actuator, limits=drive.limits, **ends, drive=drive, hold=hold)
+    if len(way.turns) < 2:
+        words = "homing: the state is already known; nothing to play, nothing written"
+        return Result({"kind": "homing", "samples": 0, "warnings": list(way.remarks)}, [words], warnings=way.remarks)
+    certificate = "certified" if way.certified else "NOT certified"
+    remark = f"{certificate}: the displacement is known to {way.spread * 1e6:.3g} um after it"
+    return _written(way.played, output, remark, warnings=way.remarks, good=way.certified)
 
 
 def _excited(
@@ -177,23 +191,6 @@ def _excited(
     most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
     found, hertz = next(each for each in possible if each[0].duration <= most)
     return _written(found, output, f"{hertz:g} Hz by default", (_WHY,), temperatures=degrees)
-
-
-def _home(run: Run, model: Path, output: Path, hold: float | None, frequency: float | None, **sampled: Any) -> Result:
-    """Write the shortest homing of a model."""
-    actuator = read_model(run, model)
-    sampled["limits"] = sampled["limits"] or actuator.limits
-    if sampled["limits"] is not None and not sampled["base"]:
-        sampled["base"] = float(np.clip(0.0, *sampled["limits"]))
-    drive = Sampling(frequency or _HOMING, **sampled)
-    ends = {"present": drive.start, "end": drive.base}
-    way = shortest_homing(actuator, limits=drive.limits, **ends, drive=drive, hold=hold)
-    if len(way.turns) < 2:
-        words = "homing: the state is already known; nothing to play, nothing written"
-        return Result({"kind": "homing", "samples": 0, "warnings": list(way.remarks)}, [words], warnings=way.remarks)
-    certificate = "certified" if way.certified else "NOT certified"
-    remark = f"{certificate}: the displacement is known to {way.spread * 1e6:.3g} um after it"
-    return _written(way.played, output, remark, warnings=way.remarks, good=way.certified)
 
 
 def _written(
