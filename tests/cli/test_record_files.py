@@ -61,7 +61,7 @@ def test_show_prints_and_draws(monitor):
     columns = "voltage=Monitor [mV]*100, displacement=Sensor [V]*10um/V"
     done = run("show", "monitor.csv", "--columns", columns, "--report", "page.html")
     assert done.exit_code == 0, done.stderr
-    for line in ("1200 samples of 3 columns", "  Monitor [mV]  mV      0 to 1000", "0 to 2.398 s, 500 Hz"):
+    for line in ("1200 rows of 3 columns", "  Monitor [mV]  mV      0 to 1000", "0 to 2.398 s, 500 Hz"):
         assert line in done.stdout
     assert "'Monitor [mV]', times 100  0 to 100 V, 4 cycles" in done.stdout
     assert sum("*" in line for line in done.stdout.split("\n")) == 16
