@@ -28,8 +28,8 @@ PORT = 50000
 # A recorder without a new sample for this time [s], and for this many sample periods, has stopped.
 PATIENCE, _PATIENT_SAMPLES = 5.0, 20
 _STEPS_TO_STOP = 20
-# Controllers report positions in micrometres, timers in milliseconds.
-_METRES, _SECONDS = 1e-6, 1e-3
+# Controllers report positions in micrometres.
+_METRES = 1e-6
 # Seconds between two polls of the recorder: less for a short wave, so that a dead sensor is detected in time.
 _SHORTEST_POLL, _POLL, _POLLS = 0.02, 0.1, 20
 # Most numbers of one answer.
@@ -58,27 +58,6 @@ class WaveTraits(NamedTuple):
         """Return the number of servo periods per sample for the rate nearest to `rate` [Hz]."""
         below = max(1, int(1 / (rate * self.servo_period)))
         return min((below, below + 1), key=lambda divider: abs(1 / (divider * self.servo_period) - rate))
-
-
-class PiClock:
-    """The time of a controller [s] by its own clock, else by the host's; it never falls behind the last sample."""
-
-    def __init__(self, client: GcsClient) -> None:
-        self._client, self._began, self._shift, self._last = client, time.monotonic(), 0.0, -np.inf
-        self.last_sample = -np.inf
-
-    def now(self) -> float:
-        """Return the time [s]; no two readings have the same time."""
-        if "TIM?" in self._client.commands:
-            # An answer with or without a key.
-            text = self._client.query("TIM?", lambda lines: gcs_syntax.single(lines).rpartition("=")[2].strip())
-            now = _SECONDS * gcs_syntax.real(text)
-        else:
-            now = time.monotonic() - self._began
-        self._shift = max(self._shift, self.last_sample - now)
-        # A clock's ticks may be longer than the time between two readings.
-        self._last = max(now + self._shift, self._last + _TICK)
-        return self._last
 
 
 class PiRig(AbstractRig):
@@ -118,7 +97,7 @@ class PiRig(AbstractRig):
         patience: float = PATIENCE,
     ) -> None:
         self._client = link if isinstance(link, GcsClient) else GcsClient(link)
-        self._patience, self._clock, self._opened = patience, PiClock(self._client), False
+        self._patience, self._opened, self._began, self._last = patience, False, self._now(), -np.inf
         names = [axis] if axis is None or isinstance(axis, str) else list[str | None](axis)
         allowed = bounds_of_axes(limits, slew_rate, len(names))
         if len(names) == 1:
@@ -137,7 +116,7 @@ class PiRig(AbstractRig):
                     f"{self.name}: cannot play and record {len(names)} axes together; it needs a wave generator an "
                     f"axis and {2 * len(names)} recorder tables; calibrate one axis at a time"
                 )
-            rig._clock = self._clock
+            rig._began = self._began
         self.waves = self._pi_rigs[0].waves
 
     def _open_axis(self, axis: str | None, limits: tuple[float, float] | None, slew_rate: float | None) -> None:
@@ -200,11 +179,12 @@ class PiRig(AbstractRig):
         return 1 / (self.waves.divider(sample_rate) * self.waves.servo_period)
 
     def _read(self) -> Reading:
-        now = self._clock.now()
+        # By the host's clock, but behind the last sample; two readings may come within one of its ticks.
+        self._last = max(self._now() - self._began, self._last + _TICK)
         (position,) = self._client.numbers("POS?", self.axis)
         # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
         self._client.set()
-        return Reading(now, self._read_voltage(), position * _METRES)
+        return Reading(self._last, self._read_voltage(), position * _METRES)
 
     def _read_voltage(self) -> float:
         return self._client.numbers("VOL?", self._channel)[0]
@@ -224,11 +204,11 @@ class PiRig(AbstractRig):
         interval = divider * self.waves.servo_period
         columns = voltage.reshape(len(voltage), len(self._pi_rigs))
         self._prepare(columns, divider, self.waves.options)
-        start = max(self._clock.now(), self._clock.last_sample + interval)
+        start = max(self._now() - self._began, self._last + interval)
         self._client.set(command("WGO", *(word for rig in self._pi_rigs for word in (rig._generator, 1))))
         for first, positions, volts in self._recorded(len(voltage), interval):
             times: Array = start + interval * np.arange(first, first + len(volts), dtype=np.float64)
-            self._clock.last_sample = float(times[-1])
+            self._last = float(times[-1])
             samples = Samples(times, volts, positions * _METRES)
             yield samples if len(self.axes) > 1 else samples.axis(0)
         # Otherwise the controller takes no voltages.

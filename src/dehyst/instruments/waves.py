@@ -38,8 +38,8 @@ _BATCH_SECONDS = 0.2
 READBACK_TOLERANCE = 0.05
 # A wave may take this share of the time that was asked, less so many samples: clocks differ, and the first may be late.
 _PACE, _LATE = 0.9, 20
-# A device's clock has jumped if it is ahead by this time [s], and so many times what has passed: emulators are fast.
-_JUMP, _FAST = 10.0, 50.0
+# A device's clock is wrong if it is ahead by this time [s], of what was asked and so many times what has passed.
+_JUMP, _FAST = 10.0, 1.1
 # A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
 _DEAD = 0.2
 
