@@ -1,6 +1,7 @@
 """The path of a calibration, at the temperature that the rig measured."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -40,9 +41,11 @@ def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model)
 
 def test_the_drift_of_a_temperature_goes_on_for_as_long_as_it_was_seen():
     time, noise = 0.1 * np.arange(100), np.random.default_rng(0).normal(0, 0.05, 100)
+    warm = SimpleNamespace(thermal=0.0)
     for drift in (0.0, 0.2):
         degrees = 25 + drift * time + noise
         record = dehyst.Record(time, time, time, "", others={"temperature_C": degrees})
         expected = degrees[-5:].mean() if not drift else 25 + drift * (9.9 + np.array([0.0, 5.0, 9.9, 9.9]))
-        assert later_temperature(record, [0.0, 5.0, 9.9, 500.0]) == pytest.approx(expected, abs=0.1)
-    assert later_temperature(dehyst.Record(time, time, time), [0.0]) is None
+        assert later_temperature(warm, record, [0.0, 5.0, 9.9, 500.0]) == pytest.approx(expected, abs=0.1)
+    assert later_temperature(warm, dehyst.Record(time, time, time), [0.0]) is None
+    assert later_temperature(SimpleNamespace(thermal=None), record, [0.0]) is None

@@ -187,7 +187,7 @@ class FollowedPath:
             tracked = self._tracked(reached)
             self.tracked.append(tracked)
             self.say(f"Repetition {number}: {tracked.words}")
-            errors.append(float(np.max(tracked.rms_percent)))
+            errors.append(max(path.rms_percent for path in tracked.each))
             if errors[-1] == min(errors):
                 self.learnt, self.best = pair[1], tracked
             repetition.learn(reached if self._several else reached[:, 0])

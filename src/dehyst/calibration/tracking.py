@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import cycle, islice
@@ -21,19 +21,6 @@ from dehyst.waveforms import TURNS, Excitation, wanted_path
 # Share of every actuator's range that a path of several axes uses, and turning points by which an axis begins later
 # than the axis before.
 _USED, _LATER = 0.96, 3
-
-
-def later_temperature(record: Record, seconds: ArrayLike) -> Array | None:
-    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if it has none.
-
-    It goes on as it drifted in the record's second half, for as long as the record lasted.
-    """
-    values, time = record.temperature, record.time - record.time[-1]
-    if values is None:
-        return None
-    late = slice(len(record) // 2, None)
-    drift, last = np.polyfit(time[late], values[late], 1)
-    return np.asarray(last + drift * np.minimum(seconds, -time[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +91,7 @@ class PathPlanner:
         zeros = zip(actuators, wanted.T, homed.datum.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
         # The path stays where it is while the temperature drifts.
-        warmth = _warmth(model, before, self.homing.duration + time)
+        warmth = later_temperature(model, before[-1], self.homing.duration + time)
         bounds, rates = [(bound.low, bound.high) for bound in limits], [bound.slew_rate for bound in limits]
         several = isinstance(model, Stage)
         given: dict[str, Any] = {
@@ -121,7 +108,7 @@ class PathPlanner:
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]
-        later, branch = _warmth(model, before, self.homing.time), self.excitations.branches[0]
+        later, branch = later_temperature(model, before[-1], self.homing.time), self.excitations.branches[0]
         options: dict[str, Any] = {"temperature": None if later is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
         late = (len(TURNS) - 1) * branch if len(stage.axes) == 1 else len(before[-1]) // 2
@@ -164,11 +151,17 @@ class PathPlanner:
         return PlannedRun(shown, len(home) + self.excitations.branches[0] - 1, excitation, stroke, warnings)
 
 
-def _warmth(model: Actuator | Stage, records: Sequence[Record], seconds: Array) -> Array | None:
-    """Return the temperatures (n,) some `seconds` after the records; None if they do not move the model."""
+def later_temperature(model: Actuator | Stage, record: Record, seconds: ArrayLike) -> Array | None:
+    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if none moves the model.
+
+    It goes on as it drifted in the record's second half, for as long as the record lasted.
+    """
     actuators = model.actuators if isinstance(model, Stage) else (model,)
-    moves = any(actuator.thermal is not None for actuator in actuators)
-    return later_temperature(records[-1], seconds) if moves else None
+    values, time, late = record.temperature, record.time - record.time[-1], slice(len(record) // 2, None)
+    if values is None or all(actuator.thermal is None for actuator in actuators):
+        return None
+    drift, last = np.polyfit(time[late], values[late], 1)
+    return np.asarray(last + drift * np.minimum(seconds, -time[0]))
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:
@@ -216,18 +209,14 @@ class TrackedPath:
         return self.reached - self.wanted
 
     @property
-    def largest_percent(self) -> Any:
-        """Largest error [% of the stroke]; for several axes a tuple with one for each."""
-        return self._percent(largest)
+    def largest_percent(self) -> float:
+        """Largest error [% of the stroke] of a single axis."""
+        return percent(largest(self.error), self.stroke)
 
     @property
-    def rms_percent(self) -> Any:
-        """RMS error [% of the stroke]; for several axes a tuple with one for each."""
-        return self._percent(rms)
-
-    def _percent(self, measure: Callable[[Array], float]) -> Any:
-        found = tuple(percent(measure(path.error), path.stroke) for path in self.each)
-        return found if self.axes else found[0]
+    def rms_percent(self) -> float:
+        """RMS error [% of the stroke] of a single axis."""
+        return percent(rms(self.error), self.stroke)
 
     @property
     def words(self) -> str:
