@@ -447,12 +447,12 @@ class AbstractRig(ABC):
             known = "; ".join(f"{rig.axis + ': ' if self._parts else ''}{rig._output.words}" for rig in self.rigs)
             holds = "the device holds, or plays to its end, what it has; see to it by hand"
             said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {holds}."
-        elif isinstance(cause, SensorError):
-            said = f"{safe} V was sent{to} and is read, but the sensor did not move; see to it by hand."
         elif any(math.isnan(rig._output.read) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
         elif not all(rig._output.reached(rig.safe) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and {', '.join(f'{rig._output.read:.6g}' for rig in self.rigs)} V is read."
+        elif isinstance(cause, SensorError):
+            said = f"{safe} V was sent{to} and is read, but the sensor did not move; see to it by hand."
         return VoltageNote(said, safe=failed is None, voltages=[rig._output.likely for rig in self.rigs])
 
 
