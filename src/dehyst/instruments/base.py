@@ -452,7 +452,7 @@ class AbstractRig(ABC):
         elif not all(rig._output.reached(rig.safe) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and {', '.join(f'{rig._output.read:.6g}' for rig in self.rigs)} V is read."
         elif isinstance(cause, SensorError):
-            said = f"{safe} V was sent{to} and is read, but the sensor did not move; see to it by hand."
+            said = f"{safe} V was sent{to} and is read, but the sensor does not confirm it; see to it by hand."
         return VoltageNote(said, safe=failed is None, voltages=[rig._output.likely for rig in self.rigs])
 
 
