@@ -15,14 +15,14 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1105,
+    "calibration": 1094,
     "cli": 405,
     "control": 4092,
     "exports": 1266,
     "fleet": 310,
     "foundation": 1410,
     "identification": 5818,
-    "instruments": 2454,
+    "instruments": 2434,
     "model": 3529,
     "operations": 3484,
     "paper": 960,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2311,
 }
 HOUSE = {
-    "lines of Python": 37947,
+    "lines of Python": 37916,
     "files of Python": 190,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 34619,
+    "lines of tests": 34613,
     "lines of benchmarks": 4957,
     "words of docs": 27631,
     "public names": 111,
