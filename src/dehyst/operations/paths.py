@@ -143,7 +143,7 @@ def zeros_of_path(
             begin = start or PossibleStart.unknown(actuator, axis.bounds.nearest(volts or 0.0), axis.limits)
             low = evaluator_of(actuator).displacement(begin.state, of_mass=False)
         places.append(0.5 * (low + high) if zero.name == "mean" else low)
-    return known.moved(np.array([places]))[0]
+    return np.asarray(known.moved(np.array([places]))[0])
 
 
 def reach_remarks(
