@@ -73,15 +73,6 @@ def test_an_output_is_written_once_and_again_by_force(folder):
         assert (folder / output).read_bytes() == before
 
 
-def test_force_keeps_other_files_of_a_folder(folder):
-    (folder / "c").mkdir()
-    (folder / "c" / "notes.txt").write_text("mine")
-    command = ["export", "model.json", "c", "--limits", "0", "100", "--force"]
-    assert run(*command, cwd=folder)[0] == 0
-    assert (folder / "c" / "notes.txt").read_text() == "mine"
-    assert (folder / "c" / "piezo.c").exists()
-
-
 def test_force_replaces_no_input(folder):
     os.link(folder / "voltage.csv", folder / "link.csv")
     before = (folder / "voltage.csv").read_bytes()
@@ -129,12 +120,9 @@ def test_demo_writes_into_a_folder_that_is_new_empty_or_its_own(journey, tmp_pat
     demand_own_folder(tmp_path / "empty", *demo.OWN)
 
 
-def test_demo_leaves_other_folders_alone(journey, tmp_path, monkeypatch):
+def test_demo_replaces_files_of_others_by_force_alone(journey, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "journey", lambda progress: journey)
     (tmp_path / "loops.csv").write_text("mine")
-    status, out, err = run("demo", "--no-report", "-o", tmp_path, keep=True)
-    assert (status, out) == (2, "") and "files (loops.csv)" in err
-    assert [path.name for path in tmp_path.iterdir()] == ["loops.csv"]
     with pytest.raises(FileFormatError, match=r"made a folder"):
         demand_own_folder(tmp_path / "loops.csv", *demo.OWN)
     assert run("demo", "--no-report", "-o", tmp_path, "--force")[0] == 0

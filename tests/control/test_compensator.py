@@ -130,6 +130,19 @@ def test_a_voltage_from_which_no_step_returns_within_the_slew_rate_is_refused(vo
         assert 5 <= voltage <= 90 and abs(voltage - start) <= 1.5 * (1 + 1e-9)
 
 
+def test_another_voltage_than_offered_is_what_the_memory_follows():
+    """A converter of 10 bits."""
+    actuator = PLANTS["creep"]
+    start = started(actuator, 3)
+    compensator = Compensator(actuator, (0, 300), period=PERIOD, state=start)
+    sent = []
+    for y in plain_records.path((0.5, 0.9, 0.1, 0.7), 60):
+        sent.append(round(compensator.offer(y) / 0.15) * 0.15)
+        compensator.commit(sent[-1])
+    assert gap(compensator.state, replayed(actuator, start, np.array(sent)).state) < 1e-11 * plain_records.STROKE
+    assert compensator.clamps == (0, 0)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, "1", None, [1e-6], 1j])
 @pytest.mark.parametrize("name", ["plain", "all", "all that moves"])
 def test_what_is_no_number_moves_nothing(name, bad):
