@@ -26,10 +26,10 @@ from dehyst.model import GradedSlip, MaxwellSlip, SmoothSlip, segment_of
 # All carts at the displacement, above it, below it; others are tried if one leaves more than this part of the range.
 _STARTS = (0.0, 1.0, -1.0)
 _GOOD = 5e-3
-# A step that lowers the sum of squares by less than a part ends the search.
-_STEPS, _WORTH = 12, 1e-4
-# Neighbours are held alike by this part of the rows' weight: some carts bear on no sample. The same where each cart is
-# free.
+# A step that lowers the sum of squares by less than a part ends the search. It may raise it by rounding: what a record
+# leaves open must not depend on its last bit.
+_STEPS, _WORTH, _SAME_COST = 12, 1e-4, 1e-9
+# Neighbours are held alike by this part of the rows' weight, also where each is free: some carts bear on no sample.
 _ALIKE, _HARDLY = 1e-2, 1e-9
 # Step for a numerical slope, and tolerance of the search, of a smooth element's elongation by its length.
 _NEAR = 1e-3
@@ -178,7 +178,7 @@ class _Problem:
             for length in (1.0, 0.5, 0.25, 0.0):
                 trial = np.clip(u + length * step, -1.0, 1.0)
                 residual, slopes = self._residual(trial)
-                if self._cost(residual) < cost or not length:
+                if self._cost(residual) <= (1 + _SAME_COST) * cost or not length:
                     break
             now, before, u = self._cost(residual), cost, trial
             cost = min(now, cost)
