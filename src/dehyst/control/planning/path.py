@@ -99,8 +99,7 @@ def plan_path(
         If the path is empty, no homing is short enough, or there would be more than 5e6 rows.
     """
     task = Task(_compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
-    task.shift(on_time)
-    task.home_within = HOME_WITHIN(home_within, "home_within")
+    task.prepare(on_time, home_within)
     task.give(start, present)
     return task.planned(home)
 
@@ -269,7 +268,7 @@ class Task:
 
     def _decouple(self) -> None:
         """Find the displacements without coupling, and the first ones of the models."""
-        scales, moved = [], self.through(self.stage.decoupling, self.rows)
+        scales, moved = [], apply(self.stage.decoupling, self.rows)
         for j, part in enumerate(self.parts):
             part.moved = moved[:, j]
             gain, offset = part.loop.scaling(part.warmth, len(self.rows))
@@ -287,12 +286,12 @@ class Task:
         for part, target, (gain, offset) in zip(self.parts, targets, scales, strict=True):
             part.first = (target - offset) / gain
 
-    def through(self, matrix: Array, columns: Array) -> Array:
-        """Return columns (n, axes) times a matrix of the stage; a single axis is the same array."""
-        return columns if self.single else apply(matrix, columns)
+    def prepare(self, on_time: bool | None, home_within: float | None) -> None:
+        """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late.
 
-    def shift(self, on_time: bool | None) -> None:
-        """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late."""
+        `home_within` [s]: the longest time of homing and way.
+        """
+        self.home_within = HOME_WITHIN(home_within, "home_within")
         for part in self.parts:
             part.lead(on_time, timed=self.time is not None)
         longest = max(part.delay for part in self.parts)
@@ -403,7 +402,7 @@ class Task:
             y, state = part.motion(time, volts, part.shown if shown else part.way.origin)
             moved.append(y)
             states.append(state)
-        return self.through(self.stage.coupling, np.column_stack(moved)), states
+        return apply(self.stage.coupling, np.column_stack(moved)), states
 
     def misses(self) -> Array:
         """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
@@ -415,7 +414,7 @@ class Task:
             if self.time is not None and part.delay:
                 own = np.interp(self.time - part.delay, self.time, own)
             miss.append(own)
-        return self.through(self.stage.coupling, np.column_stack(miss))
+        return apply(self.stage.coupling, np.column_stack(miss))
 
     def errors(self) -> list[StartError]:
         """Return the error of each axis along its path due to its start."""

@@ -22,7 +22,6 @@ from dehyst._views.lines import span_of
 from dehyst.control.axis import Axis
 from dehyst.control.compensator import Compensator
 from dehyst.control.following import Followed, follow
-from dehyst.control.planning.homing import HOME_WITHIN
 from dehyst.control.planning.path import Task
 from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
@@ -388,8 +387,7 @@ def _task(compensator: Compensator, path: ScanPath, home_within: float | None) -
     """Return the task of planning a path that need not be on time."""
     rates = {"velocity": path.velocity, "acceleration": path.acceleration}
     task = Task(compensator, path.displacement, "displacement", path.time, None, rates)
-    task.shift(False)
-    task.home_within = HOME_WITHIN(home_within, "home_within")
+    task.prepare(False, home_within)
     return task
 
 
