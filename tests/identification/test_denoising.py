@@ -8,9 +8,10 @@ import pytest
 import structured_records as wide
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import savgol_filter
 
 from dehyst import Record
-from dehyst.identification.cleaning import disturbs, monotone, remove_jitter
+from dehyst.identification.cleaning import disturbs, local_polynomials, monotone, remove_jitter
 from dehyst.records.signals import turning_points
 from dehyst.virtual import PlayActuator
 
@@ -134,3 +135,10 @@ def test_a_short_piece_and_one_without_turns_are_taken():
     rising = Record(np.arange(6) / 10, np.arange(6.0), np.array([0, 1, 3, 2, 4, 5]) * 1e-6)
     np.testing.assert_allclose(monotone(rising).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
     np.testing.assert_allclose(remove_jitter(rising, 1e-6, 5e-6).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
+
+
+@pytest.mark.parametrize(("samples", "window", "order", "derivative"), [(9, 9, 4, 1), (50, 9, 4, 2), (300, 25, 2, 0)])
+def test_local_polynomials_are_those_of_savitzky_and_golay(samples, window, order, derivative):
+    values = np.random.default_rng(0).normal(size=samples).cumsum()
+    expected = savgol_filter(values, window, order, deriv=derivative, delta=0.3)
+    np.testing.assert_allclose(local_polynomials(values, window, order, derivative, 0.3), expected, atol=1e-10)

@@ -6,9 +6,6 @@ import json
 import subprocess
 import sys
 
-import numpy as np
-import pytest
-
 import dehyst
 
 HEAVY = {"scipy", "matplotlib", "h5py", "pyarrow", "nptdms", "click", "pandas", "threadpoolctl"}
@@ -82,5 +79,3 @@ def test_errors_are_both_ours_and_the_builtin_one():
     for error in (dehyst.ModelError, dehyst.RecordError, dehyst.IdentifyError, dehyst.FileFormatError):
         assert issubclass(error, dehyst.DehystError)
         assert issubclass(error, ValueError)
-    with pytest.raises(ValueError, match="strictly increasing"):
-        dehyst.Spring(np.zeros(2), [0, 1])

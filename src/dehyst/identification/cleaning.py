@@ -143,15 +143,10 @@ def transient(record: Record) -> int:
 
 
 def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
-    """Cut a record where a gap may hide a reversal; other gaps stay, because Maxwell-slip does not depend on time.
+    """Cut a record where a gap may hide a reversal; return the pieces, and a sentence for each gap.
 
-    `holes`: those of `clean`: displacements in them are known.
-
-    Returns
-    -------
-    list of Record, list of str
-        The pieces, and a sentence for each gap; none for a brief one in which the voltage hardly moved, as between
-        two repetitions of a wave.
+    Maxwell-slip does not depend on time: other gaps stay, and brief ones in which the voltage hardly moved, as between
+    two repetitions of a wave, without a sentence. `holes`: those of `clean`: displacements in them are known.
     """
     cuts, sentences = [0], []
     cycle, known_holes = cycle_time(record), holes or {}
@@ -210,11 +205,23 @@ def remove_dynamics(piece: Record, dynamics: Dynamics | None) -> Record:
 
 def derivatives(piece: Record) -> tuple[Array, Array]:
     """Return velocity [m/s] and acceleration [m/s2] (n,) of the measured displacement."""
-    from scipy.signal import savgol_filter
-
     y, step = piece.displacement, piece.sample_time
-    first, second = (savgol_filter(y, _WINDOW, _ORDER, deriv=derivative, delta=step) for derivative in (1, 2))
-    return first, second
+    return local_polynomials(y, _WINDOW, _ORDER, 1, step), local_polynomials(y, _WINDOW, _ORDER, 2, step)
+
+
+def local_polynomials(y: Array, window: int, order: int, derivative: int = 0, step: float = 1.0) -> Array:
+    """Return y (n,), or a derivative, by a polynomial through the neighbours of each sample (Savitzky and Golay).
+
+    `window`: an odd number of samples, n at most. The first and the last polynomial hold up to the ends.
+    """
+    # To import SciPy's filter takes longer than to identify most records.
+    half = window // 2
+    values = np.vander(np.arange(-half, half + 1) / half, order + 1, increasing=True)
+    fit = np.linalg.pinv(values)
+    for _ in range(derivative):
+        values = np.pad(values[:, :-1] * np.arange(1, order + 1), ((0, 0), (1, 0))) / (half * step)
+    inside = np.convolve(y, (values[half] @ fit)[::-1], "valid")
+    return np.concatenate([values[:half] @ (fit @ y[:window]), inside, values[half + 1 :] @ (fit @ y[-window:])])
 
 
 # Least turn of the voltage as a part of its range, if above its noise; a hold moves less than a tenth of it in this
@@ -237,8 +244,6 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     [m]: if the noise is significant, parabolas through neighbours, over a part of a cycle, come first; of loud noise
     over wider parts, each branch by itself, or a turn would lie beyond what the actuator reaches.
     """
-    from scipy.signal import savgol_filter
-
     part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
     if disturbs(noise, stroke):
         return _between_turns(piece, 2 * (part // 2) + 1)
@@ -246,7 +251,7 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
     y = piece.displacement.copy()
     for start, stop in _stretches(piece):
         if 5 <= window <= stop - start:
-            y[start:stop] = savgol_filter(y[start:stop], window, 2)
+            y[start:stop] = local_polynomials(y[start:stop], window, 2)
     return monotone(replace(piece, displacement=y))
 
 
@@ -256,8 +261,6 @@ def _between_turns(piece: Record, window: int) -> Record:
     An error at a turn stays in the elements for the whole branch after it. So a turn is the mean of what both branches
     show, and no sample of a branch lies beyond its turns, as the ends of a monotone fit to noise do.
     """
-    from scipy.signal import savgol_filter
-
     y, branches = piece.displacement.copy(), _counted_branches(piece)
     sums, counts = np.zeros(y.size), np.zeros(y.size)
     for start, stop, _ in branches:
@@ -265,7 +268,7 @@ def _between_turns(piece: Record, window: int) -> Record:
         own = slice(start, min(stop + 1, y.size))
         values = piece.displacement[own]
         width = min(window, 2 * ((values.size - 1) // 2) + 1)
-        sums[own] += savgol_filter(values, width, 2) if width >= 5 else values
+        sums[own] += local_polynomials(values, width, 2) if width >= 5 else values
         counts[own] += 1
     smooth = np.divide(sums, counts, out=y, where=counts > 0)
     path = monotone(replace(piece, displacement=smooth)).displacement.copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -56,10 +57,6 @@ class RecordComparison:
         The record, reduced, with the path before resonance, creep and drift that hysteresis makes on the model's axis.
     source : RowSource
         Its pieces.
-    before : Prepared
-        The record before creep and drift.
-    whole : list of Record
-        Its pieces with all their samples, voltages delayed, displacements on the model's axis: those that are played.
     program : Program
         Its rows.
     found : Solution
@@ -71,11 +68,22 @@ class RecordComparison:
     given: Prepared
     frame: Frame
     source: RowSource
-    before: Prepared
-    whole: list[Record]
     program: Program
     found: Solution
     base: float
+
+    @cached_property
+    def before(self) -> Prepared:
+        """The record before creep and drift."""
+        return self.frame.motion.before(self.given, 0)
+
+    @cached_property
+    def whole(self) -> list[Record]:
+        """Its pieces with all samples, voltages delayed, displacements on the model's axis: those that are played."""
+        shift, at = self.frame.shift(0), self.frame.motion
+        return [
+            replace(piece, displacement=piece.displacement + shift) for piece in self.before.acting(at.delay, at.lag)
+        ]
 
     def last_offsets(self) -> list[float]:
         """Offset [V] of the last epoch of each piece; without such an epoch, or its rows, that of the nearest one."""
@@ -201,7 +209,7 @@ def _compared(
     actuator: Actuator, record: Prepared, stroke: float, motion: Motion, names: Sequence[str]
 ) -> RecordComparison:
     """Compare a record with a model at given numbers; the numbers of parts of these `names` are fitted beside."""
-    before, noise, spring = motion.before(record, 0), record.reduced.noise, actuator.spring
+    noise, spring = record.reduced.noise, actuator.spring
     # Maxwell-slip elements take a displacement of little noise as it is.
     denoised = actuator._wide or disturbs(noise, stroke)
     frame = Frame([record.reduced], motion, (spring.voltage[0], spring.voltage[-1]), 0, stroke, denoised=denoised)
@@ -213,13 +221,12 @@ def _compared(
             f"{record.record.name}: no sample counts; it lasts {lasts:.3g} s, and the model lags by "
             f"{actuator.delay + actuator.lag:.3g} s. Record longer, or check the unit of the time"
         )
-    rows, shift = source.thinned(MOST_ROWS), frame.shift(0)
-    whole = [replace(part, displacement=part.displacement + shift) for part in before.acting(motion.delay, motion.lag)]
+    rows = source.thinned(MOST_ROWS)
     least = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
     parts, model = tuple(Parts(motion, frame.training, rows).of(names)), coefficients(actuator)
     program = Program(rows, grid, least, 0.0, parts, model)
     found = _with_nuisances(program, model, motion.gains)
-    return RecordComparison(record, frame, source, before, whole, program, found, float(spring.voltage[0]))
+    return RecordComparison(record, frame, source, program, found, float(spring.voltage[0]))
 
 
 def coefficients(actuator: Actuator) -> Solution:
@@ -250,10 +257,8 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
         if part.name == "begun":
             # Errors of a model are alike in many rows; those of one that has changed are large.
             others = rows[:, :place]
-            missed = rms(left - others @ np.linalg.lstsq(others, left, rcond=None)[0]) / float(
-                np.ptp(program.grid.knots)
-            )
-            doubt = max(_DOUBT, missed) / _STRAINED
+            missed = rms(left - others @ np.linalg.lstsq(others, left, rcond=None)[0])
+            doubt = max(_DOUBT, missed / float(np.ptp(program.grid.knots))) / _STRAINED
             prior[place : place + part.value.size] = doubt / gains * np.sqrt(len(rows)) / 10
         place += part.value.size
     held = np.diag(prior)[prior > 0]

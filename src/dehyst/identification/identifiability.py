@@ -26,16 +26,11 @@ class Identifiability:
 
     `values` (m,): singular values of the columns of the elements that slide in some record, all else projected out,
     largest first [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring.
-    `probing`: whether they belong to ten Maxwell-slip elements instead of those of a model with more parts.
+    `subject`: what they belong to, as text: ten Maxwell-slip elements instead of those of a model with more parts.
     """
 
     values: Array
-    probing: bool = False
-
-    @property
-    def subject(self) -> str:
-        """Subject of the directions, as text."""
-        return "ten plain elements" if self.probing else "the stiffnesses"
+    subject: str = "the stiffnesses"
 
     @property
     def of(self) -> int:
@@ -84,7 +79,7 @@ def identifiability(records: list[Record], grid: Grid) -> Identifiability:
 def probed(records: list[Record], span: tuple[float, float]) -> Identifiability:
     """Return the directions of ten Maxwell-slip elements over a stroke [m] that the turning points determine."""
     grid = Structure(elements=_PROBES, knots=_PROBES + 1).grid(span, span)
-    return replace(identifiability(records, grid), probing=True)
+    return replace(identifiability(records, grid), subject="ten plain elements")
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:

@@ -328,15 +328,13 @@ class _Run:
         step = max(resolution(item.record.voltage)[1] for item in self.training)
         if step > RULES.coarse_voltage:
             caveats.append(f"the voltage is recorded in steps of {100 * step:.2g} % of its range")
-        lag = actuator.delay + actuator.lag
-        if self.settings.lags is not None or not lag:
-            return caveats, False
-        items = [item.reduced.record for item in self.training]
+        lag, items = actuator.delay + actuator.lag, [item.reduced.record for item in self.training]
         moved = lag * max(rms(np.diff(record.displacement)) / record.sample_time for record in items)
-        if moved <= missed:
-            return caveats, False
-        caveats.append(f"the records leave open who lags by {1e3 * lag:.3g} ms: state sensor_lag (0: none) or lag_of")
-        return caveats, True
+        if lag_open := self.settings.lags is None and moved > missed:
+            caveats.append(
+                f"the records leave open who lags by {1e3 * lag:.3g} ms: state sensor_lag (0: none) or lag_of"
+            )
+        return caveats, lag_open
 
     def finish(self, made: Fitted) -> Fit:
         """Simulate all records whole, and judge the actuator."""

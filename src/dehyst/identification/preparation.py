@@ -12,7 +12,7 @@ import numpy as np
 from dehyst._errors import IdentifyError
 from dehyst._types import Array
 from dehyst.identification import cleaning
-from dehyst.identification.cleaning import disturbs, remove_dynamics, remove_jitter
+from dehyst.identification.cleaning import disturbs, local_polynomials, remove_dynamics, remove_jitter
 from dehyst.identification.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
@@ -145,14 +145,12 @@ class Prepared:
         """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
         if not lag:
             return self
-        from scipy.signal import savgol_filter
-
         demand_short(lag, "sensor_lag", self.cycle)
         # Few samples a cycle leave no room for a long window.
         window = 9 if self.cycle > _MANY * self.record.sample_time else 5
 
         def before(piece: Record) -> Array:
-            rate = savgol_filter(piece.displacement, window, 4, deriv=1, delta=piece.sample_time)
+            rate = local_polynomials(piece.displacement, window, 4, 1, piece.sample_time)
             return np.asarray(piece.displacement + lag * rate)
 
         known = self if self.lead is None or len(self.lead) >= _SHORTEST else replace(self, lead=None)
