@@ -8,6 +8,7 @@ import pytest
 
 import dehyst
 from dehyst import Actuator, DisplacementCreep, IdentifyError, MaxwellSlip, Spring, Structure
+from dehyst._views.lines import percent
 from dehyst.model import turned
 
 TRAINED = (1, 0, 1, 0, 0.8, 0, 0.6, 0, 0.4, 0, 0.2, 0)
@@ -106,6 +107,10 @@ def test_a_stage_that_has_not_changed_keeps_its_model(old):
     made = dehyst.update(old, driven(TRUE, ONE_LOOP, seed=1))
     assert not made.used
     assert made.recheck.kept and made.actuator is old
+    # One verdict, with the number of a check, also where the model is not good enough.
+    poor = replace(made, recheck=replace(made.recheck, goal=1e-3))
+    assert (made.good, poor.good) == (True, False) and poor.sentences() == made.sentences() == made.missing
+    assert poor.sentence.startswith(made.sentence) and percent(made.recheck.without_noise, made.stroke) in made.sentence
 
 
 @pytest.mark.parametrize("parts", [{}, {"thermal": dehyst.Thermal(2e-3, 0.0, 20.0)}])

@@ -101,13 +101,17 @@ class Update:
 
     @property
     def sentence(self) -> str:
-        """The result and its numbers in one line."""
-        lengths = self.held_out[1], self.before[1], self.recheck.settled
+        """The result and its numbers in one line: whether the model is another one, and whether it is good enough."""
+        lengths = self.held_out[1], self.before[1], self.recheck.without_noise
         held, old, most = (lines.percent(length, self.stroke) for length in lengths)
-        if self.used:
-            return f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
-        kept = "which its promise allows: it stays as it is" if self.recheck.kept else "which its promise now counts"
-        return f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
+        text = f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
+        if not self.used:
+            kept = (
+                "which its promise allows: it stays as it is" if self.recheck.kept else "which its promise now counts"
+            )
+            text = f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
+        tells = f": `{self.recheck.tells}` tells more" if self.recheck.tells else ""
+        return text if self.good else f"{text} The goal of {self.recheck.goal:g} % on any path is not met{tells}."
 
     @property
     def promise(self) -> Promise | None:
@@ -123,11 +127,7 @@ class Update:
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
-        found = list(self.recheck.change_sentences())
-        if not self.good:
-            tells = f": `{self.recheck.tells}` tells more" if self.recheck.tells else ""
-            found.append(f"The updated model is not within the goal of {self.recheck.goal:g} % on any path{tells}.")
-        return (*found, *self.missing)
+        return (*self.recheck.change_sentences(), *self.missing)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the model."""
