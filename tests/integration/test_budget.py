@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1266,
     "fleet": 310,
     "foundation": 1410,
-    "identification": 5817,
+    "identification": 5816,
     "instruments": 2434,
     "model": 3529,
     "operations": 3484,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2311,
 }
 HOUSE = {
-    "lines of Python": 37912,
+    "lines of Python": 37911,
     "files of Python": 190,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,

@@ -26,7 +26,7 @@ from dehyst._types import Array, Mask
 _TINY = float(np.finfo(np.float64).tiny)
 # Coefficients and multipliers may be negative by so much of the largest one, or of the largest gradient.
 _ZERO, _FLAT = 1e-9, 1e-8
-# Exchanges of all that is wrong which make nothing better before one at a time, and exchanges in all.
+# Exchanges of all that is wrong which make nothing better before the dual is solved, and exchanges in all.
 _PATIENCE, _EXCHANGES = 5, 80
 # Added to the diagonal of G, which is one: keeps factors finite; makes columns independent, and changes predictions by
 # less than any noise.
@@ -139,7 +139,7 @@ class NormalEquations:
 
 
 def _exchanged(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Face | None:
-    """Exchange limits until none is violated; None if that does not end."""
+    """Exchange limits until none is violated; None if they do not become fewer."""
     gram, image, free, matrix, lower = program
     moving = moving.copy()
     moving[:free] = True
@@ -163,8 +163,7 @@ def _exchanged(program: _Program, moving: Mask, active: Mask, ridge: float) -> _
             return face if np.abs(slack[active]).max(initial=0.0) <= _ZERO * max(largest, 1.0) else None
         least, patience = (count, _PATIENCE) if count < least else (least, patience - 1)
         if patience < 0:
-            # The last one alone: Murty's rule, which ends.
-            wrong[np.flatnonzero(wrong)[:-1]] = False
+            return None
         moving, active = moving ^ wrong[: moving.size], active ^ wrong[moving.size :]
     return None
 
