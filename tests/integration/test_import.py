@@ -49,10 +49,6 @@ print(json.dumps([first, second, rooms()]))
     assert {"waveforms", "virtual"} <= third
 
 
-def test_the_check_would_notice():
-    assert "scipy" in loaded_by("import dehyst, scipy.optimize")
-
-
 def test_names_are_few_sorted_and_real():
     assert dehyst.__all__ == sorted(dehyst.__all__)
     assert len(set(dehyst.__all__)) == len(dehyst.__all__) <= 51
@@ -77,5 +73,4 @@ def test_every_name_of_the_face_has_a_room():
 
 def test_errors_are_both_ours_and_the_builtin_one():
     for error in (dehyst.ModelError, dehyst.RecordError, dehyst.IdentifyError, dehyst.FileFormatError):
-        assert issubclass(error, dehyst.DehystError)
-        assert issubclass(error, ValueError)
+        assert {dehyst.DehystError, ValueError} <= {*error.__mro__}
