@@ -304,9 +304,7 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
 def _side_by_side(table: Table) -> bool:
     """Return whether all columns only rise, as those of two branches do that are written side by side."""
     columns = [column.data for column in table.columns if not column.fault]
-    rise = [
-        values.size > 2 and bool(np.all(values[1:] >= values[:-1])) and values[-1] > values[0] for values in columns
-    ]
+    rise = [values.size > 2 and bool(np.all(np.diff(values) >= 0)) and values[-1] > values[0] for values in columns]
     return len(rise) > 2 and all(rise)
 
 
