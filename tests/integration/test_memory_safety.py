@@ -16,7 +16,7 @@ SPRING = Spring([-1e-6, 0.0, 4e-7, 6e-7], [-10.0, -4.3, -1.9, 0.3])
 PLAIN = Actuator(UNIFORM, SPRING, limits=(-10.0, 0.3))
 CREEPING = replace(PLAIN, displacement_creep=DisplacementCreep([1.0], [0.01]))
 LOADED = replace(PLAIN, load_stiffness=1e-20)
-FAR = PLAIN.relaxed().shifted(1e305)
+FAR = replace(PLAIN.relaxed(), deformation=1e305, carts=PLAIN.relaxed().carts + 1e305)
 
 
 def swinging(damping):

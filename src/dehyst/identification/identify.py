@@ -54,6 +54,8 @@ def identify(
 ) -> Fit:
     """Identify an actuator from records of major and minor loops; none needs to start relaxed.
 
+    Return a `Fit`, for records of several axes a `StageFit`: each axis by itself, and the coupling matrix.
+
     Parameters
     ----------
     records : Record or sequence of Record
@@ -85,11 +87,6 @@ def identify(
     first_model : callable, optional
         Called once with a Maxwell-slip actuator of few samples, which was not checked: its `identification` is
         `provisional`.
-
-    Returns
-    -------
-    Fit
-        A `StageFit` for records of several axes: each axis by itself, and the coupling matrix.
 
     Raises
     ------
@@ -354,10 +351,10 @@ class _Run:
         apart = [(error, alone) for error, alone in zip(errors, judged, strict=True) if alone is not error]
         guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
         words = f"{made.structure.words}, which miss held-out time by {100 * made.held_out / self.stroke:.2g} %"
-        self.remarks[:0] = ([" ".join(guessed)] if guessed else []) + self.deadline.remarks(words)
+        self.remarks[:0] = [" ".join(guessed)] if guessed else []
         if self.temperatures is not None and made.frame.motion.thermal is not None:
             self.remarks.insert(0, self._warms(made))
-        self.remarks[:0] = messages.of_moved_zeros(trained)
+        self.remarks[:0] = self.deadline.remarks(words) + messages.of_moved_zeros(trained)
         self.remarks += messages.of_rare_voltages(self.training, self.limits)
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         delay = actuator.delay + actuator.lag
@@ -389,6 +386,7 @@ class _Run:
             gaps = () if played is None else played.untested
             self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
         options = {**self.provenance(made.structure), "delay_s": delay, "stroke_m": self.stroke}
+        options["cut"] = [*self.deadline.cut]
         repairs = [sentence for item in records for sentence in item.sentences]
         return Fit(
             actuator,

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
@@ -90,11 +89,6 @@ class State(Entries):
         parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)
         speed = f", {self.motion[1]:.4g} m/s" if self.motion.size else ""
         return f"<State: deformation {self.deformation * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"
-
-    def shifted(self, by: float) -> State:
-        """Return the state on a displacement axis that is moved by `by` [m]."""
-        motion = self.motion + np.array([by, 0.0]) if self.motion.size else self.motion
-        return State(self.deformation + by, self.carts + by, motion, self.smooth, self.displacement_creep)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; `from_dict` reads them back without loss."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,8 +49,8 @@ _BEGINS = {
     "": "",
     "homed": " from a homed start",
     "unknown": " from an unknown start",
-    "top": " from the top, after a rise,",
-    "bottom": " from the bottom, after a fall,",
+    "top": " from the top after a rise",
+    "bottom": " from the bottom after a fall",
     "fitted": " from its fitted start",
 }
 # Branches that are kept of the records.
@@ -83,26 +83,31 @@ _HIDDEN, _FORM_HIDDEN, _PEAK, _LATE_RMS, _FORM = 0.15, 2.5, 1.9, 0.5, 0.25 * np.
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
-# Branches up to this quantile of the paces are slow.
-_MOST_OF_THEM = 0.25
+# Branches up to this quantile of the paces are slow; a lag of less than this part of a sample is not searched for.
+_MOST_OF_THEM, _UNSEEN = 0.25, 0.1
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
-_SIZE, _NUMBERS = Numbers(least=0.0, largest=1e9), Numbers(1, largest=1e9)
+_SIZE, _PAIR = Numbers(least=0.0, largest=1e9), Numbers(1, least=0.0, largest=1e9, divides=True)
+_ANY = replace(_PAIR, least=-np.inf, divides=False)
 
 
-def _pair(value: Any, where: str) -> tuple[float, float] | None:
+def _pair(value: Any, where: str, numbers: Numbers = _PAIR) -> tuple[float, float] | None:
     """Return two numbers; temperatures may be unknown."""
     if value is None and where.endswith("temperatures"):
         return None
-    found = _NUMBERS(value, where).tolist()
-    if len(found) != 2:
+    if len(found := numbers(value, where).tolist()) != 2:
         raise ModelError(argument=where, got=f"{len(found)} numbers", need="two")
     return found[0], found[1]
 
 
 def _branches(value: Any, where: str) -> Array:
     """Return pairs of voltages (k, 2), which may be none."""
-    return np.asarray(Numbers(2, largest=1e9)(value, where) if np.size(value) else np.zeros((0, 2)))
+    if isinstance(value, list | tuple | np.ndarray) and not len(value):
+        return np.zeros((0, 2))
+    found = Numbers(2, largest=1e9)(value, where)
+    if found.shape[1] != 2:
+        raise ModelError(argument=where, got=f"{found.shape[1]} columns", need="pairs of voltages")
+    return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +150,8 @@ class Validity(Entries):
     rms: float = entry("rms_m", _SIZE)
     largest: float = entry("largest_m", _SIZE)
     disagreement: float = entry("disagreement_m", _SIZE)
-    stroke: float = entry("stroke_m", replace(_SIZE, positive=True))
-    limits: tuple[float, float] = entry("limits_V", _pair)
+    stroke: float = entry("stroke_m", replace(_SIZE, positive=True, plausible=0.1))
+    limits: tuple[float, float] = entry("limits_V", partial(_pair, numbers=_ANY))
     branches: Numeric = entry("branches_V", _branches, ())
     new: tuple[float, float] = entry("new", _pair, (0.0, 0.0))
     speeds: tuple[float, float] = entry("speeds_V_per_s", _pair, (0.0, 0.0))
@@ -156,13 +161,13 @@ class Validity(Entries):
     lag: float = entry("lag_s", _SIZE, 0.0)
     lag_error: float = entry("lag_error_s", _SIZE, 0.0)
     lag_open: bool = entry("lag_open", flag, False)
-    temperatures: tuple[float, float] | None = entry("temperatures_degC", _pair, None)
+    temperatures: tuple[float, float] | None = entry("temperatures_degC", partial(_pair, numbers=_ANY), None)
 
     def _demand_together(self) -> None:
-        (low, high), (cold, warm) = self.limits, self.temperatures or (0.0, 0.0)
-        if not (low < high and cold <= warm):
-            got = f"{self.limits} V, {self.temperatures} degC"
-            raise ModelError(argument="validity limits or temperatures", got=got, need="the lower one first")
+        for name in ("limits", "speeds", "rates", "temperatures"):
+            low, high = getattr(self, name) or (0.0, 0.0)
+            if low > high or (name == "limits" and low == high):
+                raise ModelError(argument=f"validity {name}", got=f"{low:g}, {high:g}", need="the lower one first")
 
     @classmethod
     def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
@@ -181,7 +186,8 @@ class Validity(Entries):
         least, most = (every.min(axis=0), every.max(axis=0)) if len(every) else np.zeros((2, 2))
         # As far as most branches have the pace of the fastest ones, a creep looks like a lag.
         alike = float((np.quantile(every, _MOST_OF_THEM, axis=0) / most).max()) if len(every) else 1.0
-        numbers = {"lag_error": numbers.get("lag", 0.0) * alike} | numbers
+        step = min((float(np.median(np.diff(time))) for time, _ in given if time.size > 1), default=0.0)
+        numbers = {"lag_error": max(numbers.get("lag", 0.0), _UNSEEN * step) * alike} | numbers
         numbers |= {"speeds": (least[0], most[0]), "rates": (least[1], most[1]), "hold": hold}
         return cls(limits=limits, branches=kept[:: 1 + len(kept) // _MOST], **numbers)
 

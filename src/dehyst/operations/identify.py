@@ -126,7 +126,9 @@ def _answer(fit: Fit | StageFit) -> list[str]:
     brief = fit.summary().split("\n")
     if not isinstance(fit, Fit) or not fit.good:
         return brief
-    remarks = (*reason_of(fit.promise.promise), *fit.promise.reservations, *fit.remarks)
+    cut = len(fit.options["cut"]) > 0
+    first = fit.remarks[:1] if cut else reason_of(fit.promise.promise)
+    remarks = (*first, *fit.promise.reservations, *fit.remarks[cut:])
     return [brief[0], *(f"  - {escaped(remark)}" for remark in remarks[:_REMARKS])]
 
 

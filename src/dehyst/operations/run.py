@@ -128,10 +128,7 @@ class Result:
 def perform(ctx: click.Context, run: Run) -> Result:
     """Run the operation of a command with the values in its context.
 
-    Raises
-    ------
-    DehystError
-        A parameter has no effect, an output is an input or exists, or the operation's own error.
+    Raise `DehystError` if a parameter has no effect, an output is an input or exists, or as the operation does.
     """
     given, values = given_in(ctx), {name: value for name, value in ctx.params.items() if name not in HOUSE}
     run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))
@@ -141,9 +138,10 @@ def perform(ctx: click.Context, run: Run) -> Result:
             raise OperationError(f"has no effect {why}", argument=parameter.name, hint="leave it out")
     outputs = list(paths_in(ctx, Role.OUTPUT))
     folders = list(paths_in(ctx, Role.FOLDER))
-    if run.force and not outputs and not folders and not any(paths_in(ctx, Role.CONTINUED)):
+    continued = list(paths_in(ctx, Role.CONTINUED))
+    if run.force and not outputs and not folders and not continued:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
-    demand_outputs(paths_in(ctx, Role.INPUT), outputs, force=run.force)
+    demand_outputs(paths_in(ctx, Role.INPUT), outputs, continued, force=run.force)
     for folder in folders:
         _demand_empty(folder, run.force)
     assert ctx.command.callback is not None
@@ -151,21 +149,21 @@ def perform(ctx: click.Context, run: Run) -> Result:
     return result
 
 
-def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], *, force: bool) -> None:
-    """Raise an error for outputs that are inputs, share a name, lack a folder, or exist without `force`.
+def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequence[Path] = (), *, force: bool) -> None:
+    """Raise `FileFormatError` for outputs that are inputs, share a name, lack a folder, or exist without `force`.
 
-    Raises
-    ------
-    FileFormatError
+    `kept`: outputs that go on with what is there.
     """
     if len({os.path.realpath(output) for output in outputs}) < len(outputs):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
     before = list(inputs)
-    for output in outputs:
+    for output in (*outputs, *kept):
         if str(output) == "-":
             raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
         if any(_same(output, path) for path in before):
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
+        if output in kept:
+            continue
         if output.is_dir():
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if not Path(os.path.realpath(output)).parent.is_dir():

@@ -63,7 +63,7 @@ def insight(
     Parameters
     ----------
     model : Actuator or Stage
-        For a stage, each of its actuators and its coupling are assessed.
+        For a stage, each of its actuators and its coupling are assessed: the result is a `StageInsight`.
     records : Record or sequence of Record
         The records that the model was identified from.
     plan : PathPlan, optional
@@ -73,10 +73,6 @@ def insight(
         Voltages allowed [V]; default: those of the model.
     progress : callable, optional
         Called with a short text at each step.
-
-    Returns
-    -------
-    Insight, or StageInsight of a stage
 
     Raises
     ------

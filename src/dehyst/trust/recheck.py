@@ -278,7 +278,7 @@ def check(model: Actuator, record: Record, *, goal: float | None = None) -> Rech
 @overload
 def check(model: Stage, record: Record, *, goal: float | None = None) -> StageRecheck: ...
 def check(model: Actuator | Stage, record: Record, *, goal: float | None = None) -> Recheck | StageRecheck:
-    """Check whether a model is still true by a new record of its actuator, and what has changed.
+    """Check whether a model is still true by a new record of its actuator; return a `Recheck`, or a `StageRecheck`.
 
     As with a validation record, the initial state is fitted, and the whole record is simulated from it.
     Of several axes each actuator is checked, and the coupling is estimated from the record: an entry has changed if it
@@ -292,10 +292,6 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     goal : float, optional
         Largest error [% of the stroke] with which the model is still true; default: the goal of its identification, or
         1.
-
-    Returns
-    -------
-    Recheck, or StageRecheck of a stage
 
     Raises
     ------

@@ -172,7 +172,7 @@ def update(model: Actuator, record: Record, *, goal: float | None = None) -> Upd
 @overload
 def update(model: Stage, record: Record, *, goal: float | None = None) -> StageUpdate: ...
 def update(model: Actuator | Stage, record: Record, *, goal: float | None = None) -> Update | StageUpdate:
-    """Update a model from a new record of its actuator, even of one loop.
+    """Update a model from a new record of its actuator, even of one loop; return an `Update`, or a `StageUpdate`.
 
     Stiffnesses of slip and smooth elements, the spring and the transformer are solved for again, by the program of the
     identification. Common changes come first: all displacements by one factor, as a gain, all thresholds by another, as
@@ -190,10 +190,6 @@ def update(model: Actuator | Stage, record: Record, *, goal: float | None = None
         At least one full loop of the voltage; minor loops show more.
     goal : float, optional
         As in `dehyst.check`.
-
-    Returns
-    -------
-    Update, or StageUpdate of a stage
 
     Raises
     ------
@@ -256,7 +252,7 @@ class _Refit:
             # The old model is still that of its own records.
             made, after, held_out = self.given, before, before
         if used or not self.recheck.kept:
-            made = with_identification(made, validity=self._validity(after[0], held_out[1]), **known)
+            made = with_identification(made, validity=self._validity(after[0], held_out[1], used=used), **known)
         return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
 
     def _stretched(self) -> Actuator:
@@ -374,7 +370,7 @@ class _Refit:
         every = np.concatenate(errors)
         return largest(every), rms(every)
 
-    def _validity(self, largest: float, held_out: float) -> Validity | None:
+    def _validity(self, largest: float, held_out: float, *, used: bool) -> Validity | None:
         """Return the validity of the model after the old records and the new one; its errors as measured [m].
 
         A record that confirms the promise does not widen it.
@@ -384,7 +380,13 @@ class _Refit:
             return None
         missed = 0.0 if self.recheck.kept else float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         most = 0.0 if self.recheck.kept else beyond_noise(largest, noise)
-        return _with_record(known.validity, self.record, missed, most)
+        validity = _with_record(known.validity, self.record, missed, most, used=used)
+        if not used:
+            return validity
+        change = next(change for change in self.recheck.changes if change.name == "lag")
+        # A lag that the record leaves open may have become a width.
+        open_ = change.error + (0.0 if change.counts else abs(change.value))
+        return replace(validity, lag=self.old.delay + self.old.lag, lag_error=open_)
 
     def _missing(self) -> list[str]:
         """Return sentences on what the record could not show."""
@@ -404,21 +406,26 @@ class _Refit:
             missing.append(
                 f"{counted(stuck, 'slip element')} did not slide both ways; the neighbours' change is taken."
             )
-        kept = {"delay": actuator.delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
+        delay = actuator.delay if actuator.delay == self.given.delay else 0.0
+        kept = {"delay": delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
         names = [name for name, part in kept.items() if part]
         if names:
             missing.append(f"Not fitted anew: {', '.join(names)} and the ratios of thresholds.")
         return missing
 
 
-def _with_record(old: Validity, record: Record, missed: float, most: float) -> Validity:
-    """Return a validity after one more `record`, with RMS and largest errors [m] that replace smaller ones."""
+def _with_record(old: Validity, record: Record, missed: float, most: float, *, used: bool) -> Validity:
+    """Return a validity after one more `record`, with RMS and largest errors [m] that replace smaller ones.
+
+    `used`: whether the model was updated by it: then it is tested at its paces alone.
+    """
     warmth, played = old.temperatures, [(record.time, record.voltage)]
     if warmth is not None and record.temperature is not None:
         warmth = min(warmth[0], float(record.temperature.min())), max(warmth[1], float(record.temperature.max()))
     new = Validity.by_records(played, rms=missed, largest=most, disagreement=missed, stroke=old.stroke)
     both = {name: (*getattr(old, name), *getattr(new, name)) for name in ("limits", "speeds", "rates")}
     pairs: dict[str, Any] = {name: (min(ends), max(ends)) for name, ends in both.items()}
+    pairs |= {"speeds": new.speeds, "rates": new.rates} if used else {}
     names = "rms", "largest", "disagreement", "hold"
     numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
     return replace(old, branches=np.concatenate([old.branches, new.branches]), temperatures=warmth, **pairs, **numbers)

@@ -445,6 +445,8 @@ class Task:
         for part, error, before, y, off, row in zip(self.parts, self.errors(), *columns, strict=True):
             loop, way, found = part.loop, part.way, part.found
             degrees = None if part.temperature is None else part.temperature[after:]
+            missed = float(max(off.max(), -off.min()))
+            tolerated = TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             promise = promised(
                 loop.actuator,
                 found.voltage[after:],
@@ -453,10 +455,8 @@ class Task:
                 waits=way.waits,
                 begins=way.start.name if way.homing is None else "homed",
                 opened=() if way.homing is None and way.start.known else error.left_of(found.displacement[after:]),
-                missed=off[after:] if found.clamped.any() else (),
+                missed=off[after:] if found.clamped.any() or missed > tolerated else (),
             )
-            missed = float(max(off.max(), -off.min()))
-            tolerated = TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
             # A path that lies beyond a limit as a whole is not followed, whatever the promise.
