@@ -380,13 +380,13 @@ class _Refit:
             return None
         missed = 0.0 if self.recheck.kept else float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
         most = 0.0 if self.recheck.kept else beyond_noise(largest, noise)
-        validity = _with_record(known.validity, self.record, missed, most, used=used)
-        if not used:
-            return validity
-        change = next(change for change in self.recheck.changes if change.name == "lag")
-        # A lag that the record leaves open may have become a width.
-        open_ = change.error + (0.0 if change.counts else abs(change.value))
-        return replace(validity, lag=self.old.delay + self.old.lag, lag_error=open_)
+        lag = next(change for change in self.recheck.changes if change.name == "lag")
+        # A lag may have become a width, unless the record names the change alone.
+        named = any(len(change.parts) == 1 for change in self.recheck.changed)
+        validity = _with_record(known.validity, self.record, missed, most, alone=used and not named)
+        error = lag.error if lag.counts else 0.0 if named else abs(lag.value)
+        error, delay = max(error, validity.lag_error), self.old.delay + self.old.lag
+        return replace(validity, lag=delay, lag_error=error) if used else validity
 
     def _missing(self) -> list[str]:
         """Return sentences on what the record could not show."""
@@ -414,10 +414,10 @@ class _Refit:
         return missing
 
 
-def _with_record(old: Validity, record: Record, missed: float, most: float, *, used: bool) -> Validity:
+def _with_record(old: Validity, record: Record, missed: float, most: float, *, alone: bool) -> Validity:
     """Return a validity after one more `record`, with RMS and largest errors [m] that replace smaller ones.
 
-    `used`: whether the model was updated by it: then it is tested at its paces alone.
+    `alone`: whether the model is tested at the paces of this record alone.
     """
     warmth, played = old.temperatures, [(record.time, record.voltage)]
     if warmth is not None and record.temperature is not None:
@@ -425,7 +425,7 @@ def _with_record(old: Validity, record: Record, missed: float, most: float, *, u
     new = Validity.by_records(played, rms=missed, largest=most, disagreement=missed, stroke=old.stroke)
     both = {name: (*getattr(old, name), *getattr(new, name)) for name in ("limits", "speeds", "rates")}
     pairs: dict[str, Any] = {name: (min(ends), max(ends)) for name, ends in both.items()}
-    pairs |= {"speeds": new.speeds, "rates": new.rates} if used else {}
+    pairs |= {"speeds": new.speeds, "rates": new.rates} if alone else {}
     names = "rms", "largest", "disagreement", "hold"
     numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
     return replace(old, branches=np.concatenate([old.branches, new.branches]), temperatures=warmth, **pairs, **numbers)
