@@ -45,9 +45,9 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     knots = f"{actuator.spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
     parts = [_slip(actuator.slip, actuator.spring)]
     parts.append(Part("Parallel spring", knots, float(np.ptp(actuator.spring.voltage))))
-    for name, (_, told) in _FURTHER.items():
+    for name, (_, describe) in _FURTHER.items():
         if (part := getattr(actuator, name)) is not None:
-            parts.append(told(part, actuator))
+            parts.append(describe(part, actuator))
     if actuator.delay:
         late = f"The measured displacement lags the voltage by {_seconds(actuator.delay)}"
         lags = "" if actuator.identification is None else actuator.identification.lag_of
