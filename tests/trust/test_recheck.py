@@ -61,8 +61,8 @@ def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(changes, nam
     stated = [change for change in recheck.changed if named <= set(change.parts)]
     assert len(stated) == 1
     assert named & {change.name for change in recheck.changed} == set()
-    assert recheck.tells in recheck.change_sentences()[0]
-    assert run(*shlex.split(recheck.tells)[1:], cwd=tmp_path)[0] == 0
+    assert recheck.to_record in recheck.change_sentences()[0]
+    assert run(*shlex.split(recheck.to_record)[1:], cwd=tmp_path)[0] == 0
 
 
 @pytest.mark.parametrize("seed", [*range(6), *map(at_night, range(6, 20))])

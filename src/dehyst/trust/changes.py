@@ -85,15 +85,15 @@ class Change:
         """What may have changed: one name, or several that the record cannot tell apart."""
         return tuple(self.name.split(_AND))
 
-    def sentence(self, stroke: float, tells: str = "") -> str:
+    def sentence(self, stroke: float, to_record: str = "") -> str:
         """Return the change as a sentence with what to do; creep and drift relative to `stroke` [m].
 
-        `tells`: the command of a record that tells several changes apart.
+        `to_record`: the command of a record that separates several changes.
         """
         if len(self.parts) > 1:
             words = _AND.join(self.parts)
             text = f"The loop has changed by {self.amount(stroke)}; this record cannot tell {words} apart."
-            return f"{text} Record the loops of `{tells}`, which tell them apart." if tells else text
+            return f"{text} Record the loops of `{to_record}`, which separate them." if to_record else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
         return f"{direction.format(self.amount(stroke))}: up to {effect} of the stroke. {_REMEDIES[self.name]}"

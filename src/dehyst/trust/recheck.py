@@ -91,8 +91,8 @@ class Recheck(Plotted):
         Largest error [m] from the second turning point of the voltage on: the rise from a fitted start is set aside.
     promise : Promise or None
         Error that the identification promised for this record's path; None if the model file lacks it.
-    tells : str
-        Command of a record that tells changes apart which this one cannot; empty if this one has as many loops.
+    to_record : str
+        Command of a record that separates changes which this one cannot; empty if this one has as many loops.
     """
 
     record: str
@@ -108,7 +108,7 @@ class Recheck(Plotted):
     trace: Trace
     settled: float
     promise: Promise | None = None
-    tells: str = ""
+    to_record: str = ""
 
     @property
     def without_noise(self) -> float:
@@ -215,7 +215,7 @@ class Recheck(Plotted):
     def change_sentences(self) -> tuple[str, ...]:
         """Return a sentence for each change that counts, the largest effect first; none of another actuator."""
         changed = () if self.mismatch else self.changed
-        return tuple(change.sentence(self.stroke, self.tells) for change in changed)
+        return tuple(change.sentence(self.stroke, self.to_record) for change in changed)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
@@ -265,7 +265,7 @@ class StageRecheck:
 _GOAL = 1.0
 # A change counts if its effect exceeds this part of the goal.
 _PART = 0.25
-# Turning points of a record that tells all changes apart, and how far one goes back, as a part of the range.
+# Turning points of a record that separates all changes, and how far one goes back, as a part of the range.
 _MANY, _TURN = 20, 0.02
 # A coupling that differs by more than this, and by so many standard errors, has changed.
 _COUPLED, _ERRORS = 0.005, 3.0
@@ -320,9 +320,9 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
     promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
-    # As many turns as the excitation for an identification: another record of the kind tells no more.
+    # As many turns as the excitation for an identification: another record of the kind shows no more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
-    tells = "" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.2g} ")
+    to_record = "" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.2g} ")
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
     known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
     changes = find_changes(trace, known, _PART * goal / 100 * stroke)
@@ -340,7 +340,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         trace=trace,
         settled=largest(error[-trace.settled.time.size :]),
         promise=promise,
-        tells=tells,
+        to_record=to_record,
     )
 
 

@@ -110,8 +110,8 @@ class Update:
                 "which its promise allows: it stays as it is" if self.recheck.kept else "which its promise now counts"
             )
             text = f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
-        tells = f": `{self.recheck.tells}` tells more" if self.recheck.tells else ""
-        return text if self.good else f"{text} The goal of {self.recheck.goal:g} % on any path is not met{tells}."
+        more = f": `{self.recheck.to_record}` shows more" if self.recheck.to_record else ""
+        return text if self.good else f"{text} The goal of {self.recheck.goal:g} % on any path is not met{more}."
 
     @property
     def promise(self) -> Promise | None:
@@ -297,7 +297,7 @@ class _Refit:
         moving |= 2 * rho < np.ptp(near.spring.displacement) * (1 - 1e-9)
         rows, grid = compared.program.rows.thinned(_ROWS), replace(compared.program.grid, sliding=moving)
         fold = part_of((rows.time - self.record.time[0]) / float(np.ptp(self.record.time))) % FOLDS
-        alike = _ALIKE if self.recheck.tells else _ALIKE_BY_MANY
+        alike = _ALIKE if self.recheck.to_record else _ALIKE_BY_MANY
         # A drift is solved for beside the changes: before them it would take a part of these.
         drift = Parts(compared.frame.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
         return Program(rows, grid, compared.program.floor, alike, tuple(drift), coefficients(near), FOLDS, fold)
