@@ -37,8 +37,8 @@ _LEAST = 0.05
 _TURN = 5e-3
 # Part of the samples that count as outliers.
 _OUTLIERS = 1e-3
-# Rows that the search for a zero uses, and its Gauss-Newton steps.
-_FEW, _TURNS = 1000, 2
+# Rows for the search of a zero, and for the numbers of parts; turns that find these.
+_FEW, _SOME, _TURNS = 1000, 10_000, 2
 # Steps of the search for the zero without an offset of the voltages, and the part of the stroke that ends it.
 _STEPS, _CLOSE = 8, 1e-5
 # Creep from before a record is a part of the stroke: its prior, and the least error of a model, as parts of the stroke.
@@ -195,14 +195,14 @@ def compare(
             motion, time_constants=creep.time_constants, gains=creep.gains, begun=np.zeros((1, len(creep)))
         )
     names = (*(["drift"] if drifting else []), *(["begun"] if creep is not None else []))
-    compared = _compared(actuator, record, stroke, motion, names)
-    if datum is None:
-        datum = _datum(compared, actuator)
-    motion = replace(motion, datum=np.array([datum]))
-    for _ in range(_TURNS if names else 0):
+    first = datum or 0.0
+    compared = _compared(actuator, record, stroke, replace(motion, datum=np.array([first])), names)
+    found = _datum(compared, actuator) if datum is None else datum
+    motion = replace(motion, datum=np.array([found]))
+    for left in reversed(range(_TURNS if names else int(found != first))):
         motion = moved(motion, names, compared.found.numbers)
-        compared = _compared(actuator, record, stroke, motion, names)
-    return _compared(actuator, record, stroke, motion, ()) if names or datum else compared
+        compared = _compared(actuator, record, stroke, motion, names if left else ())
+    return compared
 
 
 def _compared(
@@ -221,7 +221,7 @@ def _compared(
             f"{record.record.name}: no sample counts; it lasts {lasts:.3g} s, and the model lags by "
             f"{actuator.delay + actuator.lag:.3g} s. Record longer, or check the unit of the time"
         )
-    rows = source.thinned(MOST_ROWS)
+    rows = source.thinned(_SOME if names else MOST_ROWS)
     least = min(_LEAST * float(np.ptp(spring.voltage)) / float(np.ptp(grid.knots)), float(spring.slopes.min()))
     parts, model = tuple(Parts(motion, frame.training, rows).of(names)), coefficients(actuator)
     program = Program(rows, grid, least, 0.0, parts, model)

@@ -249,7 +249,8 @@ class _Run:
         step = partial(search.static, self.frame, structures, names, self.report)
         found = self.deadline.attempt(step, None, "the choice of a smoothing")
         if found is None:
-            found = search.static(self.frame, structures[:1], names, lambda _: None)
+            first = search.with_parts(self.frame, structures[0], names)
+            found = first, [], [first]
         made, trials, self.alternatives = found
         self.trials += trials
         return made

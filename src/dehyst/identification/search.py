@@ -259,8 +259,7 @@ def _tuned(made: Fitted) -> Fitted:
         if not _excited(made.frame):
             break
         frame = tuned(made.frame, made.source, made.program, made.found)
-        names = tuple(name for name in made.names if name not in _OF_RECORDS)
-        made = replace(fitted(frame, made.structure, FEW, names, int(bool(names)), made.found), names=made.names)
+        made = with_parts(frame, made.structure, made.names, near=made.found)
     return made
 
 
@@ -296,17 +295,23 @@ def _excited(frame: Frame) -> bool:
     return 0.5 * resonance < highest and resonance < 0.5 / frame.times[0]
 
 
+def with_parts(
+    frame: Frame, structure: Structure, names: tuple[str, ...], rows: int = FEW, near: Solution | None = None
+) -> Fitted:
+    """Return the solution of a structure beside the parts of these names, whose numbers change with it by one turn."""
+    free = tuple(name for name in names if name not in _OF_RECORDS)
+    return replace(fitted(frame, structure, rows, free, int(bool(free)), near), names=names)
+
+
 def static(
     frame: Frame, structures: Sequence[Structure], names: tuple[str, ...], report: Progress
 ) -> tuple[Fitted, list[Trial], list[Fitted]]:
     """Return the solution of the structure with the least held-out error, what was tried, and all solutions."""
-    trials, swings = list[Trial](), "inertia" in names
-    free = tuple(name for name in names if name not in _OF_RECORDS)
+    trials = list[Trial]()
 
     def solved(structure: Structure, near: Fitted | None = None) -> Fitted:
         report(f"solving the program for {structure.words}")
-        made = near and near.with_structure(structure)
-        made = made or replace(fitted(frame, structure, _ROWS, free, int(bool(free))), names=names)
+        made = near.with_structure(structure) if near else with_parts(frame, structure, names, _ROWS)
         trials.append(Trial(f"{structure.words}; smoothing {structure.smoothing:g}", made.held_out, structure))
         return made
 
@@ -315,17 +320,17 @@ def static(
     if structures is WIDE:
         # Elements that yield gradually leave inner loops open: they must show themselves.
         # Creep that was found beside smooth elements is not that beside others: both move on their own.
-        closed = solved(replace(first, smooth=False), None if free else best)
+        closed = solved(replace(first, smooth=False), best if {*names} <= {*_OF_RECORDS} else None)
         if best.held_out >= RULES.static_gain * closed.held_out:
             best, others = closed, [replace(structure, smooth=False) for structure in others]
     made = [best, *(solved(structure, best) for structure in others)]
     if structures is not OPEN:
         best = min(made, key=lambda each: each.score)
     report("solving the program of all samples")
-    if swings:
+    if "inertia" in names:
         frame = tuned(best.frame, best.source, best.program, best.found)
         best = replace(best, frame=frame)
-    final = replace(fitted(best.frame, best.structure, _MOST, free, int(bool(free)), best.found), names=names)
+    final = with_parts(best.frame, best.structure, names, _MOST, best.found)
     program, found = final.program.reweighted(final.found)
     final = min(final, replace(final, program=program, found=found), key=lambda made: made.held_out)
     final.__dict__["held_out"] = best.held_out
