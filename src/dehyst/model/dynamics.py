@@ -57,6 +57,12 @@ class DisplacementCreep(Entries):
         """Ratio of the displacement at rest to the displacement without creep, 1 + sum_k g_k."""
         return sum(self.gains.tolist(), 1.0)
 
+    @property
+    def per_decade(self) -> float:
+        """Creep in a decade of time, as a part of the step."""
+        shown = self.time_constants[self.gains > 0]
+        return float(self.gains.sum() / max(np.log10(shown.max() / shown.min()), 1.0)) if shown.size else 0.0
+
     def removed(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
         """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s].
 

@@ -34,7 +34,7 @@ from dehyst.model.branches import (
     paces_of,
     untested_by,
 )
-from dehyst.model.dynamics import Thermal
+from dehyst.model.dynamics import DisplacementCreep, Thermal
 from dehyst.model.entries import Entries, entry, flag
 from dehyst.model.states import stroke_of
 from dehyst.model.temperatures import TemperatureCost
@@ -83,6 +83,8 @@ _HIDDEN, _FORM_HIDDEN, _PEAK, _LATE_RMS, _FORM = 0.15, 2.5, 1.9, 0.5, 0.25 * np.
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
+# Part of the creep in a decade by which a path that lasts a decade longer than the records is missed.
+_SLOWER = 0.3
 # Branches up to this quantile of the paces are slow; a lag of less than this part of a sample is not searched for.
 _MOST_OF_THEM, _UNSEEN = 0.25, 0.1
 # A path rests where its voltage moves at less than this part of its largest speed.
@@ -136,8 +138,8 @@ class Validity(Entries):
         Lowest and highest rate of turns: the reciprocal time of a branch without the time at rest [1/s].
     growth : float
         Increase of the RMS error [m] from slow branches to the fastest one.
-    hold : float
-        Longest time at one voltage [s].
+    hold, lasts : float
+        Longest time at one voltage, and longest record [s].
     lag, lag_error : float
         Time [s] by which the displacement lags the voltage, as estimated, and by how much that may be wrong.
     lag_open : bool
@@ -158,6 +160,7 @@ class Validity(Entries):
     rates: tuple[float, float] = entry("rates_per_s", _pair, (0.0, 0.0))
     growth: float = entry("growth_m", _SIZE, 0.0)
     hold: float = entry("hold_s", _SIZE, 0.0)
+    lasts: float = entry("lasts_s", _SIZE, 0.0)
     lag: float = entry("lag_s", _SIZE, 0.0)
     lag_error: float = entry("lag_error_s", _SIZE, 0.0)
     lag_open: bool = entry("lag_open", flag, False)
@@ -181,6 +184,7 @@ class Validity(Entries):
             pairs.append(voltage[at])
             paces.append(paces_of(time, voltage, at))
             hold = max(hold, hold_of(time, voltage, span))
+        lasts = max((float(np.ptp(time)) for time, _ in given), default=0.0)
         every = np.concatenate(paces)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * BAND * span)), axis=0) * (0.25 * BAND * span)
         least, most = (every.min(axis=0), every.max(axis=0)) if len(every) else np.zeros((2, 2))
@@ -188,7 +192,7 @@ class Validity(Entries):
         alike = float((np.quantile(every, _MOST_OF_THEM, axis=0) / most).max()) if len(every) else 1.0
         step = min((float(np.median(np.diff(time))) for time, _ in given if time.size > 1), default=0.0)
         numbers = {"lag_error": max(numbers.get("lag", 0.0), _UNSEEN * step) * alike} | numbers
-        numbers |= {"speeds": (least[0], most[0]), "rates": (least[1], most[1]), "hold": hold}
+        numbers |= {"speeds": (least[0], most[0]), "rates": (least[1], most[1]), "hold": hold, "lasts": lasts}
         return cls(limits=limits, branches=kept[:: 1 + len(kept) // _MOST], **numbers)
 
     @property
@@ -225,7 +229,7 @@ class Promise:
     rms, largest : float
         RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
     parts : mapping of str to float
-        What `largest` sums [m]: "model"; "temperature", "lag", "start", "clamped", "voltages" if they add to it.
+        What `largest` sums [m]: "model"; "temperature", "lag", "creep", "start", "clamped", "voltages" if they add to it.
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -295,6 +299,7 @@ def promise(
     time: ArrayLike | None = None,
     *,
     thermal: Thermal | None = None,
+    creep: DisplacementCreep | None = None,
     temperature: ArrayLike | None = None,
     waits: float = 0.0,
     begins: str = "",
@@ -312,8 +317,8 @@ def promise(
         voltages, at their speeds.
     time : (n,) array_like, optional
         Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
-    thermal : Thermal, optional
-        Part of the model.
+    thermal, creep : optional
+        Parts of the model.
     temperature : float or (n,) array_like, optional
         Temperature of the path [degC]; default: not known.
     waits : float
@@ -339,10 +344,10 @@ def promise(
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = np.repeat(each, np.diff([0, *at[1:, 0], v.size]))
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
+    slow = 0.0 if creep is None or clock is None else _crept(validity, creep, v, clock)
     # Half of a range bounds the standard deviation in it.
-    parts, rms_, half = {"model": largest}, rms_ + 0.5 * cost.largest, half + cost.along
-    if cost.largest:
-        parts["temperature"] = cost.largest
+    rms_, half = rms_ + 0.5 * (cost.largest + slow), half + cost.along + slow
+    parts = {"model": largest} | {k: e for k, e in {"temperature": cost.largest, "creep": slow}.items() if e}
     if late:
         parts["lag"], rms_, half = late, float(np.hypot(rms_, _LATE_RMS * late)), half + late
     errors = {"start": np.asarray(opened), "clamped": np.abs(missed), "voltages": _beyond(validity, v)}
@@ -368,7 +373,8 @@ def promised(
     known = actuator.identification
     if known is None or known.validity is None:
         return None
-    return promise(known.validity, voltage, time, thermal=actuator.thermal, **options)
+    parts = {"thermal": actuator.thermal, "creep": actuator.displacement_creep}
+    return promise(known.validity, voltage, time, **parts, **options)
 
 
 def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:
@@ -445,6 +451,13 @@ def _late(validity: Validity, shown: float, speed: float, rate: float) -> float:
     wrong = 0.0 if validity.lag_open else np.hypot(validity.lag_error * fastest, _HIDDEN * shown)
     form = min(_FORM * (validity.lag * validity.rates[1]) ** 2 * validity.stroke, _FORM_HIDDEN * shown)
     return float(min(np.hypot(_PEAK * wrong * faster, form * oftener), validity.stroke))
+
+
+def _crept(validity: Validity, creep: DisplacementCreep, voltage: Array, time: Array) -> float:
+    """Return the largest error [m] on a path that lasts longer than the records, which do not show so slow a creep."""
+    longer = float(np.ptp(time)) / validity.lasts if validity.lasts else 1.0
+    moved = min(float(np.ptp(voltage)) / validity.span, 1.0) * validity.stroke
+    return _SLOWER * creep.per_decade * moved * float(np.log10(max(longer, 1.0)))
 
 
 def _paces(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> list[float]:
