@@ -5,24 +5,19 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
-import plain_records
 import pytest
 from command_line import TIMEOUT, run
 from virtual_loops import record_loops
 
-import dehyst
 from dehyst import Actuator
-from dehyst.cli import command, terminal
-from dehyst.identification import Deadline
-from dehyst.operations.identify import _BestSoFar as BestSoFar
-from dehyst.records import read, write_record
+from dehyst.cli import terminal
+from dehyst.records import write_record
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 # Trials take long here, so that a test can stop between them.
 SLOW = """
-import signal, time
+import signal, sys, time
 from dehyst.identification import search
 # A shell's background job ignores Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -30,6 +25,7 @@ trial = search.fitted
 
 def slow(*arguments):
     made = trial(*arguments)
+    print("a trial has ended", file=sys.stderr, flush=True)
     time.sleep({seconds})
     return made
 
@@ -45,7 +41,7 @@ def folder(tmp_path):
 
 
 def started(folder, *arguments, seconds=1.0):
-    """A process that identifies, once the first model is on the disk."""
+    """A process that identifies, once its first trial has ended."""
     process = subprocess.Popen(
         [sys.executable, "-c", SLOW.format(seconds=seconds), "identify", "loops.csv", "-o", "m.json", *arguments],
         cwd=folder,
@@ -53,22 +49,13 @@ def started(folder, *arguments, seconds=1.0):
         stderr=subprocess.PIPE,
         text=True,
     )
-    until = time.monotonic() + TIMEOUT
-    while not (folder / "m.json").exists():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    assert any("a trial has ended" in line for line in process.stderr)
     return process
-
-
-def is_provisional(folder):
-    return Actuator.load(folder / "m.json").identification.provisional
 
 
 @posix
 def test_ctrl_c_leaves_the_best_model_so_far(folder):
     process = started(folder, "--report", "r.html", "--json")
-    time.sleep(1.5)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1, err
@@ -79,9 +66,7 @@ def test_ctrl_c_leaves_the_best_model_so_far(folder):
     remark = json.loads(out)["remarks"][0]
     assert remark.startswith("Ctrl-C ended ") and "the model is the best so far" in remark
     assert "Ctrl-C ended" in (folder / "r.html").read_text()
-    assert not is_provisional(folder)
-    status, _, err = run("simulate", "m.json", "loops.csv", "-o", "s.csv", cwd=folder)
-    assert (status, "provisional" in err) == (0, False)
+    assert Actuator.load(folder / "m.json").identification.outcome is not None
 
 
 @posix
@@ -94,83 +79,22 @@ def test_a_second_ctrl_c_stops_at_once(folder):
     _, err = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 130
     assert err.splitlines()[-1] == "dehyst: stopped by Ctrl-C"
-    assert is_provisional(folder)
+    assert [path.name for path in folder.iterdir()] == ["loops.csv"]
 
 
 @posix
-def test_ctrl_c_while_the_first_model_is_written_ends_the_search_only(tmp_path, monkeypatch, capfd):
-    output, deadline = tmp_path / "m.json", Deadline(None)
-    best, actuator = BestSoFar(output), plain_records.plant(4)
-    save = Actuator.save
-
-    def interrupted(self, path):
-        save(self, path)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(Actuator, "save", interrupted)
-    with command.TerminalRun().ended_by(lambda: deadline.end("Ctrl-C"), lambda: best.usable):
-        best.keep(actuator)
-    assert deadline.ended
-    assert output.exists()
-    assert "press it again" in capfd.readouterr().err
-
-
-@posix
-def test_a_killed_process_leaves_a_provisional_model(folder):
+def test_a_killed_process_leaves_nothing(folder):
     process = started(folder)
     process.kill()
     process.communicate(timeout=TIMEOUT)
     assert process.returncode == -signal.SIGKILL
-    assert is_provisional(folder)
-    status, _, err = run("simulate", "m.json", "loops.csv", "-o", "s.csv", cwd=folder)
-    assert status == 0
-    assert "m.json: is provisional" in err
-    # The next identification replaces it.
-    assert run("identify", "loops.csv", "-o", "m.json", "--time-limit", "0.01", cwd=folder)[0] == 0
-    assert not is_provisional(folder)
+    assert [path.name for path in folder.iterdir()] == ["loops.csv"]
 
 
 def test_a_time_limit_ends_the_search(folder):
     status, out, err = run("identify", "loops.csv", "-o", "m.json", "--time-limit", "0.01", cwd=folder)
     assert status == 0, err
     assert "limit of 0.01 s ended" in out
-    assert not is_provisional(folder)
-
-
-def test_a_finished_model_stays_until_the_new_one_is_finished(folder):
-    first = []
-    fit = dehyst.identify(read(folder / "loops.csv"), structure="maxwell_slip", first_model=first.append)
-    fit.actuator.save(folder / "m.json")
-    best = BestSoFar(folder / "m.json")
-    best.keep(first[0])
-    assert not is_provisional(folder)
-    best.remove()
-    assert not is_provisional(folder)
-
-
-def test_after_an_error_there_is_no_model(folder):
-    """Status 2 is promised to write nothing."""
-    code = (
-        "import dehyst.identification.search as search\n"
-        "from dehyst import IdentifyError\n"
-        "def fails(*_):\n"
-        "    from pathlib import Path\n"
-        "    assert Path('m.json').exists()\n"
-        "    raise IdentifyError('no way')\n"
-        "search.static = fails\n"
-        "from dehyst.cli import main; main()"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "identify", "loops.csv", "-o", "m.json"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.endswith("dehyst: no way\n")
-    assert not (folder / "m.json").exists()
 
 
 def test_progress_beside_a_terminal_is_a_line_every_few_seconds(monkeypatch, capfd):

@@ -244,17 +244,6 @@ def test_the_model_at_a_deadline_is_usable(place):
     assert np.isfinite(fit.actuator.simulate(voltage, time=np.arange(50) / 10).displacement).all()
 
 
-@pytest.mark.parametrize("structure", ["auto", "maxwell_slip", TEN])
-def test_a_first_model_comes_once_and_says_that_it_is_provisional(structure):
-    models = []
-    fit = dehyst.identify(graded(), structure=structure, first_model=models.append)
-    (first,) = models
-    assert first.identification.provisional
-    assert not fit.actuator.identification.provisional
-    path = np.linspace(*graded().voltage_range, 50)
-    assert np.ptp(first.simulate(path).displacement) == pytest.approx(np.ptp(graded().displacement), rel=0.2)
-
-
 def test_ctrl_c_in_python_is_a_keyboard_interrupt():
     def progress(words):
         signal.raise_signal(signal.SIGINT)

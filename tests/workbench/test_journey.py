@@ -185,7 +185,7 @@ def test_an_identification_can_be_finished_early_or_stopped(bench, loops):
         record = upload(client, loops)
         answer = client.post("/api/models", json={"train": [record["id"]], "options": {"structure": "auto"}})
         key = answer.json()["id"]
-        until(client, lambda state: entry(state, "models", key)["provisional"])
+        until(client, lambda state: "trying" in entry(state, "models", key)["progress"])
         assert client.post(f"/api/models/{key}/end", json={}).status_code == 200
         state = until(client, lambda state: entry(state, "models", key)["status"] != "identifying")
         assert entry(state, "models", key)["status"] == "ready"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, cast
@@ -50,7 +50,6 @@ def identify(
     goal: float = 1.0,
     progress: Progress | None = None,
     time_limit: float | Deadline | None = None,
-    first_model: Callable[[Actuator], None] | None = None,
 ) -> Fit:
     """Identify an actuator from records of major and minor loops; none needs to start relaxed.
 
@@ -84,9 +83,6 @@ def identify(
     time_limit : float or Deadline, optional
         Time [s] after which no further step of a search begins. Then the best model so far is completed, and
         `Fit.remarks` names it. Another thread or a signal handler can end a `Deadline`.
-    first_model : callable, optional
-        Called once with a Maxwell-slip actuator of few samples, which was not checked: its `identification` is
-        `provisional`.
 
     Raises
     ------
@@ -105,15 +101,11 @@ def identify(
     _refuse_copies([*training, *held_out])
 
     def alone(training: list[Record], held_out: list[Record], report: Progress) -> Fit:
-        some, others = as_list(training), as_list(held_out)
-        once = [first_model]
-
         def fit(some: list[Record], others: list[Record]) -> Fit:
-            first = once.pop() if once else None
-            return _Run(settings, some, others, report, goal, deadline, first).fit()
+            return _Run(settings, some, others, report, goal, deadline).fit()
 
         with one_thread():
-            return events.identified(some, others, fit)
+            return events.identified(as_list(training), as_list(held_out), fit)
 
     if training[0].axes:
         fit: Any = identify_axes(training, held_out, alone, report)
@@ -143,7 +135,6 @@ class _Run:
     report: Progress
     goal: float
     deadline: Deadline
-    first_model: Callable[[Actuator], None] | None = None
     remarks: list[str] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
     lead: float = 0.0
@@ -189,9 +180,6 @@ class _Run:
         if len(self.training) > 1 and not settings.shared_datum:
             step = partial(search.with_datums, self.frame, self.report)
             self.frame = self.deadline.attempt(step, self.frame, "the search for the zeros of the sensor")
-        if self.first_model is not None:
-            made = search.fitted(self.frame, PLAIN, search.FEW)
-            self.first_model(with_identification(self.named(made.actuator), provisional=True))
         plain = settings.structure == "maxwell_slip"
         names = self._moving(plain=plain)
         made = self._static(names, plain=plain)

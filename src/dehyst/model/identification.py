@@ -64,9 +64,6 @@ class Identification(Entries):
     ringing : bool
         Whether the elements follow the ringing displacement after steps of the voltage.
     outcome : Outcome or None
-    provisional : bool
-        Whether the model is an early one, before the end of its identification: a least-squares fit of few samples that
-        was not checked.
     largest_error : float or None
         Largest error of the training records, simulated whole [m].
     goal : float or None
@@ -92,7 +89,6 @@ class Identification(Entries):
     lead: float = entry("lead_s", _SIZE, 0.0)
     ringing: bool = entry("ringing", flag, False)
     outcome: Outcome | None = entry("outcome", _outcome, None)
-    provisional: bool = entry("provisional", flag, False)
     largest_error: float | None = entry("largest_error_m", replace(_SIZE, optional=True), None)
     goal: float | None = entry("goal_percent", replace(_SIZE, optional=True), None)
     slew_rate: float | None = entry("slew_rate_V_per_s", _RATE, None)

@@ -229,7 +229,7 @@ class Promise:
     rms, largest : float
         RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
     parts : mapping of str to float
-        What `largest` sums [m]: "model"; "temperature", "lag", "creep", "start", "clamped", "voltages" if they add to it.
+        What `largest` sums [m]: "model"; "temperature", "creep", "lag", "start", "clamped", "voltages" if they count.
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -373,8 +373,8 @@ def promised(
     known = actuator.identification
     if known is None or known.validity is None:
         return None
-    parts = {"thermal": actuator.thermal, "creep": actuator.displacement_creep}
-    return promise(known.validity, voltage, time, **parts, **options)
+    thermal, creep = actuator.thermal, actuator.displacement_creep
+    return promise(known.validity, voltage, time, thermal=thermal, creep=creep, **options)
 
 
 def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:

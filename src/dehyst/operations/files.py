@@ -64,15 +64,13 @@ def is_model(path: Path, *formats: str) -> bool:
 
 
 def read_model(run: Run, path: Path) -> Actuator:
-    """Read a model; warn if its identification was not usable, or did not end."""
+    """Read a model; warn if its identification was not usable."""
     from dehyst.model import Actuator
 
     actuator = Actuator.load(path)
     known = actuator.identification
     if known is not None and known.outcome is not None and not known.outcome.good:
         run.note(f"{path}: when this model was identified: {known.outcome.value}")
-    if known is not None and known.provisional:
-        run.note(f"{path}: is provisional, because its identification did not end; it was not checked. Identify again")
     return actuator
 
 

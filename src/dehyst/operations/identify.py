@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import click
 import numpy as np
 
 import dehyst._validation as check
-from dehyst._errors import DehystError, IdentifyError
+from dehyst._errors import IdentifyError
 from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
@@ -82,21 +81,11 @@ def identify(
     columns.demand(RECORD, "on records", axes=bool(columns.axes))
     check.Numbers(positive=True, optional=True, error=IdentifyError)(slew_rate, "slew_rate")
     deadline = Deadline(time_limit)
-    best = _BestSoFar(output)
     run.progress("reading")
     training, held_out = _zeroed(*([read(path, columns) for path in paths] for paths in (records, validate)), zero=zero)
     settings |= {"validate": held_out, "progress": run.progress}
-    with run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True), lambda: best.usable):
-        try:
-            first = None if columns.axes else best.keep
-            fit = identify_one(training, time_limit=deadline, first_model=first, **settings)
-        except KeyboardInterrupt as interrupt:
-            if columns.axes:
-                interrupt.add_note("several axes have no model before all are identified; nothing was written")
-            raise
-        except Exception:
-            best.remove()
-            raise
+    with nullcontext() if columns.axes else run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True)):
+        fit = identify_one(training, time_limit=deadline, **settings)
     if output is not None:
         _with_defaults(fit.model, columns, slew_rate).save(output)
     if report is not None:
@@ -146,34 +135,3 @@ def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -
         return replace(record, displacement=record.displacement - place, meta={**record.meta, "source": source})
 
     return list(map(moved, records)), list(map(moved, others))
-
-
-class _BestSoFar:
-    """The best model so far of an identification, kept in its output.
-
-    An existing finished model in this output stays until the new one is finished.
-    """
-
-    def __init__(self, output: Path | None) -> None:
-        self._output = output
-        self.usable = self._written = False
-
-    def keep(self, actuator: Actuator) -> None:
-        """Write the first model; from now on the search can be ended early."""
-        self.usable = True
-        if self._output is not None and (not os.path.lexists(self._output) or _is_provisional(self._output)):
-            actuator.save(self._output)
-            self._written = True
-
-    def remove(self) -> None:
-        """Remove the first model, because there will be no final one."""
-        if self._written and self._output is not None:
-            self._output.unlink(missing_ok=True)
-
-
-def _is_provisional(path: Path) -> bool:
-    """Return whether a file is the provisional model of an identification that did not end."""
-    with suppress(DehystError):
-        known = Actuator.load(path).identification
-        return known is not None and known.provisional
-    return False

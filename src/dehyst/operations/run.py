@@ -48,12 +48,10 @@ class Run:
         """Report a line of the result at once."""
 
     @contextmanager
-    def ended_by(self, end: Callable[[], object], possible: Callable[[], bool]) -> Iterator[None]:
-        """Let the first SIGINT end the operation early if this is possible then, and the second one interrupt it."""
+    def ended_by(self, end: Callable[[], object]) -> Iterator[None]:
+        """Let the first SIGINT end the operation early, and the second one interrupt it."""
 
         def interrupt(*_: object) -> None:
-            if not possible():
-                raise KeyboardInterrupt
             signal.signal(signal.SIGINT, signal.default_int_handler)
             self.ending()
             end()

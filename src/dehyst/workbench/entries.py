@@ -90,7 +90,6 @@ class ModelEntry:
     status: str = "identifying"
     progress: str = ""
     seconds: float | None = 0.0
-    provisional: bool = False
     early: bool = False
     error: str | None = None
     verdict: dict[str, Any] | None = None

@@ -193,10 +193,9 @@ class WorkbenchSession:
 
         def progress(words: str) -> None:
             entry.progress, entry.seconds = words, time.monotonic() - began
-            entry.provisional = (self.folder.path / file).exists()
 
         async def done(finished: Finished) -> None:
-            entry.seconds, entry.progress, entry.provisional = time.monotonic() - began, "", False
+            entry.seconds, entry.progress = time.monotonic() - began, ""
             if finished.result is not None and (self.folder.path / file).exists():
                 # Before the entry is ready: a page uses the ranges of every model that is.
                 await asyncio.to_thread(entry.fill_ranges, self.folder.path / file)

@@ -43,7 +43,7 @@ function body(model) {
 }
 
 function runningCard(model) {
-  const { id, name, status, error, progress, provisional, seconds, train } = model;
+  const { id, name, status, error, progress, seconds, train } = model;
   const running = status === "identifying";
   const title = h("div.card-head", h("h3", name), !running && server.removeButton("models", model));
   const place = `models ${id}`;
@@ -61,7 +61,7 @@ function runningCard(model) {
     h("p.muted", `Identifying from ${train.map((key) => server.recordOf(key)?.name ?? key).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
     h("p.progress-words", { role: "status" }, progress || "starting"),
-    h("p.elapsed", `${duration(Math.round(seconds))} elapsed${provisional ? "; a first model exists" : ""}`),
+    h("p.elapsed", `${duration(Math.round(seconds))} elapsed`),
     h("p.muted",
       "A first model exists within seconds; the search for a better structure takes minutes with long records. You " +
         "can go on with other steps meanwhile.",
