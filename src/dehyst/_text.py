@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import unicodedata
 from collections.abc import Iterator, Sequence
 
@@ -22,6 +23,11 @@ def escaped(text: object) -> str:
         c if c.isprintable() or unicodedata.category(c) == "Zs" else c.encode("unicode_escape").decode("ascii")
         for c in string
     )
+
+
+def escape(text: object, *, quote: bool = True) -> str:
+    """Escape text for HTML: marks and control characters."""
+    return html.escape(escaped(text), quote=quote)
 
 
 def to_know(sentences: Sequence[str]) -> Iterator[str]:

@@ -1,6 +1,5 @@
 """Record: what is refused, what is measured on it, and that its turning points are the right ones."""
 
-import html
 import pickle
 import sys
 
@@ -206,11 +205,8 @@ def changed(time=lambda t: t, voltage=lambda v: v, displacement=lambda y: y):
     ],
 )
 def test_problems(record, word):
-    """Each is the first that is named, and shown where a notebook shows the record."""
-    made = record()
-    said = made.problems()[0]
-    assert word in said
-    assert said in html.unescape(made._repr_html_())
+    """Each is the first that is named."""
+    assert word in record().problems()[0]
     assert lagging().problems() == ()
 
 

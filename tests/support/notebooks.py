@@ -39,13 +39,10 @@ def _outputs(source, space, count):
         outputs.append(nbformat.v4.new_output("stream", name="stdout", text=printed.getvalue()))
     pictures = _pictures()
     if value is not None and not pictures:
-        outputs.append(nbformat.v4.new_output("execute_result", data=_shown(value), execution_count=count))
+        outputs.append(
+            nbformat.v4.new_output("execute_result", data={"text/plain": repr(value)}, execution_count=count)
+        )
     return outputs + [nbformat.v4.new_output("display_data", data=data) for data in pictures]
-
-
-def _shown(value):
-    html = value._repr_html_() if hasattr(value, "_repr_html_") else None
-    return {"text/plain": repr(value), **({"text/html": html} if html else {})}
 
 
 def _pictures():

@@ -9,7 +9,6 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from dehyst._text import escaped, to_know
-from dehyst._views import html
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
 from dehyst._views.pictures import Plotted
@@ -69,15 +68,6 @@ class Fit(Plotted):
     def __str__(self) -> str:
         return escaped(self.promise.sentence)
 
-    def _repr_html_(self) -> str:
-        readiness = self.promise.readiness
-        return html.block(
-            f"Fit: {readiness.value}",
-            html.line(self.promise.sentence),
-            html.preformatted("Summary", _lines(self)),
-            colour=_COLOURS[readiness] if self.good else "red",
-        )
-
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
 
@@ -118,7 +108,6 @@ class Fit(Plotted):
 _HEAD = ("record", "role", "samples", "left out", "largest with noise, % stroke", "RMS, % of stroke", "largest", "RMS")
 # Number of candidates in a summary.
 _SHOWN = 5
-_COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_USABLE: "red"}
 
 
 def _brief(fit: Fit) -> Iterator[str]:

@@ -124,11 +124,6 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
         return one_line(self)
 
-    def _repr_html_(self) -> str:
-        from dehyst.model.summary import as_html
-
-        return as_html(self)
-
     def summary(self) -> str:
         """Return the parts of the actuator with their numbers, one line for each."""
         from dehyst.model.summary import lines

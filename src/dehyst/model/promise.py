@@ -184,7 +184,6 @@ class Validity(Entries):
             pairs.append(voltage[at])
             paces.append(paces_of(time, voltage, at))
             hold = max(hold, hold_of(time, voltage, span))
-        lasts = max((float(np.ptp(time)) for time, _ in given), default=0.0)
         every = np.concatenate(paces)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * BAND * span)), axis=0) * (0.25 * BAND * span)
         least, most = (every.min(axis=0), every.max(axis=0)) if len(every) else np.zeros((2, 2))
@@ -192,6 +191,7 @@ class Validity(Entries):
         alike = float((np.quantile(every, _MOST_OF_THEM, axis=0) / most).max()) if len(every) else 1.0
         step = min((float(np.median(np.diff(time))) for time, _ in given if time.size > 1), default=0.0)
         numbers = {"lag_error": max(numbers.get("lag", 0.0), _UNSEEN * step) * alike} | numbers
+        lasts = max(float(np.ptp(time)) for time, _ in given)
         numbers |= {"speeds": (least[0], most[0]), "rates": (least[1], most[1]), "hold": hold, "lasts": lasts}
         return cls(limits=limits, branches=kept[:: 1 + len(kept) // _MOST], **numbers)
 
@@ -455,9 +455,8 @@ def _late(validity: Validity, shown: float, speed: float, rate: float) -> float:
 
 def _crept(validity: Validity, creep: DisplacementCreep, voltage: Array, time: Array) -> float:
     """Return the largest error [m] on a path that lasts longer than the records, which do not show so slow a creep."""
-    longer = float(np.ptp(time)) / validity.lasts if validity.lasts else 1.0
-    moved = min(float(np.ptp(voltage)) / validity.span, 1.0) * validity.stroke
-    return _SLOWER * creep.per_decade * moved * float(np.log10(max(longer, 1.0)))
+    decades = float(np.log10(max(np.ptp(time) / validity.lasts, 1.0))) if validity.lasts else 0.0
+    return _SLOWER * creep.per_decade * decades * min(np.ptp(voltage) / validity.span, 1.0) * validity.stroke
 
 
 def _paces(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> list[float]:

@@ -1,4 +1,4 @@
-"""The parts of an actuator in numbers and sentences: one line, the summary, and HTML."""
+"""The parts of an actuator in numbers and sentences: one line, and the summary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from dehyst._text import counted, escaped
 from dehyst._types import Array
-from dehyst._views import html
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
@@ -195,11 +194,3 @@ def lines(actuator: Actuator) -> Iterator[str]:
     for part in parts_of(actuator):
         holds = "" if part.holds is None else f" Holds {part.holds:.3g} V at most."
         yield f"  {part.name + ':':<17} {part.sentence}{holds}"
-
-
-def as_html(actuator: Actuator) -> str:
-    """Return an actuator for a notebook: ranges, and a table of its parts."""
-    limits, knots, stroke = _ranges(actuator, "µm")
-    rows = [("voltage", limits), ("displacement", f"{knots} ({stroke})")]
-    rows += [(part.name, part.sentence.replace("um", "µm")) for part in parts_of(actuator)]
-    return html.block(f"Actuator '{actuator.name}'", html.facts(rows))

@@ -11,9 +11,8 @@ import numpy as np
 
 from dehyst._errors import FileFormatError, ModelError, RecordError, of_part
 from dehyst._io import write_atomically
-from dehyst._text import counted
+from dehyst._text import counted, escape
 from dehyst._types import Array
-from dehyst._views.html import escape
 from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
 from dehyst.control.planning.ways import MOST_ROWS, present_voltage
 from dehyst.model import Actuator, voltages_of

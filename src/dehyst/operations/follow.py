@@ -10,8 +10,8 @@ import numpy as np
 
 from dehyst._errors import ModelError, RecordError, RigError
 from dehyst._io import made_folder, write_atomically
+from dehyst._text import escape
 from dehyst._types import Array
-from dehyst._views.html import escape
 from dehyst.calibration.following import FollowedPath, closed_path
 from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits

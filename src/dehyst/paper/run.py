@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst._io import PathLike, made_folder, write_atomically, write_json
+from dehyst._text import escape
 from dehyst._types import Progress
-from dehyst._views.html import escape
 from dehyst.paper import experiment, tables
 from dehyst.paper.experiment import Experiment
 from dehyst.report import MINUS, Row, document, table

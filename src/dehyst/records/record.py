@@ -17,7 +17,7 @@ from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
 from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
-from dehyst._views import html, tables
+from dehyst._views import tables
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
 from dehyst.records.formats.column import Column
@@ -238,22 +238,6 @@ class Record(Plotted):
         (v0, v1), y = self.voltage_range, self.displacement * 1e6
         events = f" at {counted(int(np.count_nonzero(self.measured)), 'event')}" if self.measured is not None else ""
         return f"{head}, {v0:.4g} to {v1:.4g} V, {y.min():.6g} to {y.max():.6g} um{events}{others}>"
-
-    def _repr_html_(self) -> str:
-        rows: list[tuple[str, object]] = [
-            ("samples", len(self)),
-            ("time", f"{self.time[-1] - self.time[0]:.6g} s, every {self.sample_time:.4g} s"),
-        ]
-        for channel in self.channels:
-            scale, unit = (1e6, "µm") if channel.unit == "m" else (1.0, channel.unit)
-            low, high = (scale * float(end) for end in (channel.values.min(), channel.values.max()))
-            rows.append((channel.name, f"{low:.6g} to {high:.6g} {unit}"))
-        remarks = [
-            f"{f'{axis}: ' if axis else ''}{sentence}"
-            for axis in self.axes or ("",)
-            for sentence in self.axis(axis).problems()
-        ]
-        return html.block(f"Record '{self.name}'", html.facts(rows), html.folded("Problems", remarks))
 
     def __getitem__(self, rows: slice[Any, Any, None] | Mask | NDArray[np.intp]) -> Record:
         # A slice of step 1, a bool for each sample, or increasing indices.

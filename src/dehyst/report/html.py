@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from dehyst._io import GENERATOR
-from dehyst._views import html as notebook
+from dehyst._text import escape
 from dehyst.report.charts import Chart, ChartData
 from dehyst.web import files
 
-escape = notebook.escape
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"
 
 MINUS = "\N{MINUS SIGN}"

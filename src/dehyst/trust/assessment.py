@@ -14,7 +14,6 @@ from dehyst._text import counted, escaped
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import interval
-from dehyst._views import html
 from dehyst._views.fields import json_values
 from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
@@ -155,12 +154,6 @@ class Insight(Plotted):
     def __repr__(self) -> str:
         directions = f"{self.identifiability.determined} of {self.identifiability.of} directions determined"
         return f"<Insight of '{escaped(self.actuator.name)}': {directions}, {counted(len(self.warnings()), 'warning')}>"
-
-    def _repr_html_(self) -> str:
-        warnings = self.warnings()
-        text = html.preformatted("Summary", lines(self))
-        title, colour = f"Insight of '{self.actuator.name}'", "amber" if warnings else "green"
-        return html.block(title, *map(html.line, warnings), text, colour=colour)
 
     def summary(self, full: bool = False) -> str:
         """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._units import per_metre
-from dehyst._views import html, tables
+from dehyst._views import tables
 from dehyst._views.lines import length, span_of
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.start import StartError
@@ -152,24 +152,16 @@ class PathPlan:
         )
 
     def __repr__(self) -> str:
-        return f"<PathPlan: {', '.join(self._facts().values())}>"
-
-    def _repr_html_(self) -> str:
-        colour = "green" if self.followed else "amber"
-        facts = html.facts(self._facts().items())
-        return html.block("PathPlan", facts, html.folded("Warnings", self.warnings), colour=colour)
-
-    def _facts(self) -> dict[str, str]:
         um, count = 1e6 / per_metre(self.units), int(np.count_nonzero(self.clamped))
-        before = {"before": f"{counted(self.first, 'sample')} before"} if self.first else {}
         missed = length(float(np.max(self.missed)) / per_metre(self.units))
-        return {
-            "samples": counted(len(self.phase) - self.first, "sample"),
-            **before,
-            "voltage": span_of(self.voltage, "V"),
-            "displacement": span_of(self.displacement, "um", um),
-            "clamped": f"{count} clamped, missed by up to {missed}" if count else "nothing clamped",
-        }
+        facts = [
+            counted(len(self.phase) - self.first, "sample"),
+            *[f"{counted(self.first, 'sample')} before"] * (self.first > 0),
+            span_of(self.voltage, "V"),
+            span_of(self.displacement, "um", um),
+            f"{count} clamped, missed by up to {missed}" if count else "nothing clamped",
+        ]
+        return f"<PathPlan: {', '.join(facts)}>"
 
     def to_dataframe(self) -> DataFrame:
         """Return the columns time_s, phase, voltage_V, displacement_um, expected_um and clamped as a pandas DataFrame.
