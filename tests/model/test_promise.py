@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import ModelError
-from dehyst.model import Thermal, Validity
+from dehyst.model import DisplacementCreep, Thermal, Validity
 from dehyst.model.branches import branches_of, distances
 from dehyst.model.promise import promise
 from dehyst.model.temperatures import temperatures_to_record
@@ -90,6 +90,17 @@ def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
     assert found[1].largest < 1.1 * found[0].largest and found[-1].largest > 2 * found[0].largest
     asked = [[gap.command for gap in each.untested if gap.what == "speed"] for each in found]
     assert [len(commands) for commands in asked] == [0, 0, 1, 1, 1] and all(all(commands) for commands in asked)
+
+
+def test_a_path_longer_than_the_records_costs_creep_that_they_cannot_show():
+    creep = DisplacementCreep([0.1, 10.0], [0.02, 0.02])
+    time, voltage = motion(0, 100, 0, 80, 0, 60, 0, 40, 0)
+    short, ten, hundred = (promise(TOPS, voltage, factor * time, creep=creep) for factor in (0.5, 10.0, 100.0))
+    assert "creep" not in short.parts
+    assert ten.parts["creep"] > 0.002 * STROKE
+    assert hundred.parts["creep"] == pytest.approx(2 * ten.parts["creep"])
+    for slow in (ten, hundred):
+        assert slow.rms > short.rms
 
 
 @pytest.mark.parametrize("growth", [0.0, 5e-8])
