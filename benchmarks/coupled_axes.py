@@ -94,10 +94,10 @@ def measure(kinds, seed):
     began = time.monotonic()
     fit = dehyst.identify(training, validate=held)
     seconds = time.monotonic() - began
-    strokes = np.ptp(training.displacement, axis=0)
+    strokes, decoupling = np.ptp(training.displacement, axis=0), np.linalg.inv(stage.coupling).T
     single, floor = [], []
     for j in range(3):
-        exact = [r.axis(j, (r.displacement @ np.linalg.inv(stage.coupling).T)[:, j]) for r in (training, held)]
+        exact = [Record(r.time, r.voltage[:, j], (r.displacement @ decoupling)[:, j]) for r in (training, held)]
         by_itself = dehyst.identify(exact[0], validate=exact[1])
         floor.append(100 * by_itself.errors[-1].settled_largest / strokes[j])
         alone = dehyst.identify(training.axis(j), validate=held.axis(j))

@@ -165,11 +165,6 @@ PROPOSED = {
     "a length is no time": ("Height [nm],voltage_V,y_um", (1e3 * T, V, UM), "HZ, -, -"),
     "the measured one": ("time_s,voltage_V,Soll,Ist", (T, V, UM * 1.01, UM), "-, -, Ist:um?"),
     "not the command": ("time_s,voltage_V,target um,gauge um", (T, V, UM, UM), "-, -, gauge um:um?"),
-    "branches side by side": (
-        "drive (V),up (nm),down (nm)",
-        (np.arange(60.0), 10 * np.arange(60.0), 10 * np.arange(60.0) + 1),
-        "",
-    ),
     "names that stand twice": ("time_s,a,a", (T, V, UM), "-, 2:V?, 3:um?"),
 }
 

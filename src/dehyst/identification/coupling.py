@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -172,7 +172,7 @@ def identify_axes(
     table, fits = inverse(coupling), list[Fit]()
     for j, axis in enumerate(names):
         alone, validate = (
-            [record.axis(j, apply(table, record.displacement)[:, j]) for record in some]
+            [replace(record.axis(j), displacement=apply(table, record.displacement)[:, j]) for record in some]
             for some in (training, held_out)
         )
         try:

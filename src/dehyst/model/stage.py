@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 from types import MappingProxyType
@@ -166,7 +166,7 @@ class Stage(JsonFile):
 
     def alone(self, record: Record, j: int) -> Record:
         """Return a `record` of all axes as a record of actuator `j` alone, without the motion due to coupling."""
-        return record.axis(j, apply(self.decoupling, record.displacement)[:, j])
+        return replace(record.axis(j), displacement=apply(self.decoupling, record.displacement)[:, j])
 
     @property
     def condition(self) -> float:

@@ -325,26 +325,17 @@ class Record(Plotted):
         found = [channel.values for channel in self.others if channel.role == "temperature"]
         return found[0] if len(found) == 1 else None
 
-    def axis(self, axis: str | int, displacement: ArrayLike | None = None) -> Record:
-        """Return one axis as a separate record.
-
-        `axis`: its name or index; a record of one axis has index 0. `displacement` (n,) [m]: replaces the displacement
-        of this axis. Raise `RecordError` if there is no such axis.
-        """
+    def axis(self, axis: str | int) -> Record:
+        """Return one axis, by its name or index, as a separate record; raise `RecordError` if there is none."""
         names: list[object] = [*self.axes] if self.axes else [""]
         j = names.index(axis) if axis in names else axis
         if not isinstance(j, int) or not 0 <= j < len(names):
             words = ", ".join(map(str, self.axes)) if self.axes else "0"
             raise self._error(f"axis: got {axis!r}, need one of {words}")
         if not self.axes:
-            return self if displacement is None else replace(self, displacement=displacement)  # type: ignore[arg-type]
-        return replace(
-            self,
-            voltage=self.voltage[:, j],
-            displacement=self.displacement[:, j] if displacement is None else displacement,  # type: ignore[arg-type]
-            name=f"{self.name} ({self.axes[j]})",
-            axes=(),
-        )
+            return self
+        v, y, name = self.voltage[:, j], self.displacement[:, j], f"{self.name} ({self.axes[j]})"
+        return replace(self, voltage=v, displacement=y, name=name, axes=())
 
     @property
     def sample_time(self) -> float:

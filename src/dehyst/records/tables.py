@@ -28,10 +28,6 @@ from dehyst.records.formats.column import (
     unlikely,
 )
 
-_BRANCHES = (
-    "all its columns only rise: if they hold the rising and the falling branch side by side, write the falling one "
-    "below the rising one in reverse order, and give rate=HZ"
-)
 _UNNAMED = (
     "its columns have no names; save three arrays with the names time_s, voltage_V and displacement_um, write such a "
     "row above the table, not behind a # or %, or select them by their numbers, as voltage=2:V"
@@ -273,8 +269,6 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
-    if not proposal and _side_by_side(table):
-        hint = _BRANCHES
     raise ColumnsError(f"{table.source}: {faults}{f'; {hint}' if hint else ''}", proposal, problems)
 
 
@@ -299,13 +293,6 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
         entries["rate"] = RATE
     complete = {error.quantity for error in problems} - {"time"} <= entries.keys()
     return text_of(columns.entries() | entries) if complete and entries else ""
-
-
-def _side_by_side(table: Table) -> bool:
-    """Return whether all columns only rise, as those of two branches do that are written side by side."""
-    columns = [column.data for column in table.columns if not column.fault]
-    rise = [values.size > 2 and bool(np.all(np.diff(values) >= 0)) and values[-1] > values[0] for values in columns]
-    return len(rise) > 2 and all(rise)
 
 
 def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> dict[str, Column]:
