@@ -62,13 +62,16 @@ def test_a_start_up_transient_is_left_out_and_only_it(length):
     assert found == length
 
 
-def test_a_transient_is_told_and_does_no_harm():
+@pytest.mark.parametrize(
+    ("samples", "share", "allowed"), [(np.s_[:40], 0.1, 1e-6), (np.s_[1210:], 0.01, 0.01), (np.s_[1540:], -0.05, 0.01)]
+)
+def test_a_transient_or_a_zero_that_jumps_is_told_and_does_no_harm(samples, share, allowed):
     record = plain_records.loops(PLANT, (*plain_records.MAJOR, *plain_records.DESCENDING_TOPS))
     y = record.displacement.copy()
-    y[:40] += 0.1 * plain_records.STROKE
-    fit = dehyst.identify(Record(record.time, record.voltage, y, "warm-up"), structure=TEN)
-    assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-6
-    assert len(fit.repairs) == 1
+    y[samples] += share * plain_records.STROKE
+    fit = dehyst.identify(Record(record.time, record.voltage, y, "moved"), structure=TEN)
+    assert plain_records.stiffness_error(fit.actuator, PLANT) < allowed
+    assert len(fit.repairs) == 1 and fit.errors[0].drift == 0
     assert fit.errors[0].samples + fit.errors[0].left_out == len(record)
 
 

@@ -15,7 +15,7 @@ import dehyst
 from dehyst import Record, plan_path
 from dehyst.identification.preparation import prepare
 from dehyst.model import turned
-from dehyst.records.cleaning import glitches, settled, spikes, transients, voltage_steps
+from dehyst.records.cleaning import glitches, settled, spikes, transients, voltage_steps, zero_jumps
 
 DATA = places.DATA
 PLANTS = [plain_records.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]
@@ -100,7 +100,7 @@ def test_a_record_without_glitches_loses_nothing(seed, kind, cycle, cycles, lag,
     size = max(80, int(cycle * cycles))
     v, y = measured(rng, kind, cycle, size, lag)
     v, y = spoiled(rng, v, noise, digits), spoiled(rng, y, sensor, sensor_digits)
-    assert not glitches(v, y).any()
+    assert not glitches(v, y).any() and not zero_jumps(Record(np.arange(v.size), v, y))
 
 
 @given(

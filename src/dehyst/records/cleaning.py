@@ -15,6 +15,7 @@ from math import log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dehyst._text import counted
@@ -44,8 +45,6 @@ _LATE = 2.5
 _FADED, _LONGEST_RING = 5e-4, 3.0
 # Half-lives until an overshoot that does not swing is over; displacements from which the levels beside it are taken.
 _HALVES, _LEVEL = 8, 8
-# Most glitches or transients that are named one by one, and fewest new samples a cycle.
-_SHOWN, FEWEST_NEW = 5, 12
 # Fewest samples of a record that shows excursions, most samples of a glitch and of a spike, least size of a spike, and
 # largest part of a record that spikes are.
 _SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005, 0.05
@@ -60,6 +59,9 @@ _FOLLOWS, _SEEN, _STEEPER, _STEEP_AT_END = 0.2, 2.0, 2.0, 5.0
 _LAG, _LAGS = 0.05, (8, 64)
 # Longer excursions, such as a channel that drops out: most samples, share of a cycle, least share of the range.
 _LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
+# Fewest new samples a cycle. Jumps of a zero: samples on each side from whose cubic it stands out, how often it exceeds
+# what noise explains and what that cubic leaves, and most jumps in a record: many are none of a zero.
+FEWEST_NEW, _BESIDE, _DISTINCT, _CLEAR, _MOST_JUMPS = 12, 12, 3.3, 4.0, 3
 # Passes in which excursions behind others are found, and candidates processed at a time.
 _PASSES, _BLOCK = 20, 1 << 14
 
@@ -77,38 +79,23 @@ class Cleaned(NamedTuple):
 
 def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
     """Leave glitches and repeats out, put lines in place of spikes; set transients aside, as paths unless `ringing`."""
-    bad = glitches(record.voltage, record.displacement)
-    stray = runs(bad)
-    words = [
-        f"voltage glitch at sample{f's {a} to {b - 1}' if b - a > 1 else f' {a}'} ({record.time[a]:.6g} s): "
-        f"{record.voltage[a]:.6g} V; the displacement does not follow: left out."
-        for a, b in stray
-    ]
-    sentences = _shortened(words, "voltage glitches: left out.")
-    if stray:
+    bad, sentences = glitches(record.voltage, record.displacement), list[str]()
+    if stray := runs(bad):
+        a, b = stray[0]
+        sentences.append(
+            f"voltage glitch at sample{f's {a} to {b - 1}' if b - a > 1 else f' {a}'} ({record.time[a]:.6g} s): "
+            f"{record.voltage[a]:.6g} V{_more(stray)}; the displacement does not follow: left out."
+        )
         record = record[~bad]
     if found := transients(record):
-        time = record.time
-        words = [
+        time, (start, jump, stop) = record.time, found[0]
+        sentences.append(
             f"step to {record.voltage[jump]:.4g} V at {time[jump]:.4g} s swings for "
-            f"{1e3 * (time[stop - 1] - time[jump]):.3g} ms; these {stop - start} samples are set aside."
-            for start, jump, stop in found
-        ]
-        sentences += _shortened(words, "steps after which it swings: set aside.")
+            f"{1e3 * (time[stop - 1] - time[jump]):.3g} ms; these {stop - start} samples are set aside{_more(found)}."
+        )
         aside = tuple((float(time[start]), float(time[stop - 1])) for start, _, stop in found)
         path = record.displacement if ringing else settled(record, found)
         record = replace(record, displacement=path, set_aside=(*record.set_aside, *aside))
-    bad = spikes(record.voltage, record.displacement)
-    if (known := signals.counting(record)) is not None:
-        bad &= known
-    if bad.any():
-        y, places = record.displacement, runs(bad)
-        straight = np.where(bad, np.interp(record.time, record.time[~bad], y[~bad]), y)
-        sentences.append(
-            f"{counted(len(places), 'spike')} of the displacement, the first at {record.time[places[0][0]]:.6g} s, up "
-            f"to {1e6 * np.abs(y - straight).max():.4g} um, which no voltage explains: replaced by straight lines."
-        )
-        record = replace(record, displacement=straight)
     new = new_samples(record.voltage, record.displacement)
     if new is not None and np.count_nonzero(new) >= FEWEST_NEW * max(len(record.cycles()), 2):
         rate = np.count_nonzero(new) / float(np.ptp(record.time))
@@ -117,14 +104,48 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
             "those that repeat it are left out."
         )
         record = record[new]
+    for after, height in zero_jumps(record):
+        record = replace(record, displacement=record.displacement - height * (np.arange(len(record)) >= after))
+        words = f"the zero of the sensor jumps by {1e6 * height:.4g} um at {record.time[after]:.6g} s"
+        sentences.append(f"{words}, which no voltage explains: what follows is moved back.")
+    known = signals.counting(record)
+    bad = spikes(record.voltage, record.displacement) & (True if known is None else known)
+    if bad.any():
+        y, places = record.displacement, runs(bad)
+        straight = np.where(bad, np.interp(record.time, record.time[~bad], y[~bad]), y)
+        sentences.append(
+            f"{counted(len(places), 'spike')} of the displacement, the first at {record.time[places[0][0]]:.6g} s, up "
+            f"to {1e6 * np.abs(y - straight).max():.4g} um, which no voltage explains: replaced by straight lines."
+        )
+        record = replace(record, displacement=straight)
     return Cleaned(record, stray, tuple(sentences))
 
 
-def _shortened(sentences: list[str], rest: str) -> list[str]:
-    """Return all sentences; of more than five, four and how many more there are."""
-    if len(sentences) <= _SHOWN:
-        return sentences
-    return [*sentences[: _SHOWN - 1], f"{len(sentences) - _SHOWN + 1} more {rest}"]
+def _more(places: Sequence[object]) -> str:
+    """Return words on further places, after the first one."""
+    return f", and {counted(len(places) - 1, 'more place')}" if len(places) > 1 else ""
+
+
+def zero_jumps(record: Record) -> list[tuple[int, float]]:
+    """Return the sample after each jump of the displacement without one of the voltage, and its height [m]."""
+    v, y, counted = record.voltage, record.displacement, signals.counting(record)
+    scales, place = _Signals.of(v, y, 0.0), np.arange(2 * _BESIDE) - _BESIDE + 0.5
+    if scales is None or not scales.gain or len(record) < place.size:
+        return []
+    columns = np.column_stack([np.vander(place / _BESIDE, 4), place > 0])
+    solve = np.linalg.pinv(columns)
+    heights, moved = np.correlate(y, solve[-1], "valid"), np.abs(np.correlate(v, solve[-1], "valid"))
+    # The voltage in a gap or before the record is not known.
+    hidden = np.zeros(len(record), dtype=bool) if counted is None else ~counted
+    hidden[:-1] |= np.diff(record.time) > 1.5 * record.sample_time
+    moved[sliding_window_view(hidden, place.size).any(axis=1)] = np.inf
+    latest = sliding_window_view(np.append(np.full(scales.lag, np.inf), moved), scales.lag + 1).max(axis=1)
+    least = max(_VISIBLE * record.stroke, _DISTINCT * scales.sensor)
+    found = np.abs(heights) > np.maximum(least, _STEEP_AT_END * scales.gain * latest)
+    beside = sliding_window_view(y, place.size)[found]
+    found[found] = np.abs(heights[found]) > _CLEAR * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
+    tops = [start + int(np.argmax(np.abs(heights[start:stop]))) for start, stop in runs(found)]
+    return [(top + _BESIDE, float(heights[top])) for top in tops] if len(tops) <= _MOST_JUMPS else []
 
 
 def voltage_steps(voltage: Array) -> Stretches:
@@ -219,7 +240,7 @@ def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list
 
 def glitches(voltage: Array, displacement: Array) -> Mask:
     """Return the samples (n,) in glitches of a voltage; both are in any unit, and sampled about evenly."""
-    return _excursions(voltage, displacement, _LEAST, ends=True, widest=_WIDEST, way=1)
+    return _excursions(voltage, displacement, _LEAST, ends=True)
 
 
 def spikes(voltage: Array, displacement: Array) -> Mask:
@@ -232,7 +253,7 @@ def _excursions(values: Array, other: Array, least: float, *, ends: bool = False
     """Return the samples of excursions that another signal does not have, at the record's ends also if asked."""
     bad, clean, places = np.zeros(len(values), dtype=bool), values, np.arange(len(values))
     for _ in range(_PASSES if len(values) >= _SHORTEST else 0):
-        signals = _Signals.of(clean, other, least, options)
+        signals = _Signals.of(clean, other, least, **options)
         found = [] if signals is None else signals.inner() or (signals.at_ends() if ends else [])
         if not found:
             break
@@ -259,12 +280,12 @@ class _Signals(NamedTuple):
     lag: int
     span: float
     longest: int
-    widest: int
-    way: int
+    widest: int = _WIDEST
+    way: int = 1
     steep: float = _STEEPER
 
     @classmethod
-    def of(cls, v: Array, y: Array, least: float, options: dict[str, Any]) -> _Signals | None:
+    def of(cls, v: Array, y: Array, least: float, **options: Any) -> _Signals | None:
         """Return the scales from quantiles, which excursions do not move; None for a constant voltage."""
         low, middle, high = np.quantile(v, [0.01, 0.5, 0.99]).tolist()
         if not low < high:
