@@ -159,11 +159,11 @@ def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
     made = [exported(tmp_path / folder, PLAIN, f"stage{suffix}") for folder in ("a", "b")]
     assert content(made[0][-1]) == content(made[1][-1]) != {}
     status, values, path = made[0]
-    assert status == 0, values
-    assert values["path"] == str(path)
+    assert (status, values["path"]) == (0, str(path)), values
     made = path.iterdir() if path.is_dir() else path.parent.iterdir()
     assert set(values["files"]) == {str(path) for path in made if path.name != "model.json"}
-    assert exported(path.parent, PLAIN, path.name, "--force")[0] == 0
+    ((path if path.is_dir() else path.parent) / "notes.txt").write_text("mine")
+    assert exported(path.parent, PLAIN, path.name, "--force")[:2] == (0, values)
 
 
 @pytest.mark.parametrize("suffix", TARGETS)

@@ -99,9 +99,7 @@ def _coupled(compensator: object) -> bool:
 
 def _name(compensator: Compensator, name: str | None) -> str:
     """Return the name in C: the one given, or the usual one."""
-    if name is not None:
-        return name
-    return STAGE_NAME if _coupled(compensator) else DEFAULT
+    return name if name is not None else STAGE_NAME if _coupled(compensator) else DEFAULT
 
 
 def _coupled_numbers(compensator: Compensator) -> tuple[str, str]:
@@ -147,8 +145,8 @@ def _table(name: str, columns: str, numbers: Array) -> str:
     return f"static const dehyst_real {name}[PIEZO_AXES][{columns}] = {{\n    {rows}}};\n"
 
 
-def write_c(compensator: Compensator, folder: Path, number: Number = "double", name: str | None = None) -> None:
-    """Write a compensator as C, see `dehyst.export`: a whole folder, or nothing."""
+def write_c(compensator: Compensator, folder: Path, number: Number = "double", name: str | None = None) -> list[Path]:
+    """Write a compensator as C, see `dehyst.export`, a whole folder or nothing; return its files."""
     files, own = code(compensator, number, name), _name(compensator, name)
     check = "stage_check.c" if _coupled(compensator) else "check.c"
     files |= {"check.c": text_of(shipped(check), own), "LICENSE": shipped("LICENSE")}
@@ -159,9 +157,11 @@ def write_c(compensator: Compensator, folder: Path, number: Number = "double", n
         _demand_place(folder)
         draft.mkdir()
         trace = golden_trace(compensator)
-        files |= {"trace.h": trace_header(trace, _LEAST, _MOST)}
-        _write(draft, files | {"README.md": _readme(compensator, number, len(trace.rows), own)})
+        files["trace.h"] = trace_header(trace, _LEAST, _MOST)
+        files["README.md"] = _readme(compensator, number, len(trace.rows), own)
+        _write(draft, files)
         _put(draft, target)
+        return [folder / file for file in sorted(files)]
     except OSError as error:
         raise unwritten(folder, error) from error
     finally:

@@ -25,11 +25,7 @@ from dehyst._io import write_atomically
 from dehyst._version import __version__
 from dehyst.control import Axis, Compensator, only_axis
 from dehyst.exports.firmware import CONFIG, CORE
-from dehyst.exports.model_header import (
-    ExportedStart,
-    ModelText,
-    config_header,
-)
+from dehyst.exports.model_header import ExportedStart, ModelText, config_header
 from dehyst.exports.naming import printable, shipped
 
 Kind: TypeAlias = Literal["compensator", "actuator"]
@@ -77,9 +73,7 @@ def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") 
     title, identifier = _names(axis.actuator.name, kind)
     texts = {"modelDescription.xml": _description(axis, title, identifier, token, summary, variables)}
     texts |= {f"sources/{name}": text for name, text in sources.items()}
-    texts |= {
-        "documentation/licenses/license.txt": shipped("LICENSE"),
-    }
+    texts["documentation/licenses/license.txt"] = shipped("LICENSE")
     content = {name: text.encode() for name, text in texts.items()}
     try:
         content[f"{_BINARIES}/{identifier}.so"] = _compiled(sources)
@@ -88,7 +82,7 @@ def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") 
             f"the FMU holds sources, but no binary: {reason}. Install gcc and export it again, or let the program that "
             "imports it compile it",
             SourceOnlyWarning,
-            3,
+            4,
         )
     write_atomically(path, _zipped(content))
 

@@ -26,11 +26,11 @@ class Target(NamedTuple):
 
     `words`: its name in messages. `write`: function that writes a compensator to a path, with keywords of `options`.
     `options`: those options of the command that not all kinds have. `files`: function that returns all files of a path;
-    None for a folder.
+    None for a folder, whose `write` returns them.
     """
 
     words: str
-    write: Callable[..., None]
+    write: Callable[..., list[Path] | None]
     options: tuple[str, ...] = ()
     files: Callable[[Path], list[Path]] | None = lambda path: [path]
 
@@ -101,6 +101,12 @@ def export(
     SourceOnlyWarning
         If an FMU holds sources only, because there is no C compiler, it fails, or this is not Linux on x86-64.
     """
+    written(source, target, number, name, period)
+    return path_of(target)
+
+
+def written(source: Source, target: PathLike, number: Number, name: str | None, period: float | None) -> list[Path]:
+    """Write an export, see `export`, and return its files."""
     path = path_of(target)
     coupled = isinstance(source.model if isinstance(source, Compensator) else source, Stage)
     row = target_of(path, coupled=coupled)
@@ -110,8 +116,8 @@ def export(
     for option, value in options.items():
         if option not in row.options:
             raise ModelError(argument=option, got=repr(value), need=f"none for {row.words}; only C has one")
-    row.write(_loop_of(source, period, ANY_VOLTAGE if itself else None), path, **options)
-    return path
+    files = row.write(_loop_of(source, period, ANY_VOLTAGE if itself else None), path, **options)
+    return files or (row.files(path) if row.files is not None else [])
 
 
 def _loop_of(source: Source, period: float | None, limits: tuple[float, float] | None) -> Compensator:

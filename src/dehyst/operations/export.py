@@ -15,8 +15,7 @@ from dehyst.control import Axis, Compensator, PossibleStart
 from dehyst.control.planning.start import model_error
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
-from dehyst.exports.targets import TARGETS, target_of
-from dehyst.exports.targets import export as write
+from dehyst.exports.targets import TARGETS, target_of, written
 from dehyst.operations.axes import (
     AxesModel,
     AxisLimits,
@@ -104,11 +103,10 @@ def export(
     source = compensator if loop else replace(known.actuators[0], state=states[0].state)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        write(source, directory, number, name=name, period=None if loop else period)
+        files = written(source, directory, number, name, None if loop else period)
     remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    written = target.files(directory) if target.files is not None else sorted(directory.iterdir())
-    fields = {"path": str(directory), "kind": kind, "files": list(map(str, written)), "warnings": remarks}
-    lines = [f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in written)}"]
+    fields = {"path": str(directory), "kind": kind, "files": list(map(str, files)), "warnings": remarks}
+    lines = [f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in files)}"]
     lines += known.prefixed(_memory_words(*each, led=loop) for each in zip(loops, states, strict=True))
     if loop:
         fields |= known.merged([slew.fields() for slew in slews])
