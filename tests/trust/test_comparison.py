@@ -99,20 +99,14 @@ class Stranger(AbstractModel):
 
 def test_the_lead_tells_any_other_model_a_constant(records):
     """Its mean error over the lead's samples that count; without a lead it is told nothing."""
-    chosen = {
-        "shifted": lambda _: Stranger(0.25 * plain_records.STROKE),
-        "line": lambda _: Linear(plain_records.STROKE / plain_records.VOLTS),
-    }
+    slope = plain_records.STROKE / plain_records.VOLTS
+    chosen = {"shifted": lambda _: Stranger(0.25 * plain_records.STROKE), "line": lambda _: Linear(slope)}
     silent, found = (judged(records[0], Played(prepare(records[1]), lead=lead), chosen) for lead in (0, 6.0))
     before, after = (result[0].worst("validation") for result in (silent, found))
     assert before.largest_without == pytest.approx(25)
     assert after.largest_without == pytest.approx(0, abs=1e-6)
     line = found[1].worst("validation")
-    error = (
-        100
-        * (records[1].displacement - plain_records.STROKE / plain_records.VOLTS * records[1].voltage)
-        / plain_records.STROKE
-    )
+    error = 100 * (records[1].displacement - slope * records[1].voltage) / plain_records.STROKE
     first = int(np.argmax(records[1].time >= 6.0))
     lead = slice(epochs(records[1][: first + 1])[-1].start, first + 1)
     assert line.largest_without == pytest.approx(np.abs(error[first:] - error[lead].mean()).max())
@@ -132,12 +126,8 @@ def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
 
 
 def test_the_delay_of_a_model_is_taken_off(records):
-    late = Record(
-        records[0].time,
-        records[0].voltage,
-        np.interp(records[0].time - 0.02, records[0].time, records[0].displacement),
-        "late",
-    )
+    time, displacement = records[0].time, records[0].displacement
+    late = replace(records[0], displacement=np.interp(time - 0.02, time, displacement))
     both = [
         compare(late, models={"truth": lambda _, lag=lag: dehyst.Actuator(PLANT.slip, PLANT.spring, delay=lag)})
         for lag in (0.0, 0.02)

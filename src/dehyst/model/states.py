@@ -96,7 +96,7 @@ def quasistatic(actuator: Actuator) -> Actuator:
 
 def major_loop(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, float]:
     """Return the displacements [m] of slow loops at both `limits` [V], with creep at rest."""
-    low, high = slow_loops(actuator, limits).displacement[-2:].tolist()
+    low, high = slow_motion(actuator, np.tile(limits, _VISITS)).displacement[-2:].tolist()
     return low, high
 
 
@@ -108,11 +108,6 @@ def at_reference(actuator: Actuator, record: Record) -> Record:
     if actuator.thermal is None or record.temperature is None:
         return record
     return replace(record, displacement=actuator.thermal.at_reference(record.displacement, record.temperature))
-
-
-def slow_loops(actuator: Actuator, limits: tuple[float, float]) -> Motion:
-    """Return the motion of slow loops between limits [V] that ends at the second one; creep is at rest at both."""
-    return slow_motion(actuator, np.tile(limits, _VISITS))
 
 
 def slow_motion(actuator: Actuator, voltage: Array, state: State | None = None) -> Motion:
@@ -202,7 +197,7 @@ def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, flo
 
 def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> State:
     """Return the state after slow major loops between limits [V], at the upper one if `rising`, with creep at rest."""
-    reached = slow_loops(actuator, limits if rising else (limits[1], limits[0])).state
+    reached = slow_motion(actuator, np.tile(limits if rising else limits[::-1], _VISITS)).state
     # The state of a slow motion has none of a mass.
     return actuator._evaluator.complete_state(replace(reached, motion=EMPTY))
 

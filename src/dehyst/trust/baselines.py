@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import demand_result, keep, number, vector
-from dehyst.identification import Prepared, as_list, prepare
+from dehyst.identification import as_list, prepare
 from dehyst.model import AbstractModel, Motion, State, branches_of, on_curve
 from dehyst.records import Record
 
@@ -87,12 +87,7 @@ def widest_record(records: Record | Sequence[Record]) -> Record:
     items = [prepare(record) for record in as_list(records)]
     if not items:
         raise IdentifyError("got no records, need at least one loop of voltage and displacement")
-
-    def width(item: Prepared) -> float:
-        low, high = item.span()
-        return high - low
-
-    return max(items, key=width).record
+    return max(items, key=lambda item: float(np.ptp(item.span()))).record
 
 
 @final

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from dehyst.identification import Prepared, as_list, epochs, identify, prepare, 
 from dehyst.model import AbstractModel, Actuator, simulated, timed
 from dehyst.records import Record, largest, percent, rms
 from dehyst.trust.baselines import Linear, TwoBranches
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 # A function of training records that returns the model, or raises an error that states why there is none.
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
@@ -169,13 +166,8 @@ def _added() -> dict[str, Identification]:
     """Return the models of installed packages; each is imported when it is fitted."""
     from importlib.metadata import entry_points
 
-    return {point.name: partial(_fit_of_package, point) for point in entry_points(group=_GROUP)}
-
-
-def _fit_of_package(point: EntryPoint, records: Sequence[Record]) -> AbstractModel:
-    """Import the function of an entry point and call it."""
-    model: AbstractModel = point.load()(records)
-    return model
+    points = entry_points(group=_GROUP)
+    return {point.name: partial(lambda point, records: point.load()(records), point) for point in points}
 
 
 def compare(

@@ -76,8 +76,7 @@ class TurnPlane:
     def path(self, voltage: Array, time: Array | None = None, name: str = "this path") -> tuple[Turn, ...]:
         """Return the rises and falls of a path by its voltage (n,) [V] and time (n,) [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
-        step = _stride(voltage)
-        turns = _turns(name, clock[::step], voltage[::step], float(np.ptp(self.edges)))
+        turns = _turns(name, clock, voltage, float(np.ptp(self.edges)))
         return tuple(turns if time is not None else (turn._replace(speed=nan, held=0.0) for turn in turns))
 
 
@@ -98,21 +97,17 @@ def turn_plane(
     TurnPlane or None
         None if no voltage changes.
     """
-    kept = [(name, time[:: _stride(time)], voltage[:: _stride(time)]) for name, time, voltage in records]
-    ends = [*(limits or ()), *(float(end) for _, _, v in kept if v.size for end in (v.min(), v.max()))]
+    given = list(records)
+    ends = [*(limits or ()), *(float(end) for _, _, v in given if v.size for end in (v.min(), v.max()))]
     if not ends or max(ends) == min(ends):
         return None
     edges = np.linspace(min(ends), max(ends), CELLS + 1)
     span = max(ends) - min(ends)
-    found = [turn for name, time, voltage in kept if voltage.size > 1 for turn in _turns(name, time, voltage, span)]
+    found = [turn for name, time, voltage in given if voltage.size > 1 for turn in _turns(name, time, voltage, span)]
     if not found:
         return None
     rising, falling = tested_loops(np.array([(branch.begin, branch.end) for branch in found]), edges)
     return TurnPlane(tuple(found[:_MOST]), edges, rising, falling)
-
-
-def _stride(samples: Array) -> int:
-    return 1 + samples.size // _ENOUGH
 
 
 def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
@@ -121,7 +116,9 @@ def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
     The first rise or fall begins at the first turning point, because the voltage before the record is unknown. A record
     that begins at an end of its range has its first turning point there.
     """
-    at, band = branches_of(voltage, span), _BAND * span
+    step, band = 1 + voltage.size // _ENOUGH, _BAND * span
+    time, voltage = time[::step], voltage[::step]
+    at = branches_of(voltage, span)
     alike: dict[tuple[int, int], list[Turn]] = {}
     for (first, last), speed in zip(at.tolist(), paces_of(time, voltage, at)[:, 0].tolist(), strict=True):
         begin, end = float(voltage[first]), float(voltage[last])
