@@ -69,7 +69,6 @@ def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(changes, nam
 def test_an_unchanged_actuator_is_still_true(seed):
     recheck = dehyst.check(loops.model(), loops.later(100 + seed))
     assert recheck.standing is Standing.STILL_TRUE
-    assert recheck.good
     assert recheck.changed == ()
     assert recheck.without_noise < 1e-3 * STROKE
 
@@ -95,7 +94,7 @@ def test_a_record_shorter_than_the_delay_of_the_model_is_refused_with_both():
 )
 def test_the_judgement_agrees_with_the_promise_and_advises_what_helps(changes, learnt, goal):
     recheck = dehyst.check(loops.model(), loops.later(**changes), goal=goal)
-    kept = recheck.without_noise <= recheck.promise.largest
+    kept = recheck.without_noise <= recheck.promise.largest and recheck.rms_without_noise <= recheck.promise.rms
     within = recheck.without_noise <= goal / 100 * recheck.stroke
     expected = {
         (True, True): Standing.STILL_TRUE,
@@ -111,10 +110,21 @@ def test_the_judgement_agrees_with_the_promise_and_advises_what_helps(changes, l
 
 def test_a_change_that_counts_is_the_advice_even_if_the_promise_is_kept():
     recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN))
-    kept = replace(recheck, promise=replace(recheck.promise, largest=recheck.stroke))
+    loose = replace(recheck.promise, largest=recheck.stroke, rms=recheck.stroke)
+    kept = replace(recheck, promise=loose)
     assert kept.standing is Standing.NEVER_MET
     assert kept.advises_update
     assert not replace(kept, changes=()).advises_update
+    for error in ("largest", "rms"):
+        assert not replace(recheck, promise=replace(loose, **{error: recheck.rms_without_noise / 2.7})).kept
+
+
+@pytest.mark.parametrize(("begin", "unjudged"), [(0, 50.0), (400, 0.0)])
+def test_the_first_branch_is_judged_if_it_begins_as_after_loops(begin, unjudged):
+    record = loops.later(tops=[200.0, 200.0, 120.0])[begin:]
+    wrong = 0.02 * STROKE * np.exp(-(((record.time - record.time[0] - 25) / 5) ** 2))
+    recheck = dehyst.check(loops.model(), replace(record, displacement=record.displacement + wrong))
+    assert (recheck.unjudged, recheck.as_dict()["kept"]) == (unjudged, unjudged > 0)
 
 
 def test_the_goal_is_that_of_the_identification():

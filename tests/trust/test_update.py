@@ -53,7 +53,7 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert made.used
     assert np.all(error(made.actuator, test) < 0.2 * error(old, test))
     assert np.all(error(made.actuator, test) < np.maximum(1.3 * error(anew, test), 0.003))
-    changes = {change.name: change for change in made.changes}
+    changes = {change.name: change for change in made.recheck.changes}
     reached = record.stroke / driven(TRUE, ONE_LOOP, seed=1).stroke
     assert changes["gain"].value == pytest.approx(reached - 1, abs=0.05)
     assert changes["width"].value > 0
@@ -63,10 +63,8 @@ def test_one_loop_is_enough_for_gain_and_width(old):
     assert any("gain" in sentence for sentence in made.sentences())
     known = made.actuator.identification
     assert known.validity.anywhere.rms == made.promise.rms
-    assert (
-        made.good
-        and not replace(made, recheck=replace(made.recheck, goal=99 * made.promise.largest / made.stroke)).good
-    )
+    goal = 99 * made.promise.largest / made.recheck.stroke
+    assert made.good and not replace(made, recheck=replace(made.recheck, goal=goal)).good
     assert known.validity.rms >= old.identification.validity.rms
     assert len(known.validity.branches) > len(old.identification.validity.branches)
     assert made.actuator.provenance["updated_from"] == old.name
@@ -108,9 +106,10 @@ def test_a_stage_that_has_not_changed_keeps_its_model(old):
     assert not made.used
     assert made.recheck.kept and made.actuator is old
     # One verdict, with the number of a check, also where the model is not good enough.
-    poor = replace(made, recheck=replace(made.recheck, goal=1e-3))
+    check = made.recheck
+    poor = replace(made, recheck=replace(check, goal=1e-3))
     assert (made.good, poor.good) == (True, False) and poor.sentences() == made.sentences() == made.missing
-    assert poor.sentence.startswith(made.sentence) and percent(made.recheck.without_noise, made.stroke) in made.sentence
+    assert poor.sentence.startswith(made.sentence) and percent(check.without_noise, check.stroke) in made.sentence
 
 
 @pytest.mark.parametrize("parts", [{}, {"thermal": dehyst.Thermal(2e-3, 0.0, 20.0)}])

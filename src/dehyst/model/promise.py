@@ -256,6 +256,10 @@ class Promise:
     def __repr__(self) -> str:
         return f"<Promise: {self.sentence}>"
 
+    def missed_by(self, largest: float, rms: float) -> float:
+        """Return the larger ratio of a largest and an RMS error [m] to the promised ones; above 1 it is not kept."""
+        return max(largest / self.largest, rms / self.rms)
+
     @property
     def apart(self) -> str:
         """What the errors leave out, in words."""

@@ -122,7 +122,8 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
         yield from (f"  - {remark}" for remark in recheck.remarks)
 
 
-_LOGGED = "date,record,model,axis,standing,error_percent,rms_percent,goal_percent,promised_percent,promise_kept,changes"
+_LOGGED = "date,record,model,axis,standing,error_percent,rms_percent,goal_percent,promised_percent,promised_rms_percent"
+_LOGGED += ",promise_kept,changes"
 
 
 def _read_log(path: Path, *, again: bool) -> bytes:
@@ -132,8 +133,7 @@ def _read_log(path: Path, *, again: bool) -> bytes:
     except OSError as error:
         raise unwritten(path, error) from error
     if before.split(b"\n")[0].rstrip() != _LOGGED.encode():
-        words = f"has other columns than a table of checks, {_LOGGED}"
-        raise FileFormatError(f"{path}: {words}; give another name with --log")
+        raise FileFormatError(f"{path}: is no table of checks, {_LOGGED}; give another name with --log")
     return before
 
 
@@ -146,10 +146,10 @@ def _append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> 
 
 def _row(now: str, axis: str, check: Recheck) -> list[str]:
     """Return a check by column; a number that is not known is empty."""
-    errors = [f"{percent(part, check.stroke):.4g}" for part in (check.without_noise, check.rms)]
-    promised = ["", ""]
-    if check.promise is not None:
-        promised = [f"{percent(check.promise.largest, check.stroke):.4g}", "yes" if check.kept else "no"]
+    found, promise = (check.without_noise, check.rms_without_noise), check.promise
+    bounds = () if promise is None else (promise.largest, promise.rms)
+    errors, promised = ([f"{percent(part, check.stroke):.4g}" for part in parts] for parts in (found, bounds))
+    promised = [*promised, "yes" if check.kept else "no"] if promised else [""] * 3
     changes = (f"{new.name} {'-' if new.value < 0 else '+'}{new.amount(check.stroke)}" for new in check.changed)
     known = [now, check.record, check.model, axis, check.standing.value]
     return [*known, *errors, f"{check.goal:.4g}", *promised, "; ".join(changes)]

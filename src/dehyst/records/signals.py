@@ -40,9 +40,9 @@ def rms(error: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(error, dtype=np.float64)))) if np.size(error) else 0.0
 
 
-def beyond_noise(largest_: float, noise: float) -> float:
-    """Return the part of a largest error that the peaks of white noise do not explain; `noise`: its deviation."""
-    return max(largest_ - NOISE_PEAK * noise, 0.0)
+def beyond_noise(largest_: float, rms_: float, noise: float) -> tuple[float, float]:
+    """Return the parts of a largest and an RMS error that white noise does not explain; `noise`: its deviation."""
+    return max(largest_ - NOISE_PEAK * noise, 0.0), float(max(rms_**2 - noise**2, 0.0) ** 0.5)
 
 
 def percent(error: float, stroke: float) -> float:

@@ -163,11 +163,6 @@ class Insight(Plotted):
         return "\n".join(escaped(line) for line in lines(self, full=full))
 
     @property
-    def trustworthy(self) -> bool:
-        """Whether the records determine all directions of the stiffnesses; see `identifiability`."""
-        return self.identifiability.determined == self.identifiability.of
-
-    @property
     def record_next(self) -> tuple[str, ...]:
         """Commands that write what to record next; empty if no excitation tests more."""
         if self.promise is None:
@@ -198,7 +193,7 @@ class Insight(Plotted):
         """Return a warning if the records leave combinations of stiffnesses open that the turns of the path need."""
         found, promise = self.identifiability, self.promise
         turned = promise is not None and all(gap.what != "turns" for gap in promise.untested)
-        if self.trustworthy or turned:
+        if found.determined == found.of or turned:
             return ""
         return (
             f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, overload
 
@@ -16,6 +16,7 @@ from dehyst._types import Array
 from dehyst._views import lines
 from dehyst._views.fields import json_values
 from dehyst._views.pictures import Plotted
+from dehyst.control import PossibleStart
 from dehyst.identification import (
     SEPARATE,
     Plays,
@@ -31,6 +32,7 @@ from dehyst.model import (
     Identification,
     Promise,
     Stage,
+    State,
     by_axis,
     excite_command,
     promised,
@@ -72,7 +74,7 @@ class Recheck(Plotted):
         Name of the model.
     largest, rms : float
         Largest and RMS difference of measured and simulated displacement [m], without an offset and, for a model
-        without creep, without a drift.
+        without creep, without a drift, in the part of the record that is judged.
     noise : float
         Standard deviation of the sensor [m].
     stroke : float
@@ -87,8 +89,8 @@ class Recheck(Plotted):
         Sentences on what limits the result, and what was repaired.
     trace : Trace
         Measured and simulated displacement.
-    settled : float
-        Largest error [m] from the second turning point of the voltage on: the rise from a fitted start is set aside.
+    unjudged : float
+        Time [s] to the first turning point of the voltage if its errors may be those of an unknown start; else 0.
     promise : Promise or None
         Error that the identification promised for this record's path; None if the model file lacks it.
     to_record : str
@@ -106,14 +108,19 @@ class Recheck(Plotted):
     changes: tuple[Change, ...]
     remarks: tuple[str, ...]
     trace: Trace
-    settled: float
+    unjudged: float
     promise: Promise | None = None
     to_record: str = ""
 
     @property
     def without_noise(self) -> float:
-        """`settled` minus the peaks of the sensor's noise [m]; it is compared with the goal and the promise."""
-        return beyond_noise(self.settled, self.noise)
+        """`largest` minus the peaks of the sensor's noise [m]; it is compared with the goal and the promise."""
+        return beyond_noise(self.largest, self.rms, self.noise)[0]
+
+    @property
+    def rms_without_noise(self) -> float:
+        """`rms` without the sensor's noise [m]; it is compared with the promise."""
+        return beyond_noise(self.largest, self.rms, self.noise)[1]
 
     @property
     def changed(self) -> tuple[Change, ...]:
@@ -128,21 +135,23 @@ class Recheck(Plotted):
         if self.mismatch:
             return Standing.ANOTHER
         if self.without_noise > allowed:
-            return Standing.NEVER_MET if self._as_it_was(allowed) else Standing.RECALIBRATE
+            # Above the goal, a model is as it was if it is as promised, or about so and nothing has changed.
+            unchanged = self.promise is not None and self.promise.largest > allowed and not self.changed
+            as_it_was = self._missed_by <= (_BY_CHANCE if unchanged else 1)
+            return Standing.NEVER_MET if as_it_was else Standing.RECALIBRATE
         if self.promise is not None and not self.kept:
             return Standing.WITHIN_GOAL
         return Standing.DRIFTS if abs(self.drift) > allowed else Standing.STILL_TRUE
 
     @property
     def kept(self) -> bool:
-        """Whether the promise was kept; not without one."""
-        return self.promise is not None and self.without_noise <= self.promise.largest
+        """Whether the promise was kept, of the largest and of the RMS error; not without one."""
+        return self._missed_by <= 1
 
-    def _as_it_was(self, allowed: float) -> bool:
-        """Whether a model above the goal is no worse than it was: nothing has changed, or its promise is kept."""
-        promised = 0.0 if self.promise is None else self.promise.largest
-        unchanged = promised > allowed and not self.changed
-        return self.kept or (unchanged and self.without_noise <= _BY_CHANCE * promised)
+    @property
+    def _missed_by(self) -> float:
+        """How many times as large as promised the largest or the RMS error is; infinite without a promise."""
+        return np.inf if self.promise is None else self.promise.missed_by(self.without_noise, self.rms_without_noise)
 
     @property
     def good(self) -> bool:
@@ -158,8 +167,7 @@ class Recheck(Plotted):
             reasons.append(f"the gain differs by {100 * gain:+.3g} %")
         if percent(self.without_noise, self.stroke) > ANOTHER:
             reasons.append(f"the largest error is {self._percent(self.without_noise)} of the stroke")
-        found = " and ".join(reasons)
-        if not found:
+        if not (found := " and ".join(reasons)):
             return ""
         return (
             f"{self.record}: is plainly not a record of the model's actuator, or in other units: {found}, "
@@ -169,12 +177,13 @@ class Recheck(Plotted):
     @property
     def sentence(self) -> str:
         """The judgement and its numbers in one line."""
-        error = f"{self._percent(self.without_noise)} of the stroke without a constant offset and the sensor's noise"
-        if not self.without_noise:
-            error = "within the sensor's noise"
-        text = f"{self.standing.value.capitalize()}: the largest error is {error} (goal {self.goal:g} %)"
+        since = f" after the first {self.unjudged:.3g} s, whose start is not known," if self.unjudged else ""
+        most, mean = map(self._percent, (self.without_noise, self.rms_without_noise))
+        text = f"{self.standing.value.capitalize()}: the error{since} is {most} of the stroke at most, {mean} RMS, "
+        text += f"without a constant offset and the sensor's noise (goal {self.goal:g} %)"
         if self.promise is not None and not self.mismatch:
-            promised = f"{self._percent(self.promise.largest)} on {self.promise.path}"
+            promised = f"{self._percent(self.promise.largest)} and {self._percent(self.promise.rms)} RMS "
+            promised += f"on {self.promise.path}"
             missed = "missed, as by one path in ten" if self.standing is Standing.NEVER_MET else "not kept"
             text += f". The model promised {promised}: {'kept' if self.kept else missed}"
         return f"{text}. {self._advice()}"
@@ -194,9 +203,8 @@ class Recheck(Plotted):
 
     def _advice(self) -> str:
         learns = "dehyst update may learn the change from this record" if self.advises_update else ""
-        again = "Identify the model again from new records."
-        if learns:
-            again = f"{learns}; otherwise identify the model again from new records."
+        again = f"{learns}; otherwise identify" if learns else "Identify"
+        again += " the model again from new records."
         moved = f"the drift is {self._percent(abs(self.drift))} of the stroke and will also occur on a path"
         return {
             Standing.STILL_TRUE: "No new model is needed.",
@@ -220,11 +228,11 @@ class Recheck(Plotted):
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the trace."""
         keys = "standing sentence good advises_update model record promise goal_percent=goal mismatch remarks "
-        keys += "largest_m=largest rms_m=rms noise_m=noise stroke_m=stroke"
-        errors = {name: getattr(self, name) for name in ("largest", "rms", "without_noise", "drift")}
+        keys += "largest_m=largest rms_m=rms noise_m=noise stroke_m=stroke kept unjudged_s=unjudged"
+        errors = "largest", "rms", "without_noise", "rms_without_noise", "drift"
         return {
             **json_values(self, keys),
-            **{f"{name}_percent": percent(error, self.stroke) for name, error in errors.items()},
+            **{f"{name}_percent": percent(getattr(self, name), self.stroke) for name in errors},
             "changes": [change.as_dict(self.stroke) for change in self.changes],
             "changed": [change.name for change in self.changed],
             "change_sentences": list(self.change_sentences()),
@@ -269,8 +277,9 @@ _PART = 0.25
 _MANY, _TURN = 20, 0.02
 # A coupling that differs by more than this, and by so many standard errors, has changed.
 _COUPLED, _ERRORS = 0.005, 3.0
-# A record of less than this part of the model's voltages says nothing of the longest elements.
-_LITTLE = 0.5
+# A record of less than this part of the model's voltages says nothing of the longest elements. A fitted start is that
+# after slow loops if the ways to the first turning point differ by less than this part of the promise.
+_LITTLE, _KNOWN = 0.5, 0.5
 
 
 @overload
@@ -317,9 +326,12 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         stroke = stroke_of(actuator)
         compared = compare(actuator, prepared, stroke, datum=zero_by_voltages(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
+        promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
+        begin = _judged_from(actuator, trace, errors.starts[0], promise)
     slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
-    promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
+    # A constant is that of whole loops.
+    judged = error[begin:] - error[-trace.settled.time.size if begin else 0 :].mean()
     # As many turns as the excitation for an identification: another record of the kind shows no more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
     to_record = "" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.2g} ")
@@ -329,8 +341,8 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     return Recheck(
         record=record.name,
         model=actuator.name,
-        largest=largest(error),
-        rms=rms(error),
+        largest=largest(judged),
+        rms=rms(judged),
         noise=prepared.noise,
         stroke=stroke,
         goal=goal,
@@ -338,7 +350,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         changes=changes,
         remarks=(*untested(actuator, promise, record.temperature), *_uncovered(actuator, record), *prepared.sentences),
         trace=trace,
-        settled=largest(error[-trace.settled.time.size :]),
+        unjudged=float(trace.time[begin]) - min(trace.began, float(trace.time[0])) if begin else 0.0,
         promise=promise,
         to_record=to_record,
     )
@@ -371,6 +383,27 @@ def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
     if plays.separate().min() < SEPARATE:
         return stage.coupling, np.full_like(stage.coupling, np.inf)
     return plays.coupling()
+
+
+def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promise | None) -> int:
+    """Return the first sample that is judged: that of the first turning point, unless the fitted `start` is known.
+
+    It is known if it leads along the way after slow loops, within a part of the promise; else a changed actuator and
+    one with another past look alike until then. A single loop is judged whole: half of it would not show its width.
+    """
+    if trace.settled.time.size == trace.time.size:
+        return 0
+    turns = turning_points(trace.voltage, _TURN * float(np.ptp(trace.voltage)))
+    turn = int(turns[turns > 0][0])
+    model, voltage, time = replace(actuator._before_creep, lag=0.0), trace.voltage[: turn + 1], trace.time[: turn + 1]
+    ends = (PossibleStart.named(model, "top"), PossibleStart.named(model, "bottom"))
+    looped = (end.standing_at(model, float(voltage[0])).state for end in ends)
+    fitted, *known = (
+        model.simulate(voltage, time=time, state=state, extrapolate=True).displacement
+        for state in (replace(start, displacement_creep=()), *looped)
+    )
+    within = 0.0 if promise is None else _KNOWN * promise.largest
+    return turn if min(largest(way - fitted) for way in known) > within else 0
 
 
 def _steadied(trace: Trace) -> tuple[Array, float]:

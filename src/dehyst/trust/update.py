@@ -38,7 +38,6 @@ from dehyst.model import (
     with_identification,
 )
 from dehyst.records import Record, beyond_noise, largest, percent, rms
-from dehyst.trust.changes import Change
 from dehyst.trust.recheck import Recheck, check
 
 # How much alike the changes of neighbours are held, by a record of a few loops and by one that turns in many places:
@@ -90,20 +89,10 @@ class Update:
     datum: float
 
     @property
-    def stroke(self) -> float:
-        """Displacement between the model's limits [m], the reference of percentages."""
-        return self.recheck.stroke
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Possible changes with their standard errors; see `Change`."""
-        return self.recheck.changes
-
-    @property
     def sentence(self) -> str:
         """The result and its numbers in one line: whether the model is another one, and whether it is good enough."""
         lengths = self.held_out[1], self.before[1], self.recheck.without_noise
-        held, old, most = (lines.percent(length, self.stroke) for length in lengths)
+        held, old, most = (lines.percent(length, self.recheck.stroke) for length in lengths)
         text = f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
         if not self.used:
             kept = (
@@ -121,9 +110,9 @@ class Update:
     @property
     def good(self) -> bool:
         """Whether the error on held-out parts, without the sensor's noise, and the promise are within the goal."""
-        allowed, promise = self.recheck.goal / 100 * self.stroke, self.promise
-        seen = beyond_noise(self.held_out[0], self.recheck.noise)
-        return max(seen, 0.0 if promise is None else promise.largest) <= allowed
+        allowed, promise = self.recheck.goal / 100 * self.recheck.stroke, self.promise
+        seen = beyond_noise(*self.held_out, self.recheck.noise)
+        return max(seen[0], 0.0 if promise is None else promise.largest) <= allowed
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
@@ -131,12 +120,12 @@ class Update:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the model."""
-        pairs = {"before": self.before, "after": self.after, "held_out": self.held_out}
+        stroke, pairs = self.recheck.stroke, ("before", "after", "held_out")
         return {
-            **json_values(self, "used good sentence promise missing datum_m=datum stroke_m=stroke"),
+            **json_values(self, "used good sentence promise missing datum_m=datum stroke_m=recheck.stroke"),
             "sentences": list(self.sentences()),
-            "changes": [change.as_dict(self.stroke) for change in self.changes],
-            **{f"{name}_percent": [percent(length, self.stroke) for length in pair] for name, pair in pairs.items()},
+            "changes": [change.as_dict(stroke) for change in self.recheck.changes],
+            **{f"{name}_percent": [percent(length, stroke) for length in getattr(self, name)] for name in pairs},
         }
 
 
@@ -378,8 +367,7 @@ class _Refit:
         noise, known = self.recheck.noise, self.old.identification
         if known is None or known.validity is None:
             return None
-        missed = 0.0 if self.recheck.kept else float(np.sqrt(max(held_out**2 - noise**2, 0.0)))
-        most = 0.0 if self.recheck.kept else beyond_noise(largest, noise)
+        most, missed = (0.0, 0.0) if self.recheck.kept else beyond_noise(largest, held_out, noise)
         lag = next(change for change in self.recheck.changes if change.name == "lag")
         # A lag may have become a width, unless the record names the change alone.
         named = any(len(change.parts) == 1 for change in self.recheck.changed)
