@@ -185,9 +185,9 @@ def _excited(
     degrees = temperatures_to_record(None, temperatures)
     if frequency is not None:
         return _written(make(frequency), output, temperatures=degrees)
-    # The slowest one that is short enough, or hardly longer than the fastest; with a warning, branches are lengthened.
+    # The slowest one that is short enough, or hardly longer than the fastest; a slew rate may lengthen branches.
     possible = [(make(hertz), hertz) for hertz in _FREQUENCIES]
-    possible = [each for each in possible if not each[0].warnings] or possible
+    possible = [each for each in possible if sampled["slew_rate"] is None or not each[0].warnings] or possible
     most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
     found, hertz = next(each for each in possible if each[0].duration <= most)
     return _written(found, output, f"{hertz:g} Hz by default", (_WHY,), temperatures=degrees)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from numbers import Real
 from typing import Any
@@ -29,6 +30,7 @@ _LOOPS, _TOPS, _HOLD, _TURNS, _HELD, FASTER = 2, 5, 3.0, (12, 12, 24), 10, 25.0
 # Least samples of a cycle at the largest speed.
 _FEWEST = 16
 _MOST_TURNS = 1_000_000
+_count = partial(whole, least=1, most=_MOST_TURNS // 4, error=RecordError)
 # Least height of a branch between random turning points, as a part of the range; its time, as a part of half a cycle.
 _LEAST_BRANCH, _SHORT = 0.08, 0.3
 # Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
@@ -45,8 +47,7 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     ones 25 times as fast or as fast as slew rate and sample rate allow. The falling tops determine the stiffnesses, the
     holds show creep, the speeds tell a lag from a fast creep, and the random turning points test any path.
 
-    `highest` [V], above the base. `drive`: sampling and slowest speed, by default 0.1 Hz. Raise `RecordError` as all
-    excitations do.
+    `highest` [V], above the base. `drive`: sampling and slowest speed, 0.1 Hz. Raise `RecordError` as all others do.
     """
     top, hold = _top(highest, drive), _HOLD / drive.frequency
     height, tops = top - drive.base, [*(top,) * _LOOPS, *_tops(top, _TOPS, drive)[1:]]
@@ -55,13 +56,17 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     steepest = math.inf if drive.slew_rate is None else drive.slew_rate / (2 * STEEPEST * drive.frequency * height)
     fastest = max(1.0, min(FASTER, drive.rate / (_FEWEST * drive.frequency), steepest))
     speeds = np.repeat(fastest ** np.array([0.0, 0.5, 1.0]), _TURNS).tolist()
-    now = drive.base
-    for k, (turn, speed) in enumerate(zip([*_random_turns(len(speeds)), 0.0], [*speeds, 1.0], strict=True), 1):
-        end = drive.base + height * turn
+    ends = [drive.base + height * turn for turn in (0.0, *_random_turns(len(speeds)), 0.0)]
+    for k, (now, end, speed) in enumerate(zip(ends[:-1], ends[1:], [*speeds, 1.0], strict=True), 1):
         branches.append(Branch(now, end, drive.half * (_SHORT + (1 - _SHORT) * abs(end - now) / height) / speed))
         branches += [Branch(end, end, hold)] if k == _HELD else []
-        now = end
-    return drive.play("recommended", drive.lead_in(height) + branches)
+    made = drive.play("recommended", drive.lead_in(height) + branches)
+    possible = min(FASTER, steepest)
+    warning = (
+        f"the fastest turns are {fastest:.3g} times as fast as the slowest, in place of {possible:.3g} times, because "
+        f"of {drive.rate:g} Hz: {possible * _FEWEST * drive.frequency:.4g} Hz keeps them"
+    )
+    return replace(made, warnings=(*made.warnings, *[warning] * (fastest < possible)))
 
 
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
@@ -212,13 +217,12 @@ def wanted_path(stroke: float, turns: tuple[float, ...] = TURNS, *, branch: int 
 def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
     """Return the excitation from the present voltage to the base and on through the turning points."""
     path = [drive.base, *turns]
-    branches = drive.branches(path)
-    return drive.play(name, drive.lead_in(max(path) - min(path)) + branches)
+    return drive.play(name, drive.lead_in(max(path) - min(path)) + drive.branches(path))
 
 
 def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
     """Return two turning points repeated for each cycle, for one or several such rows."""
-    return [first, second] * _count(cycles, what, least, _MOST_TURNS // (2 * rows))
+    return [first, second] * _count(cycles, what, least=least, most=_MOST_TURNS // (2 * rows))
 
 
 def _tops(top: float, steps: int, drive: Sampling) -> list[float]:
@@ -233,10 +237,6 @@ def _random_turns(count: int) -> list[float]:
         below, above = (turns[-1] + _LEAST_BRANCH, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_BRANCH)
         turns.append(float(rng.uniform(below, above)))
     return turns[1:]
-
-
-def _count(value: object, what: str, least: int = 1, most: int = _MOST_TURNS // 4) -> int:
-    return whole(value, what, least, most, error=RecordError)
 
 
 def _top(highest: object, drive: Sampling) -> float:
