@@ -170,13 +170,13 @@ def count(
     raise error(argument=name, got=repr(value), need=f"a whole number from {least}{(f' to {most}' if most else '')}")
 
 
-def choice(value: object, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> None:
-    """Raise `error` unless `value` is one of the words."""
-    words = " or ".join(map(repr, among)) if len(among) < 3 else f"one of {', '.join(among)}"
+def choice(value: Any, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> str:
+    """Return a value that is one of the words; raise `error` for another one."""
+    words = " or ".join(map(repr, among))
     near = get_close_matches(value, among, 1) if isinstance(value, str) else []
-    words += f"; did you mean {near[0]!r}?" if near else ""
-    if value not in among:
-        raise error(argument=name, got=repr(value), need=words)
+    if not isinstance(value, str) or value not in among:
+        raise error(argument=name, got=repr(value), need=words + (f"; did you mean {near[0]!r}?" if near else ""))
+    return value
 
 
 def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception] = ModelError) -> tuple[str, ...]:

@@ -57,7 +57,7 @@ def climbing(draw, size):
 
 @st.composite
 def actuators(draw):
-    n, m = draw(st.integers(0, 6)), draw(st.integers(2, 6))
+    n, m, lags = draw(st.integers(0, 6)), draw(st.integers(2, 6)), st.sampled_from(["", "actuator", "sensor"])
     rho = draw(rising(st.floats(0, 1e30, exclude_min=True), n))
     kappa = draw(st.lists(st.floats(0, 1e20), min_size=n, max_size=n))
     y = draw(numbers)
@@ -70,7 +70,7 @@ def actuators(draw):
         delay=draw(st.floats(0, 1e30)),
         name=draw(texts),
         provenance=draw(st.dictionaries(texts, json_values, max_size=4)),
-        identification=draw(st.none() | st.builds(Identification, texts, goal=rates, slew_rate=rates)),
+        identification=draw(st.none() | st.builds(Identification, lags, goal=rates, slew_rate=rates)),
     )
 
 
@@ -197,6 +197,7 @@ def test_every_value_is_of_its_kind(wrong):
         ("limits_V", [5.0, 5.0]),
         ("limits_V", [0.0, 1.0, 2.0]),
         ("identification.outcome", "FINE"),
+        ("identification.lag_of", "x"),
     ],
 )
 def test_impossible_numbers_are_refused(where, value):

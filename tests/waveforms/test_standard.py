@@ -210,8 +210,7 @@ class TestKinds:
 
     def test_recommended_is_slower_where_few_samples_resolve_it(self):
         made = recommended(100.0, drive=Sampling(0.1, sample_rate=4.0))
-        assert np.abs(np.diff(made.voltage)).max() < 60
-        assert made.turns.size > 55 and len(made.warnings) == 1
+        assert np.abs(np.diff(made.voltage)).max() < 60 and made.turns.size > 55 and len(made.warnings) == 1
 
 
 class TestRamps:

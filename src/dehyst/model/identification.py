@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import ModelError
+from dehyst._validation import choice
 from dehyst.model.entries import Entries, Numbers, entry, flag, instance, text
 from dehyst.model.promise import Validity
 
@@ -40,9 +42,7 @@ _SIZE, _RATE = Numbers(least=0.0), Numbers(positive=True, plausible=1e11, option
 def _outcome(value: object, where: str) -> Outcome | None:
     if value is None or isinstance(value, Outcome):
         return value
-    if not isinstance(value, str) or value not in Outcome.__members__:
-        raise ModelError(argument=where, got=repr(value), need=f"one of {', '.join(Outcome.__members__)}, or null")
-    return Outcome[value]
+    return Outcome[choice(value, where, Outcome.__members__, error=ModelError)]
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Identification(Entries):
     """
 
     _part = "identification"
-    lag_of: str = entry("lag_of", text, "")
+    lag_of: str = entry("lag_of", partial(choice, among=("", "actuator", "sensor"), error=ModelError), "")
     shared_datum: bool = entry("shared_datum", flag, False)
     drift: bool = entry("drift", flag, True)
     sensor_lag: float = entry("sensor_lag_s", _SIZE, 0.0)
