@@ -58,8 +58,7 @@ def test_a_start_up_transient_is_left_out_and_only_it(length):
     y = record.displacement.copy()
     # Upwards: downwards from the upper branch would be into the loop, where nothing can tell.
     y[:length] += 0.1 * plain_records.STROKE
-    found = cleaning.transient(Record(record.time, record.voltage, y, "transient"))
-    assert found == length
+    assert cleaning.transient(Record(record.time, record.voltage, y, "transient")) == length
 
 
 @pytest.mark.parametrize(

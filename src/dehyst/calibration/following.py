@@ -106,7 +106,7 @@ class FollowedPath:
             if feedback:
                 reached = self._feed_back(player, plan, wanted, present)
             else:
-                self.clamped = int(plan.clamped.sum())
+                self.clamped = int(plan.clamped[plan.first :].sum())
                 reached = self._play(player, *self._even(plan), len(wanted))
             self.tracked = [self._tracked(cycle) for cycle in np.split(reached, repeat)]
             self.best = self.tracked[-1]

@@ -288,7 +288,7 @@ class _Task:
         others = [*self.remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
         fields = {
             "samples": samples,
-            "clamped": known.by_axis(int(plan.clamped.sum()) for plan in plans),
+            "clamped": known.by_axis(int(plan.clamped[plan.first :].sum()) for plan in plans),
             "missed_um": known.by_axis(float(plan.missed) * 1e6 for plan in plans),
             "lowest_V": known.by_axis(float(plan.voltage.min()) for plan in plans),
             "highest_V": known.by_axis(float(plan.voltage.max()) for plan in plans),

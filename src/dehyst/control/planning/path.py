@@ -445,27 +445,27 @@ class Task:
         for part, error, before, y, off, row in zip(self.parts, self.errors(), *columns, strict=True):
             loop, way, found = part.loop, part.way, part.found
             degrees = None if part.temperature is None else part.temperature[after:]
-            missed = float(max(off.max(), -off.min()))
+            volts, clamped, left = (column[after:] for column in (found.voltage, found.clamped, off))
+            missed = float(np.abs(left).max())
             tolerated = TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
             promise = promised(
                 loop.actuator,
-                found.voltage[after:],
+                volts,
                 None if self.time is None else self.time[after:],
                 temperature=degrees,
                 waits=way.waits,
                 begins=way.start.name if way.homing is None else "homed",
                 opened=() if way.homing is None and way.start.known else error.left_of(found.displacement[after:]),
-                missed=off[after:] if found.clamped.any() or missed > tolerated else (),
+                missed=left if clamped.any() or missed > tolerated else (),
             )
             if promise is not None:
                 tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
             # A path that lies beyond a limit as a whole is not followed, whatever the promise.
-            followed = missed <= tolerated and not (found.clamped & loop.bounds.reached(found.voltage)).all()
+            followed = missed <= tolerated and not (clamped & loop.bounds.reached(volts)).all()
             remarks = () if way.homing is None else way.remarks
-            if self.home_within is None:
-                remarks += part.patience(self.time, after)
+            remarks += part.patience(self.time, after) if self.home_within is None else ()
             if wanted is None:
-                remarks += shortfall(found.voltage, found.clamped, loop.bounds, missed, followed=followed)
+                remarks += shortfall(volts, clamped, loop.bounds, missed, followed=followed)
                 remarks += outside_identified(loop.actuator, found.voltage, refuse=False).warnings
                 remarks += part.remarks + part.speeds(self.time, self.rates)
             hint = unit_hint(units, (counts * loop.reach[0], counts * loop.reach[1]), counts * row)

@@ -152,7 +152,7 @@ class PathPlan:
         )
 
     def __repr__(self) -> str:
-        um, count = 1e6 / per_metre(self.units), int(np.count_nonzero(self.clamped))
+        um, count = 1e6 / per_metre(self.units), int(np.count_nonzero(self.clamped[self.first :]))
         missed = length(float(np.max(self.missed)) / per_metre(self.units))
         facts = [
             counted(len(self.phase) - self.first, "sample"),
