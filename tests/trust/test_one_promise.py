@@ -58,19 +58,19 @@ def test_five_commands_promise_the_same(name, tmp_path):
     excite, creep, disturbed = MODELS[name]
     made = excite(Sampling(0.1, sample_rate=8.0))
     truth = PlayActuator(highest=TOP, plays=40, noise=2e-9, creep=creep)
-    y = truth.play(made.voltage, time=made.time)
-    write_record(tmp_path / "r.csv", Record(made.time, made.voltage, y if disturbed is None else disturbed(y), "r"))
+    y = (disturbed or np.asarray)(truth.play(made.voltage, time=made.time))
+    for file, gain in (("r.csv", 1.0), ("other.csv", 1.0001)):
+        write_record(tmp_path / file, Record(made.time, made.voltage, gain * y, "r"))
     time = np.arange(0, 40, 0.1)
-    wanted = 8 - 2 * np.cos(2 * np.pi * time / 10)
-    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": wanted})
+    write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": 8 - 2 * np.cos(2 * np.pi * time / 10)})
     found = answer("identify", "r.csv", "-o", "m.json", cwd=tmp_path)
     model = Actuator.load(tmp_path / "m.json")
     own = json.loads(json.dumps(promised(model).as_dict()))
     assert own["path"] == "any path like the records"
-    # Any path like the records.
     assert found["verdict"]["promise"] == own
     assert (found["verdict"]["largest_m"], found["verdict"]["rms_m"]) == (own["largest_m"], own["rms_m"])
-    assert answer("insight", "m.json", "r.csv", cwd=tmp_path)["promise"] == own
+    seen = [answer("insight", "m.json", file, cwd=tmp_path) for file in ("r.csv", "other.csv")]
+    assert [(each["promise"] == own, bool(each["origin"])) for each in seen] == [(True, False), (True, True)]
     # This path from a homed or from an unknown start.
     there = answer("compensate", "m.json", "path.csv", "-o", "v.csv", cwd=tmp_path)["promise"]
     assert answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", cwd=tmp_path)["promise"] == there

@@ -26,16 +26,7 @@ from dehyst.identification import (
     identifiability,
     probed,
 )
-from dehyst.model import (
-    Actuator,
-    Promise,
-    Stage,
-    by_axis,
-    excite_command,
-    matrix_lines,
-    promised,
-    voltages_of,
-)
+from dehyst.model import Actuator, Promise, Stage, by_axis, excite_command, matrix_lines, promised, voltages_of
 from dehyst.records import Record, largest
 from dehyst.trust.recheck import ANOTHER, coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
@@ -175,6 +166,15 @@ class Insight(Plotted):
         useless = "" if self.promise is None else self.promise.unusable
         return tuple(filter(None, [self._of_others(), useless, self._open(), self._beyond()]))
 
+    @property
+    def origin(self) -> str:
+        """A remark on records that are not those of the model, by the sums of their files; or empty."""
+        known, records = str(self.actuator.provenance), [item.given.record for item in self.comparisons]
+        others = [each.name for each in records if str(each.meta.get("sha256", "sha256")) not in known]
+        if "sha256" not in known or not others or self._of_others():
+            return ""
+        return f"The model was not identified from {', '.join(others)}: its promise rests on its own records."
+
     def _of_others(self) -> str:
         """Return a warning if the records are not those that the model was identified from."""
         missed, known = 100 * self.misfit / self.stroke, self.actuator.identification
@@ -215,13 +215,13 @@ class Insight(Plotted):
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; lengths in metres."""
-        directions = json_values(self.identifiability, "determined of singular_values_V_per_V=values")
         return {
             "records": [item.given.name for item in self.comparisons],
             "stroke_m": self.stroke,
+            "origin": self.origin,
             "warnings": list(self.warnings()),
             **json_values(self, "promise record_next"),
-            "directions": directions,
+            "directions": json_values(self.identifiability, "determined of singular_values_V_per_V=values"),
         }
 
 
@@ -263,8 +263,7 @@ def _stage_insight(
     stage: Stage, records: Sequence[Record], plan: PathPlan | None = None, **options: Any
 ) -> StageInsight:
     """Assess a stage by the records it was identified from; `options`: of `insight`, for each actuator."""
-    _, uncertainty = coupling_of(stage, records)
-    half = _DEVIATIONS * uncertainty
+    half = _DEVIATIONS * coupling_of(stage, records)[1]
     insights = tuple(
         insight(actuator, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], **options)
         for j, actuator in enumerate(stage.actuators)
@@ -282,10 +281,11 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
     yield from found.expected
     for warning in found.warnings():
         yield f"WARNING: {warning}"
+    yield from filter(None, [found.origin])
     if full:
         known = found.identifiability
-        share = f"{known.determined} of {known.of}"
-        yield f"Directions of {known.subject} that the turning points determine, whatever the noise: {share}"
+        words = f"Directions of {known.subject} that the turning points determine, whatever the noise"
+        yield f"{words}: {known.determined} of {known.of}"
     commands = found.record_next
     yield "To record next:" if commands else "To record next: nothing; no excitation tests more."
     if found.promise is not None and found.promise.delay:
