@@ -231,8 +231,11 @@ def moving(
         # A lag may hide the others, and they may stand for a lag: it must show itself beside the best of them.
         other = min(beside, key=lambda made: made.score)
         names = search.own(other, "delay")
-        begin = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
-        best = search.better(best, begin, names if "delay" in other.names else ("delay", *names), near=other.found)
+        both = search.tried(_on_time(other), names if "delay" in other.names else ("delay", *names), near=other.found)
+        best = _best([best, both])
+        if "delay" in both.names and not _lags(both.frame) and both.held_out < best.held_out:
+            # The others have moved on beside a delay that is none.
+            best = search.better(best, _on_time(both), names, near=both.found)
     late = best if "delay" in best.names else late
     at = late.frame.motion
     # Behind a low-pass as slow as the cycles a delay is too long, and still shows about its time constant.
@@ -266,6 +269,11 @@ def _tuned(made: Fitted) -> Fitted:
 def _best(some: Sequence[Fitted]) -> Fitted:
     """Return the best of some solutions; those with a delay of another cause do not count."""
     return min((made for made in some if "delay" not in made.names or _lags(made.frame)), key=lambda made: made.score)
+
+
+def _on_time(made: Fitted) -> Frame:
+    """Return the records of a solution without its delay."""
+    return replace(made.frame, motion=replace(made.frame.motion, delay=0.0))
 
 
 def _lags(frame: Frame) -> bool:
