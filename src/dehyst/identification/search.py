@@ -32,9 +32,8 @@ _LIGHT = Structure(elements=24, spacing=2.0, grades=6, smooth=True, knots=31, sm
 _WHOLE = Structure(elements=40, spacing=2.0, grades=8, knots=41, smooth=True, smoothing=1e-2)
 # The dictionary with the smoothings to choose from, the default first; and with a transformer.
 WIDE = (
-    _WHOLE,
-    *(replace(_WHOLE, smoothing=s) for s in (3e-2, 3e-3)),
-    replace(_WHOLE, grades=16),
+    *(replace(_WHOLE, smoothing=s) for s in (1e-2, 3e-2, 3e-3)),
+    *(replace(_WHOLE, grades=16, smoothing=s) for s in (1e-2, 3e-3)),
     *(replace(_WHOLE, transformer=20, grades=m, smoothing=s) for m, s in ((1, 1e-2), (8, 1e-2), (8, 3e-3))),
 )
 # If turning points leave elements open, held-out time cannot choose: the first is taken, others show what is open.
@@ -331,7 +330,11 @@ def static(
         closed = solved(replace(first, smooth=False), best if {*names} <= {*_OF_RECORDS} else None)
         if best.held_out >= RULES.static_gain * closed.held_out:
             best, others = closed, [replace(structure, smooth=False) for structure in others]
-    made = [best, *(solved(structure, best) for structure in others)]
+    made = [best]
+    for structure in others:
+        # Another smoothing of the last grid is near.
+        same = replace(made[-1].structure, smoothing=structure.smoothing) == structure
+        made.append(solved(structure, made[-1] if same else best))
     if structures is not OPEN:
         best = min(made, key=lambda each: each.score)
     report("solving the program of all samples")
