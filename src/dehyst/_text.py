@@ -39,6 +39,11 @@ def to_know(sentences: Sequence[str]) -> Iterator[str]:
         yield f"  - {counted(len(sentences) - _SHOWN, 'more remark')}."
 
 
+def digits(number: float, count: int = 2) -> str:
+    """Write a number with so many digits, without a power of ten from 0.0001 to a million: "110", not "1.1e+02"."""
+    return f"{float(f'{number:.{count}g}'):g}"
+
+
 def counted(number: int, noun: str) -> str:
     """Write a number and a noun, in the plural unless the number is 1: "1 sample", "2 samples"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -7,7 +7,7 @@ from math import floor, inf, log10
 
 import numpy as np
 
-from dehyst._text import counted, escaped
+from dehyst._text import counted, digits, escaped
 from dehyst._types import Array
 
 
@@ -48,13 +48,8 @@ def length(metres: float) -> str:
     return f"{metres * 1e9:.3g} nm" if abs(metres) < 1e-6 else f"{metres * 1e6:.4g} um"
 
 
-def uncertain(value: float, error: float) -> str:
-    """Return a number with three digits and its error with two as text, without powers of ten below a million."""
-    return f"{float(f'{value:.3g}'):g} ± {float(f'{error:.2g}'):g}"
-
-
 def percent(part: float, whole: float) -> str:
     """Return a ratio as text in percent with two digits; "not known" if it is not a number."""
     if not (whole > 0 and np.isfinite(part)):
         return "not known"
-    return f"{100 * part / whole:.2g} %" if part < whole else f"{100 * part / whole:.0f} %"
+    return f"{digits(100 * part / whole)} %"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dehyst._text import digits
 from dehyst._types import Array
 from dehyst.identification.results import Check, Trace, Verdict, may_creep
 from dehyst.records import rms, turning_points, white_noise
@@ -98,7 +99,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
         values = 0.5 * np.abs(distance)
         k = int(np.argmax(np.where(passed, values / np.maximum(floors, _SMALLEST), -1.0)))
         at = 0.5e6 * float(edges[k] + edges[k + 1])
-        sentence = f"{words} is up to {values[k]:.2g} % of the stroke, most at {at:.4g} um"
+        sentence = f"{words} is up to {digits(values[k])} % of the stroke, most at {at:.4g} um"
         found.append(_tested(name, float(values[k]), float(floors[k]), sentence, why))
     return found
 
@@ -128,9 +129,8 @@ def _no_drift(training: Sequence[Trace], stroke: float) -> Check:
     if not drifts:
         return _unknown("No drift", _A_DECADE, "No record has enough branches to determine a drift.")
     _, value, floor, unit, record = max(drifts)
-    time_span = "of the stroke a decade of time" if unit == _A_DECADE else "of the stroke in all"
     why = "the actuator creeps more slowly than the model, or its surroundings change"
-    return _tested("No drift", value, floor, f"{record}: the residual drifts by {value:.2g} % {time_span}", why, unit)
+    return _tested("No drift", value, floor, f"{record}: the residual drifts by {digits(value)} {unit}", why, unit)
 
 
 def _branches(trace: Trace) -> list[slice]:
@@ -209,7 +209,7 @@ class RemainingError:
         line = ""
         if self.vibration:
             size = 100 * self.vibration_amplitude / stroke
-            line = f" The vibration has {self.frequency:.3g} Hz and {size:.2g} % of the stroke."
+            line = f" The vibration has {self.frequency:.3g} Hz and {digits(size)} % of the stroke."
         text = f"{', '.join(parts) or 'none'}.{line} {_CAUSES[largest_first[0]][1]}"
         return f"{self.record}: of the remaining error's power, {text}"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dehyst._errors import IdentifyError, RecordError
 from dehyst._native import slip_elongations
-from dehyst._text import escaped
+from dehyst._text import digits, escaped
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._version import __version__
@@ -246,8 +246,8 @@ class Plays:
         for name, share in zip(self.axes, explained.tolist(), strict=True):
             if share < _EXPLAINED:
                 raise RecordError(
-                    f"axis {name}: its displacement follows none of the voltages: they explain {100 * share:.2g} % of "
-                    "its motion; check its sensor, and the column that is read: --columns"
+                    f"axis {name}: its displacement follows none of the voltages: they explain {digits(100 * share)} % "
+                    "of its motion; check its sensor, and the column that is read: --columns"
                 )
         rows, first, motions = _scaled([*self.blocks, self.slow]), 0, []
         for block, measured in zip(self.blocks, self.displacement.T, strict=True):
@@ -364,7 +364,7 @@ def _refuse_inseparable(names: Sequence[str], shares: Array) -> None:
         if share < SEPARATE:
             others = ", ".join(other for other in names if other != name)
             raise IdentifyError(
-                f"axis {name}: its voltage moves together with those of {others} at all times ({100 * share:.2g} % of "
-                "its motion is its own), so that their displacements cannot be distinguished; record the axes one "
+                f"axis {name}: its voltage moves together with those of {others} at all times ({digits(100 * share)} % "
+                "of its motion is its own), so that their displacements cannot be distinguished; record the axes one "
                 "after the other, or together with different periods: dehyst excite stage"
             )

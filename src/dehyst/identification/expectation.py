@@ -260,7 +260,7 @@ def expectation(
         reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
     drifted = max(abs(error.drifted_percent) for error in errors)
     if drifted > goal:
-        reasons.append(f"a drift of {drifted:.2g} % was removed, which will also occur on a path")
+        reasons.append(f"a drift of {percent(drifted, 100)} was removed, which will also occur on a path")
     if outcome is Outcome.UNDETERMINED:
         reasons.append("the records do not determine all stiffnesses")
     failed = [f"{check.name} ({REMEDIES[check.name]})" for check in checks if check.verdict is Verdict.FAILS]

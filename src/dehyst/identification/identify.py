@@ -14,6 +14,7 @@ from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst._version import __version__
+from dehyst._views.lines import percent
 from dehyst.identification import events, messages, search
 from dehyst.identification.checks import remaining_error, residual_checks
 from dehyst.identification.comparison import compare, earlier, errors_of, zero_by_voltages
@@ -339,7 +340,7 @@ class _Run:
             outcome = Outcome.INACCURATE
         apart = [(error, alone) for error, alone in zip(errors, judged, strict=True) if alone is not error]
         guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
-        words = f"{made.structure.words}, which miss held-out time by {100 * made.held_out / self.stroke:.2g} %"
+        words = f"{made.structure.words}, which miss held-out time by {percent(made.held_out, self.stroke)}"
         self.remarks[:0] = [" ".join(guessed)] if guessed else []
         if self.temperatures is not None and made.frame.motion.thermal is not None:
             self.remarks.insert(0, self._warms(made))
@@ -376,13 +377,12 @@ class _Run:
             self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
         options = {**self.provenance(made.structure), "delay_s": delay, "stroke_m": self.stroke}
         options["cut"] = [*self.deadline.cut]
-        repairs = [sentence for item in records for sentence in item.sentences]
         return Fit(
             actuator,
             outcome,
             expected,
             tuple(errors),
-            (*repairs, *repaired),
+            (*(sentence for item in records for sentence in item.sentences), *repaired),
             tuple(self.remarks),
             tuple(traces),
             options=options,

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dehyst._views.lines import percent
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.regressors import epochs
 from dehyst.identification.results import FEWEST_DECADES, RecordErrors
 from dehyst.model import excite_command
-from dehyst.records import percent
 
 # The outer part of the limits' range at each end, of which samples are rare if fewer than this part of one passage
 # through it.
@@ -33,7 +33,7 @@ def of_moved_zeros(errors: Sequence[RecordErrors]) -> list[str]:
     """Return a remark for each record whose zero was moved far."""
     return [
         f"{error.record}: the zero of its sensor was moved by {error.datum * 1e6:.4g} um, "
-        f"{percent(abs(error.datum), error.stroke):.2g} % of the stroke. If it was not zeroed anew, the records may be "
+        f"{percent(abs(error.datum), error.stroke)} of the stroke. If it was not zeroed anew, the records may be "
         "of two stages: identify each alone."
         for error in errors
         if abs(error.datum) > _SMALLEST_ZERO * error.stroke
@@ -43,7 +43,7 @@ def of_moved_zeros(errors: Sequence[RecordErrors]) -> list[str]:
 def of_offset(error: RecordErrors, offset: float) -> str:
     """Return a reason for care if a record is missed by an `error` unless its voltages have an `offset` [V]."""
     return (
-        f"{percent(error.settled_largest, error.stroke):.2g} % of the stroke is the error on {error.record} unless its "
+        f"{percent(error.settled_largest, error.stroke)} of the stroke is the error on {error.record} unless its "
         f"voltages are moved by {offset:.3g} V: the records may be of two stages, identify each alone"
     )
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst.records import turning_points
@@ -162,7 +163,7 @@ def untested_by(
     new = {"fastest": (speed.max(initial=0.0), fastest), "slowest": (speed.min(initial=np.inf), slowest)}
     for which, (found, known) in new.items():
         if fastest and (found > ALIKE * known if which == "fastest" else found * ALIKE < known):
-            ratio = f"{found / known:.2g} times the {which} of the records"
+            ratio = f"{digits(found / known)} times the {which} of the records"
             words = f"Its {which} branch takes {found:.3g} V/s on average, {ratio}."
             yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0))
     # The excitation for a new speed has the rates of branches over the whole range.
@@ -177,7 +178,7 @@ def untested_by(
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, excite_command(high, low, f"--hold {hold:.2g} ", "staircase"))
+        yield Untested("hold", words, excite_command(high, low, f"--hold {digits(hold)} ", "staircase"))
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
@@ -189,11 +190,11 @@ def not_recorded(validity: Validity) -> Iterator[Untested]:
     branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * branch):.2g} ", "staircase"))
+        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * branch):.0f} ", "staircase"))
 
 
 def _paced(high: float, low: float, speed: float, faster: float) -> str:
     """Return the command of an excitation whose fastest branches, `faster` than the slowest, have a speed [V/s]."""
     # The fastest turns are to be as fast as the path, and not faster.
-    option = f"--frequency {0.5 * speed / faster / (high - low):.2g} --slew-rate {STEEPEST * speed:.3g} "
+    option = f"--frequency {digits(0.5 * speed / faster / (high - low))} --slew-rate {STEEPEST * speed:.3g} "
     return excite_command(high, low, option)

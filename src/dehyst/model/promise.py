@@ -23,6 +23,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import Numbers
 from dehyst._views.fields import json_values
+from dehyst._views.lines import percent
 from dehyst.model.branches import (
     ALIKE,
     BAND,
@@ -280,9 +281,8 @@ class Promise:
     @property
     def sentence(self) -> str:
         """The promise in words, errors in percent of the stroke."""
-        largest, rms_ = (100 * error / self.stroke for error in (self.largest, self.rms))
-        missed = f"{largest:.2g} % of the stroke at most and {rms_:.2g} % RMS"
-        return f"Expect {self.path} to be missed by {missed}, {self.apart}."
+        largest, rms_ = (percent(error, self.stroke) for error in (self.largest, self.rms))
+        return f"Expect {self.path} to be missed by {largest} of the stroke at most and {rms_} RMS, {self.apart}."
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -293,8 +293,7 @@ class Promise:
         """Return JSON values without the bound along the path."""
         keys = "path rms_m=rms largest_m=largest offset_m=offset stroke_m=stroke delay_s=delay apart sentence untested"
         percents = {"largest_percent": 100 * self.largest / self.stroke, "rms_percent": 100 * self.rms / self.stroke}
-        parts = {f"{name}_m": error for name, error in self.parts.items()}
-        return {**json_values(self, keys), **percents, "parts": parts}
+        return {**json_values(self, keys), **percents, "parts": {f"{k}_m": error for k, error in self.parts.items()}}
 
 
 def promise(

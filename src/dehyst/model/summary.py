@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._text import counted, escaped
+from dehyst._text import counted, digits, escaped
 from dehyst._types import Array
 from dehyst._views.lines import length, span_of
 from dehyst.model.actuator import Actuator
@@ -115,9 +115,9 @@ def _transformer(transformer: Transformer, _: Actuator) -> Part:
     most, v = int(np.argmax(np.abs(deviation))), transformer.voltage
     gains = transformer.slopes / (np.ptp(transformer.drive) / np.ptp(v))
     sentence = (
-        f"tau(v) lies up to {abs(deviation[most]):.3g} V ({100 * abs(deviation[most]) / np.ptp(v):.2g} % of the "
+        f"tau(v) lies up to {abs(deviation[most]):.3g} V ({digits(100 * abs(deviation[most]) / np.ptp(v))} % of the "
         f"voltages) {'above' if deviation[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V; a volt "
-        f"counts for {gains.min():.2g} to {gains.max():.2g} of the mean one."
+        f"counts for {digits(gains.min())} to {digits(gains.max())} of the mean one."
     )
     return Part("Transformer", sentence)
 
@@ -126,7 +126,7 @@ def _creep(creep: DisplacementCreep, _: Actuator) -> Part:
     times = creep.time_constants
     branches = "one branch" if len(creep) == 1 else f"{len(creep)} branches"
     spread = f", {_seconds(times.min())} to {_seconds(times.max())}" if len(creep) else ""
-    grows = f"a displacement that is held grows by {100 * (creep.at_rest - 1):.2g} %"
+    grows = f"a displacement that is held grows by {digits(100 * (creep.at_rest - 1))} %"
     return Part("Creep", f"{branches} behind the elements{spread}: {grows}.")
 
 
@@ -154,7 +154,7 @@ def _dynamics(dynamics: Dynamics, actuator: Actuator) -> Part:
         sentence += f", under a voltage at {driven:.4g} Hz about the mean slope"
     slow = 0.1 * driven
     error = 100 * abs(1 / (1 - 0.1**2 + 0.2j * dynamics.damping) - 1)
-    return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {error:.2g} %.")
+    return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {digits(error)} %.")
 
 
 # Name in one line and sentence of each part that an actuator may have.

@@ -14,6 +14,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._units import COLDEST, HOTTEST
 from dehyst._validation import plain
+from dehyst._views.lines import percent
 from dehyst.model.dynamics import Thermal
 from dehyst.records import Record
 
@@ -129,26 +130,25 @@ class TemperatureCost:
     @property
     def sentence(self) -> str:
         """What is not known or not tested, and its cost; empty if the temperature is tested."""
-        percent, tested = 100 / self.stroke, "" if self.tested is None else "{:.3g} to {:.3g} degC".format(*self.tested)
+        tested = "" if self.tested is None else "{:.3g} to {:.3g} degC".format(*self.tested)
         reference = None if self.thermal is None else self.thermal.reference
         if self.temperature is None:
             if reference is None:
                 return ""
-            within = f", {percent * self.largest:.2g} % within the {tested} of the records" if tested else ""
+            within = f", {percent(self.largest, self.stroke)} within the {tested} of the records" if tested else ""
             return (
                 f"Without its temperature it is computed at {reference:.3g} degC; each kelvin off adds up to "
-                f"{percent * self.per_kelvin:.2g} % of the stroke{within}."
+                f"{percent(self.per_kelvin, self.stroke)} of the stroke{within}."
             )
         farthest = float(self.kelvins.max(initial=0.0))
         if farthest <= (NEAR_KELVINS if reference is None else _ALIKE):
             return ""
         low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
         used = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        adds = "" if reference is None else f", which adds {percent * self.largest:.2g} % of the stroke"
-        needed = words_of(temperatures_to_record(self.tested, (low, high), reference))
+        adds = "" if reference is None else f", which adds {percent(self.largest, self.stroke)} of the stroke"
         return (
-            f"At {used} degC it was not tested: the records have {tested}, {farthest:.2g} K away{adds}. Record at "
-            f"{needed}."
+            f"At {used} degC it was not tested: the records have {tested}, {farthest:.3g} K away{adds}. Record at "
+            f"{words_of(temperatures_to_record(self.tested, (low, high), reference))}."
         )
 
 

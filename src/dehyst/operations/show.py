@@ -12,7 +12,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst._io import format_of
-from dehyst._text import counted
+from dehyst._text import counted, digits
 from dehyst._types import Array
 from dehyst.operations.command import OUTPUT, Values, argument, command, option, output, page
 from dehyst.operations.files import AS_COLUMNS, AS_FOUND, RECORD, Columns, is_model
@@ -114,7 +114,7 @@ class _AxisView:
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
         (v0, v1), (y0, y1) = record.voltage_range, _span(record.displacement * 1e6)
-        noise = "" if record.measured is not None else f", noise {record.noise * 1e9:.2g} nm"
+        noise = "" if record.measured is not None else f", noise {digits(record.noise * 1e9)} nm"
         ranges = {
             "time": f"{record.time[0]:.6g} to {record.time[-1]:.6g} s, {1 / record.sample_time:.6g} Hz",
             "voltage": f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}",

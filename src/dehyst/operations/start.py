@@ -12,7 +12,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._io import COMPUTED
-from dehyst._text import counted
+from dehyst._text import counted, digits
 from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
@@ -148,7 +148,7 @@ def open_start(path: PathPlan) -> list[str]:
     error = path.left_open
     if error is None or path.homing is not None or not error.matters:
         return []
-    largest, first = (f"{error.percent(length):.2g} %" for length in (error.largest, error.first))
+    largest, first = (f"{digits(error.percent(length))} %" for length in (error.largest, error.first))
     remedy = "give --start" if path.start.name == "unknown" else "home the actuator first"
     return [f"the start leaves {largest} of the stroke open, {first} at the first sample: {remedy}"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._errors import ModelError
-from dehyst._text import counted, escaped
+from dehyst._text import counted, digits, escaped
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import interval
@@ -72,16 +72,15 @@ def insight(
         If a range is impossible.
     """
     if isinstance(model, Stage):
-        several = [records] if isinstance(records, Record) else records
-        return _stage_insight(model, several, plan, limits=limits, progress=progress)
+        every = [records] if isinstance(records, Record) else records
+        return _stage_insight(model, every, plan, limits=limits, progress=progress)
     if not isinstance(model, Actuator):
         raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
-    actuator = model
     progress("reading the records beside the model")
-    allowed = actuator.limits if limits is None else interval(limits)
+    allowed = model.limits if limits is None else interval(limits)
     with one_thread():
-        compared = compare_all(actuator, records)
-        return Insight(actuator, compared, compared[0].frame.stroke, allowed, plan)
+        compared = compare_all(model, records)
+        return Insight(model, compared, compared[0].frame.stroke, allowed, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +184,7 @@ class Insight(Plotted):
         if missed > ANOTHER:
             return f"The model misses these records by up to {far}: they are of another actuator or in other units."
         return (
-            f"The model misses these records by up to {far}, {self.misfit / own:.2g} times as far as those it "
+            f"The model misses these records by up to {far}, {digits(self.misfit / own)} times as far as those it "
             "was identified from: give those, or see by dehyst check what has changed."
         )
 
@@ -269,7 +268,7 @@ def _stage_insight(
         for j, actuator in enumerate(stage.actuators)
     )
     remarks = tuple(
-        f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{half[i, j]:.2g} only: "
+        f"coupling of {stage.axes[j]} into {stage.axes[i]} is known to ±{digits(half[i, j])} only: "
         "record `dehyst excite stage`, which moves each axis alone first"
         for i, j in np.argwhere(half > _CHANGED).tolist()
     )

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dehyst._text import digits
 from dehyst._types import Array, Mask
 from dehyst._views import lines
 from dehyst.identification import Trace
@@ -103,7 +104,7 @@ class Change:
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
         if self.name in SLOW or len(self.parts) > 1:
             factor, unit = 100.0 / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
-        return f"{lines.uncertain(abs(self.value) * factor, self.error * factor)} {unit}"
+        return f"{digits(abs(self.value) * factor, 3)} ± {digits(self.error * factor)} {unit}"
 
     def as_dict(self, stroke: float) -> dict[str, Any]:
         """Return JSON values in SI units, the effect also in % of `stroke` [m]."""

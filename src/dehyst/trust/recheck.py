@@ -334,7 +334,6 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     judged = error[begin:] - error[-trace.settled.time.size if begin else 0 :].mean()
     # As many turns as the excitation for an identification: another record of the kind shows no more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
-    to_record = "" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.2g} ")
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
     known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
     changes = find_changes(trace, known, _PART * goal / 100 * stroke)
@@ -352,7 +351,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         trace=trace,
         unjudged=float(trace.time[begin]) - min(trace.began, float(trace.time[0])) if begin else 0.0,
         promise=promise,
-        to_record=to_record,
+        to_record="" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.3g} "),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dehyst._errors import ModelError
+from dehyst._text import digits
 from dehyst.control import PossibleStart, model_error, outside_identified
 from dehyst.identification import initial_state, state_after
 from dehyst.model import Actuator, stroke_of, voltages_of
@@ -44,11 +45,11 @@ def start_of(
         raise ModelError(f"{record.name}: {reason}")
     state, offset = (initial_state if began else state_after)(actuator, record)
     low, high = voltages_of(actuator)
-    share = abs(offset) / (high - low)
+    share = 100 * abs(offset) / (high - low)
     remarks = [*outside.warnings]
-    if share * stroke_of(actuator) > model_error(actuator):
+    if 0.01 * share * stroke_of(actuator) > model_error(actuator):
         remarks.append(
-            f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {100 * share:.2g} % of the range: "
+            f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {digits(share)} % of the range: "
             "expect displacements to be off the sensor's by as much"
         )
     return PossibleStart(f"{BEGAN if began else ''}{record.name}", (state,), tuple(remarks))

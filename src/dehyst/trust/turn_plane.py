@@ -44,7 +44,7 @@ class Turn(NamedTuple):
     def words(self) -> str:
         """Voltages, speed and hold as text."""
         speed = f" at {self.speed:.3g} V/s" if isfinite(self.speed) else ""
-        held = f", held {self.held:.2g} s" if self.held > 0 else ""
+        held = f", held {self.held:.3g} s" if self.held > 0 else ""
         often = f", {self.times} times" if self.times > 1 else ""
         return f"{self.record}: from {self.begin:.4g} to {self.end:.4g} V{speed}{held}{often}"
 

@@ -25,21 +25,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import RecordError
+from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._validation import Numbers, interval, number
 from dehyst._views.lines import length
 from dehyst.control.axis import allowed_limits
 from dehyst.control.limits import VoltageLimits
-from dehyst.model import (
-    Actuator,
-    State,
-    creep_times,
-    evaluator_of,
-    knots_of,
-    quasistatic,
-    turned,
-    voltages_of,
-)
+from dehyst.model import Actuator, State, creep_times, evaluator_of, knots_of, quasistatic, turned, voltages_of
 from dehyst.waveforms import Branch, Excitation, Sampling
 
 # Least duration of a branch of a homing [s].
@@ -224,8 +216,8 @@ class _TimedHoming:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
             share = 100 * spread / float(np.ptp(self.actuator.spring.displacement))
             yield (
-                f"not certified to {length(self.tolerance)}: the history may leave {length(spread)} ({share:.2g} % of "
-                f"the range){reasons and f', as this actuator {reasons}'}; {remedy}"
+                f"not certified to {length(self.tolerance)}: the history may leave {length(spread)} ({digits(share)} % "
+                f"of the range){reasons and f', as this actuator {reasons}'}; {remedy}"
             )
         if not keeps_order(self.actuator):
             yield (
