@@ -21,7 +21,7 @@ from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis
 # The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
 # the shortest cycle, and this many of all training records.
 _SHARE, _TIMES = 1e-5, 10.0
-_A_CYCLE, ENOUGH = 30, 4000
+_A_CYCLE, ENOUGH = 60, 4000
 # A mean's samples ring if they differ by this many standard deviations of the noise.
 _RINGS = 8.0
 
