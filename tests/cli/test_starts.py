@@ -134,7 +134,7 @@ def test_a_path_that_lies_beyond_a_limit_as_a_whole_has_status_1(folder):
         found, told = result(*words, limit, cwd=folder)
         assert (found, told["clamped"]) == (status, clamped)
         assert any("CLAMPED" in words for words in told["warnings"]) == (status == 1)
-        assert told["missed_um"] < 1e6 * (told["promise"]["largest_m"] - told["promise"]["parts"].get("clamped_m", 0.0))
+        assert told["missed_um"] < 1e6 * (told["promise"]["largest_m"] - told["promise"]["parts"].get("missed_m", 0.0))
 
 
 def test_the_duration_of_a_homing_is_told_without_the_way(folder):

@@ -13,6 +13,7 @@ from dehyst.model import DisplacementCreep, Thermal, Validity
 from dehyst.model.branches import branches_of, distances
 from dehyst.model.promise import promise
 from dehyst.model.temperatures import temperatures_to_record
+from dehyst.report.sections import _PARTS as WORDS
 
 SPAN, STROKE = 100.0, 1e-5
 
@@ -101,6 +102,14 @@ def test_a_path_longer_than_the_records_costs_creep_that_they_cannot_show():
     assert hundred.parts["creep"] == pytest.approx(2 * ten.parts["creep"])
     for slow in (ten, hundred):
         assert slow.rms > short.rms
+
+
+def test_every_part_of_a_promise_has_words_in_the_report():
+    known_ = known(0, 100, 0, lag=0.01, lag_error=0.01, temperatures=(20.0, 20.0))
+    time, voltage = motion(0, 120, 0, branch=0.1, hold=1e4)
+    parts = {"thermal": Thermal(20.0, 1e-3), "creep": DisplacementCreep([1.0], [0.01]), "temperature": 30.0}
+    found = promise(known_, voltage, time, **parts, opened=np.full(time.size, 1e-8), missed=np.full(time.size, 1e-8))
+    assert set(found.parts) == set(WORDS)
 
 
 @pytest.mark.parametrize("growth", [0.0, 5e-8])

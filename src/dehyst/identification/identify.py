@@ -323,6 +323,13 @@ class _Run:
             )
         return caveats, lag_open
 
+    def outcome(self, errors: Sequence[RecordErrors]) -> Outcome:
+        """Return how the identification ended, by the errors of all records."""
+        missed = {error.role for error in errors if error.settled_largest > 0.01 * RULES.useless * self.stroke}
+        if not missed:
+            return Outcome.IDENTIFIED if self.determined else Outcome.UNDETERMINED
+        return Outcome.INACCURATE if "training" in missed else Outcome.VALIDATION_MISSED
+
     def finish(self, made: Fitted) -> Fit:
         """Simulate all records whole, and judge the actuator."""
         self.report("simulating the records")
@@ -332,12 +339,7 @@ class _Run:
         errors, traces, judged = self.simulated(actuator, made.frame.motion.drift)
         trained = errors[: len(self.training)]
         checked = residual_checks(traces, self.stroke)
-        outcome = Outcome.IDENTIFIED if self.determined else Outcome.UNDETERMINED
-        useless = 0.01 * RULES.useless * self.stroke
-        if max(error.settled_largest for error in errors) > useless:
-            outcome = Outcome.VALIDATION_MISSED
-        if max(error.settled_largest for error in trained) > useless:
-            outcome = Outcome.INACCURATE
+        outcome = self.outcome(errors)
         apart = [(error, alone) for error, alone in zip(errors, judged, strict=True) if alone is not error]
         guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
         words = f"{made.structure.words}, which miss held-out time by {percent(made.held_out, self.stroke)}"

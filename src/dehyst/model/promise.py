@@ -230,7 +230,7 @@ class Promise:
     rms, largest : float
         RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
     parts : mapping of str to float
-        What `largest` sums [m]: "model"; "temperature", "creep", "lag", "start", "clamped", "voltages" if they count.
+        What `largest` sums [m]: "model"; "temperature", "creep", "lag", "start", "missed", "voltages" if they count.
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -265,7 +265,7 @@ class Promise:
     def apart(self) -> str:
         """What the errors leave out, in words."""
         late = f" and a delay of up to {1e3 * self.delay:.3g} ms: the records leave open who lags" if self.delay else ""
-        kept = "with the offset of clamped voltages" if "clamped" in self.parts else "apart from a constant offset"
+        kept = "with the offset of what the voltages miss" if "missed" in self.parts else "apart from a constant offset"
         return f"{kept}{late}"
 
     @property
@@ -353,7 +353,7 @@ def promise(
     parts = {"model": largest} | {k: e for k, e in {"temperature": cost.largest, "creep": slow}.items() if e}
     if late:
         parts["lag"], rms_, half = late, float(np.hypot(rms_, _LATE_RMS * late)), half + late
-    errors = {"start": np.asarray(opened), "clamped": np.abs(missed), "voltages": _beyond(validity, v)}
+    errors = {"start": np.asarray(opened), "missed": np.abs(missed), "voltages": _beyond(validity, v)}
     for name, error in errors.items():
         if np.any(error):
             rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())

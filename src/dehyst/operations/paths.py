@@ -75,8 +75,8 @@ def reason_of(promise: Promise | None) -> list[str]:
     known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
     if cause == "model" and not known:
         return ["The model misses held-out parts of its records that far: dehyst insight says what to record next."]
-    # The error of a start and of clamped voltages is remarked by the plan.
-    return known[:1] if cause in ("model", "temperature") else []
+    # The error of a start and of what the voltages miss is remarked by the plan.
+    return [] if cause in ("start", "missed") else known[:1]
 
 
 def temperature_of(

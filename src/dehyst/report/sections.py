@@ -207,12 +207,14 @@ def followed(paths: Mapping[str, TrackedPath]) -> list[Part]:
     return [table, Charts("", caption, pictures.followed_path(paths))]
 
 
-# Sources of a promise's parts.
 _PARTS = {
     "model": "the model",
     "temperature": "a temperature that was not tested, or is not known",
+    "creep": "a creep slower than the records show",
+    "lag": "a lag that the records leave open",
     "start": "the unknown start",
-    "clamped": "voltages that are not allowed",
+    "missed": "what the voltages miss",
+    "voltages": "voltages beyond the records",
 }
 
 
@@ -238,7 +240,6 @@ def planned(found: Insight) -> list[Part]:
     rows: list[Row] = [
         (_PARTS[key], f"{number(100 * error / promise.stroke)} %", length(error))
         for key, error in promise.parts.items()
-        if error > 1e-6 * promise.largest
     ]
     beside = f"<div><h3>Causes of the largest error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
     caption = "The promise: how far the displacement may be from the wanted path if the compensating voltage is played."

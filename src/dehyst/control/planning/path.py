@@ -459,7 +459,7 @@ class Task:
                 missed=left if clamped.any() or missed > tolerated else (),
             )
             if promise is not None:
-                tolerated = max(tolerated, promise.largest - promise.parts.get("clamped", 0.0))
+                tolerated = max(tolerated, promise.largest - promise.parts.get("missed", 0.0))
             # A path that lies beyond a limit as a whole is not followed, whatever the promise.
             followed = missed <= tolerated and not (clamped & loop.bounds.reached(volts)).all()
             remarks = () if way.homing is None else way.remarks
