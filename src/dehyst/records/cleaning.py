@@ -143,7 +143,9 @@ def zero_jumps(record: Record) -> list[tuple[int, float]]:
     least = max(_VISIBLE * record.stroke, _DISTINCT * scales.sensor)
     found = np.abs(heights) > np.maximum(least, _STEEP_AT_END * scales.gain * latest)
     beside = sliding_window_view(y, place.size)[found]
-    found[found] = np.abs(heights[found]) > _CLEAR * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
+    left = _CLEAR * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
+    # A bend of a moving displacement, as where many domains switch, is no jump.
+    found[found] = np.abs(heights[found]) > np.maximum(left, np.median(np.abs(np.diff(beside)), axis=1))
     tops = [start + int(np.argmax(np.abs(heights[start:stop]))) for start, stop in runs(found)]
     return [(top + _BESIDE, float(heights[top])) for top in tops] if len(tops) <= _MOST_JUMPS else []
 
