@@ -144,7 +144,7 @@ def zero_jumps(record: Record) -> list[tuple[int, float]]:
     found = np.abs(heights) > np.maximum(least, _STEEP_AT_END * scales.gain * latest)
     beside = sliding_window_view(y, place.size)[found]
     left = _CLEAR * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
-    # A bend of a moving displacement, as where many domains switch, is no jump.
+    # A bend where it moves is no jump.
     found[found] = np.abs(heights[found]) > np.maximum(left, np.median(np.abs(np.diff(beside)), axis=1))
     tops = [start + int(np.argmax(np.abs(heights[start:stop]))) for start, stop in runs(found)]
     return [(top + _BESIDE, float(heights[top])) for top in tops] if len(tops) <= _MOST_JUMPS else []
