@@ -20,21 +20,25 @@ NOISE = 1e-4 * STROKE
 class Life:
     """A plant, its repetition, and the true errors of its cycles."""
 
-    def __init__(self, *, limits=(-20, 220), path=PATH, **options):
+    def __init__(self, *, limits=(-20, 220), path=PATH, late=0, **options):
         self.state = turned(PLANT, float(path[0]), rising=False)
-        self.loop = Compensator(PLANT, limits, period=PERIOD, state=self.state, warns=False)
+        plant, given = replace(PLANT, delay=late * PERIOD), {"state": self.state, "preview": late > 0}
+        self.loop = Compensator(plant, limits, period=PERIOD, warns=False, **given)
         self.repetition, self.errors = Repetition(self.loop, path, **options), []
+        self.sent, self.late = np.full(late, self.loop.voltage), late
         self.random = np.random.default_rng(0)
 
     def cycle(self, sensor=lambda y: y):
-        motion = AGED.simulate(self.repetition.next(), state=self.state, extrapolate=True)
+        self.sent = np.append(self.sent[self.sent.size - self.late :], self.repetition.next())
+        motion = AGED.simulate(self.sent[: len(PATH)], state=self.state, extrapolate=True)
         self.state = motion.state
         self.errors.append(float(np.sqrt(np.mean((motion.displacement - self.repetition.path[:, 0]) ** 2))))
         return self.repetition.learn(sensor(motion.displacement + NOISE * self.random.standard_normal(len(PATH))))
 
 
-def test_an_error_is_learnt_to_the_noise():
-    life = Life()
+@pytest.mark.parametrize("late", [0, 5])
+def test_an_error_is_learnt_to_the_noise(late):
+    life = Life(late=late)
     learnt = [life.cycle() for _ in range(12)]
     assert learnt[0]
     assert life.errors[-1] < 1.5 * NOISE < 0.05 * life.errors[0]
