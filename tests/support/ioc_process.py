@@ -9,25 +9,19 @@ import os
 import socket
 import subprocess
 import sys
-import time
 
 import places
 
 PREFIX = "BENCH:"
 _PROGRAM = """
-import json, sys, threading, time, types
+import json, sys, threading, time
 sys.path.insert(0, sys.argv[3])
 import dehyst
 from dehyst import VoltageLimits
 from dehyst.virtual import PlayActuator, VirtualBench
 from emulator.epics_ioc import serve_ioc
-from truths import ModelledActuator
 prefix, options = sys.argv[1], json.loads(sys.argv[2])
-model, actuator = options.pop("model", None), {"noise": 0.0, **options.pop("actuator", {})}
-truth = ModelledActuator(dehyst.Actuator.load(model)) if model else PlayActuator(**actuator)
-clock = types.SimpleNamespace(now=0.0)
-if options.pop("simulated_clock", False):
-    options["clock"] = lambda: clock.now
+truth = PlayActuator(**{"noise": 0.0, **options.pop("actuator", {})})
 instrument, lock = VirtualBench(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
 
@@ -91,16 +85,11 @@ def port():
 
 
 class IocProcess:
-    """An IOC around a virtual instrument; options are those of `Instrument`, and what it drives.
-
-    That is the actuator of a file, ``model=``, or a play actuator, ``actuator=`` its options.
-    With ``simulated_clock=True`` its time is `clock.now`, to be set by `do`.
-    """
+    """An IOC around a virtual instrument; options are its own; ``actuator=``: those of a play actuator."""
 
     def __init__(self, at=None, **options):
         self.port = port() if at is None else at
         self.prefix = f"{PREFIX}{self.port}"
-        began = time.perf_counter()
         self.process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, self.prefix, json.dumps(options), str(places.SUPPORT)],
             env={**os.environ, "EPICS_CAS_SERVER_PORT": str(self.port)},
@@ -111,7 +100,6 @@ class IocProcess:
         )
         atexit.register(self.kill)
         said = self._line("ready")
-        self.seconds = time.perf_counter() - began
         assert said == "ready", self.process.stderr.read()
 
     def __enter__(self):

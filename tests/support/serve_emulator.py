@@ -13,7 +13,7 @@ from dehyst.virtual import VirtualBench
 
 
 def serve(options):
-    """Serve until SIGINT, SIGTERM, or for some seconds."""
+    """Serve until SIGINT or SIGTERM."""
     faults = [Fault.parse(text) for text in options.fault]
     truth = VIRTUAL[options.actuator]()
     reported = tuple(options.limits or (0.0, truth.highest))
@@ -28,7 +28,7 @@ def serve(options):
         signal.signal(number, lambda *_: server.stop())
     low, high = reported
     print(f"serving {options.actuator}, {low:g} to {high:g} V, on pi://127.0.0.1:{server.port}", flush=True)
-    server.serve(options.seconds)
+    server.serve()
     log = bench.axis.log
     refused = f", {log.refused} requests refused" if log.refused else ""
     print(
@@ -44,6 +44,5 @@ if __name__ == "__main__":
     parser.add_argument("--limits", type=float, nargs=2, help="voltages [V]")
     parser.add_argument("--speed", type=float, default=1.0, help="seconds of the instrument in one")
     parser.add_argument("--fault", action="append", default=[], help="NAME, NAME@SAMPLES or NAME@SECONDSs")
-    parser.add_argument("--seconds", type=float, help="stop after this time [s]")
     parser.add_argument("--epics", help="serve by Channel Access too, with this prefix")
     serve(parser.parse_args())

@@ -7,7 +7,7 @@ import os
 from contextlib import AbstractContextManager, suppress
 from typing import Any
 
-from dehyst._errors import DehystError, RigError
+from dehyst._errors import DehystError
 from dehyst.virtual.bench import VirtualBench
 
 # Seconds between two updates from the instrument; a command also updates.
@@ -15,8 +15,6 @@ _TICK = 0.05
 _MICRO = 1e6
 # Characters of a text, including the terminating null.
 _TEXT = 256
-# Characters that a prefix may contain beside letters and digits, and its greatest length.
-_SIGNS, _PREFIX = "_-:[]<>;", 40
 # By default only this host is served; variables that are set already take precedence.
 _LOOPBACK = {
     "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1",
@@ -99,17 +97,8 @@ def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManage
 
     It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST is set, and on the port of
     EPICS_CAS_SERVER_PORT. `prefix`: of the names of all process variables, without the colon that follows it. `lock`:
-    held around every use of the instrument. Raise `RigError` if this process already serves an instrument, or the
-    prefix cannot begin a name.
+    held around every use of the instrument. EPICS allows one in a process.
     """
-    if _running:
-        raise RigError(
-            f"{prefix}: this process serves {_running[0].prefix} already, and EPICS allows one; start another"
-        )
-    if not prefix or len(prefix) > _PREFIX or not all(c.isascii() and (c.isalnum() or c in _SIGNS) for c in prefix):
-        raise RigError(
-            f"prefix: got {prefix!r}, need 1 to {_PREFIX} letters, digits or any of {_SIGNS}, as in BENCH:PIEZO"
-        )
     for name, value in _LOOPBACK.items():
         os.environ.setdefault(name, value)
     from softioc import asyncio_dispatcher, builder, softioc

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import errno
-import math
 import socket
 import threading
-import time
 from types import TracebackType
 from typing import Self
 
-from dehyst._errors import LinkError
 from emulator.faults import Rehearsal
 from emulator.gcs_controller import Controller
 
-PORT = 50000
+_HOST = "127.0.0.1"
 # Seconds between updates of the instrument, and until a client that takes no answers is disconnected.
 _TICK, _PATIENCE = 0.02, 10.0
 # Bytes of the longest line.
@@ -25,35 +21,26 @@ _LONGEST_LINE = 65536
 class Server:
     """A TCP server of a `controller`; as a context manager it runs in a thread of its own.
 
-    It listens at `host` and `port`, where 0 is any free one, and triggers the faults of a `rehearsal`. The `lock` is
-    held while the controller is used: share it with every other user of its instrument. Raise `LinkError` if it cannot
-    listen there.
+    It listens at `port` of this machine, where 0 is any free one, and triggers the faults of a `rehearsal`. The `lock`
+    is held while the controller is used: share it with every other user of its instrument.
     """
 
     def __init__(
         self,
         controller: Controller,
         *,
-        host: str = "127.0.0.1",
-        port: int = PORT,
+        port: int,
         lock: threading.Lock | None = None,
         rehearsal: Rehearsal | None = None,
     ) -> None:
         self.controller, self.lock = controller, lock or threading.Lock()
         self.rehearsal = rehearsal or Rehearsal()
-        try:
-            self._listening = socket.create_server((host, port), backlog=16)
-        except (OSError, OverflowError) as error:
-            # Unknown host names have numbers below 0.
-            number = getattr(error, "errno", None) or 0
-            foreign = number < 0 or number == errno.EADDRNOTAVAIL
-            advice = "give an address of this machine (127.0.0.1)" if foreign else "give another port, or 0 for any"
-            raise LinkError(f"{host}:{port}: cannot listen there ({error}); {advice}") from error
-        self.host, self.port = host, int(self._listening.getsockname()[1])
+        self._listening = socket.create_server((_HOST, port), backlog=16)
+        self.port = int(self._listening.getsockname()[1])
         self._client: asyncio.StreamWriter | None = None
         self._server: asyncio.Server | None = None
         self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self.serve, name=f"pi://{self.host}:{self.port}", daemon=True)
+        self._thread = threading.Thread(target=self.serve, name=f"pi://{_HOST}:{self.port}", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -69,14 +56,14 @@ class Server:
         """Make `serve` return; from any thread, or from a signal."""
         self._stopped.set()
 
-    def serve(self, seconds: float | None = None) -> None:
-        """Serve until `stop`, or for `seconds` [s]; close all connections at the end."""
-        asyncio.run(self._serve(time.monotonic() + (math.inf if seconds is None else seconds)))
+    def serve(self) -> None:
+        """Serve until `stop`; close all connections at the end."""
+        asyncio.run(self._serve())
 
-    async def _serve(self, end: float) -> None:
+    async def _serve(self) -> None:
         self._server = await asyncio.start_server(self._attend, sock=self._listening, limit=_LONGEST_LINE)
         try:
-            while not self._stopped.is_set() and time.monotonic() < end:
+            while not self._stopped.is_set():
                 self._update()
                 await asyncio.sleep(_TICK)
         finally:
@@ -105,13 +92,8 @@ class Server:
         if self._client is not None:
             writer.close()
             return
-        self._client, link = writer, writer.get_extra_info("socket")
+        self._client = writer
         try:
-            link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            # A client that vanished without closing must not block the next one for hours.
-            for option, value in (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT", 2)):
-                if hasattr(socket, option):
-                    link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
             while self._client is writer:
                 writer.write(self._answer(await _command(reader)))
                 if writer.transport.get_write_buffer_size():

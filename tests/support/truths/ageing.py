@@ -34,11 +34,6 @@ class AgeingCourse:
     seconds: float = 600.0
     kelvins: float = 0.0
 
-    def __post_init__(self) -> None:
-        values = self.gain, self.width, self.offset, self.seconds, self.kelvins
-        if not np.all(np.isfinite(values)) or self.seconds <= 0 or min(self.gain, self.width) <= -100:
-            raise ModelError(argument="ageing", got=self, need="percents above -100, and seconds above 0")
-
 
 class AgeingActuator(VirtualActuator):
     """A virtual actuator of which gain, loop width and zero change with time: ``(1 + g) (y + w h) + o``.

@@ -13,9 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.virtual.base import Clock, Sensor, VirtualActuator, cubic_map, refuse_falling_map
+from dehyst.virtual.base import Clock, Sensor, VirtualActuator, cubic_map
 
 # Largest step of the Runge-Kutta rule, as a share of the highest voltage.
 _FINEST = 1e-3
@@ -59,17 +58,6 @@ class BoucWenActuator(VirtualActuator):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        refuse_falling_map(self.asymmetry, self.bend)
-        if min(self.lag, self.slope, self.closing) <= 0 or self.power < 1 or 2 * self.slope * self.closing >= 1:
-            raise ModelError(
-                f"lag {self.lag}, slope {self.slope}, power {self.power}, closing {self.closing}: need all above 0, "
-                "the power 1 or more and 2 slope closing below 1, or voltage would pull back"
-            )
-        if self.resonance <= 0 or not 0 < self.damping < 1 or not self.delay >= 0:
-            raise ModelError(
-                f"resonance {self.resonance}, damping {self.damping}, delay {self.delay}: need hertz above 0, a "
-                "damping between 0 and 1, and seconds, 0 or more"
-            )
         self._sensor = Sensor(self.noise, self.seed)
         self._ends = (0.0, 1.0)
         self._lagging = 0.0

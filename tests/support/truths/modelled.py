@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.model import Actuator, State, needs_time, turned
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator
@@ -32,8 +31,6 @@ class ModelledActuator(VirtualActuator):
         self.actuator = actuator
         end = actuator.voltage(turned(actuator, float(actuator.spring.displacement[-1])))
         self.highest = float(end if actuator.limits is None else actuator.limits[1])
-        if not self.highest > 0:
-            raise ModelError(f"{actuator.name}: its highest voltage is {self.highest:.6g} V, need one above 0 V")
         swing = np.array([0.0, self.highest, 0.0, self.highest, 0.0])
         slowly = 1e3 * np.arange(swing.size)
         y = actuator.simulate(swing, time=slowly, state=actuator.relaxed(), extrapolate=True).displacement

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.virtual.base import Sensor, VirtualActuator
 
@@ -50,16 +49,6 @@ class PreisachActuator(VirtualActuator):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 < self.reversible < 1 or not abs(self.bend) < 0.5:
-            raise ModelError(
-                f"reversible {self.reversible} and bend {self.bend}: need a share between 0 and 1 and a bend below "
-                "0.5, so that more voltage is more displacement"
-            )
-        if min(self.ridge, self.spread) <= 0 or self.uniform < 0:
-            raise ModelError(
-                f"density: got ridge {self.ridge}, spread {self.spread}, uniform {self.uniform}; need the first two "
-                "above 0 and the last 0 or more"
-            )
         self._sensor = Sensor(self.noise, self.seed)
         self._span = float(self._everett(np.ones(1), np.zeros(1))[0])
         self._bottom = float(self._everett(np.ones(1), np.full(1, _LOWEST))[0]) - self._span
