@@ -74,9 +74,10 @@ def test_five_commands_promise_the_same(name, tmp_path):
     # This path from a homed or from an unknown start.
     there = answer("compensate", "m.json", "path.csv", "-o", "v.csv", cwd=tmp_path)["promise"]
     assert answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", cwd=tmp_path)["promise"] == there
-    slow = ("--slew-rate", "2", "m.json", "r.csv", "--trajectory", "path.csv")
-    bounded = answer("compensate", "m.json", "path.csv", "-o", "s.csv", "--slew-rate", "2", cwd=tmp_path)["promise"]
-    assert answer("insight", *slow, cwd=tmp_path)["promise"] == bounded != there
+    for more in (("--slew-rate", "2"), ("--zero", "1.5")):
+        other = answer("compensate", "m.json", "path.csv", "-o", "s.csv", *more, cwd=tmp_path)["promise"]
+        seen = answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", *more, cwd=tmp_path)["promise"]
+        assert seen == other != there
     assert there["path"] in ("this path from a homed start", "this path from an unknown start")
     assert there["largest_m"] == pytest.approx(sum(there["parts"].values()))
     # The path of the record, from its fitted start.
