@@ -22,7 +22,6 @@ def actuator(elements, knots, volts):
 
 
 CREEP = DisplacementCreep([0.01, 0.3, 10.0], [0.01, 0.03, 0.02])
-BEHIND = DisplacementCreep([0.01, 0.3, 10.0], [0.01, 0.02, 0.03])
 
 
 def wider(elements, *, creep):
@@ -55,10 +54,6 @@ MODELS = [
     ModelCandidate("graded elements, a transformer and creep", lambda: wider(10, creep=True)),
     ModelCandidate(
         "plain elements and creep", lambda: replace(actuator(10, [0, 1e-5], [0, 80]), displacement_creep=CREEP)
-    ),
-    ModelCandidate(
-        "plain elements and creep in displacement",
-        lambda: replace(actuator(10, [0, 1e-5], [0, 80]), displacement_creep=BEHIND),
     ),
     ModelCandidate("linear ratio", lambda: Linear(1e-7, 1e-6)),
     ModelCandidate("smooth elements", smooth, wipes_out=False),

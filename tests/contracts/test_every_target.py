@@ -72,7 +72,6 @@ COMMON = ("slip", "spring", "state", "limits", "delay", "name", "provenance", "i
 # The other fields, with a part for each; a field without one makes this an error, so that no part goes untested.
 PARTS = {
     "transformer": Transformer([0, 30, 80], [0, 35, 80]),
-    "creep": DisplacementCreep([0.01, 1.0], [0.4, 0.5]),
     "dynamics": Dynamics(50, 0.1, series=1e6),
     "lag": 2e-3,
     "load_stiffness": 1e7,

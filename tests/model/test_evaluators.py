@@ -87,9 +87,6 @@ def shortened_branch():
     return actuator, state, path
 
 
-NESTED = our.motions(our.actuators(1, 3), ("relaxed", "reached", "turned up"), ("nested", "walk"), max_samples=40)
-
-
 MOTIONS = st.one_of(our.motions().map(timed), our.wider_motions())
 SHORT = st.one_of(our.motions(max_samples=25).map(timed), our.wider_motions(max_elements=6, max_samples=25))
 NESTED = our.motions(our.actuators(1, 3), ("relaxed", "reached", "turned up"), ("nested", "walk"), max_samples=40)

@@ -11,7 +11,7 @@ import pytest
 from summaries import PARTS, VOLTS, anatomy
 
 import dehyst
-from dehyst import DisplacementCreep, ModelError, RecordError, Structure
+from dehyst import ModelError, RecordError, Structure
 from dehyst._errors import MissingExtraError
 from dehyst.control import plan_path
 from dehyst.model import creep_times, major_loop
@@ -118,7 +118,6 @@ def test_the_loops_of_an_actuator_lie_within_its_limits(things):
 OPTIONAL = (
     PARTS["graded"] | PARTS["transformer"] | PARTS["smooth"],
     PARTS["creep"],
-    {"displacement_creep": DisplacementCreep([0.1, 10.0], [0.02, 0.03])},
     PARTS["inertia"] | PARTS["lag"] | PARTS["delay"],
 )
 
