@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from calibration_listener import Heard
+from command_line import result
 
 from dehyst import Actuator, DehystError, FileFormatError, Record, RecordError, read
 from dehyst.calibration import Plan, calibrate
@@ -94,6 +95,8 @@ def test_a_second_call_plays_nothing(finished):
     assert (again.kept, again.played) == (("recommended", "nominal", "compensated"), ())
     assert again.compensated.largest_percent == found.compensated.largest_percent
     assert heard.samples_of == {}
+    status, told = result("calibrate", "sim://", "-o", folder, "--goal", 0.01, keep=True)
+    assert (status, tuple(told["kept"]), told["played"]) == (1, again.kept, [])
 
 
 def test_two_calibrations_into_one_folder_are_refused(tmp_path):

@@ -97,8 +97,8 @@ def refused(*arguments, cwd=None):
     return json.loads(out)["error"]
 
 
-def result(*arguments, cwd=None):
+def result(*arguments, **options):
     """Return exit status and JSON result of a command that is done."""
-    status, out, err = run(*arguments, "--json", cwd=cwd)
+    status, out, err = run(*arguments, "--json", **options)
     assert status in (0, 1), err
     return status, json.loads(out)
