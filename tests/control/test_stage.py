@@ -57,37 +57,6 @@ def test_a_stage_without_coupling_equals_its_actuators_bit_for_bit():
         assert np.array_equal(model.compensate(wanted).voltage[:, j], actuator.compensate(wanted[:, j]).voltage)
 
 
-@pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
-def test_other_names_of_the_axes_change_nothing(order):
-    wanted, model = path(np.random.default_rng(2)), stage()
-    voltage = model.compensate(wanted).voltage
-    permuted = Stage(tuple(model.actuators[j] for j in order), COUPLING[np.ix_(order, order)])
-    other = permuted.compensate(wanted[:, order]).voltage
-    assert np.allclose(voltage[:, order], other, rtol=0, atol=1e-10)
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_clamped_axis_does_not_falsify_the_others():
-    """Axis x wants more than its limit allows: y and z follow, which they would not without correction."""
-    wanted, model = path(np.random.default_rng(4)), stage()
-    limits = [(-150.0, 22.0), (-150.0, 200.0), (-150.0, 200.0)]
-    loop = Compensator(model, limits=limits)
-    begin, voltage, clamped = loop.state, [], []
-    for row in wanted:
-        voltage.append(loop.step(row))
-        clamped.append(loop.clamped)
-    real = model.simulate(np.array(voltage), states=begin).displacement
-    missed = np.abs(real - wanted).max(axis=0)
-    held = np.array(clamped)
-    assert 0.1 < held[:, 0].mean() < 0.9 and not held[:, 1:].any()
-    assert missed[0] > 1e-6 and missed[1:].max() < 1e-15
-    parts = zip(model.actuators, limits, begin, strict=True)
-    single = [dehyst.Compensator(actuator, limit, state=state) for actuator, limit, state in parts]
-    uncorrected = np.column_stack([own.run(w) for own, w in zip(single, (wanted @ model.decoupling.T).T, strict=True)])
-    assert np.abs(model.simulate(uncorrected, states=begin).displacement - wanted).max(axis=0)[1] > 3e-8
-    assert [sum(counts) for counts in loop.clamps] == [int(held[:, 0].sum()), 0, 0]
-
-
 def random_loop(rng, most=0.15):
     """Limits and slew rates so narrow that every axis is clamped now and then, and couplings of up to `most`."""
     size = int(rng.integers(2, 5))
