@@ -11,7 +11,6 @@ from command_line import WRITTEN, refused, result, run
 from dehyst import Actuator, DisplacementCreep
 from dehyst._io import SCAN
 from dehyst.model import evaluator_of, turned
-from dehyst.records import read_table
 
 TRIANGLE = ("triangle", "--low", 2, "--high", 12, "--frequency", 10)
 TOP = ("--start", "top")
@@ -32,20 +31,6 @@ def folder(tmp_path_factory):
 
 def rows(path):
     return np.loadtxt(path, delimiter=",", skiprows=1).T
-
-
-def test_a_scan_is_followed(folder):
-    status, made = result("scan", *TRIANGLE, "--turns", 0.2, "--cycles", 2, "-o", "two.csv", cwd=folder)
-    assert (status, made["samples"], made["ranges_um"]) == (0, 801, {"displacement_um": pytest.approx([2, 12])})
-    status, _ = result("compensate", "model.json", "two.csv", *TOP, "-o", "out.csv", cwd=folder)
-    assert status == 0
-    table = read_table(folder / "out.csv")
-    assert table.names == ("time_s", "displacement_um", "voltage_V", "expected_um")
-    _, wanted, voltage, _ = rows(folder / "out.csv")
-    assert wanted.size == 801 and (wanted.min(), wanted.max()) == (pytest.approx(2), pytest.approx(12))
-    actuator = Actuator.load(folder / "model.json")
-    top = turned(actuator, float(actuator.spring.displacement[-1]))
-    assert np.allclose(actuator.simulate(voltage, state=top).displacement * 1e6, wanted, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
