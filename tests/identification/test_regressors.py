@@ -61,26 +61,6 @@ def test_one_constant_an_epoch_is_exact_for_any_carts():
     assert strict > 3 * RANDOM_RECORDS
 
 
-def test_samples_at_which_the_range_grows_are_dropped():
-    actuator = plain_records.plant(10)
-    turns = (0.5, 0.4, 0.6, 0.4, 0.6, 0.3, 0.7, 0.3, 0.7, 0.0, 1.0, 0.0, 1.0)
-    record = plain_records.loops(
-        actuator, turns, state=plain_records.any_state(actuator, 0.5 * plain_records.STROKE, 1)
-    )
-    rows, found = rows_of(actuator, record)
-    assert len(found) >= 4
-    taken = np.zeros(len(record), dtype=bool)
-    for epoch in found:
-        assert growth(record, epoch) == 0
-        taken[epoch.start : epoch.stop] = True
-    v = record.voltage
-    new_high = np.append(True, v[1:] > np.maximum.accumulate(v)[:-1] + 2e-3 * np.ptp(v))
-    new_low = np.append(True, v[1:] < np.minimum.accumulate(v)[:-1] - 2e-3 * np.ptp(v))
-    assert not np.any(taken & (new_high | new_low))
-    assert len(rows) == taken.sum()
-    np.testing.assert_array_equal(rows.voltage, v[taken])
-
-
 def test_a_record_that_only_ever_grows_has_no_row():
     actuator = plain_records.plant(5)
     record = plain_records.loops(actuator, (0.0, 1.0), state=actuator.relaxed())
