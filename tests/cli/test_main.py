@@ -51,13 +51,6 @@ def test_identify_prints_a_table_and_writes_a_report(folder):
     assert err == ""  # beside a terminal, progress is for longer work only
 
 
-def test_a_voltage_beyond_the_limits_is_clamped_loudly(folder):
-    status, got = result("compensate", "model.json", "path.csv", "-o", "low.csv", "--limits", "0", "100", cwd=folder)
-    assert status == 1 and got["clamped"] > 0 and any("CLAMPED" in warning for warning in got["warnings"])
-    assert read_table(folder / "low.csv").column("voltage").max() <= 100
-    assert got["promise"]["apart"].startswith("with the offset")
-
-
 def test_the_measured_lag_is_said_and_can_be_put_in(folder):
     model = json.loads((folder / "model.json").read_text())
     (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
