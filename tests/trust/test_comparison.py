@@ -219,15 +219,6 @@ def test_the_best_model_is_the_one_with_the_least_error_on_what_was_held_out(rec
     assert compare(records[0], models={"truth": plant}).best is None
 
 
-def test_dehyst_is_compared_with_a_table_and_a_line(records):
-    assert list(contenders())[:3] == [OURS, "two branches", "linear ratio"]
-    built_in = {name: contenders()[name] for name in (OURS, "two branches", "linear ratio")}
-    found = compare(records, models=built_in)
-    ours, table, line = (row.worst("validation").rms for row in found.rows)
-    assert 5 * ours < table < line
-    assert found.best.model == OURS
-
-
 @pytest.mark.parametrize(
     ("records", "error"),
     [
