@@ -43,14 +43,6 @@ def column(folder, file, name):
     return data[name]
 
 
-def test_without_a_homing_the_error_is_reported(folder):
-    given = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--no-home", "--slew-rate", "none")
-    _, got = result(*given, cwd=folder)
-    assert (got["samples"], got["homing_samples"], got["certified"]) == (200, 0, None)
-    assert got["start"]["largest_difference_percent"] > 5 > got["start"]["model_error_percent"]
-    assert "phase" not in read_table(folder / "v.csv").names
-
-
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 def test_a_record_determines_where_it_began_and_where_it_ends(folder, model):
     """What was measured before and after follows from the state, which no name describes."""
