@@ -137,6 +137,7 @@ def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
     [
         ("Sample rate;10000;Hz", ";", point, 1e-4),
         ("Sample rate,1 kS/s", ",", point, 1e-3),
+        ("Sample rate: 50 S/s", ",", point, 0.02),
         ("# Sample interval [ms] = 20", ",", point, 0.02),
         ("dt: 5 us", ",", point, 5e-6),
         ("dt 0,01 s", ";", comma, 0.01),
