@@ -348,17 +348,6 @@ def test_a_whole_delay_alone_is_a_shift():
     np.testing.assert_array_equal(compensator.run(path), Compensator(PLANT, FREE).run(path))
 
 
-def test_a_lag_is_led():
-    """An amplifier of five periods: without lead it would be late by as much."""
-    actuator = replace(PLANT, lag=5 * PERIOD)
-    path = smooth_path(np.arange(500) * PERIOD, 1.0)
-    start = turned(PLANT, float(path[0]))
-    led = Compensator(actuator, FREE, period=PERIOD, state=start).run(path)
-    unled = Compensator(PLANT, FREE, state=start).run(path)
-    misses = [np.abs(replayed(actuator, start, sent).displacement[1:] - path).max() for sent in (led, unled)]
-    assert misses[0] < 0.05 * misses[1]
-
-
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_the_reach_is_where_slow_loops_turn(name):
     actuator = PLANTS[name]

@@ -246,20 +246,6 @@ def test_held_out_time_of_a_truth_of_the_class_is_predicted(name):
     assert made.held_out < 1e-6 * STROKE
 
 
-@pytest.mark.parametrize("name", ["plain", "graded", "smooth", "graded, transformer"])
-def test_the_state_at_an_epoch_continues_the_record(name):
-    structure = wide.STRUCTURES[name]
-    made = search.fitted(wide.frame([wide.plant(structure).record()]), structure, 4000)
-    frame, source = made.frame, made.source
-    actuator = frame.actuator(made.program, made.found)
-    for judged in frame.judged(source):
-        offset = made.found.offsets[judged.number] - float(actuator.spring.voltage[0])
-        state = frame.state(source, judged.piece, judged.epoch, actuator)
-        time, missed = frame.missed(judged.piece, judged.epoch, actuator, state, offset)
-        assert time.size == judged.epoch.stop - judged.epoch.start
-        assert np.abs(missed).max() < 1e-6 * STROKE
-
-
 def test_folds_are_sixths_of_the_time_of_each_record():
     made = search.fitted(wide.frame([moved.still(), replace(moved.still(), name="other")]), moved.STRUCTURE, 10**6)
     fold, rows = made.program.fold, made.program.rows

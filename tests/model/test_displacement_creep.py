@@ -50,21 +50,6 @@ def test_the_inverse_is_exact_at_uneven_steps(name):
         np.testing.assert_allclose(back.state.displacement_creep, motion.state.displacement_creep, rtol=0, atol=1e-17)
 
 
-def test_derivatives_that_are_given_are_those_of_the_displacement():
-    actuator, time = replace(CREEPING, **PARTS["inertia"]), np.arange(4000) * 5e-4
-    low, high = actuator.reach
-    middle, size = 0.5 * (low + high), 0.3 * (high - low)
-    path = middle + size * np.sin(3 * time)
-    state = turned(actuator, middle)
-    given = actuator.compensate(
-        path, time=time, state=state, velocity=3 * size * np.cos(3 * time), acceleration=-9 * size * np.sin(3 * time)
-    )
-    half = actuator.compensate(path, time=time, state=state, acceleration=-9 * size * np.sin(3 * time))
-    splined = actuator.compensate(path, time=time, state=state)
-    for other in (half, splined):
-        np.testing.assert_allclose(given.voltage[5:-5], other.voltage[5:-5], rtol=0, atol=1e-4)
-
-
 def test_a_held_voltage_ends_at_the_displacement_at_rest():
     assert PART.at_rest == pytest.approx(1.09)
     np.testing.assert_allclose(CREEPING.reach, 1.09 * np.array(PLANT.reach), rtol=1e-12, atol=1e-18)
