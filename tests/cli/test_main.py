@@ -8,7 +8,6 @@ import pytest
 from command_line import result, run
 from virtual_loops import record_loops
 
-from dehyst import Actuator
 from dehyst.records import read_table, write_record
 
 PLAIN = "--structure", "maxwell_slip"
@@ -21,22 +20,11 @@ def folder(tmp_path_factory):
     training, validation = record_loops()
     write_record(target / "loops.csv", training)
     write_record(target / "other.csv", validation)
-    given = ("--validate", "other.csv", "-o", "model.json")
-    (target / "identified.json").write_text(json.dumps(result("identify", "loops.csv", *given, cwd=target)))
+    result("identify", "loops.csv", "--validate", "other.csv", "-o", "model.json", cwd=target)
     path = np.concatenate([np.linspace(2, 14, 50), np.linspace(14, 5, 40)])
     rows = "\n".join(f"{i * 0.1:.1f},{y!r}" for i, y in enumerate(path.tolist()))
     (target / "path.csv").write_text(f"time_s,displacement_um\n{rows}\n")
     return target
-
-
-def test_identify_prints_json_that_tells_the_errors_of_both_records(folder):
-    status, found = json.loads((folder / "identified.json").read_text())
-    assert status == 0
-    assert found["good"] is True
-    assert [(e["record"], e["role"]) for e in found["errors"]] == [("loops", "training"), ("other", "validation")]
-    assert all(0 < e["rms_percent"] < e["largest_percent"] < 2 for e in found["errors"])
-    assert found["options"]["records"][0]["source"] == "loops.csv"
-    assert Actuator.load(folder / "model.json").identification.lag_of == ""
 
 
 def test_identify_prints_a_table_and_writes_a_report(folder):

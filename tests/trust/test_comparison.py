@@ -16,7 +16,7 @@ from dehyst.model import AbstractModel, turned
 from dehyst.report import write_comparison
 from dehyst.trust import AbstractBaseline, ModelComparison, compare
 from dehyst.trust.baselines import Linear
-from dehyst.trust.comparison import OURS, ModelScore, Played, contenders, scored
+from dehyst.trust.comparison import ModelScore, Played, scored
 
 PLANT = plain_records.plant()
 
@@ -37,19 +37,6 @@ def plant(_):
 def judged(record, held_out, models):
     """Return the rows of models fitted to one record and judged by another."""
     return scored([record], [held_out], models, lambda _: None)[0]
-
-
-def test_what_made_the_records_misses_nothing_and_ours_finds_it(records):
-    chosen = {"truth": plant, OURS: contenders()[OURS]}
-    found = compare(records[0], validate=records[1], models=chosen)
-    assert [row.name for row in found.rows] == ["truth", OURS]
-    assert found.stroke == pytest.approx(plain_records.STROKE)
-    for row in found.rows:
-        assert [(s.record, s.role) for s in row.scores] == [("tops", "training"), ("three", "validation")]
-        assert row.failure == ""
-        assert row.seconds > 0
-    assert found.rows[0].worst("validation").largest_without < 1e-9
-    assert found.rows[1].worst("validation").largest < 0.5
 
 
 def test_figures_are_those_of_the_residual_by_hand(records):

@@ -149,16 +149,6 @@ def test_a_full_recorder_stops_and_a_long_wave_is_refused(hand):
         bench.start([1, math.nan])
 
 
-def test_a_wave_that_is_stopped_leaves_its_voltage(hand):
-    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
-    bench.start(np.linspace(0, 100, 101), divider=20)
-    hand.wait(0.0305)
-    bench.stop()
-    hand.wait(1)
-    assert (bench.playing, bench.recorded) == (False, 31)
-    assert bench.axis.voltage == pytest.approx(30)
-
-
 def test_open_loop_and_closed_loop_do_not_mix(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     bench.axis.servo = True
