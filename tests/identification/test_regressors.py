@@ -22,11 +22,11 @@ def random_record(seed):
     return actuator, plain_records.record(actuator, y, state=plain_records.any_state(actuator, float(y[0]), seed))
 
 
-def collect(pieces, breakaway, noise):
-    """All rows of pieces for elements of these thresholds, and their epochs."""
+def collect(pieces, breakaway, noise, step=1):
+    """Every row of pieces, or each of a step, for elements of these thresholds, and their epochs."""
     empty = np.zeros(0)
     source = RowSource.of(pieces, Grid(breakaway, empty, empty, empty), noise)
-    return source.thinned(max(1, len(source))), source.epochs
+    return source.thinned(max(1, len(source) // step)), source.epochs
 
 
 def rows_of(actuator, record, noise=0.0):
@@ -59,6 +59,14 @@ def test_one_constant_an_epoch_is_exact_for_any_carts():
             assert np.ptp(constants) <= 1e-9 * np.ptp(record.voltage) + dragged, f"seed {seed}, epoch {number}"
             assert grown <= 0.01 * np.ptp(record.displacement), f"seed {seed}, epoch {number}"
     assert strict > 3 * RANDOM_RECORDS
+
+
+def test_thinned_rows_are_every_third_of_all():
+    pieces, breakaway = [(k, random_record(k)[1]) for k in range(4)], 1e-6 * np.arange(1, 9)
+    (every, spans), (third, _) = (collect(pieces, breakaway, [0.0] * 4, step) for step in (1, 3))
+    assert {(epoch.stop - epoch.start) % 3 for own in spans for epoch in own} == {0, 1, 2}
+    for name, column in vars(every).items():
+        np.testing.assert_array_equal(getattr(third, name), column[::3])
 
 
 def test_a_record_that_only_ever_grows_has_no_row():

@@ -54,7 +54,7 @@ def test_a_record_is_what_the_stage_does_with_the_voltages():
         assert rig.check(ex(v)) == RATE
         columns = [bench.samples(axis=j) for j in range(3)]
         after = rig.rigs[0].read()
-    assert isinstance(played, Record)
+    assert isinstance(played, Record) and played.axes == ("1", "2", "3")
     assert np.abs(played.voltage - v).max() <= 0.6e-6
     np.testing.assert_allclose(np.diff(played.time), 1 / RATE, rtol=1e-6)
     np.testing.assert_allclose(played.displacement, np.column_stack([c[2] for c in columns]), rtol=1e-11, atol=1e-18)
