@@ -1,5 +1,7 @@
 """Records sampled far faster than they move, as means of neighbouring samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,8 @@ def test_a_block_keeps_the_motion_and_enough_samples(rate, least, most):
     block = block_of(record, len(record) / 4000)
     assert least <= block <= most
     assert block * record.sample_time <= 1 / 60
+    # A mean would move an event.
+    assert block_of(replace(record, measured=np.arange(len(record)) % 9 == 0), len(record) / 4000) == 1
 
 
 def test_steps_have_no_bandwidth_below_their_sampling():
