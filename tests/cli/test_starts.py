@@ -1,7 +1,6 @@
 """`--start` and `--home` as processes: what is known of the start, and what an unknown one leaves open."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import plain_records
@@ -10,11 +9,9 @@ from command_line import result, run
 
 import dehyst
 from dehyst import Actuator, Record
-from dehyst.control import PossibleStart, plan_voltage
 from dehyst.model import with_identification
 from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
-from dehyst.trust import start_of
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops
 
@@ -41,25 +38,6 @@ def folder(tmp_path_factory):
 def column(folder, file, name):
     data = {column.name: column.data for column in read_table(folder / file).columns}
     return data[name]
-
-
-@pytest.mark.parametrize("model", ["model.json", "creep.json"])
-def test_a_record_determines_where_it_began_and_where_it_ends(folder, model):
-    """What was measured before and after follows from the state, which no name describes."""
-    actuator = Actuator.load(folder / model)
-    ends = [0, 200, 50, 120, 20, 180, 20, 180, 60, 120, 40, 90]
-    voltage = np.concatenate([np.linspace(start, end, 100) for start, end in pairwise(ends)])
-    time = np.arange(voltage.size) * 0.05
-    y = actuator.simulate(voltage, time=time).displacement
-    inner = slice(300, 900)
-    record = Record(time[inner], voltage[inner], y[inner])
-    for began, part in ((True, inner), (False, slice(899, None))):
-        missed = {}
-        for name in ("record", "top", "bottom"):
-            start = start_of(actuator, record, began=began) if name == "record" else PossibleStart.named(actuator, name)
-            plan = plan_voltage(actuator, voltage[part], time=time[part], start=start)
-            missed[name] = np.abs(plan.expected - y[part]).max() / np.ptp(y)
-        assert missed["record"] < 2e-3 and min(missed["top"], missed["bottom"]) > 5e-3
 
 
 @pytest.mark.parametrize("file", ["path.csv", "timeless.csv"])

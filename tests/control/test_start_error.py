@@ -163,23 +163,6 @@ def test_the_displacement_before_a_path_is_within_reach():
         assert np.array_equal(before, path.expected[path.phase < 1])
 
 
-@pytest.mark.parametrize(("units", "counts"), [("um", 1e6), ("nm", 1e9)])
-def test_a_homed_path_in_a_unit_is_the_one_in_metres(units, counts):
-    time = np.arange(100) * 0.025
-    wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time))
-    metres = plan_path(Compensator(PLAIN, slew_rate=500.0), wanted, time=time, home=True)
-    loop = Compensator(PLAIN, slew_rate=500.0, units=units)
-    other = plan_path(loop, counts * wanted, time=time, present=0.0, home=True)
-    np.testing.assert_allclose(other.voltage, metres.voltage, atol=1e-9)
-    assert np.abs(np.diff(other.voltage) / np.diff(other.time)).max() <= 500 * (1 + 1e-9)
-    for name in ("displacement", "expected"):
-        np.testing.assert_allclose(getattr(other, name), counts * getattr(metres, name), atol=1e-9 * counts * STROKE)
-    assert (other.units, other.error.units, metres.units) == (units, units, "m")
-    assert other.error.stroke == pytest.approx(counts * metres.error.stroke)
-    assert other.error.model_error == pytest.approx(counts * metres.error.model_error)
-    assert other.error.matters == metres.error.matters
-
-
 def test_a_path_that_begins_fast_keeps_the_slew_rate_from_the_homing_on():
     """Its first interval is longer than the others: the homing has the steps of most of them."""
     time = np.append(0.0, 0.1 + 0.01 * np.arange(200))
