@@ -172,6 +172,7 @@ def test_temperatures_to_record_cover_those_in_use(tested, used, reference, need
     [
         ("rms_m", -1.0),
         ("speeds_V_per_s", [5.0, 1.0]),
+        ("speeds_V_per_s", [-1.0, 5.0]),
         ("limits_V", [1, 0]),
         ("branches_V", [[1.0], [1.0, 2.0]]),
         ("rates_per_s", [0.0, 5e-324]),
