@@ -12,7 +12,6 @@ import structured_records
 from dehyst import Compensator
 
 PAGE = places.DOCS / "how_to" / "control.md"
-ANY = (-1e4, 1e4)
 
 
 def test_the_code_on_the_page_runs(tmp_path, monkeypatch):

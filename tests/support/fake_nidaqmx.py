@@ -202,11 +202,6 @@ class Task:
         self.given += len(lot)
         return [list(column) for column in zip(*lot, strict=True)]
 
-    def wait_until_done(self, timeout=10.0):
-        self._demand()
-        if self.running:
-            raise DaqError("Wait Until Done did not indicate that the task was done within the timeout.", -200560)
-
     def stop(self):
         self._demand()
         self.running = False
