@@ -154,6 +154,18 @@ def test_limits_narrower_in_the_record(ioc):
         link.put("VOLTAGE.DRVH", 200.0)
 
 
+def test_limits_that_the_record_lacks_are_those_of_the_user(ioc):
+    link = ChannelAccess(f"{ioc.prefix}:", 1.0)
+    link.put("VOLTAGE.DRVH", 0.0)
+    try:
+        with pytest.raises(RigError, match="DRVL and DRVH"):
+            EpicsRig.connect(ioc.prefix)
+        with EpicsRig.connect(ioc.prefix, limits=(0.0, 50.0)) as rig:
+            assert (rig.limits.low, rig.limits.high) == (0.0, 50.0)
+    finally:
+        link.put("VOLTAGE.DRVH", 200.0)
+
+
 STALE = """
 import emulator.epics_ioc as served; ioc = served._running[0]; refresh = ioc._refresh; ioc._refresh = lambda: None;
 threading.Timer(1.8, lambda: vars(ioc).pop("_refresh")).start()
