@@ -27,7 +27,7 @@ from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, voltages_of
 from dehyst.records import Record, counting, largest, rms, turning_points
 
-# Rows at most: of a longer record some of its samples, evenly.
+# Most rows; a longer record is thinned evenly.
 MOST_ROWS = 200_000
 # Samples that the carts at a start are fitted to, and how many of them after all elements are in a known state.
 _START_SAMPLES, _KNOWN_SAMPLES = 1000, 200

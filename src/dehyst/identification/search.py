@@ -256,7 +256,7 @@ def cold(frame: Frame) -> Frame:
 
 
 def _tuned(made: Fitted) -> Fitted:
-    """Return a solution with its resonance tuned by simulation, in turn with the program."""
+    """Return a solution whose resonance and other numbers are tuned by turns."""
     for _ in range(_TUNINGS):
         if not _excited(made.frame):
             break

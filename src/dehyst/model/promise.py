@@ -342,7 +342,7 @@ def promise(
     shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
     shown = float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth))
     rms_, largest = (factor * shown * float(_grown(whole)) for factor in (RMS, LARGEST))
-    # Any path like the records is as fast as their fastest part, where they may be missed by more.
+    # A path like the records may be as fast as their fastest part, which the model misses most.
     largest = max(largest, validity.largest) if voltage is None else largest
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = np.repeat(each, np.diff([0, *at[1:, 0], v.size]))
