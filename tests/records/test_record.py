@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from dehyst._errors import FileFormatError, MissingExtraError, RecordError
 from dehyst._units import per_metre
 from dehyst.records import Record, read, reversals, write_record
-from dehyst.records.signals import gaps, resolution, turning_points, white_noise
+from dehyst.records.signals import beyond_noise, gaps, resolution, turning_points, white_noise
 
 DATA = places.DATA
 rng = np.random.default_rng(885)
@@ -96,6 +96,16 @@ def test_gaps():
     t[40:] += 0.5
     assert gaps(t) == [(39, pytest.approx(0.51))]
     assert gaps(lagging().time) == []
+
+
+@pytest.mark.parametrize("peak", [0.0, 1.0, 3.0])
+def test_an_error_beyond_noise_is_no_more_than_the_error_and_most_of_it(peak):
+    true = peak * np.exp(-np.linspace(-20, 20, 6000) ** 2)
+    found = [beyond_noise(true + np.random.default_rng(k).normal(0, 1, true.size), 1.0) for k in range(50)]
+    assert np.mean([largest_ > peak + 0.5 for largest_, _ in found]) <= 0.1
+    assert np.median([largest_ for largest_, _ in found]) >= 0.5 * (peak - 0.5)
+    assert all(rms_ <= largest_ for largest_, rms_ in found)
+    assert beyond_noise(true, 0.0) == pytest.approx((peak, np.sqrt(np.mean(true**2))), rel=0.01)
 
 
 @given(st.floats(1e-9, 1e-6), st.integers(0, 1000))

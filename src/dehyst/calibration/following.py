@@ -23,7 +23,7 @@ from dehyst.control import (
 )
 from dehyst.instruments import AbstractRig, StepFunction
 from dehyst.model import Actuator, Stage, stroke_of
-from dehyst.records import beyond_noise, largest, rms
+from dehyst.records import beyond_noise
 from dehyst.waveforms import Excitation
 
 # Learning ends when none of the last repetitions lowered the RMS error by this share.
@@ -81,7 +81,7 @@ class FollowedPath:
         """Whether the promise of each axis is kept, apart from a constant offset and the sensor's noise."""
         apart = [path.error - path.error.mean() for path in self.best.each]
         return [
-            None if promise is None else promise.missed_by(*beyond_noise(largest(error), rms(error), noise)) <= 1
+            None if promise is None else promise.missed_by(*beyond_noise(error, noise)) <= 1
             for promise, error, noise in zip(self.promises, apart, self.noise, strict=True)
         ]
 

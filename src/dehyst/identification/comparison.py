@@ -410,7 +410,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         record=record.name,
         role=role,
         samples=time.size,
-        left_out=record.samples - time.size,
+        left_out=(record.samples if known is None else events.size) - time.size,
         largest=largest(error),
         rms=rms(error),
         largest_with_drift=largest(drifting),

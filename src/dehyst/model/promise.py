@@ -65,8 +65,8 @@ LARGEST, RMS = 5.5, 2.2
 # Factors of the promised errors where the path closes loops and fewer branches of the records than this part do; and
 # where the records leave open who lags.
 _CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
-# The largest constant offset of a path, of its largest error, if the sensor is zeroed at its first sample.
-_OFFSET = 0.4
+# Beside that of a slower creep: the largest offset of a path from a sensor zeroed at its start, of its largest error.
+_OFFSET = 0.5
 # Neither error that they show counts as smaller than this part of the stroke; and models that miss held-out parts do
 # not agree to less than this part of the held-out error.
 _LEAST, _AGREES = 1e-4, 0.3
@@ -341,7 +341,8 @@ def promise(
     late = _late(validity, shown, speed, rate)
     shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
     shown = float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth))
-    rms_, largest = (factor * shown * float(_grown(whole)) for factor in (RMS, LARGEST))
+    grown = shown * float(_grown(whole))
+    rms_, largest = (min(factor * grown, validity.stroke) for factor in (RMS, LARGEST))
     # A path like the records may be as fast as their fastest part, which the model misses most.
     largest = max(largest, validity.largest) if voltage is None else largest
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
@@ -362,7 +363,7 @@ def promise(
     untested += [Untested("temperature", cost.sentence)] if cost.sentence else []
     start = _BEGINS.get(begins, f" from the start {begins}")
     words = "any path like the records" if voltage is None else f"this path{start}"
-    offset, delay = _OFFSET * parts["model"], validity.lag if validity.lag_open else 0.0
+    offset, delay = _OFFSET * parts["model"] + slow, validity.lag if validity.lag_open else 0.0
     return Promise(words, rms_, largest, parts, half, validity.stroke, offset, delay, tuple(untested))
 
 

@@ -110,7 +110,8 @@ def export(
     lines += known.prefixed(_memory_words(*each, led=loop) for each in zip(loops, states, strict=True))
     if loop:
         fields |= known.merged([slew.fields() for slew in slews])
-        lines += known.prefixed(slew.words for slew in slews)
+        unbound = ["slew rate: no bound; --slew-rate gives one"]
+        lines += known.prefixed(slew.words if slew.bound else unbound for slew in slews)
     memory = [{"begins": json_values(ExportedStart.of(part), _BEGINS)} for part in loops]
     return Result(fields | known.merged(memory), lines, warnings=remarks)
 

@@ -74,7 +74,7 @@ def reason_of(promise: Promise | None) -> list[str]:
     cause = max(promise.parts, key=promise.parts.__getitem__)
     known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
     if cause == "model" and not known:
-        return ["The model misses held-out parts of its records that far: dehyst insight says what to record next."]
+        return ["The model misses held-out parts of its records that far, and no excitation tests more."]
     # The error of a start and of what the voltages miss is remarked by the plan.
     return [] if cause in ("start", "missed") else known[:1]
 
@@ -155,7 +155,7 @@ def reach_remarks(
     the range is that which is reached at all of them. Raise `ModelError` if the path is more than a stroke outside,
     because then its zero, unit or model is wrong.
     """
-    if not wanted.size:
+    if not np.isfinite(wanted).all() or not wanted.size:
         return []
     compensator = Compensator(actuator, limits)
     lows, highs = (np.full(wanted.shape, end) for end in compensator.reach)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 # Largest value of white noise, in standard deviations.
 NOISE_PEAK = 4.0
+_WIDTHS = (1, 4, 16, 64)
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
 # Number and length of the stretches from which the noise of a long signal is estimated; rows judged in time.
@@ -40,9 +41,17 @@ def rms(error: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(error, dtype=np.float64)))) if np.size(error) else 0.0
 
 
-def beyond_noise(largest_: float, rms_: float, noise: float) -> tuple[float, float]:
-    """Return the parts of a largest and an RMS error that white noise does not explain; `noise`: its deviation."""
-    return max(largest_ - NOISE_PEAK * noise, 0.0), float(max(rms_**2 - noise**2, 0.0) ** 0.5)
+def beyond_noise(error: Array, noise: float) -> tuple[float, float]:
+    """Return the largest and the RMS error (n,) that white noise does not explain; `noise`: its deviation.
+
+    Each is the most that running means show, of which longer ones have less noise and blunter peaks.
+    """
+    peak = mean = 0.0
+    for width in _WIDTHS:
+        if error.size > width:
+            means, left = np.convolve(error, np.full(width, 1 / width), "valid"), noise / width**0.5
+            peak, mean = max(peak, largest(means) - NOISE_PEAK * left), max(mean, rms(means) ** 2 - left**2)
+    return max(peak, mean**0.5), mean**0.5
 
 
 def percent(error: float, stroke: float) -> float:

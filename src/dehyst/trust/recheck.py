@@ -77,6 +77,8 @@ class Recheck(Plotted):
         without creep, without a drift, in the part of the record that is judged.
     noise : float
         Standard deviation of the sensor [m].
+    without_noise, rms_without_noise : float
+        The largest and the RMS difference that this noise does not explain [m]: they are judged.
     stroke : float
         Displacement between the model's limits [m], the reference of percentages.
     goal : float
@@ -102,6 +104,8 @@ class Recheck(Plotted):
     largest: float
     rms: float
     noise: float
+    without_noise: float
+    rms_without_noise: float
     stroke: float
     goal: float
     drift: float
@@ -111,16 +115,6 @@ class Recheck(Plotted):
     unjudged: float
     promise: Promise | None = None
     to_record: str = ""
-
-    @property
-    def without_noise(self) -> float:
-        """`largest` minus the peaks of the sensor's noise [m]; it is compared with the goal and the promise."""
-        return beyond_noise(self.largest, self.rms, self.noise)[0]
-
-    @property
-    def rms_without_noise(self) -> float:
-        """`rms` without the sensor's noise [m]; it is compared with the promise."""
-        return beyond_noise(self.largest, self.rms, self.noise)[1]
 
     @property
     def changed(self) -> tuple[Change, ...]:
@@ -337,12 +331,15 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
     known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
     changes = find_changes(trace, known, _PART * goal / 100 * stroke)
+    unexplained = beyond_noise(judged, prepared.noise)
     return Recheck(
         record=record.name,
         model=actuator.name,
         largest=largest(judged),
         rms=rms(judged),
         noise=prepared.noise,
+        without_noise=unexplained[0],
+        rms_without_noise=unexplained[1],
         stroke=stroke,
         goal=goal,
         drift=drift,

@@ -77,6 +77,8 @@ class Update:
         Sentences on properties that the record could not show; there the old model stays.
     datum : float
         Sensor reading minus the updated model's displacement [m], attributed to the sensor's zero.
+    unexplained : float
+        The largest error on the parts held out that the sensor's noise does not explain [m].
     """
 
     actuator: Actuator
@@ -87,6 +89,7 @@ class Update:
     held_out: tuple[float, float]
     missing: tuple[str, ...]
     datum: float
+    unexplained: float = 0.0
 
     @property
     def sentence(self) -> str:
@@ -111,8 +114,7 @@ class Update:
     def good(self) -> bool:
         """Whether the error on held-out parts, without the sensor's noise, and the promise are within the goal."""
         allowed, promise = self.recheck.goal / 100 * self.recheck.stroke, self.promise
-        seen = beyond_noise(*self.held_out, self.recheck.noise)
-        return max(seen[0], 0.0 if promise is None else promise.largest) <= allowed
+        return max(self.unexplained, 0.0 if promise is None else promise.largest) <= allowed
 
     def sentences(self) -> tuple[str, ...]:
         """Return sentences on the changes, the largest first, and on properties that the record could not show."""
@@ -229,20 +231,23 @@ class _Refit:
         if self.old.displacement_creep is not None:
             # Creep from before the record is known by the updated model.
             made, held_out_models = self._solved(made)
-        before, after = self._errors(self.recheck.trace), self._errors(self._trace(made))
+        before, after = self._error(self.recheck.trace), self._error(self._trace(made))
         held_out = self._held_out(held_out_models)
-        used = held_out[1] < _BETTER * before[1] and after[1] < _BETTER * before[1]
+        used = max(rms(held_out), rms(after)) < _BETTER * rms(before)
         known: dict[str, Any] = {}
         if used:
-            known["largest_error"] = after[0]
+            known["largest_error"] = largest(after)
             source = {"updated_from": self.old.name, "updated_with": self.record.name}
             made = replace(made, provenance={**self.old.provenance, **source})
         else:
             # The old model is still that of its own records.
             made, after, held_out = self.given, before, before
         if used or not self.recheck.kept:
-            made = with_identification(made, validity=self._validity(after[0], held_out[1], used=used), **known)
-        return Update(made, self.recheck, used, before, after, held_out, tuple(self._missing()), -self.datum)
+            made = with_identification(made, validity=self._validity(after, held_out, used=used), **known)
+        old, new, unseen = ((largest(error), rms(error)) for error in (before, after, held_out))
+        unexplained = beyond_noise(held_out, self.recheck.noise)[0]
+        missing = self._missing(made)
+        return Update(made, self.recheck, used, old, new, unseen, tuple(missing), -self.datum, unexplained)
 
     def _stretched(self) -> Actuator:
         """Return the old model with the friction, and with or without the gain, that explain the record best.
@@ -344,30 +349,29 @@ class _Refit:
         return errors_of(made, compared, "validation")[1]
 
     @staticmethod
-    def _errors(trace: Trace) -> tuple[float, float]:
-        """Return the largest and the RMS residual of a trace [m], an offset set aside."""
-        error = trace.residual - trace.residual.mean()
-        return largest(error), rms(error)
+    def _error(trace: Trace) -> Array:
+        """Return the residual of a trace (n,) [m], an offset set aside."""
+        return np.asarray(trace.residual - trace.residual.mean())
 
-    def _held_out(self, models: list[Actuator]) -> tuple[float, float]:
-        """Return largest and RMS error [m] of parts of the record, each simulated by the model without it."""
+    def _held_out(self, models: list[Actuator]) -> Array:
+        """Return the error [m] of all parts of the record, each simulated by the model without it."""
         errors = []
         for k, model in enumerate(models):
             trace = self._trace(model)
             place = (trace.time - self.record.time[0]) / float(np.ptp(self.record.time))
-            errors.append((trace.residual - trace.residual.mean())[part_of(place) % FOLDS == k])
-        every = np.concatenate(errors)
-        return largest(every), rms(every)
+            errors.append(self._error(trace)[part_of(place) % FOLDS == k])
+        return np.concatenate(errors)
 
-    def _validity(self, largest: float, held_out: float, *, used: bool) -> Validity | None:
-        """Return the validity of the model after the old records and the new one; its errors as measured [m].
+    def _validity(self, after: Array, held_out: Array, *, used: bool) -> Validity | None:
+        """Return the validity of the model after the old records and the new one; its errors (n,) as measured [m].
 
         A record that confirms the promise does not widen it.
         """
         noise, known = self.recheck.noise, self.old.identification
         if known is None or known.validity is None:
             return None
-        most, missed = (0.0, 0.0) if self.recheck.kept else beyond_noise(largest, held_out, noise)
+        most, missed = (beyond_noise(error, noise)[k] for k, error in enumerate((after, held_out)))
+        most, missed = (0.0, 0.0) if self.recheck.kept else (most, missed)
         lag = next(change for change in self.recheck.changes if change.name == "lag")
         # A lag may have become a width, unless the record names the change alone.
         named = any(len(change.parts) == 1 for change in self.recheck.changed)
@@ -376,8 +380,8 @@ class _Refit:
         error, delay = max(error, validity.lag_error), self.old.delay + self.old.lag
         return replace(validity, lag=delay, lag_error=error) if used else validity
 
-    def _missing(self) -> list[str]:
-        """Return sentences on what the record could not show."""
+    def _missing(self, made: Actuator) -> list[str]:
+        """Return sentences on what the record could not show of the model that is `made`."""
         actuator, record, missing = self.old, self.record, list[str]()
         low, high = voltages_of(actuator)
         least, most = record.voltage_range
@@ -399,6 +403,9 @@ class _Refit:
         names = [name for name, part in kept.items() if part]
         if names:
             missing.append(f"Not fitted anew: {', '.join(names)} and the ratios of thresholds.")
+        before, after = (known and known.validity for known in (self.given.identification, made.identification))
+        if before and after and after.speeds[1] < before.speeds[1]:
+            missing.append(f"Branches faster than {after.speeds[1]:.3g} V/s count as not tested.")
         return missing
 
 
@@ -413,9 +420,12 @@ def _with_record(old: Validity, record: Record, missed: float, most: float, *, a
     new = Validity.by_records(played, rms=missed, largest=most, disagreement=missed, stroke=old.stroke)
     both = {name: (*getattr(old, name), *getattr(new, name)) for name in ("limits", "speeds", "rates")}
     pairs: dict[str, Any] = {name: (min(ends), max(ends)) for name, ends in both.items()}
-    pairs |= {"speeds": new.speeds, "rates": new.rates} if alone else {}
-    names = "rms", "largest", "disagreement", "hold"
+    names = "rms", "largest", "disagreement", "hold", "lasts"
     numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
+    if alone and old.speeds[1]:
+        pairs |= {"speeds": new.speeds, "rates": new.rates}
+        # The growth is that to the fastest branch.
+        numbers["growth"] = old.growth * min(new.speeds[1] / old.speeds[1], 1.0)
     return replace(old, branches=np.concatenate([old.branches, new.branches]), temperatures=warmth, **pairs, **numbers)
 
 
