@@ -100,7 +100,7 @@ def test_gaps():
 
 @pytest.mark.parametrize("peak", [0.0, 1.0, 3.0])
 def test_an_error_beyond_noise_is_no_more_than_the_error_and_most_of_it(peak):
-    true = peak * np.exp(-np.linspace(-20, 20, 6000) ** 2)
+    true = peak * np.exp(-(np.linspace(-20, 20, 6000) ** 2))
     found = [beyond_noise(true + np.random.default_rng(k).normal(0, 1, true.size), 1.0) for k in range(50)]
     assert np.mean([largest_ > peak + 0.5 for largest_, _ in found]) <= 0.1
     assert np.median([largest_ for largest_, _ in found]) >= 0.5 * (peak - 0.5)
