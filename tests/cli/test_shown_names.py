@@ -98,7 +98,7 @@ def test_a_model_with_such_a_name_is_escaped_in_every_output(tmp_path, loops, mo
 def test_names_that_are_no_utf8_and_streams_of_ascii(tmp_path, loops):
     name = os.fsdecode(b"caf\xe9 \xc2\xb5.csv")
     (tmp_path / name).write_text(loops)
-    quick = ["--verbose", "--structure", "maxwell_slip", "-o", "m.json", "--report", "r.html"]
+    quick = ["--verbose", "--structure", "maxwell_slip", "-o", "m.json", "--report", "r.html", "--force"]
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
     for more in ({}, ascii_only):
         status, out, err = run_as_process("identify", name, *quick, cwd=tmp_path, env={**os.environ, **more})
