@@ -162,12 +162,12 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequen
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
         if output in kept:
             continue
-        if output.is_dir():
+        if os.path.isdir(output):  # noqa: PTH112 (Path.is_dir raises an error for a name that is too long)
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if not Path(os.path.realpath(output)).parent.is_dir():
             raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
         # A device such as /dev/null, and a pipe, are written to.
-        if output.is_file() and not force:
+        if os.path.isfile(output) and not force:  # noqa: PTH113
             raise FileFormatError(f"{output}: is there already; give another name, or --force to replace it")
 
 
