@@ -43,7 +43,7 @@ def make(folder, *arguments):
 def pythons(kind, samples):
     """What Python answers to so many wishes, a hundred of them one by one."""
     loop = KINDS[kind]()._clone()
-    voltages = loop.run(compiled_exports.wishes(loop, samples))
+    voltages = np.array([loop.step(each) for each in compiled_exports.wishes(loop, samples).tolist()])
     return compiled_exports.told(voltages, loop.clamps, every=samples // 100)
 
 
