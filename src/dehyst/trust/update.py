@@ -246,8 +246,7 @@ class _Refit:
             made = with_identification(made, validity=self._validity(after, held_out, used=used), **known)
         old, new, unseen = ((largest(error), rms(error)) for error in (before, after, held_out))
         unexplained = beyond_noise(held_out, self.recheck.noise)[0]
-        missing = self._missing(made)
-        return Update(made, self.recheck, used, old, new, unseen, tuple(missing), -self.datum, unexplained)
+        return Update(made, self.recheck, used, old, new, unseen, self._missing(made), -self.datum, unexplained)
 
     def _stretched(self) -> Actuator:
         """Return the old model with the friction, and with or without the gain, that explain the record best.
@@ -380,7 +379,7 @@ class _Refit:
         error, delay = max(error, validity.lag_error), self.old.delay + self.old.lag
         return replace(validity, lag=delay, lag_error=error) if used else validity
 
-    def _missing(self, made: Actuator) -> list[str]:
+    def _missing(self, made: Actuator) -> tuple[str, ...]:
         """Return sentences on what the record could not show of the model that is `made`."""
         actuator, record, missing = self.old, self.record, list[str]()
         low, high = voltages_of(actuator)
@@ -406,7 +405,7 @@ class _Refit:
         before, after = (known and known.validity for known in (self.given.identification, made.identification))
         if before and after and after.speeds[1] < before.speeds[1]:
             missing.append(f"Branches faster than {after.speeds[1]:.3g} V/s count as not tested.")
-        return missing
+        return tuple(missing)
 
 
 def _with_record(old: Validity, record: Record, missed: float, most: float, *, alone: bool) -> Validity:
@@ -424,7 +423,6 @@ def _with_record(old: Validity, record: Record, missed: float, most: float, *, a
     numbers = {name: max(getattr(old, name), getattr(new, name)) for name in names}
     if alone and old.speeds[1]:
         pairs |= {"speeds": new.speeds, "rates": new.rates}
-        # The growth is that to the fastest branch.
         numbers["growth"] = old.growth * min(new.speeds[1] / old.speeds[1], 1.0)
     return replace(old, branches=np.concatenate([old.branches, new.branches]), temperatures=warmth, **pairs, **numbers)
 
