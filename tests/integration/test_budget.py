@@ -40,7 +40,7 @@ HOUSE = {
     "files of Python": 189,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 34070,
+    "lines of tests": 34072,
     "lines of benchmarks": 4957,
     "words of docs": 27604,
     "public names": 111,

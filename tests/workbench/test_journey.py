@@ -119,7 +119,7 @@ def test_the_script_makes_the_same_files_again(visited, tmp_path):
     folder, state, *_ = visited
     shutil.copytree(folder / "uploads", tmp_path / "again" / "uploads")
     # A path that was drawn is an input too, and the script says so.
-    assert "uploads/, paths/" in "".join((folder / "commands.sh").read_text().splitlines(keepends=True)[:2])
+    assert "uploads/ and paths/" in "".join((folder / "commands.sh").read_text().splitlines(keepends=True)[:2])
     shutil.copytree(folder / "paths", tmp_path / "again" / "paths")
     # An assessment and exports make no file that is compared here.
     lines = (folder / "commands.sh").read_text().splitlines(keepends=True)

@@ -1,5 +1,6 @@
-/* Counts the instructions of the longest step on a Cortex-M4F that QEMU emulates: the steps of the trace, then jumps of
- * all axes to and fro, far beyond what they reach, by which every element breaks away and every knot is passed. */
+/* Counts the instructions of the longest step on a Cortex-M4F that QEMU emulates: the steps of the trace, jumps of all
+ * axes to and fro, far beyond what they reach, by which every element breaks away and every knot is passed, and steps
+ * to random places within reach, whose voltages are not clamped. */
 #include "piezo.h"
 #include "trace.h"
 
@@ -11,6 +12,7 @@
 #define RELOAD (*(volatile uint32_t *)0xE000E014u)
 #define COUNT (*(volatile uint32_t *)0xE000E018u)
 #define JUMPS 400
+#define RANDOM 4000
 
 #ifdef PIEZO_AXES
 #define AXES PIEZO_AXES
@@ -48,6 +50,7 @@ static void measure(const dehyst_real wanted[AXES])
 int main(void)
 {
     dehyst_real low[AXES], high[AXES], wanted[AXES];
+    uint32_t random = 1u;
     int steps = 0, i, j;
     CONTROL = 0;
     RELOAD = 0xFFFFFFu;
@@ -74,6 +77,13 @@ int main(void)
         }
         measure(wanted);
     }
-    printf("longest of %d steps: %lu instructions\n", steps + JUMPS, longest);
+    for (i = 0; i < RANDOM; i++) {
+        for (j = 0; j < AXES; j++) {
+            random = 1664525u * random + 1013904223u;
+            wanted[j] = low[j] + ((high[j] - low[j]) * ((dehyst_real)(random >> 8) / (dehyst_real)16777216));
+        }
+        measure(wanted);
+    }
+    printf("longest of %d steps: %lu instructions\n", steps + JUMPS + RANDOM, longest);
     return 0;
 }
