@@ -170,6 +170,7 @@ def _added() -> dict[str, Identification]:
     return {point.name: partial(lambda point, records: point.load()(records), point) for point in points}
 
 
+@one_thread()
 def compare(
     records: Record | Sequence[Record],
     *,
@@ -220,7 +221,6 @@ def compare(
     return ModelComparison(rows, stroke, tuple(record.name for record in training), judged, apart=not given)
 
 
-@one_thread()
 def scored(
     training: list[Record], held_out: list[Played], fits: Mapping[str, Identification], progress: Progress
 ) -> tuple[tuple[ModelScore, ...], float]:
