@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1266,
     "fleet": 310,
     "foundation": 1356,
-    "identification": 5810,
+    "identification": 5811,
     "instruments": 2434,
     "model": 3529,
     "operations": 3436,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2309,
 }
 HOUSE = {
-    "lines of Python": 37778,
+    "lines of Python": 37779,
     "files of Python": 189,
     "lines of C and C++": 5799,
     "lines of JavaScript and CSS": 2721,

@@ -239,7 +239,8 @@ def moving(
     at = late.frame.motion
     # Behind a low-pass as slow as the cycles a delay is too long, and still shows about its time constant.
     too_long = at.delay > RULES.longest_lag * min(item.cycle for item in frame.training)
-    if "delay" in late.names and (late is best or too_long):
+    # Below a sample a low-pass looks as a delay does, and its inverse would overshoot at steps.
+    if "delay" in late.names and (late is best or too_long) and at.delay >= frame.times[0]:
         slow = replace(late.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
         best = search.better(best, slow, ("lag", *search.own(late, "delay")), near=late.found)
     if more and _may_swing(frame):
