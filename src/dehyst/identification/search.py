@@ -233,7 +233,7 @@ def moving(
         both = search.tried(_on_time(other), names if "delay" in other.names else ("delay", *names), near=other.found)
         best = _best([best, both])
         if "delay" in both.names and not _lags(both.frame) and both.held_out < best.held_out:
-            # The others have moved on beside a delay that is none.
+            # That delay does not count, but the other parts found better numbers beside it.
             best = search.better(best, _on_time(both), names, near=both.found)
     late = best if "delay" in best.names else late
     at = late.frame.motion
