@@ -120,18 +120,6 @@ struct Loop {
         dehyst_loop_commit(&model, &loop, memory.data(), v);
         return v;
     }
-    // Where the voltage on offer leads, a mass at rest, and whether limits or slew rate changed it; nothing moves.
-    std::tuple<double, bool> trial() {
-        demand_free();
-        const dehyst_loop before = loop;
-        const std::vector<double> kept = memory;
-        const bool clamped = loop.offer == DEHYST_LIMITED || loop.offer == DEHYST_SLEWED;
-        dehyst_loop_commit(&model, &loop, memory.data(), loop.voltage);
-        loop.y = loop.w;
-        const double reached = displacement();
-        loop = before, memory = kept;
-        return {reached, clamped};
-    }
     void withdraw() {
         demand_free();
         loop.offer = DEHYST_NOTHING;
@@ -374,7 +362,6 @@ void bind_loop(nb::module_ &m) {
         .def(nb::init<const Core &, Input, Input, Input, Input, Input, nb::object>(), nb::keep_alive<1, 2>())
         .def("begin", &Loop::begin)
         .def("offer", [](Loop &loop, nb::handle u) { return loop.offer(plain(u) / loop.per_metre); })
-        .def("trial", &Loop::trial)
         .def("withdraw", &Loop::withdraw)
         .def("commit", &Loop::commit)
         .def("step", [](Loop &loop, nb::handle u) { return loop.step(plain(u) / loop.per_metre); })

@@ -16,7 +16,7 @@ from dehyst._errors import ModelError, of_part
 from dehyst._native import CoreError, CoreState, Loop
 from dehyst._types import Array
 from dehyst._validation import for_each, interval, keep, number
-from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_sample
+from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_run, warn_of_sample
 from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits, stroke_of
 
 # A delay this close to a whole number of steps is that number.
@@ -30,7 +30,8 @@ class Axis:
     """An actuator within limits and its loop in C; lengths are in metres.
 
     `given`: its state at the construction or last reset, by default (`assumed`) the actuator's own; `start`: this state
-    within the limits. `previews`, `warns`: as in `Compensator`. `per_metre`: the unit of steps and offers of the loop.
+    within the limits. `previews`, `warns`: as in `Compensator`, of several axes with a `name`. `per_metre`: the unit of
+    steps and offers of the loop.
     """
 
     actuator: Actuator
@@ -41,6 +42,7 @@ class Axis:
     previews: bool = False
     warns: bool = False
     per_metre: float = 1.0
+    name: str = ""
     start: State = field(init=False)
 
     def __post_init__(self) -> None:
@@ -73,11 +75,11 @@ class Axis:
             words = f"{slew:g} V/s allow no change in {seconds:g} s"
             raise ModelError(words, argument="slew_rate", hint="give more, or a longer period")
         numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
-        actuator, bounds, assumed = self.actuator, self.bounds, self.assumed
+        actuator, bounds, name, assumed = self.actuator, self.bounds, self.name, self.assumed
 
         def warn(slewed: bool, displacement: float, voltage: float, before: float) -> None:
             guess = before if assumed and before == begin else None
-            warn_of_sample(actuator, bounds, slewed, displacement, voltage, guess)
+            warn_of_sample(actuator, bounds, slewed, displacement, voltage, guess, name)
 
         call = warn if self.warns else lambda *_: None
         loop = model.core.loop(coefficients, self.preview[0], numbers, call, self.core_start)
@@ -167,14 +169,17 @@ class Axis:
         except CoreError as error:
             raise refusal(displacement) from error
 
-    def trial(self, displacement: float) -> tuple[float, float | None]:
-        """Return the voltage [V] of an offer and, if it is clamped, the displacement [m] that it causes, else None.
-
-        A mass is assumed to be at rest.
-        """
-        voltage = self.call(self.loop.offer, displacement)
-        reached, clamped = self.loop.trial()
-        return voltage, reached if clamped else None
+    def run(self, wanted: Array) -> Array:
+        """Return the voltages (n,) [V] of steps for displacements (n,) [m]; raise and warn as `Compensator.run`."""
+        begin, before = self.assumed_voltage, self.loop.counts()
+        voltage = self.loop.run(wanted)
+        limited, slewed, refused = (int(n) for n in np.subtract(self.loop.counts(), before))
+        if refused:
+            raise refusal(float(wanted[np.argmax(np.abs(wanted))]))
+        if (limited or slewed) and self.warns:
+            clamps, inside = Clamps(limited, slewed), self.in_model(wanted)
+            warn_of_run(self.actuator, self.bounds, clamps, inside, begin, self.name)
+        return voltage
 
     def commit(self, voltage: float) -> None:
         """Commit a `voltage` [V] as sent; raise `ModelError` as `Compensator.commit`."""
@@ -255,7 +260,7 @@ def axes_of(
         try:
             bounds = VoltageLimits(*allowed_limits(actuator, allowed), slew)
             begin = actuator.state if own is None else own
-            made.append(Axis(actuator, bounds, seconds, begin, own is None, **options))
+            made.append(Axis(actuator, bounds, seconds, begin, own is None, name=name, **options))
             _ = runs and made[-1].loop
         except ModelError as error:
             raise of_part(error, name) from error

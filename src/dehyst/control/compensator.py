@@ -14,9 +14,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import for_each, keep, number, plain, vector
-from dehyst.control.axis import Axis, axes_of, refusal, restore_all, unchanged_by_errors
-from dehyst.control.coupling import targets_and_clamped
-from dehyst.control.limits import Clamps, warn_of_run, warn_of_sample
+from dehyst.control.axis import Axis, axes_of, restore_all, unchanged_by_errors
 from dehyst.model import Actuator, Stage, State, apply, dot, evaluator_of, state_after_loops
 
 
@@ -34,10 +32,8 @@ class Compensator:
     or change the voltage, use `offer` and `commit` instead of `step`.
 
     Of a `Stage`, displacements and voltages are (axes,), in a path (n, axes), and what is marked with * is a tuple with
-    one entry for each axis. Each actuator follows ``w = coupling^-1 y``. A clamped axis does not disturb the others: as
-    the displacement of its actuator is known, ``w = coupling^-1 y`` is solved for what it misses and for the targets of
-    the free axes. If a corrected target is clamped too, that axis joins the clamped ones; an axis that was clamped only
-    because of what another one cannot reach leaves them.
+    one entry for each axis. Each actuator follows ``w = coupling^-1 y``. What a clamped axis misses moves the others by
+    their coupling.
 
     Parameters
     ----------
@@ -74,8 +70,6 @@ class Compensator:
         Of several axes as given; of a single axis a stage of its own.
     limits, slew_rate *
         Limits are a pair of floats.
-    clamped : tuple of bool
-        Which of several axes were clamped in the last step or offer.
 
     Raises
     ------
@@ -92,10 +86,8 @@ class Compensator:
     units: str
     limits: Any
     slew_rate: Any
-    clamped: tuple[bool, ...]
     _axes: tuple[Axis, ...]
     _single: bool
-    _warns: bool
     _per_metre: float
     _table: list[list[float]]
 
@@ -120,16 +112,16 @@ class Compensator:
         if preview and not single:
             raise ModelError(argument="preview", got="it for several axes", need="a single axis")
         scale = per_metre(units)
-        # The compensator itself warns of several axes, with the displacement that is wanted of the axis.
-        own: dict[str, Any] = {"previews": bool(preview), "warns": bool(warns), "per_metre": scale} if single else {}
+        own: dict[str, Any] = {"limits": limits, "slew_rate": slew_rate, "state": state, "warns": bool(warns)}
+        own |= {"previews": bool(preview), "per_metre": scale} if single else {}
         names = [""] if single else [f"axis {name}" for name in stage.axes]
-        axes = axes_of(stage.actuators, names, period, limits=limits, slew_rate=slew_rate, state=state, **own)
+        axes = axes_of(stage.actuators, names, period, **own)
         if not single:
             axes = tuple(replace(axis, given=_within_loops(axis)) for axis in axes)
         keep(self, model=model, stage=stage, period=axes[0].period, units=units, _axes=axes, _single=single)
-        keep(self, limits=self._shaped(axis.limits for axis in axes), _warns=bool(warns), _per_metre=scale)
-        keep(self, slew_rate=self._shaped(axis.slew_rate for axis in axes), clamped=(False,) * len(axes))
-        keep(self, _table=stage.decoupling.tolist(), **({"actuator": model} if single else {}))
+        keep(self, limits=self._shaped(axis.limits for axis in axes), _per_metre=scale)
+        keep(self, slew_rate=self._shaped(axis.slew_rate for axis in axes), _table=stage.decoupling.tolist())
+        keep(self, **({"actuator": model} if single else {}))
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(f"{name} cannot be set; make another Compensator")
@@ -151,7 +143,7 @@ class Compensator:
     def _options(self) -> dict[str, Any]:
         options = {name: getattr(self, name) for name in ("model", "limits", "slew_rate", "period", "units")}
         states = [None if axis.assumed else axis.given for axis in self._axes]
-        return options | {"preview": self._axes[0].previews, "state": states, "warns": self._warns}
+        return options | {"preview": self._axes[0].previews, "state": states, "warns": self._axes[0].warns}
 
     def _clone(self, units: str | None = None) -> Compensator:
         """Return a copy in the state at construction or the last reset, by default with the same `units`."""
@@ -205,23 +197,8 @@ class Compensator:
         for axis in axes:
             axis.loop.withdraw()
         wanted = [value / self._per_metre for value in self._values(displacement, "displacement")]
-        voltage, alone = [0.0] * len(axes), [dot(row, wanted) for row in self._table]
-
-        def trial(j: int, target: float) -> float | None:
-            voltage[j], reached = axes[j].trial(target)
-            return reached
-
-        known = targets_and_clamped(self._table, wanted, trial)[1]
-        keep(self, clamped=tuple(j in known for j in range(len(axes))))
-        for j in known if self._warns else ():
-            axis, name = axes[j], self.stage.axes[j]
-            slewed = axis.limits[0] < voltage[j] < axis.limits[1]
-            # Once of each kind.
-            if not (axis.clamps.slewed if slewed else axis.clamps.limited):
-                target = float(axis.in_model(np.array(alone[j])))
-                own = axis.actuator, axis.bounds, slewed, wanted[j], voltage[j], axis.assumed_voltage
-                warn_of_sample(*own, axis=name, target=target)
-        return np.array(voltage)
+        targets = [dot(row, wanted) for row in self._table]
+        return np.array([axis.call(axis.loop.offer, target) for axis, target in zip(axes, targets, strict=True)])
 
     def commit(self, voltage: Any) -> None:
         """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.
@@ -245,7 +222,7 @@ class Compensator:
     def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
 
-        A path of 1000 samples or more of a single axis is computed in blocks: where no voltage is clamped, and without
+        A path of 1000 samples or more is computed in blocks: where no voltage is clamped, and without
         preview, lag and inertia, these agree with `step` to rounding. All others are those of `step` to the bit.
 
         Raises
@@ -258,21 +235,12 @@ class Compensator:
         ClampWarning
             As `step`.
         """
-        if not self._single:
-            rows = self._rows(displacement, "displacement")
-            with unchanged_by_errors(*self._axes):
-                return np.array([self.step(row) for row in rows]).reshape(rows.shape)
-        wanted, axis = vector(displacement, "displacement") / self._per_metre, self._axes[0]
-        begin = axis.assumed_voltage
-        with unchanged_by_errors(axis):
-            before = axis.loop.counts()
-            voltage = axis.loop.run(wanted)
-            limited, slewed, refused = (int(n) for n in np.subtract(axis.loop.counts(), before))
-            if refused:
-                raise refusal(float(wanted[np.argmax(np.abs(wanted))]))
-            if limited or slewed:
-                warn_of_run(axis.actuator, axis.bounds, Clamps(limited, slewed), axis.in_model(wanted), begin)
-        return voltage
+        targets = apply(self.stage.decoupling, self._rows(displacement, "displacement") / self._per_metre)
+        with unchanged_by_errors(*self._axes):
+            voltages = [
+                axis.run(np.ascontiguousarray(wanted)) for axis, wanted in zip(self._axes, targets.T, strict=True)
+            ]
+        return voltages[0] if self._single else np.column_stack(voltages)
 
     @property
     def voltage(self) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -14,9 +14,8 @@ from dehyst._native import CoreState
 from dehyst._types import Array, Mask
 from dehyst._validation import vector
 from dehyst.control.axis import Axis
-from dehyst.control.coupling import to_release
 from dehyst.control.limits import TIME_NEEDED, VoltageLimits
-from dehyst.model import Actuator, PathData, Stage, State, apply, dot, evaluator_of, needs_time, reachable
+from dehyst.model import Actuator, PathData, State, evaluator_of, needs_time
 
 _CHUNK = 64
 _ANY = float(np.finfo(np.float64).max)
@@ -25,8 +24,6 @@ _NOT_CLAMPED = 1
 _ROUNDING = 1e-12
 # Most runs of equal steps for which a loop is set up.
 _FEW = 64
-# Most passes over the path in which clamped axes correct the free ones.
-_PASSES = 100
 
 
 class Followed(NamedTuple):
@@ -78,40 +75,6 @@ def follow(
         return found
     reached = np.where(found.displacement == target, wanted, offset + gain * found.displacement)
     return found._replace(displacement=reached)
-
-
-def follow_axes(stage: Stage, moved: Array, followed: Callable[[int, Array], Followed]) -> list[Followed]:
-    """Return the voltages of each actuator for displacements `moved` (n, axes) [m], already without coupling.
-
-    `followed` takes an axis and the displacement (n,) [m] of its actuator. Where an axis is clamped, the targets of the
-    free ones are corrected, as in each step of `Compensator`.
-    """
-    axes = range(moved.shape[1])
-    targets, found = moved, [followed(j, moved[:, j]) for j in axes]
-    settled = _ROUNDING * max(float(np.ptp(moved)), np.finfo(np.float64).tiny)
-    for _ in range(_PASSES if len(axes) > 1 and any(each.clamped.any() for each in found) else 0):
-        corrected = _corrected(stage, moved, targets, found)
-        if np.abs(corrected - targets).max() <= settled:
-            break
-        changed, targets = (corrected != targets).any(axis=0), corrected
-        found = [followed(j, targets[:, j]) if changed[j] else found[j] for j in axes]
-    return found
-
-
-def _corrected(stage: Stage, moved: Array, targets: Array, found: Sequence[Followed]) -> Array:
-    """Return targets with which the free axes reach what is wanted of them; clamped axes keep theirs."""
-    table, wanted = stage.decoupling.tolist(), apply(stage.coupling, moved)
-    reached = np.column_stack([each.displacement for each in found])
-    clamped = np.column_stack([each.clamped for each in found])
-    corrected, beyond = moved.copy(), targets - reached
-    for i in np.flatnonzero(clamped.any(axis=1)).tolist():
-        aims = wanted[i].tolist()
-        known = {j: float(reached[i, j]) for j in np.flatnonzero(clamped[i]).tolist()}
-        for j in to_release(known, beyond[i], aims, reachable(table, aims, known)):
-            del known[j]
-        free = reachable(table, aims, known)
-        corrected[i] = [targets[i, j] if j in known else dot(row, free) for j, row in enumerate(table)]
-    return corrected
 
 
 def _follow(

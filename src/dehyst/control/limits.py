@@ -247,28 +247,26 @@ def warn_of_sample(
     displacement: float,
     voltage: float,
     assumed: float | None,
-    *,
-    axis: str = "",
-    target: float | None = None,
+    axis: str,
 ) -> None:
     """Warn the caller of a step or an offer that the `voltage` [V] for a `displacement` [m] is clamped.
 
-    `assumed`: the voltage before [V], if it was not given.
-    With several axes: `axis` is the name, and `target` [m] the displacement of its actuator alone.
+    `assumed`: the voltage before [V], if it was not given. `axis`: its name, of several; the displacement is then that
+    of its actuator alone.
     """
-    head = f"axis {axis}: " if axis else ""
+    head = f"{axis}: " if axis else ""
     reason = "the slew rate allows no more" if slewed else "that is a limit"
     words = f"CLAMPED: {head}{displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
-    wanted = np.array([displacement if target is None else target])
-    _warn(words, actuator, limits, wanted, assumed if slewed else None)
+    _warn(words, actuator, limits, np.array([displacement]), assumed if slewed else None)
 
 
 def warn_of_run(
-    actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array, assumed: float | None
+    actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array, assumed: float | None, axis: str
 ) -> None:
     """Warn the caller of `Compensator.run` that some of the voltages are clamped; `assumed` as in `warn_of_sample`."""
     reason = f"{clamps.limited} at the limits {limits.words}, {clamps.slewed} by the slew rate"
-    words = f"{sum(clamps)} of {displacement.size} voltages clamped: {reason}"
+    head = f"{axis}: " if axis else ""
+    words = f"{head}{sum(clamps)} of {displacement.size} voltages clamped: {reason}"
     _warn(words, actuator, limits, displacement, assumed if clamps.slewed else None)
 
 

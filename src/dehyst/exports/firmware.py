@@ -116,7 +116,6 @@ def _coupled_numbers(compensator: Compensator) -> tuple[str, str]:
         "AXES": count,
         "PERIOD": repr(compensator.period or 0.0),
         "MEMORY": ends[-1],
-        "SPARE": max(2, *(text.memory for text in texts)),
     }
     numbers = [text_of(text.numbers(), f"axis{j}") for j, text in enumerate(texts)]
     numbers.append(_table("decoupling", "PIEZO_AXES", compensator.stage.decoupling))

@@ -18,7 +18,7 @@ from dehyst.model.evaluator import PathData
 from dehyst.model.identification import Identification, Outcome, slew_rate_of_records, with_identification
 from dehyst.model.physical import Physical
 from dehyst.model.promise import USELESS, Promise, Validity, promised, untested
-from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines, reachable
+from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines
 from dehyst.model.states import (
     NEAR,
     Range,

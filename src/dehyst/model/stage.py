@@ -51,41 +51,6 @@ def dot(row: Sequence[float], values: Sequence[float]) -> float:
     return total
 
 
-def reachable(table: Sequence[Sequence[float]], wanted: Sequence[float], known: dict[int, float]) -> list[float]:
-    """Return the displacements (axes,) [m] of all axes if some actuators are clamped and the other axes move as wanted.
-
-    With D the inverse coupling `table`, w = D y. For the axes K in `known`, w_k is given and y_k follows:
-    ``sum_l in K D_kl y_l = w_k - sum_f not in K D_kf y_f``, solved by elimination without pivoting in the order of the
-    axes. The displacement of every other axis stays as wanted.
-
-    `table`: (axes, axes). `wanted` (axes,): displacements y [m]. `known`: the displacement w_k [m] of each clamped
-    actuator, by axis.
-    """
-    axes, result = sorted(known), list(wanted)
-    free = [j for j in range(len(result)) if j not in known]
-    rows = [[table[k][m] for m in axes] for k in axes]
-    right = []
-    for k in axes:
-        total = known[k]
-        for f in free:
-            total -= table[k][f] * result[f]
-        right.append(total)
-    size = len(axes)
-    for p in range(size):
-        for q in range(p + 1, size):
-            factor = rows[q][p] / rows[p][p]
-            for r in range(p, size):
-                rows[q][r] -= factor * rows[p][r]
-            right[q] -= factor * right[p]
-    for p in reversed(range(size)):
-        for q in range(p + 1, size):
-            right[p] -= rows[p][q] * right[q]
-        right[p] /= rows[p][p]
-    for k, y in zip(axes, right, strict=True):
-        result[k] = y
-    return result
-
-
 _ACTUATOR = instance(Actuator)
 
 

@@ -14,8 +14,7 @@ from dehyst._types import Array
 from dehyst._validation import for_each, untimely, vector
 from dehyst.control.axis import Axis
 from dehyst.control.compensator import Compensator
-from dehyst.control.coupling import targets_and_clamped
-from dehyst.control.following import Followed, follow, follow_axes
+from dehyst.control.following import Followed, follow
 from dehyst.control.limits import outside_identified, unit_hint
 from dehyst.control.planning.homing import HOME_WITHIN
 from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
@@ -27,7 +26,6 @@ from dehyst.model import (
     State,
     apply,
     evaluator_of,
-    major_loop,
     promised,
     standing,
     state_at,
@@ -268,23 +266,13 @@ class Task:
 
     def _decouple(self) -> None:
         """Find the displacements without coupling, and the first ones of the models."""
-        scales, moved = [], apply(self.stage.decoupling, self.rows)
+        moved = apply(self.stage.decoupling, self.rows)
         for j, part in enumerate(self.parts):
             part.moved = moved[:, j]
             gain, offset = part.loop.scaling(part.warmth, len(self.rows))
             if words := self.compensator._straying(j, (part.moved - offset) / gain):
                 raise ModelError(words if self.single else f"axis {self.stage.axes[j]}: {words}")
-            scales.append((float(np.ravel(gain)[0]), float(np.ravel(offset)[0])))
-
-        def nearest(j: int, target: float) -> float | None:
-            loop, (gain, offset) = self.parts[j].loop, scales[j]
-            low, high = (offset + gain * end for end in major_loop(loop.actuator, loop.limits))
-            return None if low <= target <= high else min(max(target, low), high)
-
-        # Axes within reach are corrected by what the others miss, as in each step.
-        targets, _ = targets_and_clamped(self.stage.decoupling.tolist(), self.rows[0].tolist(), nearest)
-        for part, target, (gain, offset) in zip(self.parts, targets, scales, strict=True):
-            part.first = (target - offset) / gain
+            part.first = float(np.ravel((part.moved[0] - offset) / gain)[0])
 
     def prepare(self, on_time: bool | None, home_within: float | None) -> None:
         """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late.
@@ -367,22 +355,16 @@ class Task:
     def follow(self) -> None:
         """Find the voltages of the path after the ways."""
         options: dict[str, Any] = {"time": self.time, "period": self.parts[0].way.step, **self.rates}
-
-        def followed(j: int, target: Array) -> Followed:
-            part = self.parts[j]
+        for name, part in zip(self.stage.axes, self.parts, strict=True):
             way, actuator = part.way, part.loop.actuator
             # An actuator stands at the first sample, or is brought there; a mass moves with the path from there on.
             brought = way.last is None or evaluator_of(actuator).has_dynamics
             state = state_at(actuator, way.state, part.first) if brought else way.state
             given: dict[str, Any] = {"state": state, "present": way.last, "temperature": part.warmth}
             try:
-                return follow(part.loop, target, **given, **options)
+                part.found, part.error = follow(part.loop, part.moved, **given, **options), None
             except ModelError as error:
-                raise of_part(error, "" if self.single else f"axis {self.stage.axes[j]}") from error
-
-        found = follow_axes(self.stage, np.column_stack([part.moved for part in self.parts]), followed)
-        for part, each in zip(self.parts, found, strict=True):
-            part.found, part.error = each, None
+                raise of_part(error, "" if self.single else f"axis {name}") from error
 
     def time_of(self, size: int) -> Array | None:
         """Return the time [s] of the rows of the ways and of `size` samples after them; None without a time."""

@@ -18,16 +18,14 @@ extern "C" {
 typedef struct piezo {
     dehyst_loop loop[PIEZO_AXES];      /* their counts: how many samples were limited, slewed and refused */
     dehyst_real memory[PIEZO_MEMORY];  /* of the axes, one after the other */
-    dehyst_real spare[PIEZO_SPARE];    /* to try where a clamped voltage leads */
-    int clamped[PIEZO_AXES];           /* whether each voltage on offer was changed by limits or slew rate */
 } piezo;
 
 /* Start from the exported states. Call it before every other function. If it does not return DEHYST_OK, do not use p. */
 dehyst_status piezo_begin(piezo *p);
 /* Compute the voltages to send now, which then count as sent. If a displacement is not a number, they are the last. */
 void piezo_step(piezo *p, const dehyst_real displacement[PIEZO_AXES], dehyst_real voltage[PIEZO_AXES]);
-/* Compute the voltages to send; nothing moves until voltages are committed. An axis that is clamped misses its
- * displacement; the others get the voltages with which they reach theirs all the same. */
+/* Compute the voltages to send; nothing moves until voltages are committed. What an axis that is clamped misses moves
+ * the others by their coupling. */
 void piezo_offer(piezo *p, const dehyst_real displacement[PIEZO_AXES], dehyst_real voltage[PIEZO_AXES]);
 /* End a period with the voltages that were really sent. */
 void piezo_commit(piezo *p, const dehyst_real voltage[PIEZO_AXES]);
