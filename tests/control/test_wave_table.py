@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import DisplacementCreep, Dynamics, RecordError
-from dehyst.control import Compensator, plan_path, wave_table
-from dehyst.control.following import follow
-from dehyst.control.planning.wave_table import steady_state, timed
+from dehyst.control import plan_path, wave_table
 from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing, turned, voltages_of
 from dehyst.waveforms import Raster, Triangle
 from examples import at_night
@@ -74,18 +72,14 @@ def test_without_time_the_second_cycle_is_the_steady_one(actuator, seed, kind, s
 def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     actuator, state = ACTUATORS[name], None if homed else ACTUATORS[name].relaxed(20.0)
     table = wave_table(actuator, SCANS[scan].path(), start=state)
-    stroke, size = strokes(SCANS[scan]), len(table.cycle)
+    stroke = strokes(SCANS[scan])
     assert (table.plan.homing is not None) == homed
     assert not table.plan.clamped.any() and table.error <= 1e-4 * stroke
     played = table.played(80 if needs_time(actuator) or actuator.smooth else 3)
     made = simulated(actuator, played, state)
     miss = np.abs(made - played.displacement)
-    # Elements that do not slide in the scan keep this share of what a homing with creep leaves unknown.
-    kept = 2e-4 * unknown(table) if actuator.smooth and actuator.displacement_creep else 0.0
-    assert miss[-size:].max() <= 1e-9 * stroke + kept
-    first = np.flatnonzero(played.phase == 2)[0]
-    # The rest that a homing leaves unknown adds to the error.
-    assert miss[first : first + size].max() <= 1.0001 * table.error + unknown(table) + 1e-9 * stroke
+    # However often it is played, it drifts by no more; the rest that a homing leaves unknown adds to that.
+    assert miss[played.phase == 2].max() <= 1.05 * table.error + unknown(table) + 1e-9 * stroke
     if not homed:
         start = played.phase == 1
         assert miss[start].max() <= 1e-9 * stroke
@@ -106,40 +100,6 @@ def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
     assert errors[0] <= 2e-4
     # The error falls with the distance of samples squared; with the distance where an acceleration jumps.
     assert errors[1] <= errors[0] / (3 if scan == "triangle" else 8)
-
-
-def followed(compensator, path, state):
-    """The state after a path."""
-    return follow(compensator._axes[0], path.displacement, **timed(path), state=state).state
-
-
-def after_two_cycles(compensator, path):
-    return followed(compensator, path.repeated(2), turned(compensator.actuator, 2 * UM))
-
-
-@pytest.mark.parametrize("scan", SCANS)
-@pytest.mark.parametrize("name", ["creep", "smooth", "creep and smooth"])
-def test_the_steady_state_is_what_cycles_tend_to(name, scan):
-    actuator, path = ACTUATORS[name], SCANS[scan].path()
-    compensator, state = Compensator(actuator), turned(ACTUATORS[name], 2 * UM)
-    for _ in range(120):
-        state = followed(compensator, path.repeated(1), state)
-    found = steady_state(actuator, path, after_two_cycles(compensator, path))
-    again = followed(compensator, path.repeated(1), found)
-    for strains in ("smooth", "displacement_creep"):
-        assert np.allclose(getattr(found, strains), getattr(state, strains), rtol=0, atol=1e-9 * UM)
-        assert np.allclose(getattr(again, strains), getattr(found, strains), rtol=0, atol=1e-12 * UM)
-    # Creep in displacement is taken off the path first, which rounds.
-    assert np.abs(again.carts - found.carts).max() <= (1e-12 * UM if "creep" in name else 0)
-    assert np.allclose(found.carts, state.carts, rtol=0, atol=1e-9 * UM)
-
-
-def test_creep_whose_time_constant_is_long_settles_at_once_in_the_table():
-    slow = replace(PLAIN, displacement_creep=DisplacementCreep([500.0], [0.2]))
-    path = TRIANGLE.path()
-    state = steady_state(slow, path, after_two_cycles(Compensator(slow), path))
-    # Over a cycle the strain of a slow branch follows the displacement less its mean.
-    assert state.displacement_creep[0] == pytest.approx(path.displacement[0] - path.displacement.mean(), rel=1e-3)
 
 
 def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
@@ -167,12 +127,6 @@ def test_a_scan_that_stands_where_it_begins_has_no_way():
     assert np.array_equal(table.played(0).phase, np.ones(table.rows(0)))
 
 
-def test_a_start_up_that_cannot_lead_to_the_cycle_is_refused():
-    with pytest.raises(RecordError) as caught:
-        wave_table(PLAIN, TRIANGLE.path(), slew_rate=2500.0, start=turned(PLAIN, 20 * UM), cycles=0)
-    assert caught.value.argument == "cycles"
-
-
 @pytest.mark.parametrize("name", ["plain", "creep"])
 @pytest.mark.parametrize("limits, slew", [((0.0, 120.0), None), ((-50.0, 250.0), 2500.0)])
 def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
@@ -188,7 +142,7 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     assert slew is None or steps.max() <= slew * (1 + 1e-6)
     made, size = simulated(actuator, played, actuator.relaxed(20.0)), len(table.cycle)
     off = np.abs(made - played.expected)
-    assert off[: -5 * size].max() <= 1e-12 * strokes(TRIANGLE)
+    assert off[: -5 * size].max() <= 0.1 * table.tolerance
     # Statement on the first cycle; the cycles after it continue to settle.
     assert off[-5 * size : -4 * size].max() <= 1.0001 * table.error + 1e-12 * strokes(TRIANGLE)
     assert off.max() <= 4 * table.error + 1e-12 * strokes(TRIANGLE)
@@ -226,11 +180,11 @@ def test_what_cannot_be_is_refused(options, said):
         wave_table(PLAIN, **{"path": TRIANGLE.path(), "start": PLAIN.relaxed(20.0), **options})
 
 
-def test_creep_without_clipping_is_followed_until_it_settles_or_for_a_thousand_cycles():
+def test_creep_is_followed_until_it_settles_if_that_takes_no_more_rows_than_a_file_holds():
     slow = replace(PLAIN, displacement_creep=DisplacementCreep([500.0], [0.02]))
     table = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0))
-    assert (table.cycles, table.settled, table.plan.clamped.any()) == (1000, False, False)
-    assert "play the table for" in table.warnings[-1]
+    assert (table.settled, table.plan.clamped.any()) == (False, False)
+    assert table.warnings[-1].endswith("no start-up is long enough")
     slow = replace(PLAIN, displacement_creep=DisplacementCreep([50.0], [0.02]))
     table = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0))
     assert 1000 < table.cycles < 3000 and table.settled

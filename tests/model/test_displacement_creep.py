@@ -147,16 +147,6 @@ def test_a_loop_follows_a_temperature():
     assert loop.offer(path[-1]) == pytest.approx(sent[-1], abs=0.1)
 
 
-def test_a_cycle_repeats_from_its_steady_strains():
-    part, time = DisplacementCreep([0.5, 5.0, 80.0], [0.02, 0.01, 0.03]), np.arange(201) * 0.05
-    y = 1e-6 * (1 - np.cos(2 * np.pi * time / 10))
-    m, begun = part.steady(time, y)
-    again, strains = part.added(time, m, begun)
-    assert np.allclose(again, y, rtol=0, atol=1e-18)
-    assert np.allclose(strains, begun, rtol=0, atol=1e-18)
-    assert m[-1] == pytest.approx(m[0], abs=1e-18)
-
-
 def test_homing_waits_for_creep_in_displacement():
     homing = shortest_homing(CREEPING, limits=voltages_of(CREEPING), tolerance=0.01 * float(np.ptp(knots_of(CREEPING))))
     assert homing.certified

@@ -81,23 +81,6 @@ class DisplacementCreep(Entries):
         m = vector(displacement, "displacement")
         return output_creep(m, self._pace(time, m.size), self.gains, float(m[0]), start)
 
-    def steady(self, time: ArrayLike, displacement: ArrayLike) -> tuple[Array, Array]:
-        """Return m (n,) [m] of a cycle (n,) [m] after infinitely many ones, and the strains (K,) [m] it begins with.
-
-        `time` (n,): [s]. The last sample of `displacement` is its first one again. The strains at the end are linear in
-        those at the beginning.
-        """
-        y, size = vector(displacement, "displacement"), len(self)
-        pace = self._pace(time, y.size)
-
-        def played(path: Array, start: Array) -> tuple[Array, Array]:
-            first = (path[0] + float(self.gains @ start)) / self.at_rest
-            return output_creep(path, pace, self.gains, first, start, inverse=True)
-
-        kept = np.column_stack([played(np.zeros(y.size), unit)[1] for unit in np.eye(size)])
-        begun = np.asarray(np.linalg.solve(np.eye(size) - kept, played(y, np.zeros(size))[1]), dtype=np.float64)
-        return played(y, begun)[0], begun
-
     def strains(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
         """Return strains e_k (n, K) [m] along a `displacement` (n,) [m] before creep, with `time` (n,) [s].
 
