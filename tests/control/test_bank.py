@@ -1,6 +1,5 @@
 """A bank gives each actuator the bits of its own compensator, whatever it is computed beside, and in."""
 
-import pickle
 import re
 import warnings
 
@@ -78,7 +77,7 @@ def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share):
 
 def assert_bits_of_each(actuators, wanted, slew):
     bank, half = Bank(actuators, slew_rate=slew, period=PERIOD), len(wanted) // 2
-    voltage = np.vstack([bank.compensate(wanted[:half]), [bank.step(row) for row in wanted[half:]]])
+    voltage = np.vstack([bank.run(wanted[:half]), [bank.step(row) for row in wanted[half:]]])
     for i, actuator in enumerate(actuators):
         expected, compensator = alone(actuator, wanted[:, i], slew[i])
         np.testing.assert_array_equal(voltage[:, i], expected)
@@ -112,65 +111,18 @@ def test_every_class_has_the_bits_of_its_own_compensator():
     assert_bits_of_each(actuators, along_sines(actuators, 300), [None] * len(actuators))
 
 
-def test_simulation_has_the_bits_of_a_committed_voltage():
-    actuators, wide = classes(), (-1e9, 1e9)
-    voltage = 55 + 54 * np.sin(np.arange(300)[:, None] / 20 + np.arange(len(actuators)))
-    displacement = Bank(actuators, wide, period=PERIOD).simulate(voltage)
-    for i, actuator in enumerate(actuators):
-        compensator, expected = Compensator(actuator, wide, period=PERIOD), []
-        for volts in voltage[:, i]:
-            compensator.commit(volts)
-            expected.append(compensator.displacement)
-        np.testing.assert_array_equal(displacement[:, i], expected)
-
-
-def test_a_state_that_is_restored_goes_on_bit_for_bit():
-    actuators = classes()
-    wanted = along_sines(actuators, 90)
-    bank, other = (Bank(actuators, period=PERIOD) for _ in range(2))
-    bank.compensate(wanted[:40])
-    kept = bank.snapshot()
-    expected = bank.compensate(wanted[40:])
-    other.restore(pickle.loads(pickle.dumps(kept)))
-    np.testing.assert_array_equal(other.compensate(wanted[40:]), expected)
-    bank.reset()
-    afresh = Bank(actuators, period=PERIOD)
-    np.testing.assert_array_equal(bank.compensate(wanted[:40]), afresh.compensate(wanted[:40]))
-
-
-def test_a_state_that_does_not_fit_is_refused_and_changes_nothing():
-    actuators = classes()
-    bank = Bank(actuators, period=PERIOD)
-    bank.compensate(along_sines(actuators, 40))
-    before = bank.snapshot()
-    other = Bank(actuators[::-1], period=PERIOD).snapshot()
-    for snapshots, message in [(other, "another shape"), (before[:2], "got 2, need 7"), (None, "got NoneType")]:
-        with pytest.raises(ModelError, match=message):
-            bank.restore(snapshots)
-        assert bank.snapshot() == before
-
-
-def test_it_writes_into_an_array_that_is_given():
-    bank = Bank(mixed(1, 9, kinds=("plain",)))
-    row = paths(bank.actuators, 1, 1, beyond=0)[0]
-    out = np.empty(9)
-    assert bank.step(row, out=out) is out
-    bank.reset()
-    np.testing.assert_array_equal(out, bank.step(row))
-
-
 @pytest.mark.parametrize(("actuators", "share"), [(mixed(2, 12), 0.1), (classes(), 0.3)])
 def test_clamping_is_said_once_of_a_kind_and_counted(actuators, share):
     bank = Bank(actuators, period=PERIOD, slew_rate=slews(actuators, share))
     wanted = paths(bank.actuators, 60, 2, beyond=0.2)
     with pytest.warns(ClampWarning, match=r"actuator \d+") as said:
-        bank.compensate(wanted)
+        bank.run(wanted)
     counts = [int(re.search(r"(-?\d+) of", str(each.message))[1]) for each in said]
     clamped = np.sum(bank.clamps, axis=0)
     assert counts == clamped[clamped > 0].tolist()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        bank.compensate(wanted)
+        bank.run(wanted)
     assert all((np.sum(bank.clamps, axis=0) > clamped)[clamped > 0])
 
 
@@ -188,6 +140,10 @@ def test_what_does_not_fit_is_refused(options, message):
         Bank(mixed(4, 3, kinds=("plain",)), **options)
 
 
+def memory(bank):
+    return [axis.snapshot() for axis in bank._axes]
+
+
 def test_no_actuators_and_wrong_ones_are_refused():
     with pytest.raises(ModelError, match="one at least"):
         Bank([])
@@ -200,7 +156,7 @@ def test_no_actuators_and_wrong_ones_are_refused():
 def test_wrong_displacements_move_nothing():
     bank = Bank(mixed(4, 3, kinds=("plain",)))
     good = paths(bank.actuators, 4, 4, beyond=0)
-    before = bank.snapshot()
+    before = memory(bank)
     bad = good.copy()
     bad[2, 1] = np.nan
     for values, message in [
@@ -211,12 +167,10 @@ def test_wrong_displacements_move_nothing():
         (good * 1j, "got an array of complex128, need numbers"),
     ]:
         with pytest.raises(ModelError, match=message):
-            bank.compensate(values)
-    with pytest.raises(ModelError, match="writeable array"):
-        bank.step(good[0], out=np.empty(4))
+            bank.run(values)
     with pytest.raises(ModelError, match="actuator 1"):
         bank.step([1e-6, 1e300, 1e-6])
-    assert bank.snapshot() == before
+    assert memory(bank) == before
 
 
 def test_a_warning_that_is_an_error_changes_nothing():
@@ -224,12 +178,12 @@ def test_a_warning_that_is_an_error_changes_nothing():
     here = np.array([axis.loop.displacement() for axis in bank._axes])
     away = here - np.array([0, 0, 0.1, 0]) * [np.ptp(actuator.spring.displacement) for actuator in bank.actuators]
     bank.step(here)
-    before = bank.snapshot()
-    for refused in (bank.step, lambda row: bank.compensate([here, row])):
+    before = memory(bank)
+    for refused in (bank.step, lambda row: bank.run([here, row])):
         with pytest.raises(ClampWarning), warnings.catch_warnings():
             warnings.simplefilter("error")
             refused(away)
-        assert bank.snapshot() == before and set(bank.clamps) == {(0, 0)}
+        assert memory(bank) == before and set(bank.clamps) == {(0, 0)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert bank.step(away)[2] != bank.step(here)[2]

@@ -270,7 +270,7 @@ class Life:
         bank = Bank([self.actuator] * 3, None, self.slew, period=self.period)
         present = self.held(self.actuator.state)
         first = bank.step(np.array([self.wish() for _ in range(3)]))
-        later = bank.compensate(np.column_stack([self.path(30).clip(*self.actuator.reach) for _ in range(3)]))
+        later = bank.run(np.column_stack([self.path(30).clip(*self.actuator.reach) for _ in range(3)]))
         for j in range(3):
             self.hold_against("bank", np.append(first[j], later[:, j]), present, self.period)
 

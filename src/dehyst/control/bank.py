@@ -1,10 +1,9 @@
-"""Many actuators in one call: inverse control and simulation, bit for bit as with one `Compensator` for each."""
+"""Many actuators in one call: their voltages, bit for bit as with one `Compensator` for each."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,13 @@ from dehyst._native import Bank as Loops
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import FARTHEST, for_each
-from dehyst.control.axis import axes_of, restore_all
+from dehyst.control.axis import axes_of, unchanged_by_errors
 from dehyst.control.limits import Clamps, ClampWarning
 from dehyst.model import Actuator, State
 
 
 class Bank:
-    """Many actuators: wanted displacements in, voltages within limits out, or voltages in and displacements out.
+    """Many actuators: wanted displacements in, voltages within limits out.
 
     In arrays, each row is a sample and each column an actuator. Every actuator has its own memory, limits and slew
     rate. Its voltages are bit for bit those of a `Compensator` of its own::
@@ -76,7 +75,7 @@ class Bank:
         given = {"limits": limits, "slew_rate": slew_rate, "state": begins}
         self._axes = axes_of(self.actuators, names, period, **given, runs=True)
         self._warned: set[str] = set()
-        self.reset()
+        self._loops = Loops([axis.loop for axis in self._axes])
 
     def __len__(self) -> int:
         return len(self.actuators)
@@ -85,71 +84,37 @@ class Bank:
         period = "" if self.period is None else f", every {self.period:g} s"
         return f"<Bank of {counted(len(self), 'actuator')}{period}>"
 
-    def step(self, displacement: ArrayLike, out: Array | None = None) -> Array:
+    def step(self, displacement: ArrayLike) -> Array:
         """Return the voltages (M,) [V] to send for wanted displacements (M,) [m], and commit them.
 
-        `out` (M,): array for the result, so that no memory is allocated.
-
-        Raises
-        ------
-        ModelError
-            If a shape is wrong or a value not finite: the memory is unchanged, and no time has passed.
-
-        Warns
-        -----
-        ClampWarning
-            Once for limits and once for the slew rate; `clamps` counts all clamped samples.
+        Raise `ModelError` and warn `ClampWarning` as `run`; a displacement outside of the reach is clamped.
         """
-        row = np.asarray(displacement)
-        if row.shape != (len(self),):
-            raise ModelError(
-                argument="displacement", got=f"the shape {row.shape}", need=f"one for each of {len(self)} actuators"
-            )
-        result: Array = np.empty(len(self)) if out is None else out
-        fits = isinstance(result, np.ndarray) and result.shape == (len(self),) and result.dtype == np.float64
-        if not (fits and result.flags.c_contiguous and result.flags.writeable):
-            raise ModelError(f"out: need a writeable array of {len(self)} float64 in a row")
+        row, result = np.asarray(displacement), np.empty(len(self))
+        plain = row.shape == result.shape and row.dtype == np.float64 and row.flags.c_contiguous
         # It sends nothing if a displacement is refused or a voltage clamped.
-        if row.dtype != np.float64 or not row.flags.c_contiguous or not self._loops.step(row, result):
-            self._follow(self._table(row[None], "displacement"), result[None])
+        if not plain or not self._loops.step(row, result):
+            result = self._follow(self._table(row[None]))[0]
         return result
 
-    def compensate(self, displacement: ArrayLike) -> Array:
+    def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n, M) [V] to send for wanted displacements (n, M) [m], and commit them.
 
         Raises
         ------
         ModelError
             If the shape is wrong, a value is not finite, or a displacement lies more than a stroke outside of its
-            model's reach: the memory is unchanged.
+            model's reach: the memory is unchanged, and no time has passed.
 
         Warns
         -----
         ClampWarning
-            As `step`.
+            Once for limits and once for the slew rate; `clamps` counts all clamped samples.
         """
-        wanted = self._table(displacement, "displacement")
+        wanted = self._table(displacement)
         for i, axis in enumerate(self._axes):
             if sentence := axis.strays(wanted[:, i]):
                 raise ModelError(f"actuator {i}: {sentence}")
-        result = np.empty(wanted.shape)
-        self._follow(wanted, result)
-        return result
-
-    def simulate(self, voltage: ArrayLike) -> Array:
-        """Return the displacements (n, M) [m] that voltages (n, M) [V] cause without limits, and update the memory.
-
-        Raises
-        ------
-        ModelError
-            If the shape is wrong or a value not finite: the memory is unchanged. If a displacement would be too large
-            to compute with: this voltage has no effect.
-        """
-        played = self._table(voltage, "voltage")
-        result, before = np.empty(played.shape), self._counts[2]
-        if refused := self._loops.run(played, result, True)[2] - before:
-            raise ModelError(f"voltage: {refused} of {played.size} cause displacements too large to compute with")
-        return result
+        return self._follow(wanted)
 
     @property
     def states(self) -> tuple[State, ...]:
@@ -161,58 +126,30 @@ class Bank:
         """Numbers of samples clamped so far, of each actuator."""
         return tuple(axis.clamps for axis in self._axes)
 
-    def snapshot(self) -> tuple[bytes, ...]:
-        """Return the whole memory, one snapshot for each actuator."""
-        return tuple(axis.snapshot() for axis in self._axes)
+    def _follow(self, wanted: Array) -> Array:
+        """Return the voltages (n, M) [V] for displacements (n, M) [m], and warn of the first clamps of each kind."""
+        voltage, before = np.empty(wanted.shape), self.clamps
+        with unchanged_by_errors(*self._axes):
+            self._loops.run(wanted, voltage, False)
+            new = np.subtract(self.clamps, before)
+            for kind, clamped in zip(("at a limit", "by the slew rate"), new.T, strict=True):
+                if clamped.any() and kind not in self._warned:
+                    most = int(np.argmax(clamped))
+                    words = f"{clamped.sum()} of {wanted.size} voltages clamped {kind}, of actuator {most} the most"
+                    warnings.warn(words, ClampWarning, 3)
+                    self._warned.add(kind)
+        return voltage
 
-    def restore(self, snapshots: Sequence[bytes]) -> None:
-        """Continue from `snapshots`, one for each actuator.
-
-        Raise `ModelError` as `Compensator.restore`, or if the number of snapshots is wrong: the memory is unchanged.
-        """
-        restore_all(self._axes, snapshots)
-
-    def reset(self) -> None:
-        """Return to the initial states and set the counts of clamped samples to 0."""
-        self._axes = tuple(replace(axis) for axis in self._axes)
-        self._loops = Loops([axis.loop for axis in self._axes])
-
-    @property
-    def _counts(self) -> tuple[int, int, int]:
-        """Numbers of samples limited, slewed and refused, of all actuators."""
-        return self._loops.run(np.empty((0, len(self))), np.empty((0, len(self))), False)
-
-    def _follow(self, wanted: Array, voltage: Array) -> None:
-        """Compute the `voltage` (n, M) [V] for displacements (n, M) [m], and warn of the first clamps of each kind."""
-        before, memory = self._counts, () if len(self._warned) == 2 else self.snapshot()
-        after = self._loops.run(wanted, voltage, False)
-        if after == before:
-            return
-        each, kinds = np.array(self.clamps), ("at a limit", "by the slew rate")
-        for kind, now, then, clamped in zip(kinds, after[:2], before[:2], each.T, strict=True):
-            if now == then or kind in self._warned:
-                continue
-            i = int(np.argmax(clamped))
-            sentence = self._axes[i].strays(wanted[:, i])
-            more = f". {sentence}" if sentence else ""
-            words = f"{now - then} of {wanted.size} voltages clamped {kind}, of actuator {i} the most{more}"
-            try:
-                warnings.warn(words, ClampWarning, 3)
-            except ClampWarning:
-                self.restore(memory)
-                raise
-            self._warned.add(kind)
-
-    def _table(self, values: ArrayLike, what: str) -> Array:
-        """Return samples (n, M); raise `ModelError` if they have another shape, or one is not a finite number."""
-        given, count = np.asarray(values), len(self)
+    def _table(self, displacement: ArrayLike) -> Array:
+        """Return displacements (n, M); raise `ModelError` if they have another shape, or one is not a finite number."""
+        given, count = np.asarray(displacement), len(self)
         if given.dtype.kind not in "iuf":
-            raise ModelError(argument=what, got=f"an array of {given.dtype}", need="numbers")
+            raise ModelError(argument="displacement", got=f"an array of {given.dtype}", need="numbers")
         table = np.ascontiguousarray(given, dtype=np.float64)
         if table.ndim != 2 or table.shape[1] != count:
             need = f"a column for each of {count} actuators"
-            raise ModelError(argument=what, got=f"the shape {table.shape}", need=need)
+            raise ModelError(argument="displacement", got=f"the shape {table.shape}", need=need)
         if table.size and not (table.max() <= FARTHEST and table.min() >= -FARTHEST):
             t, i = np.argwhere(~(np.abs(table) <= FARTHEST))[0]
-            raise ModelError(f"{what}: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
+            raise ModelError(f"displacement: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
         return table
