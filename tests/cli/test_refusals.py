@@ -39,7 +39,7 @@ REFUSED = {
     "update model.json loops.csv -o model.json": ("", "model.json"),
     "compare loops.csv --only crystal": "only",
     "insight stage.json loops.csv --trajectory path.csv": "trajectory",
-    "insight model.json loops.csv --zero mean": "zero",
+    "insight model.json loops.csv --zero 3": "zero",
     "insight loops.csv path.csv": ("", "loops.csv"),
     "show model.json -o out.csv": "output",
     "show loops.csv --columns @absent.txt": "columns",

@@ -15,7 +15,7 @@ from dehyst.cli import main
 DEHYST = [sys.executable, "-c", "from dehyst.cli import main; main()"]
 TIMEOUT = 600
 # Texts of parameters by their type.
-TEXTS = {"columns": "time=2", "numbers": "1,2", "start": "bottom", "zero": "bottom", "text": "70"}
+TEXTS = {"columns": "time=2", "numbers": "1,2", "start": "bottom", "text": "70"}
 OUTPUTS = {"-o", "--output", "--report", "--table"}
 # Commands write twelve significant digits: a number moves by this part of itself at most.
 WRITTEN = 5e-12

@@ -15,7 +15,7 @@ from dehyst.control import plan_path
 from dehyst.operations.axes import AxesModel, AxisNumbers, of_one_axis, slew_option
 from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, number, option, output, page, pair
 from dehyst.operations.files import COLUMNS, RECORD, Columns
-from dehyst.operations.paths import ZERO, Zero, reach_remarks, read_path, zeros_of_path
+from dehyst.operations.paths import reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start, starts_of
 from dehyst.records import percent
@@ -36,7 +36,7 @@ def insight(
     model: Path = argument(),
     records: tuple[Path, ...] = argument(nargs=-1),
     trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
-    zero: Zero | None = option("Zero of the trajectory, as in compensate.", ZERO, _of_path),
+    zero: float | None = number("Zero of the trajectory, as in compensate.", _of_path),
     start: Start | None = option("State before the trajectory, as in compensate.", START, _of_path),
     limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
     slew_rate: AxisNumbers = slew_option("Of the trajectory, as in compensate.", _of_path),
@@ -63,7 +63,7 @@ def insight(
             own = Columns(displacement=columns.wanted, temperature=columns.temperature)
             path, warmth, clock = read_path(known, trajectory, own, remark=run.note)
             begins, remarks = starts_of(known, start, [limits], columns)
-            path = path + zeros_of_path(known, [limits], zero, begins)
+            path = path + 1e-6 * (zero or 0.0)
             for remark in [*remarks, *reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth)]:
                 run.note(remark)
             when = {"time": clock.get("time_s"), "temperature": warmth, "start": begins}

@@ -47,13 +47,11 @@ from dehyst.operations.files import COLUMNS, TEXT_KEYS, Columns, scan_declared, 
 from dehyst.operations.paths import (
     TEMPERATURE,
     ZERO,
-    Zero,
     reach_remarks,
     read_path,
     reason_of,
     temperature_column,
     temperature_of,
-    zeros_of_path,
 )
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
@@ -110,7 +108,7 @@ def compensate(
     output: Path = output("Write the voltage here (CSV)."),
     limits: AxisLimits = limits_option("Allowed voltages [V]; default: of the records."),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
-    zero: Zero | None = option("Zero of the path; default: the sensor's.", ZERO),
+    zero: float | None = ZERO,
     start: Start | None = option("State before the path; default: unknown.", START),
     home: bool | None = switch("--home/--no-home", "Home before; default: if the start matters."),
     home_within: float | None = number("Longest duration of homing and way [s].", _homes),
@@ -133,23 +131,21 @@ def compensate(
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
     axes, remarks = _requests(known, limits, slew_rate, start, present, columns)
-    _, allowed, _, begins, volts = zip(*axes, strict=True)
-    places = zeros_of_path(known, allowed, zero, begins, volts)
+    place = 1e-6 * (zero or 0.0)
     if zero is not None:
-        words = "the path is counted from {:.6g} um of the sensor, and written in um of the sensor"
-        remarks += known.prefixed([words.format(place * 1e6)] for place in places.tolist())
+        remarks.append(f"the path is counted from {zero:.6g} um of the sensor, and written in um of the sensor")
     task = _Task(run, known, axes, zero, remarks, plot)
     how: dict[str, Any] = {"home": home, "home_within": home_within}
     declared = None if known.stage is not None else scan_declared(trajectory)
     if declared is None:
         wanted, warmth, clock = read_path(known, trajectory, columns, temperature, remark=remarks.append)
         try:
-            return task.follow(wanted + places, clock, output, on_time=on_time, temperature=warmth, **how)
+            return task.follow(wanted + place, clock, output, on_time=on_time, temperature=warmth, **how)
         except ModelError as error:
             if error.change or error.argument not in ("", "displacement"):
                 raise
             raise of_part(error, trajectory.name) from error
-    made, axis, period = _declared_scan(trajectory, declared, columns, float(places[0]))
+    made, axis, period = _declared_scan(trajectory, declared, columns, place)
     others = [f"{other}_um" for other in made.axes if other != axis]
     if others and not columns.displacement:
         remarks.append(f"of the scan, {axis}_um is followed; --columns displacement={others[0]} takes another axis")
@@ -219,7 +215,7 @@ class _Task:
     run: Run
     known: AxesModel
     axes: Sequence[_Request]
-    zero: Zero | None
+    zero: float | None
     remarks: list[str]
     plot: Path | None
 

@@ -30,7 +30,7 @@ from dehyst.operations.axes import (
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, integer, option, output
 from dehyst.operations.files import COLUMNS, Columns, write_table
-from dehyst.operations.paths import ZERO, Zero, bounds_remarks, reach_remarks, read_path, zeros_of_path
+from dehyst.operations.paths import ZERO, bounds_remarks, reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import demand_disk_space, percent
 from dehyst.report.html import document, words
@@ -54,7 +54,7 @@ def follow(
     feedback: bool = flag("Correct each sample by the reading before, of one axis, at 200 Hz at most."),
     limits: AxisLimits = limits_option("Range of the voltage [V]; default: that of the model and the device."),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's."),
-    zero: Zero | None = option("Zero of the path, as of dehyst compensate.", ZERO),
+    zero: float | None = ZERO,
     columns: Columns = COLUMNS,
 ) -> Result:
     """Follow a path on RIG after a homing, measure the error, and compare it with the promise.
@@ -113,14 +113,14 @@ def _placed(
     wanted: Array,
     allowed: Sequence[Limits],
     slews: Sequence[PathSlew],
-    zero: Zero | None,
+    zero: float | None,
     warmth: float | Array | None,
 ) -> tuple[Array, list[VoltageLimits]]:
     """Return the path (n, axes) [m] from the sensor's zero, and the limits of each axis; note what is narrower."""
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
         raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give its model")
-    wanted = wanted + zeros_of_path(known, [(part.limits.low, part.limits.high) for part in rig.rigs], zero)
+    wanted = wanted + 1e-6 * (zero or 0.0)
     bounds, remarks = [], []
     for part, actuator, target, limit, slew in zip(
         rig.rigs, known.actuators, known.targets(wanted).T, allowed, slews, strict=True

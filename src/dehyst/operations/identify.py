@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 import dehyst._validation as check
 from dehyst._errors import IdentifyError
@@ -30,9 +29,9 @@ from dehyst.operations.command import (
     switch,
 )
 from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns
-from dehyst.operations.paths import ZERO, Zero, reason_of
+from dehyst.operations.paths import reason_of
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import Record, read
+from dehyst.records import read
 from dehyst.report import write_report
 from dehyst.trust import insight
 
@@ -67,7 +66,6 @@ def identify(
     output: Path | None = output("Write the model here (JSON).", required=False),
     validate: tuple[Path, ...] = option("Held-out records, which are only simulated.", INPUT, multiple=True),
     report: Path | None = page(),
-    zero: Zero | None = option("Zero, in the first record; default: the sensor's.", ZERO),
     time_limit: float | None = number("Time after which the search ends [s]."),
     slew_rate: float | None = number("Largest slew rate [V/s] of later paths; the model keeps it.", beside("output")),
     columns: Columns = COLUMNS,
@@ -82,7 +80,7 @@ def identify(
     check.Numbers(positive=True, optional=True, error=IdentifyError)(slew_rate, "slew_rate")
     deadline = Deadline(time_limit)
     run.progress("reading")
-    training, held_out = _zeroed(*([read(path, columns) for path in paths] for paths in (records, validate)), zero=zero)
+    training, held_out = ([read(path, columns) for path in paths] for paths in (records, validate))
     settings |= {"validate": held_out, "progress": run.progress}
     with nullcontext() if columns.axes else run.ended_by(lambda: deadline.end("Ctrl-C", leave_step=True)):
         fit = identify_one(training, time_limit=deadline, **settings)
@@ -119,19 +117,3 @@ def _answer(fit: Fit | StageFit) -> list[str]:
     first = fit.remarks[:1] if cut else reason_of(fit.promise.promise)
     remarks = (*first, *fit.promise.reservations, *fit.remarks[cut:])
     return [brief[0], *(f"  - {escaped(remark)}" for remark in remarks[:_REMARKS])]
-
-
-def _zeroed(records: list[Record], others: list[Record], *, zero: Zero | None) -> tuple[list[Record], list[Record]]:
-    """Return records with displacements relative to a zero from the first record."""
-    if zero is None or not records:
-        return records, others
-    y = records[0].displacement
-    places = {"": np.asarray(zero.um * 1e-6), "bottom": y.min(axis=0), "first": y[0], "mean": y.mean(axis=0)}
-    place = places[zero.name]
-    words = ", ".join(f"{metres * 1e6:.6g}" for metres in np.atleast_1d(place).tolist())
-
-    def moved(record: Record) -> Record:
-        source = f"{record.meta.get('source', record.name)}, zero at {words} um"
-        return replace(record, displacement=record.displacement - place, meta={**record.meta, "source": source})
-
-    return list(map(moved, records)), list(map(moved, others))

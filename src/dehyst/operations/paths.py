@@ -2,56 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Self
 
 import numpy as np
 
 import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import Compensator, PathPlan, PossibleStart, VoltageLimits
+from dehyst.control import Compensator, PathPlan, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import Actuator, Promise, demand_thermal, evaluator_of, tested_temperatures
+from dehyst.model import Actuator, Promise, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Limits
-from dehyst.operations.command import Parsed
+from dehyst.operations.command import number
 from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
 from dehyst.records import Table, table_of
 from dehyst.records.formats.column import listed
 
+ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
 TEMPERATURE = "Temperature [degC]; default: the column temperature_C, or the reference of the model."
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
 # Part of the stroke above which the reason of a promised error is given.
 _LARGE = 0.01
-
-
-@dataclass(frozen=True)
-class Zero:
-    """The displacement that counts as zero: a name, or micrometres of the sensor."""
-
-    name: str
-    um: float = 0.0
-
-    metavar: ClassVar[str] = "bottom|first|mean|UM"
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the zero in a text; raise ValueError that says what is needed."""
-        if text in ("bottom", "first", "mean"):
-            return cls(text)
-        try:
-            number = float(text)
-        except ValueError:
-            number = np.nan
-        if not np.isfinite(number):
-            raise ValueError(f"got {text!r}, need bottom, first, mean, or a displacement in um")
-        return cls("", number)
-
-
-ZERO = Parsed(Zero)
 
 
 def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits, who: str) -> list[str]:
@@ -125,29 +98,8 @@ def temperature_column(path: PathPlan) -> dict[str, Array]:
     return {} if path.temperature is None else {"temperature_C": path.temperature}
 
 
-def zeros_of_path(
-    known: AxesModel,
-    limits: Sequence[Limits],
-    zero: Zero | None,
-    starts: Sequence[Any] = (),
-    present: Sequence[Any] = (),
-) -> Array:
-    """Return the displacement (axes,) [m] that is the zero of a path; `starts`, `present` [V]: of each actuator."""
-    unknown, places = [None] * len(known.axes), []
-    if zero is None or not zero.name:
-        return np.full(len(unknown), 0.0 if zero is None else zero.um * 1e-6)
-    for actuator, own, start, volts in zip(known.actuators, limits, starts or unknown, present or unknown, strict=True):
-        axis = Compensator(actuator, own)._axes[0]
-        low, high = axis.reach
-        if zero.name == "first":
-            begin = start or PossibleStart.unknown(actuator, axis.bounds.nearest(volts or 0.0), axis.limits)
-            low = evaluator_of(actuator).displacement(begin.state, of_mass=False)
-        places.append(0.5 * (low + high) if zero.name == "mean" else low)
-    return np.asarray(known.moved(np.array([places]))[0])
-
-
 def reach_remarks(
-    actuator: Actuator, wanted: Array, limits: Limits, zero: Zero | None, temperature: float | Array | None = None
+    actuator: Actuator, wanted: Array, limits: Limits, zero: float | None, temperature: float | Array | None = None
 ) -> list[str]:
     """Return remarks on a path (n,) [m] outside of the reachable range, or in another unit, and what to try.
 
