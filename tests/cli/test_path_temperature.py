@@ -35,7 +35,7 @@ def follow(folder, *words, status=0):
 
 
 def test_the_reach_of_a_path_is_that_at_its_temperature(folder):
-    """The reach at 60 degC ends lower than at the reference; a constant and a column give the same remark."""
+    """The reach at 60 degC ends lower than at the reference."""
     low, high = (1e6 * float(end) for end in THERMAL.warmed(np.array(COLD.reach), 60.0))
     assert high + 0.2 < 1e6 * COLD.reach[1]
     top = high + 0.1
@@ -44,30 +44,14 @@ def test_the_reach_of_a_path_is_that_at_its_temperature(folder):
     write_columns(folder / "high_hot.csv", columns | {"temperature_C": np.full(TIME.size, 60.0)})
     start = ("-o", "out.csv", "--start", "top", "--json", "--force")
     said = {}
-    for path, *more in (("high.csv",), ("high.csv", "--temperature", "60"), ("high_hot.csv",)):
-        found = json.loads(run("compensate", "model.json", path, *more, *start, cwd=folder)[1])
-        said[path, *more] = [warning for warning in found["warnings"] if "the path covers" in warning]
+    for path in ("high.csv", "high_hot.csv"):
+        found = json.loads(run("compensate", "model.json", path, *start, cwd=folder)[1])
+        said[path] = [warning for warning in found["warnings"] if "the path covers" in warning]
         missed = found["missed_um"]
-    cold, constant, column = said.values()
-    assert cold == []
-    assert constant == column and len(column) == 1
+    cold, column = said.values()
+    assert cold == [] and len(column) == 1
     assert f"{low:.4g} to {high:.4g} um" in column[0] and f"to {top:.6g} um" in column[0]
     assert missed == pytest.approx(0.1, rel=1e-3)
-
-
-def test_a_constant_that_is_used_instead_of_the_column_is_reported(folder):
-    """Voltages are those of the constant; the column, under its name, is in one more warning."""
-    constant = ("--temperature", "30")
-    (both, used), (alone, expected) = (
-        follow(folder, "model.json", path, *constant) for path in ("warm.csv", "path.csv")
-    )
-    np.testing.assert_array_equal(used.column("voltage"), expected.column("voltage"))
-    (more,) = set(both["warnings"]) - set(alone["warnings"])
-    assert "temperature_K" in more and len(both["warnings"]) == len(alone["warnings"]) + 1
-    words = ("simulate", "model.json", "out.csv", "-o", "x.csv", "--force", "--json")
-    given, own = (json.loads(run(*words, *more, cwd=folder)[1])["warnings"] for more in (constant, ()))
-    assert len([name for name in given if "temperature_C" in name]) == 1
-    assert not [name for name in own if "temperature_C" in name]
 
 
 def test_a_model_without_the_part_ignores_the_column_and_says_so(folder):

@@ -15,8 +15,7 @@ from laboratory_files import FILES, N
 
 from dehyst import Actuator
 from dehyst.cli import main
-from dehyst.model import major_loop
-from dehyst.records import Record, read, read_table, write_record
+from dehyst.records import Record, read_table, write_record
 
 
 def run(*words):

@@ -108,11 +108,7 @@ ALONE = {
         "present": 70.0,
     },
 }
-WARM = {
-    "path --temperature 50": {"temperature": 50.0},
-    "warm": {"temperature": DEGREES},
-    "warm --temperature 30": {"temperature": 30.0},
-}
+WARM = {"warm": {"temperature": DEGREES}}
 OWN = {
     "path --limits x=0 150 --limits 0 190": {"limits": [(0, 150), (0, 190)]},
     "path --slew-rate x=200 --slew-rate 300": {"slew_rate": [200.0, 300.0]},
@@ -165,10 +161,10 @@ def test_compensate_writes_what_the_library_plans(folder, name, words):
 
 
 def test_a_path_is_counted_from_its_zero(folder):
-    words = ("path.csv", "-o", "out.csv", "--zero", "1.5", "--start", "bottom", "--temperature", "30")
+    words = ("path.csv", "-o", "out.csv", "--zero", "1.5", "--start", "bottom")
     result("compensate", "plain.json", *words, cwd=folder)
     start = PossibleStart.named(PLAIN, "bottom")
-    plan = plan_path(PLAIN, 1e-6 * PATH + 1.5e-6, time=TIME, start=start, temperature=30.0)
+    plan = plan_path(PLAIN, 1e-6 * PATH + 1.5e-6, time=TIME, start=start)
     demand_equal(columns_of(folder / "out.csv", ["voltage_V"]), plan.voltage)
 
 

@@ -45,13 +45,11 @@ from dehyst.operations.command import (
 )
 from dehyst.operations.files import COLUMNS, TEXT_KEYS, Columns, scan_declared, write_table
 from dehyst.operations.paths import (
-    TEMPERATURE,
     ZERO,
     reach_remarks,
     read_path,
     reason_of,
     temperature_column,
-    temperature_of,
 )
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
@@ -96,10 +94,6 @@ def _homes(given: Values) -> str:
     return "" if given.get("start") is None and given.get("home") is not False else "without a homing"
 
 
-def _without_table(given: Values) -> str:
-    return "with --table, which is at the reference temperature" if "table" in given else ""
-
-
 @command("compensate", details=True)
 def compensate(
     run: Run,
@@ -114,7 +108,6 @@ def compensate(
     home_within: float | None = number("Longest duration of homing and way [s].", _homes),
     present: AxisNumbers = option("Present voltage [V]; default: of --start, or 0.", _PRESENT, multiple=True),
     on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
-    temperature: float | None = number(TEMPERATURE, _without_table),
     table: Path | None = option("Write the steady cycle of a scan here (CSV).", OUTPUT, _of_scan),
     cycles: int = integer("Steady cycles in the output.", beside("table"), default=1),
     start_up: int | None = integer("Cycles before these; default: as needed.", beside("table")),
@@ -136,26 +129,17 @@ def compensate(
         remarks.append(f"the path is counted from {zero:.6g} um of the sensor, and written in um of the sensor")
     task = _Task(run, known, axes, zero, remarks, plot)
     how: dict[str, Any] = {"home": home, "home_within": home_within}
-    declared = None if known.stage is not None else scan_declared(trajectory)
-    if declared is None:
-        wanted, warmth, clock = read_path(known, trajectory, columns, temperature, remark=remarks.append)
+    if table is None:
+        wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
         try:
             return task.follow(wanted + place, clock, output, on_time=on_time, temperature=warmth, **how)
         except ModelError as error:
             if error.change or error.argument not in ("", "displacement"):
                 raise
             raise of_part(error, trajectory.name) from error
-    made, axis, period = _declared_scan(trajectory, declared, columns, place)
-    others = [f"{other}_um" for other in made.axes if other != axis]
-    if others and not columns.displacement:
-        remarks.append(f"of the scan, {axis}_um is followed; --columns displacement={others[0]} takes another axis")
-    if table is not None:
-        refuse_cycles(made, cycles)
-        return task.tabulate(period, cycles, (output, table), cycles=start_up, **how)
-    path = period.repeated(declared["cycles"])
-    remarks += made.warnings
-    how |= {"temperature": temperature_of(known, temperature, columns, remark=remarks.append), "on_time": on_time}
-    return task.follow(path.displacement[:, None], {"time_s": path.time}, output, **how)
+    made, period = _declared_scan(trajectory, columns, place)
+    refuse_cycles(made, cycles)
+    return task.tabulate(period, cycles, (output, table), cycles=start_up, **how)
 
 
 def _requests(
@@ -179,23 +163,21 @@ def _requests(
     return axes, remarks
 
 
-def _declared_scan(
-    path: Path, declared: Mapping[str, Any], columns: Columns, zero: float
-) -> tuple[Scan, str, ScanPath]:
-    """Return the scan in the first line of a path file, the wanted axis, and its period relative to a zero [m].
+def _declared_scan(path: Path, columns: Columns, zero: float) -> tuple[Scan, ScanPath]:
+    """Return the scan in the first line of a path file, and its period along the wanted axis relative to a zero [m].
 
     Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
     """
     columns.demand(("displacement", *TEXT_KEYS), "on the path of a scan")
-    hint = "remove that line to follow the rows"
+    hint, declared = "write it again with dehyst scan", scan_declared(path) or {}
     options = {name: value for name, value in declared.items() if name not in ("kind", "cycles", "sample_rate")}
     try:
         made, cycles = scan_of(declared["kind"], options, declared["sample_rate"]), declared["cycles"]
     except (KeyError, TypeError, ValueError) as error:
         fault = f"nothing known for {error}" if isinstance(error, KeyError) else f"{error}"
         raise FileFormatError(f"{path}: no scan by its first line: {fault}", hint=hint) from error
-    names = {"displacement_um": "x", **{f"{axis}_um": axis for axis in made.axes}}
-    wanted = columns.displacement or next(iter(names))
+    names = {f"{axis}_um": axis for axis in made.axes} if len(made.axes) > 1 else {"displacement_um": "x"}
+    wanted = columns.displacement or "displacement_um"
     if wanted not in names:
         raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
     axis = names[wanted]
@@ -205,7 +187,7 @@ def _declared_scan(
     span = float(np.abs(rows.displacement).max())
     if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
         raise FileFormatError(f"{path}: its rows are not those of the scan in its first line", hint=hint)
-    return made, axis, replace(period, displacement=period.displacement + zero)
+    return made, replace(period, displacement=period.displacement + zero)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-import dehyst._validation as check
 from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan, VoltageLimits
@@ -20,7 +19,6 @@ from dehyst.records import Table, table_of
 from dehyst.records.formats.column import listed
 
 ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
-TEMPERATURE = "Temperature [degC]; default: the column temperature_C, or the reference of the model."
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
 # Part of the stroke above which the reason of a promised error is given.
@@ -53,43 +51,29 @@ def reason_of(promise: Promise | None) -> list[str]:
 
 
 def temperature_of(
-    known: AxesModel,
-    constant: float | None,
-    columns: Columns,
-    table: Table | None = None,
-    *,
-    remark: Callable[[str], object],
-) -> float | Array | None:
-    """Return the temperature of a path [degC]: `constant`, or the column (n,) of its `table`; or None.
+    known: AxesModel, columns: Columns, table: Table, *, remark: Callable[[str], object]
+) -> Array | None:
+    """Return the temperature (n,) [degC] in the table of a path; None if it has none.
 
-    A column that was not asked for is left out if the model does not know of temperatures. `remark` is called with a
-    sentence if there is a column that is not used.
+    A column that was not asked for is left out, which is remarked, if the model does not know of temperatures.
     """
-    named = columns.temperature is not None
-    if constant is not None and named:
-        raise ModelError(argument="temperature", got="a column and a constant one", hint="leave one out")
-    if constant is not None or named:
+    if columns.temperature is not None:
         demand_thermal(*(actuator.thermal for actuator in known.actuators))
-    own = () if table is None else tuple(column.name for column in table.columns if column.role == "temperature")
-    if constant is not None:
-        if own:
-            remark(f"temperature: {constant:g} degC was given and is used, not {listed(own)} of the file")
-        return check.number(constant, "temperature")
-    if table is not None and any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
+    if any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
         return warmth_of(table, columns)
-    if own:
+    if own := tuple(column.name for column in table.columns if column.role == "temperature"):
         remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
     return None
 
 
 def read_path(
-    known: AxesModel, path: Path, columns: Columns, constant: float | None = None, *, remark: Callable[[str], object]
-) -> tuple[Array, float | Array | None, dict[str, Array]]:
+    known: AxesModel, path: Path, columns: Columns, *, remark: Callable[[str], object]
+) -> tuple[Array, Array | None, dict[str, Array]]:
     """Return the wanted displacement (n, axes) [m] in a file, its temperature [degC], and its time."""
     known.demand(columns, PATH, "on a path")
     table = table_of(path, columns)
     wanted = known.values(table, "displacement", columns)
-    warmth = temperature_of(known, constant, columns, table, remark=remark)
+    warmth = temperature_of(known, columns, table, remark=remark)
     return wanted, warmth, clock_of(table, columns)
 
 
@@ -99,12 +83,12 @@ def temperature_column(path: PathPlan) -> dict[str, Array]:
 
 
 def reach_remarks(
-    actuator: Actuator, wanted: Array, limits: Limits, zero: float | None, temperature: float | Array | None = None
+    actuator: Actuator, wanted: Array, limits: Limits, zero: float | None, temperature: Array | None = None
 ) -> list[str]:
     """Return remarks on a path (n,) [m] outside of the reachable range, or in another unit, and what to try.
 
-    `temperature`: of the path, (n,) or one [degC]; default: not known, the reference counts. Of several temperatures,
-    the range is that which is reached at all of them. Raise `ModelError` if the path is more than a stroke outside,
+    `temperature`: of the path (n,) [degC]; default: not known, the reference counts. The range is that which is reached
+    at all temperatures. Raise `ModelError` if the path is more than a stroke outside,
     because then its zero, unit or model is wrong.
     """
     if not np.isfinite(wanted).all() or not wanted.size:

@@ -15,9 +15,9 @@ from dehyst.control import PathPlan, outside_identified, plan_voltage
 from dehyst.model import voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.command import argument, command, flag, number, option, output
+from dehyst.operations.command import argument, command, flag, option, output
 from dehyst.operations.files import COLUMNS, VOLTAGE, Columns, clock_of, write_table
-from dehyst.operations.paths import TEMPERATURE, temperature_column, temperature_of
+from dehyst.operations.paths import temperature_column, temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import START, Start
 from dehyst.records import table_of
@@ -31,7 +31,6 @@ def simulate(
     output: Path = output("Write time, voltage and displacement here (CSV)."),
     lag: bool = flag("Delay the displacement by the delay found at identification."),
     start: Start | None = option("State before the first sample, as in compensate; default: unknown.", START),
-    temperature: float | None = number(TEMPERATURE),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.
@@ -46,7 +45,7 @@ def simulate(
     given = known.values(table, "voltage", columns)
     time = clock_of(table, columns)
     begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
-    warmth = temperature_of(known, temperature, columns, table, remark=warnings.append)
+    warmth = temperature_of(known, columns, table, remark=warnings.append)
     ranges = [voltages_of(actuator) for actuator in known.actuators]
     known_path = {"time": time.get("time_s"), "temperature": warmth, "start": begins}
     paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **known_path)
