@@ -8,7 +8,7 @@ import pytest
 from command_line import result, run
 
 import dehyst
-from dehyst import Actuator, Record
+from dehyst import Record
 from dehyst.model import with_identification
 from dehyst.model.promise import Validity
 from dehyst.records import read_table, write_columns, write_record
@@ -115,13 +115,3 @@ def test_the_duration_of_a_homing_is_told_without_the_way(folder):
         told["homing_s"] == pytest.approx(time[phase == 1][0], abs=1e-9) and 4 < told["homing_s"] < time[phase == 2][0]
     )
     assert f"homed first from 0 V in {told['homing_s']:.4g} s" in run(*words, cwd=folder)[1]
-
-
-def test_a_record_is_found_by_its_name_in_the_model_if_that_is_unique(folder):
-    words = ("compensate", "model.json", "path.csv", "-o", "v.csv", "--start")
-    (name,) = (record["name"] for record in Actuator.load(folder / "model.json").provenance["records"])
-    by_name, by_file = (result(*words, f"as:{text}", cwd=folder)[1] for text in (name, f"{name}.csv"))
-    assert name == "loops" and by_name["start"]["name"] == "as:loops.csv" and by_name["state"] == by_file["state"]
-    write_columns(folder / "loops.tsv", {"time_s": [0.0]})
-    assert run(*words, "as:loops", cwd=folder)[0] == run(*words, "as:loop", cwd=folder)[0] == 2
-    (folder / "loops.tsv").unlink()

@@ -73,10 +73,9 @@ def named(name):
     return lambda model: {"start": starts(model, lambda actuator: PossibleStart.named(actuator, name))}
 
 
-def recorded(model, began=False):
+def recorded(model):
     def begin(actuator):
-        found = start_of(actuator, record_of(actuator), began=began)
-        return found.standing_at(actuator, float(VOLTAGE[0 if began else -1]))
+        return start_of(actuator, record_of(actuator)).standing_at(actuator, float(VOLTAGE[-1]))
 
     return {"start": starts(model, begin)}
 
@@ -101,7 +100,6 @@ EACH = {
     "path --start bottom --limits 0 100": lambda model: {**named("bottom")(model), "limits": (0, 100)},
 }
 ALONE = {
-    "path --start as:MODEL-record.csv": lambda model: recorded(model, began=True),
     "path --start history.csv": played,
     "path --start history.csv --present 70": lambda model: {
         "start": played(model)["start"].standing_at(model, 70.0),
@@ -119,7 +117,7 @@ CASES = [
     *((name, words) for name in MODELS for words in EACH),
     *((name, words) for name in ("plain", "creep") for words in ALONE),
     *((name, words) for name in ("plain", "stage") for words in WARM),
-    *(("stage", words) for words in [*OWN, "path --start as:MODEL-record.csv"]),
+    *(("stage", words) for words in OWN),
     ("plain", "rooms --columns temperature=stage_C"),
 ]
 GIVEN = {**EACH, **ALONE, **WARM, **OWN, "rooms --columns temperature=stage_C": {"temperature": DEGREES}}
@@ -170,19 +168,17 @@ def test_a_path_is_counted_from_its_zero(folder):
 
 def played_before(model, start):
     """The start of a voltage that is given as it is: the actuator need not stand there any more."""
-    began = start.startswith("as:")
     if start in ("", "top"):
         return named(start)(model)["start"] if start else None
     if start == "history.csv":
         return PossibleStart.after(model, VOLTAGE, time=TIME, limits=model.limits)
-    return starts(model, lambda actuator: start_of(actuator, record_of(actuator), began=began, limits=actuator.limits))
+    return starts(model, lambda actuator: start_of(actuator, record_of(actuator), limits=actuator.limits))
 
 
 @pytest.mark.parametrize(
     ("name", "start"),
     [
         *((name, start) for name in MODELS for start in ("", "top", "MODEL-record.csv")),
-        *((name, "as:MODEL-record.csv") for name in MODELS),
         *((name, "history.csv") for name in ("plain", "creep")),
     ],
 )

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from glob import escape
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from dehyst._errors import ModelError
 from dehyst._io import COMPUTED
 from dehyst._text import counted, digits
 from dehyst._types import Array
@@ -21,9 +19,7 @@ from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
 from dehyst.operations.files import Columns
 from dehyst.records import Record, read_table
-from dehyst.records.formats.loaders import LOADERS
 from dehyst.trust import start_of
-from dehyst.trust.start import BEGAN
 
 _COMPUTED = (
     "is an output of dehyst, whose displacements are computed, not measured: only its voltages determine the start; "
@@ -33,34 +29,21 @@ _COMPUTED = (
 
 @dataclass(frozen=True)
 class Start:
-    """The state before the first sample: a name of `PossibleStart`, or a file with the voltages played before.
-
-    `began`: the start is the state at the beginning of the file's record, not at its end.
-    """
+    """The state before the first sample: a name of `PossibleStart`, or a file with the voltages played before."""
 
     name: str = ""
     path: Path | None = None
-    began: bool = False
 
-    metavar: ClassVar[str] = f"{'|'.join(NAMES)}|FILE|{BEGAN}RECORD"
+    metavar: ClassVar[str] = f"{'|'.join(NAMES)}|FILE"
 
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the start in a text; raise ValueError that says what is needed."""
         if text in NAMES:
             return cls(text)
-        began = text.startswith(BEGAN) and not Path(text).exists()
-        path = Path(text.removeprefix(BEGAN) if began else text)
-        if began and not path.exists():
-            # A model names its records without a suffix.
-            files = [file for file in path.parent.glob(f"{escape(path.name)}.*") if file.suffix in LOADERS]
-            if len(files) > 1:
-                raise ValueError(f"got {text!r}, need one of {', '.join(sorted(file.name for file in files))}")
-            path = files[0] if files else path
-        if not path.exists():
-            needed = f"need {', '.join(NAMES)}, a file of what was played before, or {BEGAN}RECORD"
-            raise ValueError(f"got {text!r}, {needed}")
-        return cls("", path, began)
+        if not Path(text).exists():
+            raise ValueError(f"got {text!r}, need {', '.join(NAMES)}, or a file of what was played before")
+        return cls("", Path(text))
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -76,20 +59,19 @@ def starts_of(
 ) -> tuple[list[PossibleStart | None], list[str]]:
     """Return the start of each axis (None if not given) and remarks.
 
-    `rests`: whether the actuators still rest at the voltages of the start: the last ones of a file, or with `began` its
-    first.
+    `rests`: whether the actuators still rest at the voltages of the start, the last ones of a file.
     """
     if start is None:
         return [None] * len(model.axes), []
     if start.path is not None:
-        found = _starts_in(model, start, start.path, limits, columns, rests=rests)
+        found = _starts_in(model, start.path, limits, columns, rests=rests)
     else:
         found = [PossibleStart.named(actuator, start.name) for actuator in model.actuators]  # type: ignore[arg-type]
     return [*found], model.prefixed(begin.remarks for begin in found)
 
 
 def _starts_in(
-    model: AxesModel, start: Start, path: Path, limits: Sequence[Limits], columns: Columns, *, rests: bool
+    model: AxesModel, path: Path, limits: Sequence[Limits], columns: Columns, *, rests: bool
 ) -> list[PossibleStart]:
     """Return the start of each axis from a file. Displacements written by dehyst count for nothing: not measured."""
     table, name = read_table(path, columns), path.name
@@ -109,21 +91,15 @@ def _starts_in(
             yield model.column(table, quantity, axis, column or "") if axis else table.column(quantity, column)
 
     measured = not own and all(table.fitting("displacement", column) == 1 for column in names("displacement").values())
-    if start.began and not measured:
-        raise ModelError(
-            argument="start",
-            got=f"{BEGAN}{name}, without a measured displacement",
-            need="a record with one: it determines the state in which the record began",
-        )
     time = table.column("time") if measured or any(map(needs_time, model.actuators)) else None
     moved = model.targets(np.column_stack([*values("displacement")])).T if measured else [None] * len(model.axes)
     remarks, starts = (f"{name}: {_COMPUTED}",) if own else (), []
     for actuator, voltage, target, allowed in zip(model.actuators, values("voltage"), moved, limits, strict=True):
         if time is not None and target is not None:
-            found = start_of(actuator, Record(time, voltage, target, name), began=start.began, limits=allowed)
+            found = start_of(actuator, Record(time, voltage, target, name), limits=allowed)
         else:
             found = PossibleStart.after(actuator, voltage, time=time, limits=allowed or actuator.limits, name=name)
-        found = found.standing_at(actuator, float(voltage[0 if start.began else -1])) if rests else found
+        found = found.standing_at(actuator, float(voltage[-1])) if rests else found
         starts.append(replace(found, remarks=(*found.remarks, *remarks)))
     return starts
 

@@ -1,30 +1,23 @@
-"""The initial state that a record determines: the state at its end or at its beginning."""
+"""The state at the end of a record."""
 
 from __future__ import annotations
 
 from dehyst._errors import ModelError
 from dehyst._text import digits
 from dehyst.control import PossibleStart, model_error, outside_identified
-from dehyst.identification import initial_state, state_after
+from dehyst.identification import state_after
 from dehyst.model import Actuator, stroke_of, voltages_of
 from dehyst.records import Record
 
-# Before the name of a record whose beginning, not whose end, is the start.
-BEGAN = "as:"
 
-
-def start_of(
-    actuator: Actuator, record: Record, *, began: bool = False, limits: tuple[float, float] | None = None
-) -> PossibleStart:
-    """Return the initial state that a record determines by its measured displacement.
+def start_of(actuator: Actuator, record: Record, *, limits: tuple[float, float] | None = None) -> PossibleStart:
+    """Return the state at the end of a record, which its measured displacement determines.
 
     Parameters
     ----------
     actuator : Actuator
     record : Record
         A record of what was played before; the sensor's zero does not matter.
-    began : bool, optional
-        Return the state at the beginning of the record; default: the state at its end.
     limits : (float, float), optional
         Allowed voltages [V], in addition to the identified range.
 
@@ -43,7 +36,7 @@ def start_of(
     outside = outside_identified(actuator, record.voltage, limits, name=record.name)
     if reason := actuator._implausibility(record.displacement):
         raise ModelError(f"{record.name}: {reason}")
-    state, offset = (initial_state if began else state_after)(actuator, record)
+    state, offset = state_after(actuator, record)
     low, high = voltages_of(actuator)
     share = 100 * abs(offset) / (high - low)
     remarks = [*outside.warnings]
@@ -52,4 +45,4 @@ def start_of(
             f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {digits(share)} % of the range: "
             "expect displacements to be off the sensor's by as much"
         )
-    return PossibleStart(f"{BEGAN if began else ''}{record.name}", (state,), tuple(remarks))
+    return PossibleStart(record.name, (state,), tuple(remarks))
