@@ -50,7 +50,6 @@ REFUSED = {
     "simulate model.json loops.csv -o loops.csv --start loops.csv": ("", "loops.csv"),
     "simulate creep.json loops.csv -o out.csv --start timeless.csv": ("", "time"),
     "simulate model.json loops.csv -o out.csv --start volts.csv": ("", "200000 V"),
-    "simulate model.json timeless.csv -o out.csv --lag": "lag",
     "compensate model.json loops.csv -o out.csv --limits 5 1": "limits",
     "compensate model.json loops.csv -o out.csv --limits 0 inf": "limits",
     "compensate model.json far.csv -o out.csv": ("", "far.csv"),
