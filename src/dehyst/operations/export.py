@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import click
 
 from dehyst._views.fields import json_values
-from dehyst.control import Axis, Compensator, PossibleStart
-from dehyst.control.planning.start import model_error
+from dehyst.control import Axis, Compensator
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import TARGETS, target_of, written
@@ -28,14 +26,10 @@ from dehyst.operations.axes import (
 )
 from dehyst.operations.command import FOLDER, Condition, Values, argument, command, flag, option
 from dehyst.operations.command import number as number_option
-from dehyst.operations.files import AS_FOUND
 from dehyst.operations.run import Result, Run, demand_outputs
-from dehyst.operations.start import START, Start, start_words, starts_of
 
 # Entries of a start as JSON values.
 _BEGINS = "displacement_m=displacement voltage_V=voltage way"
-# Share of the limits' range by which a start may lie outside without a warning.
-_NEAR = 0.01
 
 
 def _of(option: str) -> Condition:
@@ -79,7 +73,6 @@ def export(
         _of("kind"),
         default="compensator",
     ),
-    start: Start = option("Initial state of the memory, as in compensate.", START, default="top"),
 ) -> Result:
     """Write the compensator of a MODEL as C into a DIRECTORY: sources, numbers, a README, and a trace for `make check`.
 
@@ -92,54 +85,36 @@ def export(
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
-    bounds: list[Any] = limits_of(known.axes, limits)
-    begins, remarks = starts_of(known, start, bounds, AS_FOUND)
-    states, slews = [state for state in begins if state is not None], known.slews(slew_rate)
-    given: dict[str, Any] = {"slew_rate": [slew.bound for slew in slews], "state": [at.state for at in states]}
-    allowed = bounds if loop else ANY_VOLTAGE
-    compensator = Compensator(known.stage or known.actuators[0], allowed, period=period, preview=preview, **given)
+    bounds: Any = limits_of(known.axes, limits) if loop else ANY_VOLTAGE
+    slews, source = known.slews(slew_rate), known.stage or known.actuators[0]
+    bound = [slew.bound for slew in slews]
+    compensator = Compensator(source, bounds, bound, period=period, preview=preview)
     loops = compensator._axes
-    remarks += known.prefixed(map(_remarks, loops, states))
-    source = compensator if loop else replace(known.actuators[0], state=states[0].state)
+    remarks = known.prefixed(map(_remarks, loops))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)
-        files = written(source, directory, number, name, None if loop else period)
+        files = written(compensator if loop else source, directory, number, name, None if loop else period)
     remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
     fields = {"path": str(directory), "kind": kind, "files": list(map(str, files)), "warnings": remarks}
+    begins = [ExportedStart.of(axis) for axis in loops]
     lines = [f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in files)}"]
-    lines += known.prefixed(_memory_words(*each, led=loop) for each in zip(loops, states, strict=True))
+    lines += known.prefixed(
+        [f"memory begins at {at.words}{f'; to bring the actuator there, {at.way}' if loop else ''}"] for at in begins
+    )
     if loop:
         fields |= known.merged([slew.fields() for slew in slews])
         unbound = ["slew rate: no bound; --slew-rate gives one"]
         lines += known.prefixed(slew.words if slew.bound else unbound for slew in slews)
-    memory = [{"begins": json_values(ExportedStart.of(part), _BEGINS)} for part in loops]
+    memory = [{"begins": json_values(at, _BEGINS)} for at in begins]
     return Result(fields | known.merged(memory), lines, warnings=remarks)
 
 
-def _memory_words(axis: Axis, start: PossibleStart, *, led: bool) -> Iterator[str]:
-    """Yield where the memory begins, and how an actuator that is `led` by it is brought there."""
-    at = ExportedStart.of(axis)
-    way = f"; to bring the actuator there, {at.way}" if led else ""
-    yield f"memory begins at {at.words} {start_words(axis.actuator, start, axis.state)}{way}"
-
-
-def _remarks(axis: Axis, start: PossibleStart) -> Iterator[str]:
-    """Yield warnings of limits beyond the records, and of a start outside of them or open by more than the error."""
-    actuator, (low, high) = axis.actuator, axis.limits
-    least, most = actuator.limits or (low, high)
+def _remarks(axis: Axis) -> Iterator[str]:
+    """Yield a warning of limits beyond the records."""
+    low, high = axis.limits
+    least, most = axis.actuator.limits or (low, high)
     if (low, high) != ANY_VOLTAGE and not least <= low <= high <= most:
         yield (
             f"limits: {low:.6g} to {high:.6g} V is used, but the model's records cover {least:.6g} to {most:.6g} V: "
             "outside, the model is extrapolated"
-        )
-    places, present = [actuator.displacement(state) for state in start.states], actuator.voltage(start.state)
-    if not low - _NEAR * (high - low) <= present <= high + _NEAR * (high - low):
-        yield (
-            f"the start state needs {present:.6g} V, outside the limits {low:.6g} to {high:.6g} V: memory begins at "
-            "the nearest limit; choose another state with --start"
-        )
-    if (width := max(places) - min(places)) > model_error(actuator):
-        yield (
-            f"{start.name}: these voltages leave the displacement at the start open by {1e6 * width:.3g} um: memory "
-            "begins in the middle; home the actuator first"
         )
