@@ -46,12 +46,6 @@ def test_the_measured_lag_is_said(folder):
     assert (status, "250 ms" in err) == (0, True)
 
 
-def test_homing_of_a_model_is_certified(folder):
-    status, out, _ = run("excite", "homing", "--model", "model.json", "-o", "home.csv", cwd=folder)
-    assert status == 0
-    assert "certified" in out
-
-
 def test_the_newcomers_trap_is_caught(folder):
     loops = read_table(folder / "loops.csv")
     rows = np.column_stack([loops.column("time"), loops.column("voltage"), loops.column("displacement") * 1e6])[:1200]

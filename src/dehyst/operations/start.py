@@ -161,8 +161,7 @@ def before_path(
     if longest and path.start.name in ("top", "bottom", "relaxed"):
         yield (
             f"this model creeps, and --start {path.start.name} assumes that the actuator has rested there for much "
-            f"longer than {longest:.3g} s; otherwise the displacement will be off: leave out --start, or play a homing "
-            "(dehyst excite homing --model) and use --start homed"
+            f"longer than {longest:.3g} s; otherwise the displacement will be off: leave out --start"
         )
 
 

@@ -9,17 +9,14 @@ from typing import Any, Self
 import click
 import numpy as np
 
-from dehyst._errors import ModelError, RecordError
-from dehyst.control import shortest_homing
+from dehyst._errors import RecordError
 from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import branches_of, paces_of, temperatures_to_record, words_of
 from dehyst.operations.command import (
-    INPUT,
     NUMBER,
     Declaration,
     Parsed,
     argument,
-    beside,
     command,
     flag,
     integer,
@@ -29,16 +26,15 @@ from dehyst.operations.command import (
     output,
     pair,
 )
-from dehyst.operations.files import read_model, write_table
+from dehyst.operations.files import write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
 from dehyst.waveforms.excitation import voltages
 from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 
-# Cycles a second [Hz] that are tried, the longest time [s] that a recording may take, and the pace of a model's homing.
+# Cycles a second [Hz] that are tried, and the longest time [s] that a recording may take.
 _FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _LONGEST, _RECOMMENDED, _HARDLY = 120.0, 240.0, 1.25
-_HOMING = 0.1
 _WHY = (
     "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
     "the loops; best is the rate at which the actuator will be used."
@@ -132,34 +128,6 @@ def stage(
     return _excited(stage_excitation, highest, longest=longest, **given)
 
 
-@command("homing", _DRIVEN, excite)
-def homing(
-    run: Run,
-    highest: float | None = argument(NUMBER, required=False),
-    model: Path | None = option("Model to home by the shortest certified waveform, instead of HIGHEST.", INPUT),
-    hold: float | None = number("Time at either limit [s] with creep; default: as long as needed.", beside("model")),
-    **given: Any,
-) -> Result:
-    """Home by a way up to HIGHEST [V] and back, or with --model the shortest way to a known state."""
-    if (highest is None) == (model is None):
-        raise ModelError(argument="highest", need="either a highest voltage or --model")
-    if model is None:
-        return _excited(standard.homing, highest, **given)
-    actuator = read_model(run, model)
-    output, hertz, bounds = given.pop("output"), given.pop("frequency") or _HOMING, given.pop("limits")
-    limits = bounds or actuator.limits
-    base = given.pop("base") or (0.0 if limits is None else float(np.clip(0.0, *limits)))
-    drive = Sampling(hertz, limits=limits, base=base, **given)
-    ends = {"present": drive.start, "end": drive.base}
-    way = shortest_homing(actuator, limits=drive.limits, **ends, drive=drive, hold=hold)
-    if len(way.turns) < 2:
-        words = "homing: the state is already known; nothing to play, nothing written"
-        return Result({"kind": "homing", "samples": 0, "warnings": list(way.remarks)}, [words], warnings=way.remarks)
-    certificate = "certified" if way.certified else "NOT certified"
-    remark = f"{certificate}: the displacement is known to {way.spread * 1e6:.3g} um after it"
-    return _written(way.played, output, remark, warnings=way.remarks, good=way.certified)
-
-
 def _excited(
     protocol: Callable[..., Excitation],
     highest: Any,
@@ -198,8 +166,6 @@ def _written(
     output: Path,
     remark: str = "",
     advice: tuple[str, ...] = (),
-    warnings: tuple[str, ...] = (),
-    good: bool = True,
     temperatures: Sequence[float] = (),
 ) -> Result:
     """Write an excitation of one axis or several."""
@@ -222,7 +188,7 @@ def _written(
         **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
         "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
         "record_at_degC": list(temperatures),
-        "warnings": [*warnings, *excitation.warnings],
+        "warnings": list(excitation.warnings),
         "output": str(output),
     }
     size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {rate:.6g} Hz"
@@ -236,7 +202,7 @@ def _written(
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
     if temperatures:
         advice = (*advice, f"Record it at {words_of(temperatures)}, each with a column temperature_C.")
-    return Result(fields, [line, *advice], warnings=fields["warnings"], good=good)
+    return Result(fields, [line, *advice], warnings=fields["warnings"])
 
 
 def refuse_cycles(made: Scan, cycles: int) -> None:

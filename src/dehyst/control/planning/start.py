@@ -13,11 +13,10 @@ from dehyst._types import Array
 from dehyst._units import per_metre
 from dehyst._validation import choice, interval, number, vector
 from dehyst.control.limits import outside_identified
-from dehyst.control.planning.homing import middle_of, possible_states, shortest_homing
+from dehyst.control.planning.homing import middle_of, possible_states
 from dehyst.model import Actuator, State, knots_of, state_within_limits, stroke_of, turned, voltages_of
-from dehyst.waveforms import Sampling
 
-StartName = Literal["top", "bottom", "relaxed", "homed"]
+StartName = Literal["top", "bottom", "relaxed"]
 NAMES: tuple[str, ...] = get_args(StartName)
 # Shares of the stroke: the error of a good model, for a model whose file does not hold its own, and the least one.
 _MODEL_ERROR, _LEAST = 1e-3, 1e-6
@@ -30,7 +29,7 @@ class PossibleStart:
     Attributes
     ----------
     name : str
-        "top", "bottom", "relaxed", "homed", "unknown", or the name of what was played before.
+        "top", "bottom", "relaxed", "unknown", or the name of what was played before.
     states : tuple of State
         The state if it is known; else states that bound all possible states.
     remarks : tuple of str
@@ -89,20 +88,13 @@ class PossibleStart:
 
     @classmethod
     def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
-        """Return the start of an `actuator` by name; raise `ModelError` if it is unknown, or a homing lacks limits.
+        """Return the start of an `actuator` by name; raise `ModelError` if it is unknown.
 
-        `name`: turned at the "top" or "bottom" of the identified range; "relaxed" at 0 V; or "homed", as after the
-        voltage that ``dehyst excite homing --model`` writes by default.
+        `name`: turned at the "top" or "bottom" of the identified range, or "relaxed" at 0 V.
         """
         choice(name, "start", NAMES, error=ModelError)
         if name == "relaxed":
             return cls(name, (actuator.relaxed(),))
-        if name == "homed":
-            low, high = actuator.limits or (0.0, 0.0)
-            homing = shortest_homing(actuator, present=min(max(0.0, low), high), drive=Sampling())
-            if homing.certified:
-                return cls(name, (homing.state,))
-            return cls.after(actuator, homing.played.voltage, time=homing.played.time, name=name)
         rising = name == "top"
         return cls(name, (turned(actuator, knots_of(actuator)[rising], rising=rising),))
 
