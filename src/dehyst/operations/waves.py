@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst.control.planning.ways import MOST_ROWS
-from dehyst.model import branches_of, paces_of, temperatures_to_record, words_of
+from dehyst.model import branches_of, paces_of
 from dehyst.operations.command import (
     NUMBER,
     Declaration,
@@ -51,8 +51,6 @@ _DRIVEN: dict[str, Declaration] = {
     "slew_rate": number("Largest abs(dv/dt) [V/s]; a low one makes the excitation longer."),
 }
 _VOLTAGE, _VOLTAGES = {"highest": argument(NUMBER)}, {"highest": argument(NUMBER, nargs=-1)}
-_TEMPERATURES = {"temperatures": pair("Range in use [degC], to say where to record.")}
-_MAJORS = {"majors": integer("Number of cycles up to the highest voltage before the tops.", default=2)}
 
 excite = kinds(
     "excite", help="Write the voltage of an excitation, to play and record; each KIND has a help of its own."
@@ -74,7 +72,7 @@ def _add_excitation(
         return _excited(protocol, given.pop(name), name=name, output=output, longest=longest, **given)
 
     written.__doc__ = text
-    command(kind, {**options, **_DRIVEN, **_TEMPERATURES}, excite)(written)
+    command(kind, {**options, **_DRIVEN}, excite)(written)
 
 
 _add_excitation(
@@ -98,7 +96,6 @@ _add_excitation(
     standard.descending_tops,
     **_VOLTAGE,
     steps=integer("Number of tops; the first top is highest.", default=10),
-    **_MAJORS,
 )
 _add_excitation(
     "staircase",
@@ -111,7 +108,7 @@ _add_excitation(
 )
 
 
-@command("stage", {**_VOLTAGES, **_DRIVEN, **_MAJORS, **_TEMPERATURES}, excite)
+@command("stage", {**_VOLTAGES, **_DRIVEN}, excite)
 def stage(
     run: Run,
     highest: tuple[float, ...] = argument(NUMBER, nargs=-1),
@@ -133,7 +130,6 @@ def _excited(
     highest: Any,
     output: Path,
     frequency: float | None,
-    temperatures: tuple[float, float] | None = None,
     longest: float = _LONGEST,
     name: str = "highest",
     **options: Any,
@@ -150,15 +146,14 @@ def _excited(
     def make(hertz: float) -> Excitation:
         return protocol(highest, drive=Sampling(hertz, **sampled), **options)
 
-    degrees = temperatures_to_record(None, temperatures)
     if frequency is not None:
-        return _written(make(frequency), output, temperatures=degrees)
+        return _written(make(frequency), output)
     # The slowest one that is short enough, or hardly longer than the fastest; a slew rate may lengthen branches.
     possible = [(make(hertz), hertz) for hertz in _FREQUENCIES]
     possible = [each for each in possible if sampled["slew_rate"] is None or not each[0].warnings] or possible
     most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
     found, hertz = next(each for each in possible if each[0].duration <= most)
-    return _written(found, output, f"{hertz:g} Hz by default", (_WHY,), temperatures=degrees)
+    return _written(found, output, f"{hertz:g} Hz by default", (_WHY,))
 
 
 def _written(
@@ -166,7 +161,6 @@ def _written(
     output: Path,
     remark: str = "",
     advice: tuple[str, ...] = (),
-    temperatures: Sequence[float] = (),
 ) -> Result:
     """Write an excitation of one axis or several."""
     names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
@@ -187,7 +181,6 @@ def _written(
         "last_V": last,
         **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
         "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
-        "record_at_degC": list(temperatures),
         "warnings": list(excitation.warnings),
         "output": str(output),
     }
@@ -200,8 +193,6 @@ def _written(
         what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
         what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
     line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
-    if temperatures:
-        advice = (*advice, f"Record it at {words_of(temperatures)}, each with a column temperature_C.")
     return Result(fields, [line, *advice], warnings=fields["warnings"])
 
 
