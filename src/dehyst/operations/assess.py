@@ -67,7 +67,7 @@ def insight(
             for remark in [*remarks, *reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth)]:
                 run.note(remark)
             when = {"time": clock.get("time_s"), "temperature": warmth, "start": begins}
-            (plan,) = known.planned(plan_path, path, [limits], [known.slews(slew_rate)[0].bound], **when)
+            (plan,) = known.planned(plan_path, path, [limits], known.slews(slew_rate)[0], **when)
         assessed = insight_one(known.actuators[0], training, plan=plan, **asked)
         found, head = (assessed,), []
     if report is not None:

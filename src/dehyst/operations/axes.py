@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 import numpy as np
@@ -17,10 +17,10 @@ from dehyst.control import Compensator, PathPlan
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Condition, Values, option
-from dehyst.operations.files import AS_FOUND, MIDDLE, Columns, is_model, read_model
+from dehyst.operations.files import AS_FOUND, Columns, is_model, read_model
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
-from dehyst.records.columns import Entry, columns_of_axis
+from dehyst.records.columns import columns_of_axis
 from dehyst.records.files import record_of
 from dehyst.records.tables import ColumnError, chosen
 
@@ -56,27 +56,6 @@ def limits_option(text: str, *only: Condition) -> Any:
 def slew_option(text: str, *only: Condition) -> Any:
     """Return the declaration of an option for the slew rates of all axes or of one."""
     return option(text, AxisNumber("[AXIS=]V/S|none", none=True), *only, multiple=True)
-
-
-class PathSlew(NamedTuple):
-    """The largest slew rate [V/s] of a path (None: its own speed), and its origin.
-
-    `origin`: "default", or "option", "none" for the option --slew-rate none, or "model" for that which the model keeps.
-    """
-
-    bound: float | None
-    origin: str
-
-    @property
-    def words(self) -> list[str]:
-        """A line on a slew rate that the model keeps."""
-        if self.origin != "model":
-            return []
-        return [f"slew rate: at most {self.bound:.4g} V/s, which the model keeps; --slew-rate takes another"]
-
-    def fields(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {"slew_V_per_s": self.bound, "slew_from": self.origin}
 
 
 def of_axes(axes: Sequence[str], given: Iterable[tuple[str, Any]], name: str) -> list[Any]:
@@ -136,17 +115,19 @@ class AxesModel:
         stage = Stage.load(path)
         return cls(stage, stage.actuators, stage.axes)
 
-    def slews(self, given: AxisNumbers) -> list[PathSlew]:
-        """Return the slew rate of each axis: the given one, the one that its model keeps, or none."""
-        found = []
+    def slews(self, given: AxisNumbers) -> tuple[list[float | None], list[str]]:
+        """Return the largest slew rate [V/s] of each axis, and a line on each that is the model's own.
+
+        It is the given one, that which the model keeps, or None: a path at its own speed.
+        """
+        rates, lines = [], []
         for actuator, rate in zip(self.actuators, of_axes(self.axes, given, "slew_rate"), strict=True):
             known = actuator.identification
-            kept = None if known is None else known.allowed_slew_rate
-            if rate is not None:
-                found.append(PathSlew(None, "none") if rate == math.inf else PathSlew(rate, "option"))
-            else:
-                found.append(PathSlew(kept, "default" if kept is None else "model"))
-        return found
+            kept = None if known is None or rate is not None else known.allowed_slew_rate
+            rates.append(kept if rate is None else None if rate == math.inf else rate)
+            words = f"slew rate: at most {kept or 0:.4g} V/s, which the model keeps; --slew-rate takes another"
+            lines.append([words] if kept else [])
+        return rates, self.prefixed(lines)
 
     def planned(
         self,
@@ -223,23 +204,21 @@ class AxesModel:
         return dict(text.partition("=")[::2] for text in known)
 
     def named(self, table: Table, quantity: str, columns: Columns, *, record: bool = False) -> dict[str, str]:
-        """Return the column of each of several axes, as in `Columns`.
+        """Return the column of each of several axes, as in `Columns`: the given ones, or the usual ones.
 
-        They are the given ones, those of the records if a table has them, or the usual ones. `record`: whether the
-        table is a record, of which both columns of an axis are given. The scales of the records are not those of paths
-        and voltages: there, columns of the records that have one are not used.
+        `record`: whether the table is a record, of which both columns of an axis are given, or those that the model
+        names.
         """
         if columns.axes and set(columns.axes) != set(self.axes):
             need = f"a column for each of the axes {', '.join(self.axes)}"
             raise FileFormatError(argument="axes", got=", ".join(columns.axes), need=need)
         at = -1 if quantity == "displacement" else 0
-        parts = {axis: columns_of_axis(text) for axis, text in columns.axes.items()}
-        if parts and (not record or all(len(names) == 2 for names in parts.values())):
-            return {axis: names[at] for axis, names in parts.items()}
-        names = {axis: columns_of_axis(text)[at] for axis, text in self._recorded().items()}
-        used = names and all(
-            table.fitting(quantity, name) == 1 and (record or Entry.of(name).scale is None) for name in names.values()
-        )
+        given = {axis: columns_of_axis(text) for axis, text in columns.axes.items()}
+        if given and (not record or all(len(names) == 2 for names in given.values())):
+            return {axis: names[at] for axis, names in given.items()}
+        kept = self._recorded() if record else {}
+        names = {axis: columns_of_axis(text)[at] for axis, text in kept.items()}
+        used = names and all(table.fitting(quantity, name) == 1 for name in names.values())
         return names if used else {axis: self.name(quantity, axis) for axis in self.axes}
 
     def column(self, table: Table, quantity: str, axis: str, named: str) -> Array:
@@ -251,19 +230,11 @@ class AxesModel:
             raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
-        """Return a quantity (n, axes) of a table: from the given columns, by the usual names, or as in the records."""
+        """Return a quantity (n, axes) of a table: from the given columns, or by the usual names."""
         if self.stage is None:
             return chosen(table, columns, (quantity,))[quantity].values[:, None]
         names = self.named(table, quantity, columns)
-        if columns.axes:
-            own = [name for name in names.values() if name != MIDDLE]
-            if len(set(own)) < len(own):
-                got = ", ".join(f"{axis}={name}" for axis, name in names.items())
-                raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
-        middle = self.moved(np.array([[0.5 * sum(actuator.reach) for actuator in self.actuators]]))[0]
-
-        def values(axis: str, place: float) -> Array:
-            rests = names[axis] == MIDDLE
-            return np.full(table.rows, place) if rests else self.column(table, quantity, axis, names[axis])
-
-        return np.column_stack([*map(values, self.axes, middle.tolist())])
+        if len({*names.values()}) < len(names):
+            got = ", ".join(f"{axis}={name}" for axis, name in names.items())
+            raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
+        return np.column_stack([self.column(table, quantity, axis, names[axis]) for axis in self.axes])

@@ -120,7 +120,7 @@ def calibrate(
     with _left(output), open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument:
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
-        for part, wanted, rate in zip(instrument.rigs, allowed, rates, strict=True):
+        for part, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):
             device = f"axis {part.axis} of the device" if names else "the device"
             for remark in bounds_remarks(wanted, rate, part.limits, f"{device} allows no more"):
                 run.note(remark)

@@ -23,7 +23,6 @@ from dehyst.operations.axes import (
     AxisNumber,
     AxisNumbers,
     Limits,
-    PathSlew,
     limits_of,
     limits_option,
     of_axes,
@@ -70,7 +69,7 @@ class _Request(NamedTuple):
 
     actuator: Actuator
     limits: Limits
-    slew: PathSlew
+    slew: float | None
     start: PossibleStart | None
     present: float | None
 
@@ -123,11 +122,12 @@ def compensate(
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
-    axes, remarks = _requests(known, limits, slew_rate, start, present, columns)
+    slews, kept = known.slews(slew_rate)
+    axes, remarks = _requests(known, limits, slews, start, present, columns)
     place = 1e-6 * (zero or 0.0)
     if zero is not None:
         remarks.append(f"the path is counted from {zero:.6g} um of the sensor, and written in um of the sensor")
-    task = _Task(run, known, axes, zero, remarks, plot)
+    task = _Task(run, known, axes, zero, remarks, kept, plot)
     how: dict[str, Any] = {"home": home, "home_within": home_within}
     if table is None:
         wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
@@ -145,13 +145,13 @@ def compensate(
 def _requests(
     known: AxesModel,
     limits: AxisLimits,
-    slew_rate: AxisNumbers,
+    slews: Sequence[float | None],
     start: Start | None,
     present: AxisNumbers,
     columns: Columns,
 ) -> tuple[list[_Request], list[str]]:
     """Return the request for each axis, and remarks on the start."""
-    bounds, slews = limits_of(known.axes, limits), known.slews(slew_rate)
+    bounds = limits_of(known.axes, limits)
     begins, remarks = starts.starts_of(known, start, bounds, columns)
     volts, axes = of_axes(known.axes, present, "present"), []
     for actuator, allowed, slew, begin, given in zip(known.actuators, bounds, slews, begins, volts, strict=True):
@@ -192,13 +192,14 @@ def _declared_scan(path: Path, columns: Columns, zero: float) -> tuple[Scan, Sca
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A path for the axes of a model: what was asked for, and remarks; `plot`: where it is drawn, if at all."""
+    """A path for the axes of a model: what was asked for, remarks, lines on slew rates, and where it is drawn."""
 
     run: Run
     known: AxesModel
     axes: Sequence[_Request]
     zero: float | None
     remarks: list[str]
+    kept: list[str]
     plot: Path | None
 
     def follow(self, wanted: Array, time: Mapping[str, Array], output: Path, **how: Any) -> Result:
@@ -208,7 +209,7 @@ class _Task:
         urgent = known.prefixed(
             reach_remarks(each.actuator, target, each.limits, self.zero, how["temperature"]) for each, target in pairs
         )
-        limits, slews = [each.limits for each in axes], [each.slew.bound for each in axes]
+        limits, slews = [each.limits for each in axes], [each.slew for each in axes]
         how |= {"start": [each.start for each in axes], "present": [each.present for each in axes]}
         plans = known.planned(plan_path, wanted, limits, slews, time=time.get("time_s"), **how)
         self.run.progress(f"writing {plans[0].voltage.size} rows")
@@ -220,7 +221,7 @@ class _Task:
         (request,) = self.axes
         urgent = reach_remarks(request.actuator, path.displacement, request.limits, self.zero)
         self.run.progress("homing, and the steady cycle")
-        how |= {"limits": request.limits, "slew_rate": request.slew.bound, "present": request.present}
+        how |= {"limits": request.limits, "slew_rate": request.slew, "present": request.present}
         try:
             table = wave_table(request.actuator, path, start=request.start, **how)
         except RecordError as error:
@@ -257,7 +258,7 @@ class _Task:
         """Return what to expect of the plans of all axes, and to do, with `added` lines; a file has `samples` rows."""
         known, each = self.known, [*zip(self.axes, plans, strict=True)]
         urgent += known.prefixed(
-            starts.before_path(request.actuator, plan, request.place, request.slew.bound, stands=request.stands)
+            starts.before_path(request.actuator, plan, request.place, request.slew, stands=request.stands)
             for request, plan in each
         )
         said = known.prefixed(plan.warnings for plan in plans)
@@ -271,7 +272,7 @@ class _Task:
             "lowest_V": known.by_axis(float(plan.voltage.min()) for plan in plans),
             "highest_V": known.by_axis(float(plan.voltage.max()) for plan in plans),
             "limits_V": known.by_axis(list(request.limits or voltages_of(request.actuator)) for request in self.axes),
-            **known.merged([request.slew.fields() for request in self.axes]),
+            "slew_V_per_s": known.by_axis(request.slew for request in self.axes),
             **known.merged([starts.path_start_fields(plan) for plan in plans]),
             "promise": known.by_axis(plan.promise and plan.promise.as_dict() for plan in plans),
             "warnings": [*urgent, *reasons, *others],
@@ -290,7 +291,7 @@ class _Task:
             *known.prefixed(map(starts.open_start, plans)),
             f"{counted(samples, 'sample')}, {', '.join(words)}: {output}",
             *files(Picture=self.plot),
-            *known.prefixed(request.slew.words for request in self.axes),
+            *self.kept,
             *added,
         ]
         usable = not any(plan.promise is not None and plan.promise.unusable for plan in plans)

@@ -86,9 +86,8 @@ def export(
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
     bounds: Any = limits_of(known.axes, limits) if loop else ANY_VOLTAGE
-    slews, source = known.slews(slew_rate), known.stage or known.actuators[0]
-    bound = [slew.bound for slew in slews]
-    compensator = Compensator(source, bounds, bound, period=period, preview=preview)
+    (slews, kept), source = known.slews(slew_rate), known.stage or known.actuators[0]
+    compensator = Compensator(source, bounds, slews, period=period, preview=preview)
     loops = compensator._axes
     remarks = known.prefixed(map(_remarks, loops))
     with warnings.catch_warnings(record=True) as caught:
@@ -102,9 +101,9 @@ def export(
         [f"memory begins at {at.words}{f'; to bring the actuator there, {at.way}' if loop else ''}"] for at in begins
     )
     if loop:
-        fields |= known.merged([slew.fields() for slew in slews])
+        fields["slew_V_per_s"] = known.by_axis(slews)
         unbound = ["slew rate: no bound; --slew-rate gives one"]
-        lines += known.prefixed(slew.words if slew.bound else unbound for slew in slews)
+        lines += kept + known.prefixed([] if slew else unbound for slew in slews)
     memory = [{"begins": json_values(at, _BEGINS)} for at in begins]
     return Result(fields | known.merged(memory), lines, warnings=remarks)
 

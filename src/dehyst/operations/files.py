@@ -25,8 +25,6 @@ __all__ = ["AS_FOUND", "PATH", "RECORD", "TEXT_KEYS", "VOLTAGE", "Columns"]
 AS_COLUMNS = Parsed(Columns)
 _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; see dehyst show --help."
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)
-# Place of an axis that stays in the middle of its range.
-MIDDLE = "middle"
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:

@@ -22,7 +22,6 @@ from dehyst.operations.axes import (
     AxisLimits,
     AxisNumbers,
     Limits,
-    PathSlew,
     limits_of,
     limits_option,
     slew_option,
@@ -76,8 +75,8 @@ def follow(
     if feedback and rate > HIGHEST_RATE * (1 + _RATES):
         hint = "give a slower path, or --learn"
         raise RecordError(argument="path", got=f"{rate:.6g} Hz", need="200 Hz at most with feedback", hint=hint)
-    allowed, slews = limits_of(known.axes, limits), known.slews(slew_rate)
-    asked: tuple[Any, Any] = allowed, [slew.bound for slew in slews]
+    allowed, (slews, _) = limits_of(known.axes, limits), known.slews(slew_rate)
+    asked: tuple[Any, Any] = allowed, slews
     axes = None if known.stage is None else known.axes
     bound, steepest = asked if axes else (asked[0][0], asked[1][0])
     with open_rig(rig, axes, limits=bound, slew_rate=steepest) as instrument:
@@ -112,9 +111,9 @@ def _placed(
     rig: AbstractRig,
     wanted: Array,
     allowed: Sequence[Limits],
-    slews: Sequence[PathSlew],
+    slews: Sequence[float | None],
     zero: float | None,
-    warmth: float | Array | None,
+    warmth: Array | None,
 ) -> tuple[Array, list[VoltageLimits]]:
     """Return the path (n, axes) [m] from the sensor's zero, and the limits of each axis; note what is narrower."""
     if len(rig.axes) != len(known.axes):
@@ -128,8 +127,7 @@ def _placed(
         low, high = voltages_of(actuator)
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
         bounds.append(used)
-        rate = np.inf if slew.origin == "none" else slew.bound
-        remarks.append(bounds_remarks(limit, rate, used, "device and model allow no more"))
+        remarks.append(bounds_remarks(limit, slew, used, "device and model allow no more"))
         # A path that is far outside is refused in micrometres here, in metres by the library.
         remarks[-1] += reach_remarks(actuator, target, (used.low, used.high), zero, warmth)
     for sentence in known.prefixed(remarks):

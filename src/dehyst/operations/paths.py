@@ -31,8 +31,7 @@ def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits,
     if limits is not None and limits != (used.low, used.high):
         remarks.append(f"limits: {limits[0]:.6g} to {limits[1]:.6g} V was given, {used.words} is used, as {who}")
     if slew_rate is not None and used.slew_rate is not None and used.slew_rate < slew_rate:
-        given = "none" if slew_rate == np.inf else f"{slew_rate:.6g} V/s"
-        remarks.append(f"slew rate: {given} was given, {used.slew_rate:.6g} V/s is used, as {who}")
+        remarks.append(f"slew rate: {slew_rate:.6g} V/s was given, {used.slew_rate:.6g} V/s is used, as {who}")
     return remarks
 
 
