@@ -158,7 +158,9 @@ def test_another_version_of_records_and_paths_is_refused(tmp_path):
     scan = of_version_99(tmp_path / "scan-1.csv", '{"kind"', '{"version": 99, "kind"')
     with pytest.raises(FileFormatError, match=OTHER):
         dehyst.read(text)
-    status, _, error = run("compensate", GOLDEN / "plain-1.json", scan, "-o", tmp_path / "v.csv")
+    status, _, error = run(
+        "compensate", GOLDEN / "plain-1.json", scan, "-o", tmp_path / "v.csv", "--table", tmp_path / "t.csv"
+    )
     assert status == 2
     assert "got version 99, need version 1" in error
 
