@@ -47,9 +47,7 @@ from dehyst.model.temperatures import (
     demand_thermal,
     temperature_columns,
     temperature_range,
-    temperatures_to_record,
     tested_temperatures,
-    words_of,
 )
 
 __all__ = [
