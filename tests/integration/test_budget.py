@@ -23,7 +23,7 @@ ROOMS = {
     "foundation": 1356,
     "identification": 5811,
     "instruments": 2434,
-    "model": 3477,
+    "model": 3475,
     "operations": 3164,
     "paper": 960,
     "records": 4580,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2309,
 }
 HOUSE = {
-    "lines of Python": 37067,
+    "lines of Python": 37065,
     "files of Python": 188,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2721,
