@@ -27,7 +27,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
 _PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
-_COLUMNS = ("time", "voltage", "displacement", "temperature", "wanted")
+_COLUMNS = ("time", "voltage", "displacement", "temperature")
 # Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
 TEXT_KEYS = ("decimal", "max_size")
 RECORD = ("time", "voltage", "displacement", "temperature", "rate", "hold", "join", *TEXT_KEYS)
@@ -149,8 +149,6 @@ class Columns:
         an amplifier whose monitor the column is (100), or a factor with units, that of the quantity and that of the
         column (10 um/V, 25 V/A); or, of a displacement, what a periodic signal repeats: "fringe 316.4 nm", "grating 3
         um". "?": a guess, which the record keeps in ``meta["guesses"]``.
-    wanted : str, optional
-        The same for the displacement in a file of a path, if the columns of records are given too.
     rate : float, optional
         Samples per second [Hz], in the place of a column of time.
     hold : str, optional
@@ -176,7 +174,6 @@ class Columns:
     voltage: str | None = None
     displacement: str | None = None
     temperature: str | None = None
-    wanted: str | None = None
     rate: float | None = None
     hold: str | None = None
     join: PathLike | None = None
@@ -227,9 +224,9 @@ class Columns:
         for key, value in entries_of(text).items():
             if key in ("rate", "max_size"):
                 found[key] = _number(key, value)
-            elif key in RECORD or key in _COLUMNS:
+            elif key in RECORD:
                 found[key] = value
-            elif near := get_close_matches(key.lower(), (*RECORD, *_COLUMNS), cutoff=0.8):
+            elif near := get_close_matches(key.lower(), RECORD, cutoff=0.8):
                 raise FileFormatError(argument="columns", got=f"the key {key!r}", need=f"{near[0]}, if that is meant")
             else:
                 found["axes"][key] = value
