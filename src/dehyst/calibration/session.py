@@ -17,7 +17,7 @@ from dehyst._io import PathLike, lock, made_folder, unwritten
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst.instruments import AbstractRig, Samples, StepFunction
-from dehyst.records import Columns, Record, Recording, about_of, demand_disk_space, read
+from dehyst.records import Columns, Record, Recording, about_of, read
 from dehyst.waveforms import Excitation
 
 
@@ -151,7 +151,6 @@ class Session:
         if record is not None:
             self.kept.append(name)
         else:
-            demand_disk_space(self.records, len(excitation), 1 + 2 * len(self.rig.axes))
             if not self.played:
                 # The wave of a killed process may still play.
                 self.rig.retreat()

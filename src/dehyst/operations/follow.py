@@ -31,7 +31,7 @@ from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, in
 from dehyst.operations.files import COLUMNS, Columns, write_table
 from dehyst.operations.paths import ZERO, bounds_remarks, reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import demand_disk_space, percent
+from dehyst.records import percent
 from dehyst.report.html import document, words
 from dehyst.report.sections import followed as followed_sections
 
@@ -92,7 +92,6 @@ def follow(
         if isinstance(warmth, np.ndarray):
             warmth = np.concatenate([warmth, np.full(len(wanted) - size, warmth[-1])])
         record = made_folder(output) / "record.csv"
-        demand_disk_space(output, 2 * len(wanted) * (repeat or _MOST), 1 + 3 * len(axes or "1"))
         if run.force:
             record.unlink(missing_ok=True)
         with Steps(run) as watcher:

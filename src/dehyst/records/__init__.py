@@ -8,7 +8,7 @@ from dehyst.records.formats.column import impossible
 from dehyst.records.formats.loaders import GCS_END, GCS_SEPARATORS, LOADERS, gcs_entries
 from dehyst.records.quality import guesses
 from dehyst.records.record import Record, of_one_axis, reversals
-from dehyst.records.recording import Recording, about_of, demand_disk_space
+from dehyst.records.recording import Recording, about_of
 from dehyst.records.signals import (
     NOISE_PEAK,
     bandwidth,

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import json
 import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -21,8 +20,6 @@ from dehyst.records.formats.containers import LINE, LONGEST
 from dehyst.records.record import Channel
 
 _MICRO, _EMPTY = 1e6, MappingProxyType[str, Any]({})
-# Bytes of a number, with a comma or a line end; and of what else a file needs.
-_NUMBER_BYTES, _MARGIN = 25, 1_000_000
 
 
 class Recording:
@@ -148,17 +145,3 @@ def about_of(path: Path) -> dict[str, Any]:
         stated = json.loads(stream.readline(LONGEST).decode().removeprefix(LINE))
         return stated if isinstance(stated, dict) else {}
     return {}
-
-
-def demand_disk_space(folder: PathLike, samples: int, columns: int = 3) -> None:
-    """Raise `FileFormatError` before a recording if the disk has no space for its file."""
-    needed = samples * columns * _NUMBER_BYTES + _MARGIN
-    try:
-        free = shutil.disk_usage(folder).free
-    except OSError as error:
-        raise unwritten(folder, error) from error
-    if free < needed:
-        raise FileFormatError(
-            f"{folder}: {samples} samples need up to {needed / 1e6:.1f} MB, but {free / 1e6:.1f} MB are free; make "
-            "room there, or name a place that has some"
-        )
