@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dehyst import DehystError, FileFormatError, Record, read
-from dehyst.records import LOADERS, read_table
+from dehyst.records import LOADERS, files, read_table
 from dehyst.records.formats.file_content import Allowance
 
 RECORD = Record(file_specimens.T, file_specimens.V, file_specimens.Y)
@@ -86,9 +86,10 @@ def test_foreign_content_is_refused(path, content):
         assert caught.value.got and caught.value.need and caught.value.hint
 
 
-def test_the_limit_of_bytes_holds(path):
+def test_the_limit_of_bytes_holds(path, monkeypatch):
+    monkeypatch.setattr(files, "MOST", path.stat().st_size - 1)
     with pytest.raises(FileFormatError, match="allow"):
-        read(path, f"max_size={(path.stat().st_size - 1) / 1e6}")
+        read(path)
 
 
 def test_the_allowance_of_memory_holds(path):

@@ -107,7 +107,6 @@ NO_COLUMNS = {
     "rate=HZ": "columns",
     "rate=0": "rate",
     "rate=nan": "rate",
-    "max_size=-1": "max_size",
     "decimal=;": "decimal",
     "hold=long": "hold",
     "voltage=a*GAIN": "columns",
@@ -134,7 +133,7 @@ def test_a_text_that_is_none_is_refused(text, tmp_path, monkeypatch):
     [
         Columns(),
         Columns(time="Time, local:ms", voltage='a "b":mV*100', displacement="3:um?", rate=50.0),
-        Columns(displacement="pd*fringe 316.4 nm", join="second.csv", decimal="comma", max_size=20.0, hold="sample"),
+        Columns(displacement="pd*fringe 316.4 nm", join="second.csv", decimal="comma", hold="sample"),
         Columns(axes={"x": "vx_V:x_um", "y": "vy*2:y:nm*-1 um/um"}, temperature="4:C"),
     ],
 )

@@ -42,7 +42,7 @@ from dehyst.operations.command import (
     output,
     switch,
 )
-from dehyst.operations.files import COLUMNS, TEXT_KEYS, Columns, scan_declared, write_table
+from dehyst.operations.files import COLUMNS, Columns, scan_declared, write_table
 from dehyst.operations.paths import (
     ZERO,
     reach_remarks,
@@ -168,7 +168,7 @@ def _declared_scan(path: Path, columns: Columns, zero: float) -> tuple[Scan, Sca
 
     Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
     """
-    columns.demand(("displacement", *TEXT_KEYS), "on the path of a scan")
+    columns.demand(("displacement", "decimal"), "on the path of a scan")
     hint, declared = "write it again with dehyst scan", scan_declared(path) or {}
     options = {name: value for name, value in declared.items() if name not in ("kind", "cycles", "sample_rate")}
     try:

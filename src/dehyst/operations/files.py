@@ -14,14 +14,14 @@ from dehyst._types import Array
 from dehyst.operations.command import Parsed, option
 from dehyst.operations.run import MODELS, Run
 from dehyst.records import Columns, Table, write_columns
-from dehyst.records.columns import AS_FOUND, PATH, RECORD, TEXT_KEYS, VOLTAGE
+from dehyst.records.columns import AS_FOUND, PATH, RECORD, VOLTAGE
 from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
 
 if TYPE_CHECKING:
     from dehyst.model import Actuator
 
-__all__ = ["AS_FOUND", "PATH", "RECORD", "TEXT_KEYS", "VOLTAGE", "Columns"]
+__all__ = ["AS_FOUND", "PATH", "RECORD", "VOLTAGE", "Columns"]
 AS_COLUMNS = Parsed(Columns)
 _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; see dehyst show --help."
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)

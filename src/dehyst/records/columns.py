@@ -19,7 +19,7 @@ from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import Numbers, axis_names, choice
 from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
-from dehyst.records.formats.file_content import MOST, opened
+from dehyst.records.formats.file_content import opened
 
 # Placeholder for the samples a second.
 RATE = "HZ"
@@ -28,9 +28,8 @@ _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
 _PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
 _COLUMNS = ("time", "voltage", "displacement", "temperature")
-# Keys of what is read of a file: of a record, of a voltage, of a path, of a file of which only the text may be special.
-TEXT_KEYS = ("decimal", "max_size")
-RECORD = ("time", "voltage", "displacement", "temperature", "rate", "hold", "join", *TEXT_KEYS)
+# Keys of what is read of a file: of a record, of a voltage, of a path.
+RECORD = (*_COLUMNS, "rate", "hold", "join", "decimal")
 VOLTAGE = tuple(key for key in RECORD if key not in ("displacement", "hold"))
 PATH = tuple(key for key in RECORD if key not in ("voltage", "hold"))
 _ABOVE_0 = Numbers(positive=True, optional=True, error=FileFormatError)
@@ -158,8 +157,6 @@ class Columns:
         Second file of the same measurement, aligned on time, or on the sample if one of the files has no time.
     decimal : str, optional
         "point" or "comma": the sign of a file whose numbers do not show it.
-    max_size : float
-        Largest size of the file, and of its numbers in memory [MB].
     axes : mapping
         Of several axes: other keys, their names, as ``x=vx_V:x_um``: the columns of VOLTAGE:DISPLACEMENT for a record,
         DISPLACEMENT for a path.
@@ -178,14 +175,13 @@ class Columns:
     hold: str | None = None
     join: PathLike | None = None
     decimal: str | None = None
-    max_size: float = MOST / 1e6
     axes: dict[str, str] = field(default_factory=dict)
 
     metavar: ClassVar[str] = "TEXT"
     about: ClassVar[str] = (
         "How files are read, as 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE that `show --save` "
-        "wrote. Other keys: rate=HZ, temperature=NAME:C, hold=sample, join=FILE, decimal=point|comma, max_size=MB, and "
-        "of several axes x=VOLTAGE:DISPLACEMENT; default: columns are found by their names."
+        "wrote. Other keys: rate=HZ, temperature=NAME:C, hold=sample, join=FILE, decimal=point|comma, and of several "
+        "axes x=VOLTAGE:DISPLACEMENT; default: columns are found by their names."
     )
 
     def __post_init__(self) -> None:
@@ -197,8 +193,7 @@ class Columns:
                 raise FileFormatError(argument=key, got=repr(value), need="the name of a column, as 'voltage_V'")
             if value is not None:
                 Entry.of(value)
-        for key in ("rate", "max_size"):
-            _ABOVE_0(getattr(self, key), key)
+        _ABOVE_0(self.rate, "rate")
         for key, known in (("decimal", ("point", "comma")), ("hold", HOLDS)):
             if getattr(self, key) is not None:
                 choice(getattr(self, key), key, known, error=FileFormatError)
@@ -222,7 +217,7 @@ class Columns:
             return cls.parse(_text_in(Path(text[1:])))
         found: dict[str, Any] = {"axes": {}}
         for key, value in entries_of(text).items():
-            if key in ("rate", "max_size"):
+            if key == "rate":
                 found[key] = _number(key, value)
             elif key in RECORD:
                 found[key] = value

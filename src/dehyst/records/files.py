@@ -20,7 +20,7 @@ from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.column import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
-from dehyst.records.formats.file_content import Allowance, opened
+from dehyst.records.formats.file_content import MOST, Allowance, opened
 from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
@@ -156,18 +156,18 @@ def table_of(path: PathLike, columns: Columns) -> Table:
 
 
 def read_table(path: PathLike, columns: Columns | None = None) -> Table:
-    """Read all numeric columns of a file, by decimal sign and largest size of `columns`; errors as in `read`."""
+    """Read all numeric columns of a file, by the decimal sign of `columns`; errors as in `read`."""
     path, columns = path_of(path), columns or Columns()
     if path.suffix.lower() not in LOADERS and path.is_file():
         known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
         raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
-    with reading_errors(path, path.suffix), opened(path, 1e6 * columns.max_size) as stream:
+    with reading_errors(path, path.suffix), opened(path, MOST) as stream:
         if columns.decimal is not None and path.suffix.lower() not in ("", *_WITH_SIGNS):
             got = f"{columns.decimal} for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
         digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
         stream.seek(0)
-        found = load(path, stream, Allowance(int(1e6 * columns.max_size), path.stem, _SIGNS.get(columns.decimal or "")))
+        found = load(path, stream, Allowance(MOST, path.stem, _SIGNS.get(columns.decimal or "")))
     if not found:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
     return Table(path.name, digest, tuple(found))

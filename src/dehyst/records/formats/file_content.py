@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from dehyst._errors import FileFormatError
 
-# Default limit of the bytes of a file and of its numbers: 20 million samples.
+# Limit of the bytes of a file and of its numbers: 20 million samples.
 MOST = 500_000_000
 # Bytes of a double.
 _DOUBLE = 8
@@ -34,12 +34,11 @@ class Allowance:
             raise FileFormatError(
                 f"{what} has {_in_words(size)}, more than the {_in_words(self.left)} left of the "
                 f"{_in_words(self.most)} that are allowed",
-                hint="give a larger max_size=MB if you trust the file",
-                change=("columns",),
+                hint="save every second sample, or several records",
             )
 
 
-def opened(path: Path, most: float) -> BinaryIO:
+def opened(path: Path, most: int) -> BinaryIO:
     """Open a file, or read a pipe once; raise `FileFormatError` for a folder, a device, none or too many bytes."""
     state = path.stat()
     if stat.S_ISDIR(state.st_mode):
@@ -51,10 +50,10 @@ def opened(path: Path, most: float) -> BinaryIO:
     if not size:
         # A pipe, or a file of the system that states no size.
         with stream:
-            kept = io.BytesIO(stream.read(int(most) + 1))
+            kept = io.BytesIO(stream.read(most + 1))
         size, stream = kept.getbuffer().nbytes, kept
     try:
-        Allowance(int(most)).check(size, f"{path}: the file")
+        Allowance(most).check(size, f"{path}: the file")
         if not size:
             raise FileFormatError(f"{path}: the file is empty; export the measurement again")
     except FileFormatError:
