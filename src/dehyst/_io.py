@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,6 +206,21 @@ def reading_errors(path: Path, kind: str) -> Iterator[None]:
         raise FileFormatError(f"{path}: cannot be read", got=got, need=need, hint=hint) from error
 
 
+def opened(path: Path, most: float) -> BinaryIO:
+    """Open a file; raise an error for a folder, a device, a pipe, or more than `most` bytes."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError
+    if not stat.S_ISREG(status.st_mode):
+        raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
+    if not status.st_size:
+        raise FileFormatError(f"{path}: the file is empty; write or export it again")
+    if status.st_size > most:
+        size, need = f"{status.st_size / 1e6:.4g} MB", f"{most / 1e6:g} MB at most"
+        raise FileFormatError(f"{path}: has {size}, need {need}; check the name, or save fewer rows")
+    return path.open("rb")
+
+
 def read_json(path: PathLike) -> dict[str, Any]:
     """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
 
@@ -231,17 +246,9 @@ def read_json(path: PathLike) -> dict[str, Any]:
     def constant(word: str) -> float:
         raise FileFormatError(f"{path}: holds {word}, but every number must be finite; correct it")
 
-    with reading_errors(path, "JSON"):
-        status = path.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise IsADirectoryError
-        if not stat.S_ISREG(status.st_mode):
-            raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
-        if status.st_size > _MOST_JSON:
-            size, most = f"{status.st_size / 1e6:.0f} MB", f"{_MOST_JSON / 1e6:g} MB at most"
-            raise FileFormatError(f"{path}: has {size}, need {most}; check the name")
+    with reading_errors(path, "JSON"), opened(path, _MOST_JSON) as stream:
         try:
-            text = path.read_bytes().decode("utf-8-sig")
+            text = stream.read().decode("utf-8-sig")
             data = json.loads(
                 text, object_pairs_hook=unique, parse_float=number, parse_int=number, parse_constant=constant
             )

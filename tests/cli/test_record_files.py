@@ -1,10 +1,8 @@
 """Files on the command line: what a message prints works, `dehyst show`, scales in the model, the zero of a path."""
 
 import json
-import os
 import re
 import shlex
-import threading
 from pathlib import Path
 
 import laboratory_files
@@ -77,18 +75,6 @@ def test_show_counts_the_values_of_a_column_that_are_not_finite(tmp_path, monkey
     assert "2 to 39, 2 values not finite" in shown and "40 values not finite" in shown and " nan" not in shown
     ranges = [column["range"] for column in json.loads(run("show", "gaps.csv", "--json").stdout)["file_columns"]]
     assert ranges[3:] == [[2.0, 39.0], []]
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
-def test_show_reads_a_pipe_once(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    laboratory_files.semicolons(tmp_path / "zeit.csv")
-    os.mkfifo("pipe.csv")
-    writer = threading.Thread(target=lambda: (tmp_path / "pipe.csv").write_bytes((tmp_path / "zeit.csv").read_bytes()))
-    writer.start()
-    done = run("show", "pipe.csv")
-    writer.join()
-    assert done.exit_code == 0, done.stderr
 
 
 def test_a_monitor_and_a_sensor_in_four_commands(monitor):

@@ -88,7 +88,7 @@ def test_foreign_content_is_refused(path, content):
 
 def test_the_limit_of_bytes_holds(path, monkeypatch):
     monkeypatch.setattr(files, "MOST", path.stat().st_size - 1)
-    with pytest.raises(FileFormatError, match="allow"):
+    with pytest.raises(FileFormatError, match="MB at most"):
         read(path)
 
 

@@ -14,12 +14,11 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, path_of, reading_errors, write_atomically
+from dehyst._io import PathLike, opened, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import Numbers, axis_names, choice
 from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
-from dehyst.records.formats.file_content import opened
 
 # Placeholder for the samples a second.
 RATE = "HZ"

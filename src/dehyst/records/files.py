@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
-from dehyst._io import COMPUTED, PathLike, packed, path_of, reading_errors, write_atomically
+from dehyst._io import COMPUTED, PathLike, opened, packed, path_of, reading_errors, write_atomically
 from dehyst._types import Array
 from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.column import TEXT, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
-from dehyst.records.formats.file_content import MOST, Allowance, opened
+from dehyst.records.formats.file_content import MOST, Allowance
 from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
@@ -45,8 +45,7 @@ def read(path: PathLike, columns: Columns | str | None = None, *, name: str | No
     Parameters
     ----------
     path : path
-        .csv .tsv .txt .dat .asc .xlsx .mat .h5 .hdf5 .tdms .npz or .npy. A named pipe is read once;
-        without a suffix it holds text.
+        .csv .tsv .txt .dat .asc .xlsx .mat .h5 .hdf5 .tdms .npz or .npy.
     columns : Columns or str, optional
         Columns, units, scales, and how the file is read, as "time=Time:ms, voltage=Ch1*100, displacement=Sensor:um";
         by default columns are found by their names, and nothing is guessed.
@@ -162,7 +161,7 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
         known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
         raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
     with reading_errors(path, path.suffix), opened(path, MOST) as stream:
-        if columns.decimal is not None and path.suffix.lower() not in ("", *_WITH_SIGNS):
+        if columns.decimal is not None and path.suffix.lower() not in _WITH_SIGNS:
             got = f"{columns.decimal} for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
         digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]

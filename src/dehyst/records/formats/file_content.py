@@ -1,11 +1,6 @@
-"""The bytes of a file, and the limits of their size and of the memory for its numbers."""
+"""The limits of the size of a file and of the memory for its numbers."""
 
 from __future__ import annotations
-
-import io
-import stat
-from pathlib import Path
-from typing import BinaryIO
 
 from dehyst._errors import FileFormatError
 
@@ -36,30 +31,6 @@ class Allowance:
                 f"{_in_words(self.most)} that are allowed",
                 hint="save every second sample, or several records",
             )
-
-
-def opened(path: Path, most: int) -> BinaryIO:
-    """Open a file, or read a pipe once; raise `FileFormatError` for a folder, a device, none or too many bytes."""
-    state = path.stat()
-    if stat.S_ISDIR(state.st_mode):
-        raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
-    if not (stat.S_ISFIFO(state.st_mode) or stat.S_ISREG(state.st_mode)):
-        raise FileFormatError(f"{path}: this is a device, need a file or a pipe; save its data to a file first")
-    size = state.st_size
-    stream: BinaryIO = path.open("rb")
-    if not size:
-        # A pipe, or a file of the system that states no size.
-        with stream:
-            kept = io.BytesIO(stream.read(most + 1))
-        size, stream = kept.getbuffer().nbytes, kept
-    try:
-        Allowance(most).check(size, f"{path}: the file")
-        if not size:
-            raise FileFormatError(f"{path}: the file is empty; export the measurement again")
-    except FileFormatError:
-        stream.close()
-        raise
-    return stream
 
 
 def _in_words(size: int) -> str:

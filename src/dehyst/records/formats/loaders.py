@@ -135,9 +135,9 @@ LOADERS: dict[str, Loader] = {
 def load(path: Path, stream: BinaryIO, allowance: Allowance) -> list[Column]:
     """Read a file's columns; raise FileFormatError, with the file's name before each message.
 
-    A file without a suffix, as a pipe, holds text. Raise `MissingExtraError` if the library is not installed.
+    Raise `MissingExtraError` if the library is not installed.
     """
-    suffix = path.suffix.lower() or ".csv"
+    suffix = path.suffix.lower()
     try:
         with warnings.catch_warnings():
             # A library warns of styles of a sheet and the like, which do not matter for the columns.
