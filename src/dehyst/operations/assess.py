@@ -48,8 +48,7 @@ def insight(
     The status is 1 if there is a warning.
     """
     known = AxesModel.read(run, model)
-    keys = RECORD if trajectory is None else (*RECORD, "wanted", "temperature")
-    known.demand(columns, keys, "on records")
+    known.demand(columns, RECORD, "on records")
     training = [known.record(run, path, columns) for path in records]
     asked: dict[str, Any] = {"limits": limits, "progress": run.progress}
     if known.stage is not None:
@@ -59,8 +58,8 @@ def insight(
     else:
         plan = None
         if trajectory is not None:
-            # Columns are those of the records, but for the wanted displacement.
-            own = Columns(displacement=columns.wanted, temperature=columns.temperature)
+            # The columns are those of the records.
+            own = Columns(temperature=columns.temperature)
             path, warmth, clock = read_path(known, trajectory, own, remark=run.note)
             begins, remarks = starts_of(known, start, [limits], columns)
             path = path + 1e-6 * (zero or 0.0)
