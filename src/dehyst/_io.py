@@ -188,37 +188,31 @@ def made_folder(folder: PathLike) -> Path:
 
 
 @contextmanager
-def reading_errors(path: Path, kind: str) -> Iterator[None]:
-    """Raise FileFormatError for any error while a file of this kind is read."""
+def reading(path: Path, kind: str, most: float) -> Iterator[BinaryIO]:
+    """Open a file of at most `most` bytes; raise FileFormatError for any error while it is read."""
     try:
-        yield
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise FileFormatError(f"{path}: this is a folder; give one of the files in it")
+        if not stat.S_ISREG(status.st_mode):
+            raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
+        if not status.st_size:
+            raise FileFormatError(f"{path}: the file is empty; write or export it again")
+        if status.st_size > most:
+            size, need = f"{status.st_size / 1e6:.4g} MB", f"{most / 1e6:g} MB at most"
+            raise FileFormatError(f"{path}: has {size}, need {need}; check the name, or save fewer rows")
+        with path.open("rb") as stream:
+            yield stream
     except DehystError:
         raise
     except FileNotFoundError as error:
         raise FileFormatError(f"{path}: no such file; check the name and the folder") from error
-    except IsADirectoryError as error:
-        raise FileFormatError(f"{path}: this is a folder; give one of the files in it") from error
     except PermissionError as error:
         raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
     except Exception as error:  # every library has its own errors for broken content
         got, need = f"{str(error)[:300] or 'other content'!r} from its reader", f"a whole {kind} file"
         hint = "correct its suffix, or save the file again"
         raise FileFormatError(f"{path}: cannot be read", got=got, need=need, hint=hint) from error
-
-
-def opened(path: Path, most: float) -> BinaryIO:
-    """Open a file; raise an error for a folder, a device, a pipe, or more than `most` bytes."""
-    status = path.stat()
-    if stat.S_ISDIR(status.st_mode):
-        raise IsADirectoryError
-    if not stat.S_ISREG(status.st_mode):
-        raise FileFormatError(f"{path}: is a device, a pipe or a socket; give the name of a file")
-    if not status.st_size:
-        raise FileFormatError(f"{path}: the file is empty; write or export it again")
-    if status.st_size > most:
-        size, need = f"{status.st_size / 1e6:.4g} MB", f"{most / 1e6:g} MB at most"
-        raise FileFormatError(f"{path}: has {size}, need {need}; check the name, or save fewer rows")
-    return path.open("rb")
 
 
 def read_json(path: PathLike) -> dict[str, Any]:
@@ -246,7 +240,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
     def constant(word: str) -> float:
         raise FileFormatError(f"{path}: holds {word}, but every number must be finite; correct it")
 
-    with reading_errors(path, "JSON"), opened(path, _MOST_JSON) as stream:
+    with reading(path, "JSON", _MOST_JSON) as stream:
         try:
             text = stream.read().decode("utf-8-sig")
             data = json.loads(

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from dehyst._errors import DehystError, FileFormatError, LinkError, MissingExtraError, library
-from dehyst._io import PathLike, path_of, reading_errors, write_atomically
+from dehyst._io import PathLike, path_of, reading, write_atomically
 from dehyst._text import counted
 from dehyst._threads import one_thread
 from dehyst._types import Progress
@@ -222,8 +222,8 @@ def _rows_of(path: Path) -> list[_Row]:
     """Return the rows of a table; none if there is no file."""
     if not path.exists():
         return []
-    with reading_errors(path, "Parquet"):
-        table = library("pyarrow.parquet", "A fleet", "fleet").read_table(path)
+    with reading(path, "Parquet", float("inf")) as stream:
+        table = library("pyarrow.parquet", "A fleet", "fleet").read_table(stream)
     if tuple(table.column_names) != COLUMNS:
         raise FileFormatError(f"{path}: is no table of a fleet; give another name, or remove the file")
     return list(table.to_pylist())

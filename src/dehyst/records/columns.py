@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, opened, path_of, reading_errors, write_atomically
+from dehyst._io import PathLike, path_of, reading, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import Numbers, axis_names, choice
@@ -313,7 +313,7 @@ def columns_of_axis(text: str) -> list[str]:
 
 def _text_in(path: Path) -> str:
     """Return the text of a file that `Columns.save` wrote."""
-    with reading_errors(path, "text"), opened(path, _LONGEST) as stream:
+    with reading(path, "text", _LONGEST) as stream:
         text = stream.read().decode("utf-8-sig").strip()
     if text.startswith("@"):
         raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")

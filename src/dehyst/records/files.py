@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dehyst._errors import FileFormatError
-from dehyst._io import COMPUTED, PathLike, opened, packed, path_of, reading_errors, write_atomically
+from dehyst._io import COMPUTED, PathLike, packed, path_of, reading, write_atomically
 from dehyst._types import Array
 from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
@@ -160,7 +160,7 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
     if path.suffix.lower() not in LOADERS and path.is_file():
         known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
         raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
-    with reading_errors(path, path.suffix), opened(path, MOST) as stream:
+    with reading(path, path.suffix, MOST) as stream:
         if columns.decimal is not None and path.suffix.lower() not in _WITH_SIGNS:
             got = f"{columns.decimal} for {path.suffix} files, which hold no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
