@@ -218,9 +218,8 @@ def reading(path: Path, kind: str, most: float) -> Iterator[BinaryIO]:
 def read_json(path: PathLike) -> dict[str, Any]:
     """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
 
-    Raise `FileFormatError` if `path` is not a file name, the file does not exist, is a device or a pipe, has more than
-    100 MB, is not UTF-8 or not valid JSON, is not an object, or holds a repeated key, NaN, Infinity, or a number too
-    large for a float.
+    Raise `FileFormatError` if it cannot be read, has more than 100 MB, is not UTF-8 or not valid JSON, is no object, or
+    holds a repeated key, NaN, Infinity, or a number too large for a float.
     """
     path = path_of(path)
 
