@@ -15,7 +15,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1094,
+    "calibration": 1093,
     "cli": 405,
     "control": 3693,
     "exports": 1265,
@@ -24,9 +24,9 @@ ROOMS = {
     "identification": 5811,
     "instruments": 2434,
     "model": 3475,
-    "operations": 3164,
+    "operations": 3162,
     "paper": 960,
-    "records": 4580,
+    "records": 4523,
     "report": 1491,
     "testing": 346,
     "trust": 2295,
@@ -36,13 +36,13 @@ ROOMS = {
     "workbench": 2309,
 }
 HOUSE = {
-    "lines of Python": 37065,
+    "lines of Python": 37005,
     "files of Python": 188,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 33835,
+    "lines of tests": 33787,
     "lines of benchmarks": 4957,
-    "words of docs": 27498,
+    "words of docs": 27491,
     "public names": 111,
     "commands": 16,
     "options": 110,
