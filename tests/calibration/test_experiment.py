@@ -8,7 +8,7 @@ import pytest
 from calibration_listener import Heard
 from command_line import result
 
-from dehyst import Actuator, DehystError, FileFormatError, Record, RecordError, read
+from dehyst import Actuator, DehystError, FileFormatError, Record, read
 from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.plan import Excitations, steps
@@ -172,28 +172,11 @@ def test_a_folder_of_another_instrument_is_refused(finished):
         calibrate(rig, folder, watcher=Heard())
 
 
-def test_a_given_protocol_is_played_as_it_is(tmp_path):
-    given = raised_cosine(
-        [200, 150, 100, 50], cycles=2, drive=Excitations((VoltageLimits(0, 200),), 400.0, 1.0).samplings()[0]
-    )
-    found = calibrate(SimulatedRig(PlayActuator()), tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
-    assert [record.name for record in found.training] == ["given-1"]
-    np.testing.assert_allclose(read(tmp_path / "records" / "given-1.csv").voltage, given.voltage, atol=1e-9)
-
-
-def test_a_protocol_beyond_the_limits_is_refused_before_it_is_sent(tmp_path):
-    given = raised_cosine([150.0], drive=Excitations((VoltageLimits(0, 200),), 400.0).samplings()[0])
-    rig = SimulatedRig(PlayActuator(), limits=(0, 100))
-    with pytest.raises(RecordError, match=r"raised-cosine: 0 to 150 V, but .* may have 0 to 100 V"):
-        calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Heard())
-    assert rig.instrument.axis.log.highest == 0
-    assert not (tmp_path / "records").exists()
-
-
-def test_it_retreats_from_what_stops_it_between_records(tmp_path):
-    """The given protocol ends at 100 V, where the voltage stays while the model is identified."""
+def test_it_retreats_from_what_stops_it_between_records(tmp_path, monkeypatch):
+    """The excitation ends at 100 V, where the voltage stays while the model is identified."""
     rising = raised_cosine([200, 100], cycles=1, drive=Excitations((VoltageLimits(0, 200),), 400.0, 1.0).samplings()[0])
     given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
+    monkeypatch.setattr(Excitations, "recommended", lambda _: given)
     rig = SimulatedRig(PlayActuator())
 
     class Impatient(Heard):
@@ -204,7 +187,7 @@ def test_it_retreats_from_what_stops_it_between_records(tmp_path):
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        calibrate(rig, tmp_path, plan=Plan(protocol=(given,)), watcher=Impatient())
+        calibrate(rig, tmp_path, watcher=Impatient())
     assert caught.value.__notes__ == ["The voltage was brought to 0 V."]
     assert rig.instrument.axis.voltage == 0
 

@@ -34,13 +34,13 @@ class Calibration:
     `fit`: a Fit, or a StageFit of several axes; these have no `insight`. `nominal` and `compensated`: the measured path
     with a constant ratio and with the model; `checked`: the check of each axis by the record of the latter. `goal`:
     allowed error on the path [% of the stroke]. `remarks`: sentences on a rig that warms or drifts, and on where the
-    voltage could not follow. `training`: the records of the identification; records in `kept` were on disk already,
+    voltage could not follow. `training`: the record of the identification; records in `kept` were on disk already,
     those in `played` were played; files in `aside` were there too, but cut off, damaged, or of another plan.
     `instrument`: the rig with its axes and limits.
     """
 
     fit: Fit | StageFit
-    training: tuple[Record, ...]
+    training: Record
     nominal: TrackedPath
     compensated: TrackedPath
     checked: tuple[Recheck, ...]
@@ -55,7 +55,7 @@ class Calibration:
     @property
     def since(self) -> str:
         """Time at which the first record began, in UTC."""
-        return min(str(record.meta.get("started", "")) for record in self.training)
+        return str(self.training.meta.get("started", ""))
 
     @property
     def model(self) -> Actuator | Stage:
@@ -87,7 +87,7 @@ class Calibration:
             "program": __version__,
             **self.instrument,
             **json_values(self, "good goal_percent=goal stroke_m=nominal.stroke"),
-            "records": [record.name for record in self.training],
+            "records": [self.training.name],
             "warnings": list(self.warnings()),
             **json_values(self, "nominal compensated kept played fit"),
             "check": [recheck.as_dict() for recheck in self.checked],
@@ -133,7 +133,8 @@ def calibrate(
 def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> Calibration:
     """Record and identify, then play a path with a constant ratio and with the model."""
     excitations, several = plan.excitations(rig), len(rig.axes) > 1
-    training = [session.record(excitation, name) for name, _, excitation in plan.training(excitations)]
+    whole = excitations.recommended()
+    training = session.record(whole, whole.name)
     fit, insight_ = _identified(rig, training, listener)
     planner = PathPlanner(excitations)
 
@@ -156,7 +157,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
     limits, rates = [[each.limits.low, each.limits.high] for each in rig.rigs], [each.slew_rate for each in rig.rigs]
     return Calibration(
         fit,
-        training=tuple(training),
+        training=training,
         nominal=TrackedPath.of(linear, before, rig.rows(len(linear.excitation))),
         compensated=TrackedPath.of(modelled, after, rig.rows(len(modelled.excitation))),
         checked=checked,
@@ -176,16 +177,16 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
 
 
 def _identified(
-    rig: AbstractRig, training: Sequence[Record], listener: ProgressListener
+    rig: AbstractRig, training: Record, listener: ProgressListener
 ) -> tuple[Fit | StageFit, Insight | None]:
-    """Identify the records; of one axis, assess what they determine too."""
+    """Identify the record; of one axis, assess what it determines too."""
     listener.step("identify")
-    fit: Any = identify(training if len(training) > 1 else training[0], progress=listener.message)
+    fit: Any = identify(training, progress=listener.message)
     if len(rig.axes) > 1:
         return replace(fit, stage=replace(fit.stage, name=f"{rig.identity}, axes {', '.join(rig.axes)}")), None
-    listener.message("assessing what the records determine")
+    listener.message("assessing what the record determines")
     fit = replace(fit, actuator=replace(fit.actuator, name=f"{rig.identity}, axis {rig.axis}"))
-    return fit, insight(fit.actuator, training, limits=(rig.limits.low, rig.limits.high))
+    return fit, insight(fit.actuator, [training], limits=(rig.limits.low, rig.limits.high))
 
 
 def _remarks(records: Sequence[Record], checked: Sequence[Recheck]) -> Iterator[str]:

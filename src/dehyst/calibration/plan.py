@@ -1,4 +1,4 @@
-"""The plan of a calibration: all voltages, known before anything is sent, and voltages from files."""
+"""The plan of a calibration: all voltages, known before anything is sent."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import FileFormatError, RecordError
+from dehyst._errors import FileFormatError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, played_rate
-from dehyst.records import read_table
 from dehyst.waveforms import (
     RATIO,
     TURNS,
@@ -103,8 +102,6 @@ class Plan:
     frequency : float, optional
         Cycles per second [Hz] of the slowest loops, default 0.1, and 1 for several axes; the path is five times as fast
         as one actuator's loops.
-    protocol : tuple of Excitation
-        Excitations to record instead of the recommended one.
     goal : float
         Largest error along the path [% of the stroke] of a good calibration, on every axis.
 
@@ -115,7 +112,6 @@ class Plan:
     """
 
     frequency: float | None = None
-    protocol: tuple[Excitation, ...] = ()
     goal: float = 1.0
 
     def __post_init__(self) -> None:
@@ -123,23 +119,11 @@ class Plan:
         positive(self.goal, "goal")
 
     def excitations(self, rig: AbstractRig) -> Excitations:
-        """Return the excitations of this plan on a `rig`; raise RecordError if it has several axes and a protocol."""
+        """Return the excitations of this plan on a `rig`."""
         usual, samples, faster = _ALONE if len(rig.axes) == 1 else _TOGETHER
         frequency = self.frequency or usual
-        if self.protocol and len(rig.axes) > 1:
-            hint = "leave it out, or calibrate one axis at a time"
-            raise RecordError("a protocol is of one axis", argument="protocol", hint=hint)
         limits = tuple(each.limits for each in rig.rigs)
         return Excitations(limits, played_rate(rig, samples * frequency), frequency, faster, rig.axes)
-
-    def training(self, excitations: Excitations) -> list[tuple[str, str, Excitation]]:
-        """Return name, description and excitation of each record for the identification."""
-        if self.protocol:
-            return [(f"given-{i}", f"{given.name}, as given", given) for i, given in enumerate(self.protocol, 1)]
-        whole = excitations.recommended()
-        if len(excitations.axes) > 1:
-            return [("axes", "each axis alone, then all together", whole)]
-        return [("recommended", "the recommended excitation: loops, random turns, speeds, holds", whole)]
 
 
 class PlannedStep(NamedTuple):
@@ -168,7 +152,11 @@ class PlannedStep(NamedTuple):
 def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     """Return the steps that a calibration would play; raise `RecordError` if they exceed the rig's limits."""
     excitations = plan.excitations(rig)
-    planned = [PlannedStep(*step) for step in plan.training(excitations)]
+    whole = excitations.recommended()
+    what = "the recommended excitation: loops, random turns, speeds, holds"
+    if len(excitations.axes) > 1:
+        what = "each axis alone, then all together"
+    planned = [PlannedStep(whole.name, what, whole)]
     homing, branches = excitations.homing(), excitations.branches
     # The way to the path, and the path.
     path = branches[0] + (len(TURNS) - 1) * max(branches)
@@ -178,16 +166,6 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     for step in planned:
         rig.check(step.excitation)
     return tuple(planned)
-
-
-def read_voltage(path: Path) -> Excitation:
-    """Read a voltage to play, as `dehyst excite` and `dehyst compensate` write it: time [s] and voltage [V].
-
-    Raise `FileFormatError` if the file cannot be read, or its times do not rise evenly.
-    """
-    table = read_table(path)
-    voltage = table.column("voltage")
-    return Excitation(path.stem, voltage, even_rate(path, table.column("time")))
 
 
 def even_rate(path: Path, time: Array) -> float:

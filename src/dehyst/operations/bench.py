@@ -16,12 +16,12 @@ from dehyst._io import demand_own_folder
 from dehyst._types import Array
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
-from dehyst.calibration.plan import read_voltage, steps
+from dehyst.calibration.plan import steps
 from dehyst.calibration.session import ProgressListener
 from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, Samples, open_rig
 from dehyst.operations.axes import AxisLimits, AxisNumbers, limits_of, limits_option, of_axes, slew_option
-from dehyst.operations.command import CONTINUED, INPUT, Values, argument, command, flag, number, option, output
+from dehyst.operations.command import CONTINUED, Values, argument, command, flag, number, option, output
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_report
@@ -83,10 +83,6 @@ def _names(given: Values) -> list[str] | None:
     return last.split(",") if given["rig"].lower().startswith("pi://") and "," in last else None
 
 
-def _single(given: Values) -> str:
-    return "" if _names(given) is None else "with several axes"
-
-
 @command("calibrate")
 def calibrate(
     run: Run,
@@ -96,7 +92,6 @@ def calibrate(
     limits: AxisLimits = limits_option("Range of the voltage [V]; default: the device's."),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s."),
     frequency: float | None = number("Frequency [Hz] of the slowest loops; default: 0.1, or 1 for several axes."),
-    protocol: tuple[Path, ...] = option("Voltages of dehyst excite to play instead.", INPUT, _single, multiple=True),
     goal: float = number("Largest error [% of the stroke] of a good calibration, on every axis.", default=1.0),
     dry_run: bool = flag("Print what would be sent, and send nothing."),
 ) -> Result:
@@ -111,7 +106,7 @@ def calibrate(
     every = names or [""]
     allowed, rates = limits_of(every, limits), of_axes(every, slew_rate, "slew_rate")
     steepest = [None if rate == math.inf else rate for rate in rates]
-    plan = Plan(protocol=tuple(map(read_voltage, protocol)), frequency=frequency, goal=goal)
+    plan = Plan(frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():
         demand_own_folder(output, "records", "", force=run.force)
     # A rig of one axis need not know lists.
