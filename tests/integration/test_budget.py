@@ -15,7 +15,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1093,
+    "calibration": 1072,
     "cli": 405,
     "control": 3693,
     "exports": 1265,
@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 5811,
     "instruments": 2434,
     "model": 3475,
-    "operations": 3162,
+    "operations": 3157,
     "paper": 960,
     "records": 4523,
     "report": 1491,
@@ -36,16 +36,16 @@ ROOMS = {
     "workbench": 2309,
 }
 HOUSE = {
-    "lines of Python": 37005,
+    "lines of Python": 36979,
     "files of Python": 188,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2721,
-    "lines of tests": 33787,
+    "lines of tests": 33762,
     "lines of benchmarks": 4957,
-    "words of docs": 27491,
+    "words of docs": 27477,
     "public names": 111,
     "commands": 16,
-    "options": 110,
+    "options": 109,
     "lines of packages/rivals": 2046,
 }
 
