@@ -28,14 +28,13 @@ def most_spread(actuator, homing, count, seed=0):
 
 
 @pytest.mark.parametrize(
-    ("limits", "present", "end"),
-    [((0, 260), 0, None), ((-40, 260), 0, None), ((-300, 300), 0, None), ((-50, 250), 100, 20), ((0, 260), 260, 260)],
+    ("limits", "present"), [((0, 260), 0), ((-40, 260), 0), ((-300, 300), 0), ((-50, 250), 100), ((0, 260), 260)]
 )
 @pytest.mark.parametrize("actuator", [PLANT, plain_records.plant(20, seed=1, curved=0.6)])
-def test_every_state_at_rest_ends_in_the_certified_one(actuator, limits, present, end):
-    homing = shortest_homing(actuator, limits=limits, present=present, end=end)
+def test_every_state_at_rest_ends_in_the_certified_one(actuator, limits, present):
+    homing = shortest_homing(actuator, limits=limits, present=present)
     assert homing.certified
-    assert (homing.turns[0], homing.turns[-1]) == (present, present if end is None else end)
+    assert (homing.turns[0], homing.turns[-1]) == (present, present)
     assert homing.played.voltage.min() >= limits[0] and homing.played.voltage.max() <= limits[1]
     assert most_spread(actuator, homing, 300) < 1e-12 * plain_records.STROKE
 
@@ -116,9 +115,7 @@ def test_more_time_leaves_less():
     ("options", "message"),
     [
         ({"limits": (0, 100), "present": -1}, "present: got -1"),
-        ({"limits": (0, 100), "end": np.nan}, "end"),
         ({"limits": (0, 100), "tolerance": 0}, "tolerance"),
-        ({"limits": (0, 100), "hold": -1}, "hold"),
         ({"limits": (0, 100), "within": -1}, "within"),
         ({}, "no voltage limits"),
     ],

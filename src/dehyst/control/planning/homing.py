@@ -94,10 +94,8 @@ def shortest_homing(
     *,
     limits: Sequence[float] | None = None,
     present: float = 0.0,
-    end: float | None = None,
     tolerance: float | None = None,
     drive: Sampling | None = None,
-    hold: float | None = None,
     within: float | None = None,
 ) -> Homing:
     """Find a short voltage that leads from any state to a known state.
@@ -110,15 +108,13 @@ def shortest_homing(
     actuator : Actuator
     limits : (float, float), optional
         Lowest and highest voltage [V]; default the actuator's.
-    present, end : float, optional
-        Present and final voltage [V]; default: 0, and back to the present voltage.
+    present : float, optional
+        Present voltage [V], to which it comes back.
     tolerance : float, optional
         Allowed difference of the displacement [m] of any two histories; default: 1e-3 of the spring's range.
     drive : Sampling, optional
         Speed and shape of the branches; default: 50 s, or a twentieth of the longest creep time constant, and at least
         fifty periods of a resonance.
-    hold : float, optional
-        Time [s] at the last visit of either limit. Default: as the tolerance requires, else the longest creep time.
     within : float, optional
         Longest duration [s], with shorter holds and faster branches; default: as long as the tolerance requires.
 
@@ -130,22 +126,21 @@ def shortest_homing(
     Raises
     ------
     ModelError
-        If there are no limits, `present` or `end` lies outside them, or a number is impossible.
+        If there are no limits, `present` lies outside them, or a number is impossible.
     RecordError
         If the branches cannot be short enough within the slew rate of `drive`.
     """
     allowed = allowed_limits(actuator, limits)
-    bounds = VoltageLimits(*allowed)
-    ends = bounds.within(present, "present"), bounds.within(present if end is None else end, "end")
+    start = VoltageLimits(*allowed).within(present, "present")
     usual = _TOLERANCE * float(np.ptp(actuator.spring.displacement))
     least = usual if tolerance is None else Numbers(positive=True)(tolerance, "tolerance")
-    hold, within = Numbers(least=0.0, optional=True)(hold, "hold"), HOME_WITHIN(within, "home_within")
+    within = HOME_WITHIN(within, "home_within")
     sampling = drive or Sampling(frequency=0.5 / branch_seconds(actuator))
-    given = replace(sampling, base=ends[1], present=ends[0], limits=allowed)
+    given = replace(sampling, base=start, present=start, limits=allowed)
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
     for through in [recorded, allowed] if recorded[0] < recorded[1] and recorded != allowed else [allowed]:
-        found = _TimedHoming(actuator, allowed, through, ends, given, least).homing(hold, within)
+        found = _TimedHoming(actuator, allowed, through, start, given, least).homing(within)
         if found.certified:
             break
     return found
@@ -155,31 +150,31 @@ def shortest_homing(
 class _TimedHoming:
     """A homing over time through both `limits`, from the states that bound all histories within what is `allowed`.
 
-    `ends`: first and last voltage [V]. Its parameters are the number of branches, and the holds [s] at the last visit
+    `start`: first and last voltage [V]. Its parameters are the number of branches, and the holds [s] at the last visit
     of either limit.
     """
 
     actuator: Actuator
     allowed: tuple[float, float]
     limits: tuple[float, float]
-    ends: tuple[float, float]
+    start: float
     sampling: Sampling
     tolerance: float
 
     def __post_init__(self) -> None:
-        self.states = possible_states(self.actuator, self.ends[0], self.allowed, self.sampling.half)
+        self.states = possible_states(self.actuator, self.start, self.allowed, self.sampling.half)
         # The longest time constant of creep [s].
         self.longest = float(creep_times(self.actuator).max(initial=0.0))
-        self._cycle = self._few(self.sampling.branches(_way_through(self.limits, self.ends[1], self.ends[1], 2)))
+        self._cycle = self._few(self.sampling.branches(_way_through(self.limits, self.start, 2)))
 
-    def homing(self, hold: float | None, within: float | None) -> Homing:
-        """Return the shortest homing; with a `hold` [s] this is given, and it may take no longer than `within` [s]."""
-        start, stop = self.ends
+    def homing(self, within: float | None) -> Homing:
+        """Return the shortest homing; it may take no longer than `within` [s]."""
+        start = self.start
         known, spread = self.left(np.array([start]), np.zeros(1))
-        if start == stop and spread <= self.tolerance and hold is None:
+        if spread <= self.tolerance:
             return Homing((start,), known, True, (), self.sampling.play("homing", [Branch(start, start, 0.0)]), spread)
-        wait = _rest_seconds(self.actuator) if hold is None else float(hold)
-        if hold is None and self.longest:
+        wait = _rest_seconds(self.actuator)
+        if self.longest:
             needed = self.needed(wait)
             wait = self.longest if needed is None else needed
         branches = self.best(wait)[0]
@@ -259,7 +254,7 @@ class _TimedHoming:
 
     def turns(self, branches: int) -> tuple[float, ...]:
         """Return the voltages [V] to visit, the present voltage first."""
-        return _way_through(self.limits, *self.ends, branches)
+        return _way_through(self.limits, self.start, branches)
 
     def path(self, branches: int, hold: float) -> list[Branch]:
         """Return the branches through the turns, with a hold at the last visit of either limit."""
@@ -305,13 +300,13 @@ class _TimedHoming:
         return motion.displacement, motion.state
 
 
-def _way_through(limits: tuple[float, float], start: float, stop: float, branches: int) -> tuple[float, ...]:
+def _way_through(limits: tuple[float, float], start: float, branches: int) -> tuple[float, ...]:
     """Return the voltages [V] of the shorter way through both limits in `branches` visits; up first if equal."""
     low, high = limits
     ways = []
     for first, second in ((high, low), (low, high)):
         visited = [start]
-        for turn in [*[first, second] * (branches // 2), stop]:
+        for turn in [*[first, second] * (branches // 2), start]:
             if turn != visited[-1]:
                 visited.append(turn)
         ways.append(tuple(visited))

@@ -201,20 +201,6 @@ class Part:
         words = "home within a shorter time to begin earlier, with more of the start left open"
         return (f"the path begins after {self.way.seconds + float(time[ahead] - time[0]):.4g} s; {words}",)
 
-    def speeds(self, time: Array | None, rates: dict[str, Array]) -> tuple[str, ...]:
-        """Return a remark if the path, with its `rates` [m/s, m/s^2], needs more than the slew rate."""
-        loop, actuator = self.loop, self.loop.actuator
-        if time is None or time.size < 2 or loop.slew_rate is None or not self.found.clamped.any():
-            return ()
-        gain, offset = loop.scaling(self.warmth, time.size)
-        target = (self.moved - offset) / gain
-        given: dict[str, Any] = {name: values / gain for name, values in rates.items()}
-        given |= {"time": time, "state": state_at(actuator, actuator.state, float(target[0])), "extrapolate": True}
-        voltage = np.clip(actuator.compensate(target, **given).voltage, *loop.limits)
-        needed = float(np.abs(np.diff(voltage) / np.diff(time)).max())
-        slewed = f"the path needs up to {needed:.4g} V/s, the slew rate allows {loop.slew_rate:.4g} V/s"
-        return (slewed,) if needed > loop.slew_rate else ()
-
 
 class Task:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
@@ -449,7 +435,7 @@ class Task:
             if wanted is None:
                 remarks += shortfall(volts, clamped, loop.bounds, missed, followed=followed)
                 remarks += outside_identified(loop.actuator, found.voltage, refuse=False).warnings
-                remarks += part.remarks + part.speeds(self.time, self.rates)
+                remarks += part.remarks
             hint = unit_hint(units, (counts * loop.reach[0], counts * loop.reach[1]), counts * row)
             plan = PathPlan(
                 time,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -31,8 +30,6 @@ _ROUNDS = 3
 _ROUNDING = 1e-9
 # A homing of more samples has longer steps: this many a branch, and a period of a resonance.
 _EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
-# If these are still too many, most samples of a hold are left out: their times grow by this factor.
-_SPARSER = 1.02
 # A larger file is more than 300 MB.
 MOST_ROWS = 5_000_000
 
@@ -121,9 +118,8 @@ def way_to(
     remarks = (*before.remarks, *homing.remarks)
     way = way._replace(origin=way.start.state, state=reached, homing=homing, remarks=remarks, goal=goal)
     if len(homing.turns) > 1:
-        at = rows_of(homing.played.voltage[:-1])
-        volts, seconds = homing.played.voltage[at], homing.played.duration
-        way = way._replace(time=at / homing.played.sample_rate, voltage=volts, seconds=seconds)
+        time, volts = homing.played.time[:-1], homing.played.voltage[:-1]
+        way = way._replace(time=time, voltage=volts, seconds=homing.played.duration)
     return _before_path(way, ramp, rate, rows)
 
 
@@ -217,18 +213,3 @@ def pace(axis: Axis) -> float | None:
     """Return the largest slew rate [V/s] of jumps, homings and ways: no more than the records of the model have."""
     rates = (axis.slew_rate, slew_rate_of_records(axis.actuator))
     return min((rate for rate in rates if rate is not None), default=None)
-
-
-def rows_of(voltage: Array) -> NDArray[np.int64]:
-    """Return the samples (k,) of a homing's voltage (n,) [V] to play: all, or sparser ones in a long hold."""
-    rows = np.arange(voltage.size)
-    if rows.size <= _EVEN_SAMPLES:
-        return rows
-    held = np.zeros(rows.size, dtype=bool)
-    held[1:] = voltage[1:] == voltage[:-1]
-    moving = np.flatnonzero(~held)
-    since = rows - np.repeat(moving, np.diff(moving, append=rows.size))
-    steps = np.unique(np.round(_SPARSER ** np.arange(int(math.log(rows.size) / math.log(_SPARSER)) + 2)))
-    kept: NDArray[np.bool_] = (since == 0) | np.isin(since, steps)
-    kept[:-1] |= since[1:] == 0
-    return rows[kept]
