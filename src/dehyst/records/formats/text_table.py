@@ -33,8 +33,6 @@ from dehyst.records.formats.table_layout import Layout, is_comment, layout_of
 _LONGEST_LINE = 1_000_000
 # Characters that are read at once.
 _BLOCK = 100_000
-# The most tables in a file that a message shows.
-_LISTED = 20
 
 
 def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[int, list[str]]]:
@@ -126,7 +124,7 @@ class _Table:
         # The record shares these columns.
         columns.flags.writeable = False
         if self.headers:
-            starts = ", ".join(map(str, [self.layout.first + 1, *self.headers][:_LISTED]))
+            starts = ", ".join(map(str, [self.layout.first + 1, *self.headers]))
             raise FileFormatError(
                 f"{len(self.headers) + 1} tables, which begin at the rows {starts}: these are several records",
                 hint="save each in a file of its own, and give all of them as records of one actuator",
@@ -235,32 +233,27 @@ _LONGEST_STATED, _SAME = 400, 1e-6
 def _with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> list[Column]:
     """Return columns with the time that the `lines` above a table state, in the place of one that counts samples.
 
-    Nothing changes without a step and its unit, or with a column of time. Steps that contradict each other are a fault.
+    Nothing changes without one step and its unit, or with a column of time.
     """
     if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
     place = next((k for k, column in enumerate(columns) if column.is_counter), None)
     named = place is None and any("time" in column.quantities for column in columns)
-    stated = [
+    steps = [
         step
         for line in lines
         if len(line) <= _LONGEST_STATED and (match := _STATED.fullmatch(line)) and (step := _stated(match, decimal))
     ]
-    steps = [value for value, _ in stated]
-    if named or not steps:
+    if named or not steps or not max(steps) - min(steps) <= _SAME * max(steps):
         return columns
     rest = [column for k, column in enumerate(columns) if k != place]
-    if not max(steps) - min(steps) <= _SAME * max(steps):
-        words = ", ".join(text for _, text in stated)
-        fault = f"the header states the time step by {words}, which is not one number; correct it, or give rate=HZ"
-        return [Column("time", np.empty(0), "s", fault), *rest]
     counts = np.arange(float(columns[0].data.size)) if place is None else columns[place].data
     with np.errstate(all="ignore"):
         return [Column("time", steps[0] * counts, "s"), *rest]
 
 
-def _stated(match: re.Match[str], decimal: str) -> tuple[float, str] | None:
-    """Return the step [s] that a line states, NaN if it can be read in two ways, and its words; or None."""
+def _stated(match: re.Match[str], decimal: str) -> float | None:
+    """Return the step [s] that a line states, NaN if it can be read in two ways; or None."""
     key, unit = re.sub(r"[^a-z]", "", match[1].lower()), match[4] or match[2] or ""
     hertz, seconds = _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
     try:
@@ -269,4 +262,4 @@ def _stated(match: re.Match[str], decimal: str) -> tuple[float, str] | None:
         value = np.nan
     if value <= 0 or not (hertz if _KINDS.get(key) == "rate" else _KINDS.get(key) and seconds):
         return None
-    return 1 / (hertz * value) if _KINDS[key] == "rate" else seconds * value, f"'{key}' of '{match[3]}'"
+    return 1 / (hertz * value) if _KINDS[key] == "rate" else seconds * value
