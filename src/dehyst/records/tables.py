@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst._text import counted
-from dehyst._types import Array, Mask
+from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of
 from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.column import (
@@ -189,8 +188,6 @@ class Table:
         numbers = " or ".join(str(self.columns.index(c) + 1) for c in fits) if len({c.name for c in fits}) == 1 else ""
         way = f"by its number, {quantity}={numbers}" if numbers else f"with {quantity}=NAME"
         select = f"Select one {way}"
-        if "*" in wanted:
-            select += "; or give a factor as NUMBER, NUMBER UNIT/UNIT, or fringe NUMBER UNIT after the *"
         # Several columns that fit have their names already.
         example = QUANTITIES[quantity].example
         hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
@@ -347,9 +344,9 @@ def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, 
     return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
 
 
-# Part of a sample by which the times of two files may differ and are still the same; a step above this multiple of the
-# median is a gap; samples of one file for each of the other from which on that is remarked.
-_SAME, _GAP, _FEW = 0.01, 2.5, 4.0
+# Part of a sample by which the times of two files may differ and are still the same; steps of one file relative to the
+# other's from which on that is remarked.
+_SAME, _WIDE = 0.01, 4.0
 _DAY = 86_400
 
 
@@ -362,19 +359,24 @@ class _Timed(NamedTuple):
     seconds: Array
 
     @classmethod
-    def of(cls, table: Table, columns: Columns, stem: str = "") -> _Timed | None:
-        """Return a file with its time, its columns named after `stem`; None if it has no time."""
+    def of(cls, table: Table, columns: Columns) -> _Timed | None:
+        """Return a file with its time; None if it has no time."""
         for name in (columns.time, None):
             if table.fitting("time", name):
                 clock = table.select("time", name)
-                rest = tuple(_behind(stem, column) for column in table.columns if column is not clock.column)
+                rest = tuple(column for column in table.columns if column is not clock.column)
                 unit = clock.entry.unit or clock.column.parts[1]
                 return cls(table.source, rest, replace(clock.column, unit=unit), clock.values)
         return None
 
-
-def _behind(stem: str, column: Column) -> Column:
-    return replace(column, name=stem + column.name, group=stem + column.group)
+    def aligned(self, times: Array) -> list[Column]:
+        """Return the columns at other times [s]; one that has not a number for each of its own has a fault."""
+        found = []
+        for column in self.columns:
+            fits, words = column.data.size == self.seconds.size, "it is not as long as its time, which joining needs"
+            data = np.interp(times, self.seconds, column.data) if fits else np.empty(0)
+            found.append(replace(column, data=data, fault=column.fault or words * (not fits)))
+        return found
 
 
 def joined(table: Table, other: Table, columns: Columns) -> Table:
@@ -385,25 +387,18 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     lengths differ without two times, or times do not rise, do not overlap, or have no clock in common.
     """
     stem = f"{other.source.rsplit('.', 1)[0]}/"
-    first, second = _Timed.of(table, columns), _Timed.of(other, columns, stem)
-    together = first is not None and second is not None
-    if first is not None and second is not None:
-        second = second._replace(seconds=second.seconds + _offset(first, second))
-        step = float(np.median(np.abs(np.diff(first.seconds)))) if first.seconds.size > 1 else np.inf
-        sizes = {first.seconds.size, second.seconds.size}
-        together = len(sizes) == 1 and bool(np.all(np.abs(first.seconds - second.seconds) <= _SAME * step))
-    if first is None or second is None or together:
-        added = second.columns if first and second else tuple(_behind(stem, column) for column in other.columns)
-        if broken := [file for file in (table, other) if all(column.fault for column in file.columns)]:
-            raise FileFormatError(f"join: {broken[0].source} has no column of numbers: {broken[0].columns[0].fault}")
+    first, second = (_Timed.of(file, columns) for file in (table, other))
+    if first is None or second is None or _same_times(first, second):
         if table.rows != other.rows:
             got = f"{table.rows} rows in {table.source} and {other.rows} in {other.source}"
             hint = "give the rate of the first, or save each with its time"
             raise FileFormatError(argument="join", got=got, need="as many, or a time in both", hint=hint)
-        return replace(table, columns=(*table.columns, *added))
+        added = second.columns if first and second else other.columns
+        return replace(table, columns=(*table.columns, *_behind(stem, added)))
     if columns.rate is not None and table.rows == other.rows:
         got = f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.seconds)):.6g} s"
         raise FileFormatError(argument="rate", got=got, need="none: the time of that file holds for both")
+    second = second._replace(columns=_behind(stem, second.columns), seconds=second.seconds + _offset(first, second))
     for file in (first, second):
         if not np.all(np.diff(file.seconds) > 0):
             need = f"one that rises; give rate={RATE} in its place, with this file as the first one"
@@ -413,11 +408,22 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         for own in (table.columns, second.columns)
     ]
     kept, moved = (second, first) if measured[1] and not measured[0] else (first, second)
-    inside, remarks = _common(kept, moved)
-    times = kept.seconds[inside]
+    times, remarks = _common(kept, moved)
     clock = replace(first.clock, data=times / FACTORS["time"][first.clock.unit])
-    aligned = [_aligned(file, column, times) for file in (kept, moved) for column in file.columns]
+    aligned = [*kept.aligned(times), *moved.aligned(times)]
     return replace(table, columns=(clock, *aligned), remarks=(*table.remarks, *remarks))
+
+
+def _behind(stem: str, columns: Sequence[Column]) -> tuple[Column, ...]:
+    return tuple(replace(column, name=stem + column.name, group=stem + column.group) for column in columns)
+
+
+def _same_times(first: _Timed, second: _Timed) -> bool:
+    """Return whether the samples of two files have one time."""
+    if first.seconds.size != second.seconds.size:
+        return False
+    step = float(np.median(np.abs(np.diff(first.seconds)))) if first.seconds.size > 1 else np.inf
+    return bool(np.all(np.abs(first.seconds - second.seconds - _offset(first, second)) <= _SAME * step))
 
 
 def _offset(first: _Timed, second: _Timed) -> float:
@@ -435,32 +441,19 @@ def _offset(first: _Timed, second: _Timed) -> float:
     return offset - _DAY * round(offset / _DAY) if begin.origin.startswith("midnight") else offset
 
 
-def _common(kept: _Timed, moved: _Timed) -> tuple[Mask, list[str]]:
-    """Return which samples of a file lie within the times of the other, and remarks on the other's."""
-    times, others = kept.seconds, moved.seconds
-    inside = (times >= others[0]) & (times <= others[-1])
-    count = np.count_nonzero(inside)
-    if count < 2:
+def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
+    """Return the times of a file that lie within those of the other, and a remark on wide steps of the other."""
+    others = moved.seconds
+    times = kept.seconds[(kept.seconds >= others[0]) & (kept.seconds <= others[-1])]
+    if times.size < 2:
         got = f"times in {kept.source} and {moved.source} that do not overlap"
         need = "times in common, or rate=HZ for the first"
         raise FileFormatError(argument="join", got=got, need=need)
-    low, high = times[inside][[0, -1]].tolist()
-    near, steps = int(np.count_nonzero((others >= low) & (others <= high))), np.diff(others)
-    gaps = steps[(steps > _GAP * np.median(steps)) & (others[1:] > low) & (others[:-1] < high)]
-    if not gaps.size and count <= _FEW * max(near, 1):
-        return inside, []
-    apart = f", and {counted(gaps.size, 'gap')} of up to {gaps.max():.4g} s" if gaps.size else ""
-    return inside, [
-        f"{moved.source} has {counted(near, 'sample')} for {count} of {kept.source}{apart}: its columns are straight "
-        "lines between them; record both equally fast."
+    steps = np.diff(others)[(others[1:] > times[0]) & (others[:-1] < times[-1])]
+    widest, usual = float(steps.max(initial=0.0)), float(np.median(np.diff(times)))
+    if widest <= _WIDE * usual:
+        return times, []
+    return times, [
+        f"{moved.source} has steps of up to {widest:.4g} s, where {kept.source} has {usual:.4g} s: its columns are "
+        "straight lines between them; record both equally fast."
     ]
-
-
-def _aligned(file: _Timed, column: Column, times: Array) -> Column:
-    """Return a column of a file at other times [s]; one that has not a number for each of the file's has a fault."""
-    if column.fault:
-        return column
-    if column.data.size != file.seconds.size:
-        had = f"it has {counted(column.data.size, 'sample')} where its time has {file.seconds.size}"
-        return replace(column, data=np.empty(0), fault=f"{had}, which joining needs; select another column")
-    return replace(column, data=np.interp(times, file.seconds, column.data))
