@@ -6,7 +6,6 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -220,8 +219,6 @@ class Columns:
                 found[key] = _number(key, value)
             elif key in RECORD:
                 found[key] = value
-            elif near := get_close_matches(key.lower(), RECORD, cutoff=0.8):
-                raise FileFormatError(argument="columns", got=f"the key {key!r}", need=f"{near[0]}, if that is meant")
             else:
                 found["axes"][key] = value
         return cls(**found)
@@ -324,5 +321,5 @@ def _number(key: str, text: str) -> float:
     try:
         return float(text)
     except ValueError as error:
-        need = f"the number of samples a second for {RATE}, as 1000" if text == RATE else "a number"
+        need = "the number of samples a second, as 1000"
         raise FileFormatError(argument="columns", got=f"{key}={text}", need=need) from error

@@ -22,16 +22,10 @@ class Allowance:
         self.left -= numbers * _DOUBLE
 
     def check(self, size: int, what: str) -> None:
-        """Refuse a `size` [bytes] of `what` that is negative or exceeds the remaining memory."""
-        if size < 0:
-            raise FileFormatError(f"{what} declares a negative size; the file is damaged, take a copy")
+        """Refuse a `size` [bytes] of `what` that exceeds the remaining memory."""
         if size > self.left:
             raise FileFormatError(
-                f"{what} has {_in_words(size)}, more than the {_in_words(self.left)} left of the "
-                f"{_in_words(self.most)} that are allowed",
+                f"{what} has {size / 1e6:.4g} MB, more than the {self.left / 1e6:.4g} MB left of the "
+                f"{self.most / 1e6:.4g} MB that are allowed",
                 hint="save every second sample, or several records",
             )
-
-
-def _in_words(size: int) -> str:
-    return f"{size / 1e6:.4g} MB" if size >= 1_000_000 else f"{size} bytes"
