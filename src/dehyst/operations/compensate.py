@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,8 +14,8 @@ from dehyst._errors import FileFormatError, ModelError, RecordError, of_part
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
-from dehyst.control import PathPlan, PossibleStart, VoltageLimits, plan_path, wave_table
-from dehyst.control.planning.ways import MOST_ROWS, present_voltage
+from dehyst.control import PathPlan, PossibleStart, plan_path, wave_table
+from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
@@ -54,7 +55,7 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
 from dehyst.operations.waves import refuse_cycles
 from dehyst.records import read_table
-from dehyst.waveforms import Scan, ScanPath
+from dehyst.waveforms import ScanPath
 from dehyst.waveforms.scans import scan_of
 
 # How the library begins a remark on a path that is missed by more than its promise.
@@ -62,26 +63,6 @@ _CLAMPED = "CLAMPED"
 # Part of the reachable range by which a row of a scan's file may differ from the scan.
 _WRITTEN = 1e-9
 _PRESENT = AxisNumber("[AXIS=]V")
-
-
-class _Request(NamedTuple):
-    """The request for the actuator of an axis; `start` is None if it is unknown, `present` [V] if it is not given."""
-
-    actuator: Actuator
-    limits: Limits
-    slew: float | None
-    start: PossibleStart | None
-    present: float | None
-
-    @property
-    def stands(self) -> bool:
-        """Whether its start or its present voltage is given."""
-        return self.start is not None or self.present is not None
-
-    @property
-    def place(self) -> Limits:
-        """Range of the voltage [V] before the path: the limits, or the present voltage."""
-        return self.limits if self.present is None else (self.present, self.present)
 
 
 def _of_scan(given: Values) -> str:
@@ -121,52 +102,46 @@ def compensate(
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
-    known = AxesModel.read(run, model)
-    slews, kept = known.slews(slew_rate)
-    axes, remarks = _requests(known, limits, slews, start, present, columns)
-    place = 1e-6 * (zero or 0.0)
+    known, place = AxesModel.read(run, model), 1e-6 * (zero or 0.0)
+    bounds, (slews, kept) = limits_of(known.axes, limits), known.slews(slew_rate)
+    begins, remarks = starts.starts_of(known, start, bounds, columns)
     if zero is not None:
         remarks.append(f"the path is counted from {zero:.6g} um of the sensor, and written in um of the sensor")
-    task = _Task(run, known, axes, zero, remarks, kept, plot)
-    how: dict[str, Any] = {"home": home, "home_within": home_within}
+    volts = of_axes(known.axes, present, "present")
+    begins = [
+        begin and (begin if now is None else begin.standing_at(actuator, now))
+        for actuator, begin, now in zip(known.actuators, begins, volts, strict=True)
+    ]
+    task = _Task(run, known, bounds, slews, begins, volts, {"home": home, "home_within": home_within}, zero)
     if table is None:
         wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
-        try:
-            return task.follow(wanted + place, clock, output, on_time=on_time, temperature=warmth, **how)
-        except ModelError as error:
-            if error.change or error.argument not in ("", "displacement"):
-                raise
-            raise of_part(error, trajectory.name) from error
-    made, period = _declared_scan(trajectory, columns, place)
-    refuse_cycles(made, cycles)
-    return task.tabulate(period, cycles, (output, table), cycles=start_up, **how)
+        with _named(trajectory):
+            made = task.follow(wanted + place, clock, warmth, on_time, output)
+    else:
+        period = _declared_scan(trajectory, columns, place, cycles)
+        made = task.tabulate(period, cycles, start_up, output, table)
+    if plot is not None:
+        run.progress("drawing the path")
+        _draw(plot, known.axes, made.plans, command=run.command)
+    return task.result(made, remarks, output, [*files(Picture=plot), *kept])
 
 
-def _requests(
-    known: AxesModel,
-    limits: AxisLimits,
-    slews: Sequence[float | None],
-    start: Start | None,
-    present: AxisNumbers,
-    columns: Columns,
-) -> tuple[list[_Request], list[str]]:
-    """Return the request for each axis, and remarks on the start."""
-    bounds = limits_of(known.axes, limits)
-    begins, remarks = starts.starts_of(known, start, bounds, columns)
-    volts, axes = of_axes(known.axes, present, "present"), []
-    for actuator, allowed, slew, begin, given in zip(known.actuators, bounds, slews, begins, volts, strict=True):
-        # Beside the given voltage of another axis, that of an unknown start is the default.
-        assumed = given is not None or (begin is None and present)
-        now = present_voltage(VoltageLimits(*(allowed or voltages_of(actuator))), given) if assumed else None
-        stands = begin if begin is None or now is None else begin.standing_at(actuator, now)
-        axes.append(_Request(actuator, allowed, slew, stands, now))
-    return axes, remarks
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Add the name of the path's file to an error of its displacements."""
+    try:
+        yield
+    except ModelError as error:
+        if error.change or error.argument not in ("", "displacement"):
+            raise
+        raise of_part(error, path.name) from error
 
 
-def _declared_scan(path: Path, columns: Columns, zero: float) -> tuple[Scan, ScanPath]:
-    """Return the scan in the first line of a path file, and its period along the wanted axis relative to a zero [m].
+def _declared_scan(path: Path, columns: Columns, zero: float, repeats: int) -> ScanPath:
+    """Return the period of the scan in the first line of a path file, along the wanted axis, relative to a zero [m].
 
-    Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
+    Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's, and
+    `RecordError` if a file cannot hold as many cycles as `repeats`.
     """
     columns.demand(("displacement", "decimal"), "on the path of a scan")
     hint, declared = "write it again with dehyst scan", scan_declared(path) or {}
@@ -187,43 +162,56 @@ def _declared_scan(path: Path, columns: Columns, zero: float) -> tuple[Scan, Sca
     span = float(np.abs(rows.displacement).max())
     if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
         raise FileFormatError(f"{path}: its rows are not those of the scan in its first line", hint=hint)
-    return made, replace(period, displacement=period.displacement + zero)
+    refuse_cycles(made, repeats)
+    return replace(period, displacement=period.displacement + zero)
+
+
+class _Made(NamedTuple):
+    """The plan of each axis, the rows of the file, what is urgent, and further JSON values and lines."""
+
+    plans: Sequence[PathPlan]
+    rows: int
+    urgent: list[str]
+    fields: Mapping[str, Any] = {}
+    lines: Sequence[str] = ()
+    good: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A path for the axes of a model: what was asked for, remarks, lines on slew rates, and where it is drawn."""
+    """What was asked for of each axis of a model: limits, slew rate, start, present voltage; `how` to home."""
 
     run: Run
     known: AxesModel
-    axes: Sequence[_Request]
+    limits: Sequence[Limits]
+    slews: Sequence[float | None]
+    starts: Sequence[PossibleStart | None]
+    present: Sequence[float | None]
+    how: Mapping[str, Any]
     zero: float | None
-    remarks: list[str]
-    kept: list[str]
-    plot: Path | None
 
-    def follow(self, wanted: Array, time: Mapping[str, Array], output: Path, **how: Any) -> Result:
+    def follow(
+        self, wanted: Array, time: Mapping[str, Array], warmth: Array | None, on_time: bool | None, output: Path
+    ) -> _Made:
         """Compute and write the voltages of a path (n, axes) [m]."""
-        known, axes = self.known, self.axes
-        pairs = zip(axes, known.targets(wanted).T, strict=True)
-        urgent = known.prefixed(
-            reach_remarks(each.actuator, target, each.limits, self.zero, how["temperature"]) for each, target in pairs
-        )
-        limits, slews = [each.limits for each in axes], [each.slew for each in axes]
-        how |= {"start": [each.start for each in axes], "present": [each.present for each in axes]}
-        plans = known.planned(plan_path, wanted, limits, slews, time=time.get("time_s"), **how)
+        known = self.known
+        each = zip(known.actuators, known.targets(wanted).T, self.limits, strict=True)
+        urgent = known.prefixed(reach_remarks(*axis, self.zero, warmth) for axis in each)
+        path = {"time": time.get("time_s"), "temperature": warmth, "start": self.starts, "present": self.present}
+        plans = known.planned(plan_path, wanted, self.limits, self.slews, on_time=on_time, **path, **self.how)
         self.run.progress(f"writing {plans[0].voltage.size} rows")
-        write_table(output, _written(known, plans, time))
-        return self.result(plans, len(plans[0].voltage), output, urgent)
+        clock = starts.clock_columns(plans[0], time)
+        write_table(output, {**clock, **_columns(known, plans), **temperature_column(plans[0])})
+        return _Made(plans, len(plans[0].voltage), urgent)
 
-    def tabulate(self, path: ScanPath, repeats: int, outputs: tuple[Path, Path], **how: Any) -> Result:
+    def tabulate(self, path: ScanPath, repeats: int, cycles: int | None, output: Path, steady: Path) -> _Made:
         """Write the wave table of a scan with its start-up, and its homing unless a start or --no-home is given."""
-        (request,) = self.axes
-        urgent = reach_remarks(request.actuator, path.displacement, request.limits, self.zero)
+        actuator, limits = self.known.actuators[0], self.limits[0]
+        urgent = reach_remarks(actuator, path.displacement, limits, self.zero)
         self.run.progress("homing, and the steady cycle")
-        how |= {"limits": request.limits, "slew_rate": request.slew, "present": request.present}
+        given = {"slew_rate": self.slews[0], "start": self.starts[0], "present": self.present[0], **self.how}
         try:
-            table = wave_table(request.actuator, path, start=request.start, **how)
+            table = wave_table(actuator, path, limits=limits, cycles=cycles, **given)
         except RecordError as error:
             if error.argument == "cycles":
                 error.argument = "start_up"
@@ -235,82 +223,81 @@ class _Task:
             raise RecordError(argument="output", got=got, need=need, hint=hint)
         played = table.played(repeats)
         self.run.progress(f"writing {rows} rows")
-        write_table(outputs[0], {"time_s": played.time, "phase": played.phase, **_path_columns(played)})
-        write_table(outputs[1], {"time_s": cycle.time, **_path_columns(cycle)})
+        clock = {"time_s": played.time, "phase": played.phase}
+        write_table(output, {**clock, **_columns(self.known, [played])})
+        write_table(steady, {"time_s": cycle.time, **_columns(self.known, [cycle])})
         line = (
             f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "
-            f"{counted(len(cycle), 'sample')} a cycle: {outputs[1]}"
+            f"{counted(len(cycle), 'sample')} a cycle: {steady}"
         )
-        found = self.result([replace(plan, warnings=table.warnings)], rows, outputs[0], urgent, line)
         fields = {
-            **found.fields,
             "sample_rate_Hz": rate,
             "frequency_Hz": rate / len(cycle),
             "start_up_cycles": table.cycles,
             "cycle_samples": len(cycle),
             "error_um": table.error * 1e6,
             "settled": table.settled,
-            "table": str(outputs[1]),
+            "table": str(steady),
         }
-        return replace(found, fields=fields, good=found.good and table.settled and not plan.clamped.any())
+        steadies = table.settled and not plan.clamped.any()
+        return _Made([replace(plan, warnings=table.warnings)], rows, urgent, fields, [line], bool(steadies))
 
-    def result(self, plans: Sequence[PathPlan], samples: int, output: Path, urgent: list[str], *added: str) -> Result:
-        """Return what to expect of the plans of all axes, and to do, with `added` lines; a file has `samples` rows."""
-        known, each = self.known, [*zip(self.axes, plans, strict=True)]
-        urgent += known.prefixed(
-            starts.before_path(request.actuator, plan, request.place, request.slew, stands=request.stands)
-            for request, plan in each
-        )
+    def result(self, made: _Made, remarks: Sequence[str], output: Path, added: Sequence[str]) -> Result:
+        """Return what to expect of the plans of all axes, and to do, with `added` lines."""
+        known, plans = self.known, made.plans
+        each = [*zip(known.actuators, plans, self.limits, self.slews, self.present, strict=True)]
+        urgent = [*made.urgent, *known.prefixed(starts.before_path(*axis) for axis in each)]
         said = known.prefixed(plan.warnings for plan in plans)
         reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
         urgent += [sentence for sentence in said if _CLAMPED in sentence]
-        others = [*self.remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
+        others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
         fields = {
-            "samples": samples,
-            "clamped": known.by_axis(int(plan.clamped[plan.first :].sum()) for plan in plans),
-            "missed_um": known.by_axis(float(plan.missed) * 1e6 for plan in plans),
-            "lowest_V": known.by_axis(float(plan.voltage.min()) for plan in plans),
-            "highest_V": known.by_axis(float(plan.voltage.max()) for plan in plans),
-            "limits_V": known.by_axis(list(request.limits or voltages_of(request.actuator)) for request in self.axes),
-            "slew_V_per_s": known.by_axis(request.slew for request in self.axes),
-            **known.merged([starts.path_start_fields(plan) for plan in plans]),
-            "promise": known.by_axis(plan.promise and plan.promise.as_dict() for plan in plans),
+            "samples": made.rows,
+            **known.merged([_numbers(*axis) for axis in each]),
             "warnings": [*urgent, *reasons, *others],
-            "state": known.by_axis(plan.state.as_dict() for plan in plans),
             "output": str(output),
+            **made.fields,
         }
-        if self.plot is not None:
-            self.run.progress("drawing the path")
-            _draw(self.plot, known.axes, plans, command=self.run.command)
-        spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
-        begins = (starts.begin_words(request.actuator, plan, request.place) for request, plan in each)
-        words = known.prefixed([f"{span} {begin}"] for span, begin in zip(spans, begins, strict=True))
+        words = known.prefixed(
+            [f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V {starts.begin_words(actuator, plan, limits)}"]
+            for actuator, plan, limits, *_ in each
+        )
         lines = [
             *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
             *reasons,
             *known.prefixed(map(starts.open_start, plans)),
-            f"{counted(samples, 'sample')}, {', '.join(words)}: {output}",
-            *files(Picture=self.plot),
-            *self.kept,
+            f"{counted(made.rows, 'sample')}, {', '.join(words)}: {output}",
             *added,
+            *made.lines,
         ]
         usable = not any(plan.promise is not None and plan.promise.unusable for plan in plans)
-        good = usable and all(plan.followed and plan.certified for plan in plans)
+        good = usable and made.good and all(plan.followed and plan.certified for plan in plans)
         more = [*lines, *others[1:]] if others[1:] else ()
         return Result(fields, lines, more, [*urgent, *others[:1]], good)
 
 
-def _written(known: AxesModel, plans: Sequence[PathPlan], time: Mapping[str, Array]) -> dict[str, Array]:
+def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None, _: float | None) -> dict[str, Any]:
+    """Return the plan of an axis as JSON values."""
+    return {
+        "clamped": int(plan.clamped[plan.first :].sum()),
+        "missed_um": float(plan.missed) * 1e6,
+        "lowest_V": float(plan.voltage.min()),
+        "highest_V": float(plan.voltage.max()),
+        "limits_V": list(limits or voltages_of(actuator)),
+        "slew_V_per_s": slew,
+        **starts.path_start_fields(plan),
+        "promise": plan.promise and plan.promise.as_dict(),
+        "state": plan.state.as_dict(),
+    }
+
+
+def _columns(known: AxesModel, parts: Sequence[Any]) -> dict[str, Array]:
     """Return the columns of wanted displacement, voltage and expected displacement of each axis."""
-    each = [*zip(known.axes, plans, strict=True)]
-    columns = {known.name("displacement", axis): plan.displacement * 1e6 for axis, plan in each}
-    columns |= {known.name("voltage", axis): plan.voltage for axis, plan in each}
-    columns |= {known.name("displacement", axis, "expected"): plan.expected * 1e6 for axis, plan in each}
-    return {**starts.clock_columns(plans[0], time), **columns, **temperature_column(plans[0])}
-
-
-def _path_columns(part: Any) -> dict[str, Array]:
-    return {"displacement_um": part.displacement * 1e6, "voltage_V": part.voltage, "expected_um": part.expected * 1e6}
+    wanted, volts, expected = (
+        np.column_stack([getattr(part, name) for part in parts]) for name in ("displacement", "voltage", "expected")
+    )
+    columns = known.columns("displacement", 1e6 * wanted) | known.columns("voltage", volts)
+    return columns | known.columns("displacement", 1e6 * expected, "expected")
 
 
 def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:

@@ -142,18 +142,23 @@ def path_start_fields(path: PathPlan) -> dict[str, Any]:
 
 
 def before_path(
-    actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, *, stands: bool
+    actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, given: float | None
 ) -> Iterator[str]:
     """Yield what to do before a path: the way to its first voltage, and a rest where it creeps.
 
-    `stands`: whether it is known where the actuator stands; otherwise at 0 V. A plan says where its own homing begins.
+    `given`: the present voltage [V], from which a plan leads; without it and a start the actuator stands at 0 V. A plan
+    says where its own homing begins.
     """
     if path.homing is not None:
         return
-    first, longest = float(path.voltage[0]), creep_times(actuator).max(initial=0.0)
-    present = actuator.voltage(path.start.within(actuator, limits)) if stands else 0.0
-    if abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
-        origin, hint = ("that of the start, ", "") if stands else ("", "; --present V puts the way into the file")
+    first, longest, unknown = (
+        float(path.voltage[0]),
+        creep_times(actuator).max(initial=0.0),
+        path.start.name == "unknown",
+    )
+    present = 0.0 if unknown else actuator.voltage(path.start.within(actuator, limits))
+    if given is None and abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
+        origin, hint = ("", "; --present V puts the way into the file") if unknown else ("that of the start, ", "")
         yield (
             f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
             f"ramp there {'slowly' if slew is None else 'within the slew rate'} before you play the file{hint}"
