@@ -1,7 +1,6 @@
 """A workbench in a process of its own, and a client of its page."""
 
 import os
-import pty
 import re
 import signal
 import subprocess
@@ -18,27 +17,15 @@ _LOOK = 0.05
 
 
 class Served:
-    """A running workbench: its `folder`, `base` address, `port` and `process`."""
+    """A running workbench: its `folder`, `base` address, `port`, `link` and `process`."""
 
-    def __init__(self, process, folder, terminal):
-        self.process, self.folder, self._terminal = process, folder, terminal
-        self._unused = self._printed()
-        self.base, self.port = self._unused[1], int(self._unused[2])
-
-    @property
-    def link(self):
-        """A link that lets one browser in: the first one, then those that Enter prints."""
-        match, self._unused = self._unused, None
-        if match is None:
-            os.write(self._terminal, b"\n")
-            match = self._printed()
-        return match[0]
-
-    def _printed(self):
-        while line := self.process.stdout.readline():
+    def __init__(self, process, folder):
+        self.process, self.folder = process, folder
+        while line := process.stdout.readline():
             if match := LINK.search(line):
-                return match
-        raise AssertionError(self.process.stderr.read())
+                self.link, self.base, self.port = match[0], match[1], int(match[2])
+                return
+        raise AssertionError(process.stderr.read())
 
     @contextmanager
     def client(self):
@@ -53,17 +40,16 @@ class Served:
 def served(folder, *options, browser=None):
     """Serve a workbench; `browser`: a program that it opens the page with."""
     page = ["--no-browser"] if browser is None else []
-    terminal, end = pty.openpty()
     process = subprocess.Popen(
         [*DEHYST, "workbench", str(folder), *page, "--port", "0", *options],
         env={**os.environ, "BROWSER": browser or ""},
-        stdin=end,
+        stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
-        yield Served(process, folder, terminal)
+        yield Served(process, folder)
     finally:
         process.send_signal(signal.SIGTERM)
         try:
@@ -74,8 +60,6 @@ def served(folder, *options, browser=None):
         finally:
             process.stdout.close()
             process.stderr.close()
-            os.close(terminal)
-            os.close(end)
 
 
 def until(client, condition):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
 import threading
 import webbrowser
 from contextlib import suppress
@@ -31,23 +28,16 @@ def workbench(
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
     Everything is kept in FOLDER, with a script of the commands that would do the same. The page is served to this
-    machine only; a printed link lets one browser in, once, within a minute; in a terminal, Enter prints another.
-    Ctrl-C ends it.
+    machine only, to who has the printed link. Ctrl-C ends it.
     """
 
     def opened(door: Door) -> None:
         if door.remark:
             run.note(door.remark)
-        run.say(f"Workbench of {folder}: {door.link()}")
-        typed = sys.stdin is not None and sys.stdin.isatty()
-        another = "Enter prints another, " if typed else ""
-        run.say(f"The link lets one browser in, once, within a minute. {another}Ctrl-C ends the workbench.")
+        run.say(f"Workbench of {folder}: {door.link}")
+        run.say("Ctrl-C ends it.")
         if browser:
             threading.Thread(target=_open, args=(door,), daemon=True).start()
-        if typed:
-            # In the background, reading fails then, instead of stopping the server.
-            signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-            threading.Thread(target=_print_links, args=(run, door, sys.stdin.fileno()), daemon=True).start()
 
     serve(folder, port=port, upload_limit=1e6 * max_size, opened=opened)
     return Result({}, [f"Everything is in {folder}; the same command goes on from there."])
@@ -55,11 +45,4 @@ def workbench(
 
 def _open(door: Door) -> None:
     with suppress(OSError):
-        webbrowser.open(door.page().as_uri())
-
-
-def _print_links(run: Run, door: Door, terminal: int) -> None:
-    """Print a link for each Enter."""
-    with suppress(OSError):
-        while os.read(terminal, 4096):
-            run.say(door.link())
+        webbrowser.open(door.page.as_uri())

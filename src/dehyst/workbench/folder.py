@@ -173,6 +173,6 @@ def _locked(folder: Path) -> BinaryIO:
     except BlockingIOError as error:
         stream.close()
         raise FileFormatError(
-            f"{folder}: another workbench uses this folder; press Enter in its terminal for a link, or give another"
+            f"{folder}: another workbench uses this folder; open the link that it printed, or give another folder"
         ) from error
     return stream

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, MutableMapping
+from collections.abc import MutableMapping
 from hmac import compare_digest
 from typing import Any
 
@@ -31,10 +31,7 @@ _HEADERS = {
 }
 _REFUSED = 1008
 _NO_COOKIE = "the cookie of this workbench is missing"
-_USED = (
-    "Refused: this link was used already, or is older than a minute. Press Enter in the terminal of dehyst workbench: "
-    "it prints a new one."
-)
+_EARLIER = "Refused: this link is that of an earlier workbench. Open the one that dehyst workbench printed last."
 # The page that a link leads to: a browser sends the cookie with what this page requests, but perhaps not with what
 # another site or a file led to. It names an empty icon, as the workbench has none at /favicon.ico.
 _ENTRANCE = (
@@ -52,13 +49,13 @@ class Gate:
         The protected application.
     port : int
         At which the server listens.
-    admits : callable
-        Takes the token of a link, ``/?token=...``; returns whether it lets a browser in.
+    token : str
+        Of the link ``/?token=...``, which lets a browser in.
     """
 
-    def __init__(self, app: ASGIApp, port: int, admits: Callable[[str], bool]) -> None:
+    def __init__(self, app: ASGIApp, port: int, token: str) -> None:
         self._app, self._key = app, secrets.token_urlsafe(32)
-        self._admits = admits
+        self._token = token
         self._cookie = f"dehyst-{port}"
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._origins = {f"http://{host}" for host in self._hosts}
@@ -102,8 +99,8 @@ class Gate:
         follows = asked.scope["path"] == "/" and asked.scope["method"] == "GET" and token is not None
         if reason != _NO_COOKIE or not follows:
             return PlainTextResponse(f"Refused: {reason}. Open the link that dehyst workbench printed.", 403)
-        if not self._admits(str(token)):
-            return PlainTextResponse(_USED, 403)
+        if not compare_digest(str(token).encode(), self._token.encode()):
+            return PlainTextResponse(_EARLIER, 403)
         cookie = f"{self._cookie}={self._key}; HttpOnly; SameSite=Strict; Path=/"
         return HTMLResponse(_ENTRANCE, headers={"Set-Cookie": cookie})
 

@@ -1,4 +1,4 @@
-"""Start of a workbench: its port, its server, and its links, each of which lets one browser in."""
+"""Start of a workbench: its port, its server, and the link that lets a browser in."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ import errno
 import os
 import secrets
 import socket
-import threading
-import time
 from collections.abc import Callable
-from hmac import compare_digest
 from pathlib import Path
+from typing import NamedTuple
 
 from dehyst._errors import DehystError, MissingExtraError
 
-# Seconds for which a link is valid.
-LIFETIME = 60.0
 _PAGE = "open-workbench.html"
 _REDIRECT = """<!DOCTYPE html>
 <meta charset="utf-8">
@@ -24,78 +20,25 @@ _REDIRECT = """<!DOCTYPE html>
 """
 
 
-class Door:
-    """The links of a workbench.
+class Door(NamedTuple):
+    """The way into a workbench: a link, a private file that leads to it, and a remark on the folder's permissions.
 
-    Parameters
-    ----------
-    address : str
-        Of the server: ``http://127.0.0.1:8754``.
-    folder : Path
-        For the private file.
-    clock : callable, optional
-        Returns seconds; for tests.
-
-    Attributes
-    ----------
-    remark : str
-        A remark on the folder's permissions, or empty.
+    A browser is opened with the file: its command line, which other users can read, then holds no token.
     """
 
-    def __init__(
-        self, address: str, folder: Path, remark: str = "", clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.remark = remark
-        self._address, self._file, self._clock = address, folder / _PAGE, clock
-        self._lock = threading.Lock()
-        # When each token that was not used ends, and the token of the private file.
-        self._ends: dict[str, float] = {}
-        self._filed = ""
-        # A killed workbench may have left one.
-        self._file.unlink(missing_ok=True)
+    link: str
+    page: Path
+    remark: str
 
-    def link(self) -> str:
-        """Return a new link, which lets one browser in within a minute."""
-        return self._link(self._token())
 
-    def page(self) -> Path:
-        """Write a file that leads a browser to a new link, and return it; it is deleted when the link is used.
-
-        A browser's command line, which other users can read, then holds no token.
-        """
-        token = self._token()
-        self.close()
-        with self._lock:
-            self._filed = token
-        with os.fdopen(os.open(self._file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
-            stream.write(_REDIRECT.format(link=self._link(token)))
-        return self._file
-
-    def admits(self, given: str) -> bool:
-        """Return whether a browser with this token may enter; this uses the token up."""
-        with self._lock:
-            now = self._clock()
-            self._ends = {token: end for token, end in self._ends.items() if now < end}
-            token = next((known for known in self._ends if compare_digest(known.encode(), given.encode())), None)
-            if token is None:
-                return False
-            del self._ends[token]
-            if token == self._filed:
-                self.close()
-        return True
-
-    def close(self) -> None:
-        """Delete the private file."""
-        self._file.unlink(missing_ok=True)
-
-    def _token(self) -> str:
-        token = secrets.token_urlsafe(32)
-        with self._lock:
-            self._ends[token] = self._clock() + LIFETIME
-        return token
-
-    def _link(self, token: str) -> str:
-        return f"{self._address}/?token={token}"
+def _written_page(folder: Path, link: str) -> Path:
+    """Write the private file that leads a browser to a link."""
+    page = folder / _PAGE
+    # A killed workbench may have left one.
+    page.unlink(missing_ok=True)
+    with os.fdopen(os.open(page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
+        stream.write(_REDIRECT.format(link=link))
+    return page
 
 
 HOST = "127.0.0.1"
@@ -125,7 +68,7 @@ def serve(
     upload_limit : float, optional
         Most bytes of an upload.
     opened : callable, optional
-        Called with the door, which makes the links, once a browser may come.
+        Called with the way in, once a browser may come.
 
     Raises
     ------
@@ -149,9 +92,11 @@ def serve(
     with _listening(port) as listener:
         taken = listener.getsockname()[1]
         bench = Workbench(folder, upload_limit)
-        door = Door(f"http://{HOST}:{taken}", bench.session.folder.path, bench.session.folder.privacy)
+        place, token = bench.session.folder, secrets.token_urlsafe(32)
+        link = f"http://{HOST}:{taken}/?token={token}"
+        door = Door(link, _written_page(place.path, link), place.privacy)
         config = uvicorn.Config(
-            Gate(bench.app(), taken, door.admits),
+            Gate(bench.app(), taken, token),
             loop="asyncio",
             limit_concurrency=_MOST,
             log_level="warning",
@@ -166,7 +111,7 @@ def serve(
             opened(door)
             uvicorn.Server(config).run(sockets=[listener])
         finally:
-            door.close()
+            door.page.unlink(missing_ok=True)
 
 
 def _listening(port: int | None) -> socket.socket:
