@@ -19,7 +19,7 @@ SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.tx
 .PHONY: demo workbench test nightly check docs wasm pictures wheel bench clean
 
 demo: $(VENV)/.demo
-	$(BIN)/dehyst demo
+	$(BIN)/dehyst demo --force
 
 workbench: $(VENV)/.workbench
 	$(BIN)/dehyst workbench

@@ -9,7 +9,6 @@ from click.testing import CliRunner
 from command_line import commands, run, sample_words
 
 from dehyst import FileFormatError
-from dehyst._io import demand_own_folder, format_of
 from dehyst.cli import main
 from dehyst.operations import demo
 from dehyst.operations.command import Role
@@ -96,7 +95,7 @@ def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatc
     assert status == 0
     assert numbers["compensated"]["largest_percent"] <= 0.7
     assert numbers["linear"]["largest_percent"] > 10
-    names = {"loops.csv", "other-loops.csv", "model.json", "tracking.csv", "demo.json", "report.html"}
+    names = {"loops.csv", "other-loops.csv", "model.json", "tracking.csv", "report.html"}
     assert {path.name for path in (tmp_path / "d").iterdir()} == names
     tracking = read_table(tmp_path / "d" / "tracking.csv").columns
     data = {column.name: column.data for column in tracking}
@@ -104,26 +103,8 @@ def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatc
     assert error == pytest.approx(numbers["compensated"]["largest_percent"], rel=1e-6)
 
 
-def test_demo_writes_into_a_folder_that_is_new_empty_or_its_own(journey, tmp_path):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "empty" / ".dehyst-01234567.tmp").write_text("left by a killed process")
-    for name in ("new/deep", "empty"):
-        for _ in range(2):
-            demand_own_folder(tmp_path / name, *demo.OWN)
-            written = demo.write(journey, tmp_path / name, report=False)
-        assert all(path.is_file() for path in written)
-        assert format_of(tmp_path / name / "demo.json") == "dehyst-demo"
-    # One that was not finished.
-    for path in (tmp_path / "empty").iterdir():
-        if path.name != "demo.json":
-            path.unlink()
-    demand_own_folder(tmp_path / "empty", *demo.OWN)
-
-
-def test_demo_replaces_files_of_others_by_force_alone(journey, tmp_path, monkeypatch):
+def test_demo_replaces_files_by_force_alone(journey, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "journey", lambda progress: journey)
     (tmp_path / "loops.csv").write_text("mine")
-    with pytest.raises(FileFormatError, match=r"made a folder"):
-        demand_own_folder(tmp_path / "loops.csv", *demo.OWN)
-    assert run("demo", "--no-report", "-o", tmp_path, "--force")[0] == 0
+    assert [run("demo", "-o", tmp_path, *more, keep=True)[0] for more in ((), ("--force",))] == [2, 0]
     assert (tmp_path / "loops.csv").read_text() != "mine"

@@ -151,7 +151,7 @@ def test_a_scan_learns_to_a_tenth_of_its_error(capsys):
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
-    assert run("demo", "-o", "stage", "--no-report", cwd=folder)[0] == 0
+    assert run("demo", "-o", "stage", cwd=folder)[0] == 0
     return folder / "stage"
 
 

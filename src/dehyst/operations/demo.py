@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dehyst._io import PathLike, demand_own_folder, made_folder, write_json
+from dehyst._io import made_folder
 from dehyst._types import Array, Progress
 from dehyst.control import plan_path
 from dehyst.identification import Fit, identify
-from dehyst.operations.command import CONTINUED, command, output, switch
+from dehyst.operations.command import FOLDER, command, output
 from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
 from dehyst.virtual import PlayActuator
@@ -20,38 +21,29 @@ from dehyst.waveforms import Sampling, raised_cosine, recommended, wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
-# A folder with this file is the demo's.
-OWN = ("demo.json", "dehyst-demo")
-_IDENTIFIED = "loops.csv --validate other-loops.csv -o model.json"
-# The paper: Sec. 4.3 and Fig. 12.
+_IDENTIFIED = "dehyst identify loops.csv --validate other-loops.csv -o model.json --report report.html"
+# Largest errors of the paper [%]: Sec. 4.3 and Fig. 12.
 _PAPER = {"linear": 13.63, "compensated": 0.76}
 
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """Result of the demo: records, fit, and a path [m] at `time` [s]: wanted, and reached by two kinds of voltage."""
+    """Result of the demo: records, fit, stroke [m]; and the columns of a path: wanted, voltage, and reached twice."""
 
     records: tuple[Record, Record]
     fit: Fit
-    time: Array
-    wanted: Array
-    linear: Array
-    compensated: Array
-    voltage: Array
     stroke: float
+    path: Mapping[str, Array]
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values; errors in % of the stroke, with those of the paper."""
-        errors = {kind: getattr(self, kind) - self.wanted for kind in _PAPER}
-        return {
-            "stroke_um": self.stroke * 1e6,
-            **{kind: {**self._percents(error), "largest_um": 1e6 * largest(error)} for kind, error in errors.items()},
-            "paper": {f"{kind}_largest_percent": value for kind, value in _PAPER.items()},
-            "fit": self.fit.as_dict(),
-        }
-
-    def _percents(self, error: Array) -> dict[str, float]:
-        return {f"{name}_percent": percent(of(error), self.stroke) for name, of in (("largest", largest), ("rms", rms))}
+        found: dict[str, Any] = {"stroke_um": 1e6 * self.stroke}
+        for kind in _PAPER:
+            error = self.path[f"{kind}_um"] - self.path["wanted_um"]
+            known = {name: percent(of(error), 1e6 * self.stroke) for name, of in (("largest", largest), ("rms", rms))}
+            found[kind] = {f"{name}_percent": value for name, value in known.items()} | {"largest_um": largest(error)}
+        paper = {f"{kind}_largest_percent": value for kind, value in _PAPER.items()}
+        return {**found, "paper": paper, "fit": self.fit.as_dict()}
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
@@ -75,53 +67,33 @@ def journey(progress: Progress = lambda _: None) -> Demo:
     wanted = wanted_path(truth.stroke)
     # Up to the highest voltage and down to 0 V: after it the state is known.
     homing = np.concatenate([np.linspace(0, truth.highest, _SAMPLES), np.linspace(truth.highest, 0, _SAMPLES)])
-    actuator = fit.actuator
-    homed = actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
+    homed = fit.actuator.simulate(homing, time=np.arange(homing.size) / _RATE).state
     time, limits = np.arange(wanted.size) / _RATE, (0.0, truth.highest)
-    plan = plan_path(actuator, wanted, time=time, limits=limits, start=homed)
-    voltage = plan.voltage[plan.first :]
-    truth.play(homing)
-    compensated = truth.play(voltage, measured=False)
-    truth.play(homing)
-    linear = truth.play(wanted * truth.highest / truth.stroke, measured=False)
-    return Demo(records, fit, time, wanted, linear, compensated, voltage, truth.stroke)
-
-
-def write(demo: Demo, folder: PathLike, *, report: bool = True) -> list[Path]:
-    """Write the records, the model, the path, the numbers and the report to a folder; return the paths."""
-    target = made_folder(folder)
-    # First, so that the folder counts as the demo's even if it is not finished.
-    write_json(target / OWN[0], {"format": OWN[1], "version": 1, **demo.as_dict()})
-    for record in demo.records:
-        write_record(target / f"{record.name}.csv", record)
-    demo.fit.actuator.save(target / "model.json")
-    wanted = {"time_s": demo.time, "wanted_um": demo.wanted * 1e6, "voltage_V": demo.voltage}
-    reached = {"compensated_um": demo.compensated * 1e6, "linear_um": demo.linear * 1e6}
-    write_columns(target / "tracking.csv", wanted | reached, digits=12)
-    names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", OWN[0]]
-    if report:
-        from dehyst.report import write_report
-
-        write_report(target / "report.html", demo.fit, command=f"dehyst identify {_IDENTIFIED} --report report.html")
-        names.append("report.html")
-    return [target / name for name in names]
+    plan = plan_path(fit.actuator, wanted, time=time, limits=limits, start=homed)
+    path = {"time_s": time, "wanted_um": 1e6 * wanted, "voltage_V": plan.voltage[plan.first :]}
+    for kind, voltage in (("compensated", path["voltage_V"]), ("linear", wanted * truth.highest / truth.stroke)):
+        truth.play(homing)
+        path[f"{kind}_um"] = 1e6 * truth.play(voltage, measured=False)
+    return Demo(records, fit, truth.stroke, path)
 
 
 @command("demo")
-def demo(
-    run: Run,
-    output: Path = output("Folder: new, empty, or an earlier demo's.", CONTINUED, default="dehyst-demo"),
-    report: bool = switch("--report/--no-report", "Draw the report.", default=True),
-) -> Result:
+def demo(run: Run, output: Path = output("New or empty folder.", FOLDER, default="dehyst-demo")) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator."""
-    demand_own_folder(output, *OWN, force=run.force)
-    result = journey(run.progress)
+    from dehyst.report import write_report
+
+    found = journey(run.progress)
     run.progress("writing")
-    written = write(result, output, report=report)
-    numbers = result.as_dict()
-    lines = [result.fit.summary().split("\n")[0], "", "A path with nine reversals, largest error in % of the stroke"]
+    target, numbers = made_folder(output), found.as_dict()
+    for record in found.records:
+        write_record(target / f"{record.name}.csv", record)
+    found.fit.actuator.save(target / "model.json")
+    write_columns(target / "tracking.csv", found.path, digits=12)
+    write_report(target / "report.html", found.fit, command=_IDENTIFIED)
+    names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "report.html"]
+    lines = [found.fit.summary().split("\n")[0], "", "A path with nine reversals, largest error in % of the stroke"]
     for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
-        largest, rms = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
-        lines.append(f"  {name:<38}{largest:7.2f} %   RMS {rms:5.2f} %")
-    lines += ["", f"Written to {output}/: {', '.join(path.name for path in written)}"]
-    return Result({**numbers, "written": [str(path) for path in written]}, lines)
+        most, mean = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
+        lines.append(f"  {name:<38}{most:7.2f} %   RMS {mean:5.2f} %")
+    lines += ["", f"Written to {output}/: {', '.join(names)}"]
+    return Result({**numbers, "written": [str(target / name) for name in names]}, lines)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from dehyst._io import demand_own_folder
-from dehyst.operations.command import CONTINUED, command, output
+from dehyst.operations.command import FOLDER, command, output
 from dehyst.operations.run import Result, Run
 from dehyst.paper import Paper
 from dehyst.paper import run as experiment
@@ -23,10 +22,9 @@ _HEADS = (("paper", "ours, by", "ours, whole"), ("", "its method", "records"))
 @command("paper")
 def paper(
     run: Run,
-    output: Path = output("Folder: new, empty, or of an earlier run.", CONTINUED, default="dehyst-paper"),
+    output: Path = output("New or empty folder.", FOLDER, default="dehyst-paper"),
 ) -> Result:
     """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
-    demand_own_folder(output, *experiment.OWN, force=run.force)
     result = experiment.run(run.progress)
     written = experiment.write(result, output, run.progress)
     lines = [*_table(result), f"Written to {output}/: open index.html"]

@@ -18,8 +18,6 @@ from dehyst.report import MINUS, Row, document, table
 if TYPE_CHECKING:
     from dehyst.paper.figures import Plate
 
-# A folder with this file is one of the paper's.
-OWN = ("results.json", "dehyst-paper")
 _ACTUATORS = {"asymmetric": "virtual E-280.10", "symmetric": "without its asymmetric map"}
 _TITLE = "The paper's experiment on a virtual actuator"
 _SOURCE = (
@@ -86,11 +84,11 @@ def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) 
     target = made_folder(folder)
     drawn = list(plates(result.asymmetric, result.symmetric, progress))
     progress("writing")
-    # First, so that the folder counts as the paper's even if it is not finished.
-    write_json(target / OWN[0], {"format": OWN[1], "version": 1, **result.as_dict()})
+    numbers = target / "results.json"
+    write_json(numbers, {"format": "dehyst-paper", "version": 1, **result.as_dict()})
     written = [path for plate in drawn for path in plate.drawing.save(target / plate.name)]
     write_atomically(target / "index.html", page(result, drawn))
-    return [target / "index.html", *written, target / OWN[0]]
+    return [target / "index.html", *written, numbers]
 
 
 def page(result: Paper, plates: Sequence[Plate]) -> str:
