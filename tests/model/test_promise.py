@@ -104,6 +104,14 @@ def test_a_path_longer_than_the_records_costs_creep_that_they_cannot_show():
         assert slow.rms > short.rms
 
 
+def test_a_removed_drift_is_named_where_it_matters():
+    drifting = known(0, 100, 0, 80, 0, 60, 0, 40, 0, drift=1e-7)
+    time, voltage = motion(0, 100, 0, 80, 0, 60, 0, 40, 0)
+    assert [gap.what for gap in promise(drifting, voltage, time).untested] == ["drift"]
+    assert promise(drifting, voltage[:101], time[:101]).untested == ()
+    assert promise(TOPS, voltage, time).untested == ()
+
+
 def test_every_part_of_a_promise_has_words_in_the_report():
     known_ = known(0, 100, 0, lag=0.01, lag_error=0.01, temperatures=(20.0, 20.0))
     time, voltage = motion(0, 120, 0, branch=0.1, hold=1e4)

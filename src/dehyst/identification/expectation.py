@@ -192,6 +192,7 @@ def validity_of(
         rms=float(np.hypot(missed, _NOISE_KNOWN * noise)),
         largest=max(largest, 0.0),
         disagreement=held_out.disagreement,
+        drift=max(abs(errors[q].drift * errors[q].decades) for q in judged),
         growth=grown,
         stroke=errors[0].stroke,
         new=new,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._views.fields import json_values
+from dehyst._views.lines import percent
 from dehyst.records import turning_points
 from dehyst.waveforms import FASTER, STEEPEST
 
@@ -26,6 +27,8 @@ CELLS, _AROUND = 40, 2
 _AT_REST = 0.1
 # Paces and holds count as tested up to this ratio, and voltages within this part of the range.
 ALIKE, _BEYOND = 1.5, 0.02
+# A drift of the records counts from so many times the RMS error that they show.
+_DRIFTS = 2.0
 # The least range of voltages of an excitation that tests a rate, as a part of that of the records.
 _NARROWEST = 0.1
 
@@ -116,8 +119,8 @@ def _cells(branches: Array, edges: Array) -> NDArray[np.intp]:
 class Untested:
     """A property of a path that the records do not test.
 
-    `what`: "voltages", "turns", "speed", "rate", "hold" or "temperature". `sentence`: in words. `command`: the
-    `dehyst excite` command that tests it; empty for a temperature, at which the excitation of the records does.
+    `what`: "voltages", "turns", "speed", "rate", "drift", "hold" or "temperature". `sentence`: in words. `command`: the
+    `dehyst excite` command that tests it; empty for a drift, and for a temperature, at which that of the records does.
     """
 
     what: str
@@ -175,6 +178,11 @@ def untested_by(
         half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
         yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
+    moved = validity.drift * min(float(np.ptp(time)) / validity.lasts, 1.0) if validity.lasts else 0.0
+    if moved > _DRIFTS * validity.shown:
+        drifted = percent(validity.drift, validity.stroke)
+        words = f"The records drifted by {drifted} of the stroke in {validity.lasts:.3g} s, which the promise leaves out; "
+        yield Untested("drift", words + "the path may drift as fast. Let the actuator warm up and rest.")
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."

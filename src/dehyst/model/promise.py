@@ -141,6 +141,8 @@ class Validity(Entries):
         Increase of the RMS error [m] from slow branches to the fastest one.
     hold, lasts : float
         Longest time at one voltage, and longest record [s].
+    drift : float
+        Largest drift of a record [m] that was removed, which no error of these contains.
     lag, lag_error : float
         Time [s] by which the displacement lags the voltage, as estimated, and by how much that may be wrong.
     lag_open : bool
@@ -162,6 +164,7 @@ class Validity(Entries):
     growth: float = entry("growth_m", _SIZE, 0.0)
     hold: float = entry("hold_s", _SIZE, 0.0)
     lasts: float = entry("lasts_s", _SIZE, 0.0)
+    drift: float = entry("drift_m", _SIZE, 0.0)
     lag: float = entry("lag_s", _SIZE, 0.0)
     lag_error: float = entry("lag_error_s", _SIZE, 0.0)
     lag_open: bool = entry("lag_open", flag, False)
