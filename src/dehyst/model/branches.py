@@ -181,7 +181,9 @@ def untested_by(
     moved = validity.drift * min(float(np.ptp(time)) / validity.lasts, 1.0) if validity.lasts else 0.0
     if moved > _DRIFTS * validity.shown:
         drifted = percent(validity.drift, validity.stroke)
-        words = f"The records drifted by {drifted} of the stroke in {validity.lasts:.3g} s, which the promise leaves out; "
+        words = (
+            f"The records drifted by {drifted} of the stroke in {validity.lasts:.3g} s, which the promise leaves out; "
+        )
         yield Untested("drift", words + "the path may drift as fast. Let the actuator warm up and rest.")
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
