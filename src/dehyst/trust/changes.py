@@ -33,6 +33,8 @@ _ALIKE, _ALIKE_IN_LOOP, _WANDERS, _WANDERING = 0.3, 1.0, 0.25, 0.1
 # Parts of a change, and of a change of gain, that do not look like its column, and of all on the rise from a fitted
 # start; the own error of a model beside its promise; slow changes that a record cannot show, of the stroke a decade.
 _UNLIKE, _UNLIKE_GAIN, _AT_START, _OWN, _UNSEEN = 0.4, 0.1, 1.0, 1.3, 0.007
+# Probability with which what is left over shows a variance of the model's own error.
+_SHOWN_AT_LEAST = 0.95
 # A loop narrower than this part of its height has no width that could change.
 _NARROW = 1e-3
 # Columns that depend on one another to this part count as dependent; a delay is found to this part of the stroke.
@@ -267,12 +269,11 @@ class _ChangeFit:
 
     def covariance(self, loop: _SimulatedLoop, known: Known) -> Array:
         """Return the covariance (k, k) of the coefficients, by the correlated error of the model."""
+        scale = np.linalg.norm(self.columns, axis=0)
+        back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT)
         effect = dict(zip(self.names, (self.columns * self.values).T, strict=True))
         slow = next((effect[name] for name in SLOW if name in effect), 0.0)
         shape = effect.get("width", 0.0) + effect["lag"]
-        own = _OWN * known.own
-        unlike = _UNLIKE * np.std(shape), _UNLIKE * np.std(slow), _UNLIKE_GAIN * np.std(effect["gain"])
-        size = own**2 + float(np.mean(self.left**2)) + float(np.sum(np.square(unlike)))
         within = loop.simulated - loop.mean
         voltage, within, time, start = (
             _means(values, self.blocks) for values in (loop.voltage, within, loop.time, loop.start.astype(np.float64))
@@ -280,17 +281,32 @@ class _ChangeFit:
         alike = np.exp(
             -_apart(voltage, _ALIKE * np.ptp(voltage)) - _apart(within, _ALIKE_IN_LOOP * np.abs(within).max())
         )
-        error = size * (alike + _WANDERING * np.exp(-_apart(time, _WANDERS * known.cycle)))
-        begins = _AT_START**2 * (np.var(shape + effect["gain"]) + own**2)
+        correlated = alike + _WANDERING * np.exp(-_apart(time, _WANDERS * known.cycle))
+        prior = (_OWN * known.own) ** 2
+        shown = self._shown(correlated - self.columns / scale @ (back @ correlated))
+        own = min(prior, (prior * shown) ** 0.5)
+        unlike = _UNLIKE * np.std(shape), _UNLIKE * np.std(slow), _UNLIKE_GAIN * np.std(effect["gain"])
+        error = (own + float(np.mean(self.left**2)) + float(np.sum(np.square(unlike)))) * correlated
+        begins = _AT_START**2 * (np.var(shape + effect["gain"]) + own)
         error += begins * np.outer(start, start) * alike
         if not known.slow:
             for name in SLOW:
                 curve = _means(loop.slow(name, known.cycle), self.blocks)
                 error += (_UNSEEN * known.stroke) ** 2 * np.outer(curve, curve)
         error[np.diag_indices(len(error))] += known.noise**2 * len(error) / self.blocks.size
-        scale = np.linalg.norm(self.columns, axis=0)
-        back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT) / scale[:, None]
+        back /= scale[:, None]
         return np.asarray(back @ error @ back.T)
+
+    def _shown(self, remaining: Array) -> float:
+        """Return the most that the variance of a correlated error can be, by what the columns leave.
+
+        `remaining`: correlation (n, n) of the error, projected on what no column explains.
+        """
+        from scipy.special import chdtri
+
+        trace = float(np.trace(remaining))
+        free = trace**2 / float(np.sum(remaining * remaining.T))
+        return float(self.left @ self.left) / trace * free / float(chdtri(free, _SHOWN_AT_LEAST))
 
 
 def _apart(place: Array, length: float) -> Array:
