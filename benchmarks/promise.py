@@ -171,14 +171,13 @@ def case(job):
         plan = dehyst.plan_path(model, ahead, time=when, start=homed.state, home=False, on_time=False)
         sent = plan.voltage[plan.first :]
         error = (wanted - np.append(wanted[0], copy.deepcopy(stage.bench).play(when[1:], sent[1:])))[1:]
-        zeroed = float(np.abs(error - error[0]).max())
-        error -= error.mean()
         found = plan.promise
         if found.delay:
             # Apart from a constant delay, too.
             rate = np.gradient(wanted, when)[1:]
-            rate -= rate.mean()
-            error -= rate * (rate @ error) / (rate @ rate)
+            error -= rate * np.polyfit(rate, error, 1)[0]
+        zeroed = float(np.abs(error - error[0]).max())
+        error -= error.mean()
         rows.append(
             {
                 **about,
