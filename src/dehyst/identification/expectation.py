@@ -100,16 +100,14 @@ class Expectation:
         above = self.largest_percent > self.goal
         return ("the largest error is above the goal", *self.reasons) if above else self.reasons
 
-    def _both(self, error: float) -> str:
-        return f"{percent(error, self.stroke)} of the stroke ({length(error)})"
-
     @property
     def headline(self) -> str:
         """The verdict, with the largest and the RMS error to expect."""
-        return (
-            f"{self.readiness.value.capitalize()}: expect an error of {self._both(self.largest)} at most on a path, "
-            f"{self._both(self.rms)} RMS, {self.promise.apart}"
+        largest, rms = (
+            f"{percent(error, self.stroke)} of the stroke ({length(error)})" for error in (self.largest, self.rms)
         )
+        verdict = self.readiness.value.capitalize()
+        return f"{verdict}: expect an error of {largest} at most on a path, {rms} RMS, {self.promise.apart}"
 
     @property
     def origin(self) -> str:

@@ -115,7 +115,7 @@ def _brief(fit: Fit) -> Iterator[str]:
     verdict = fit.promise
     yield f"{verdict.headline}."
     yield verdict.origin
-    yield from (f"{name}: {sentence}" for name, sentence, _ in parts_of(fit.actuator) if name == "Creep")
+    yield from (f"{name}: {sentence}" for name, sentence in parts_of(fit.actuator) if name == "Creep")
     ended = [] if fit.outcome.good else [fit.outcome.value]
     # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
     usable = verdict.readiness is not Readiness.NOT_USABLE
@@ -142,7 +142,7 @@ def _lines(fit: Fit) -> Iterator[str]:
         for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
             mark = " (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""
             yield f"  {trial.held_out * 1e9:>7.1f} nm  {trial.words}{mark}"
-    parts = (f"  {name + ':':<18}{sentence}" for name, sentence, _ in parts_of(fit.actuator))
+    parts = (f"  {name + ':':<18}{sentence}" for name, sentence in parts_of(fit.actuator))
     yield from ("", "The model is made of:", *parts)
     causes = [cause.sentence(fit.promise.stroke) for cause in fit.remaining]
     lists = ("Repaired or left out", fit.repairs), ("Remaining error", causes), ("Remarks", fit.remarks)

@@ -25,10 +25,9 @@ BAND = 0.02
 CELLS, _AROUND = 40, 2
 # A voltage rests where it moves at less than this part of the mean speed of its branch.
 _AT_REST = 0.1
-# Paces and holds count as tested up to this ratio, and voltages within this part of the range.
-ALIKE, _BEYOND = 1.5, 0.02
-# A drift of the records counts from so many times the RMS error that they show.
-_DRIFTS = 2.0
+# Paces and holds count as tested up to this ratio, voltages within this part of the range, and a drift of the records
+# matters from so many times the RMS error that they show.
+ALIKE, _BEYOND, _DRIFTS = 1.5, 0.02, 2.0
 # The least range of voltages of an excitation that tests a rate, as a part of that of the records.
 _NARROWEST = 0.1
 
@@ -180,11 +179,9 @@ def untested_by(
         yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
     moved = validity.drift * min(float(np.ptp(time)) / validity.lasts, 1.0) if validity.lasts else 0.0
     if moved > _DRIFTS * validity.shown:
-        drifted = percent(validity.drift, validity.stroke)
-        words = (
-            f"The records drifted by {drifted} of the stroke in {validity.lasts:.3g} s, which the promise leaves out; "
-        )
-        yield Untested("drift", words + "the path may drift as fast. Let the actuator warm up and rest.")
+        drifted = f"{percent(validity.drift, validity.stroke)} of the stroke in {validity.lasts:.3g} s"
+        words = f"The promise leaves out the drift of the records, {drifted}; the path may drift as fast. "
+        yield Untested("drift", words + "Let the actuator warm up and rest.")
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."

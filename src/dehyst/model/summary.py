@@ -27,15 +27,10 @@ _LATE = {
 
 
 class Part(NamedTuple):
-    """One part of an actuator.
-
-    `sentence`: its effect in this actuator. `holds`: the largest voltage that it holds within the range of the spring's
-    knots [V]; None if it holds no voltage.
-    """
+    """One part of an actuator; `sentence`: its effect in this actuator."""
 
     name: str
     sentence: str
-    holds: float | None = None
 
 
 def parts_of(actuator: Actuator) -> tuple[Part, ...]:
@@ -43,7 +38,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
     slopes = actuator.spring.slopes * 1e-6
     knots = f"{actuator.spring.voltage.size} knots, slopes from {slopes.min():.3g} to {slopes.max():.3g} V/um."
     parts = [_slip(actuator.slip, actuator.spring)]
-    parts.append(Part("Parallel spring", knots, float(np.ptp(actuator.spring.voltage))))
+    parts.append(Part("Parallel spring", knots))
     for name, (_, describe) in _FURTHER.items():
         if (part := getattr(actuator, name)) is not None:
             parts.append(describe(part, actuator))
@@ -107,17 +102,15 @@ def _slip(slip: GradedSlip | MaxwellSlip, spring: Spring) -> Part:
             f", graded in {slip.knots.size - 1} segments: just after a turn the slope is {k[least]:.3g} V/um at "
             f"{y[least]:.3g} um and {k[most]:.3g} V/um at {y[most]:.3g} um"
         )
-    return Part("Slip elements", f"{sentence}.", float(slip.friction.sum()))
+    return Part("Slip elements", f"{sentence}.")
 
 
 def _transformer(transformer: Transformer, _: Actuator) -> Part:
     deviation = bend(transformer)
     most, v = int(np.argmax(np.abs(deviation))), transformer.voltage
-    gains = transformer.slopes / (np.ptp(transformer.drive) / np.ptp(v))
     sentence = (
         f"tau(v) lies up to {abs(deviation[most]):.3g} V ({digits(100 * abs(deviation[most]) / np.ptp(v))} % of the "
-        f"voltages) {'above' if deviation[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V; a volt "
-        f"counts for {digits(gains.min())} to {digits(gains.max())} of the mean one."
+        f"voltages) {'above' if deviation[most] > 0 else 'below'} a straight line, most at {v[most]:.4g} V."
     )
     return Part("Transformer", sentence)
 
@@ -143,8 +136,7 @@ def _smooth(smooth: SmoothSlip, _: Actuator) -> Part:
     elements = f"One element that yields gradually over {lengths[0]:.3g} um"
     if len(smooth) > 1:
         elements = f"{len(smooth)} elements that yield gradually over {lengths[0]:.3g} to {lengths[-1]:.3g} um"
-    holds = float((smooth.stiffness * smooth.length).sum())
-    return Part("Smooth elements", f"{elements}: inner loops do not quite close.", holds)
+    return Part("Smooth elements", f"{elements}: inner loops do not quite close.")
 
 
 def _dynamics(dynamics: Dynamics, actuator: Actuator) -> Part:
@@ -152,9 +144,7 @@ def _dynamics(dynamics: Dynamics, actuator: Actuator) -> Part:
     sentence = f"Resonance at {free:.4g} Hz with a damping of {dynamics.damping:.3g}"
     if dynamics.series:
         sentence += f", under a voltage at {driven:.4g} Hz about the mean slope"
-    slow = 0.1 * driven
-    error = 100 * abs(1 / (1 - 0.1**2 + 0.2j * dynamics.damping) - 1)
-    return Part("Inertia", f"{sentence}. Without inertia a cycle at {slow:.3g} Hz is off by {digits(error)} %.")
+    return Part("Inertia", f"{sentence}.")
 
 
 # Name in one line and sentence of each part that an actuator may have.
@@ -192,5 +182,4 @@ def lines(actuator: Actuator) -> Iterator[str]:
     """Yield the lines of a summary: ranges, then each part with its sentence."""
     yield "{}: {}, {} ({})".format(escaped(actuator.name), *_ranges(actuator))
     for part in parts_of(actuator):
-        holds = "" if part.holds is None else f" Holds {part.holds:.3g} V at most."
-        yield f"  {part.name + ':':<17} {part.sentence}{holds}"
+        yield f"  {part.name + ':':<17} {part.sentence}"

@@ -53,7 +53,7 @@ def beyond_noise(error: Array, noise: float) -> tuple[float, float]:
     means = {width: _running_mean(error, width) for width in _WIDTHS if width <= max(error.size, 1)}
     mean = max(max(rms(values) ** 2 - noise**2 / width, 0.0) for width, values in means.items()) ** 0.5
     # A shorter mean counts where noise does not explain how far it is from the longer one.
-    bound, shown = noise * (sqrt(2 * log(max(error.size, 2))) + 1), 0.0
+    bound, shown = noise * (sqrt(2 * log(max(error.size, 2))) + 1), np.zeros(error.size)
     for width in reversed(means):
         shown = np.where(np.abs(means[width] - shown) > bound / sqrt(width), means[width], shown)
     return max(largest(error) - _raised(np.abs(shown), noise), mean), mean

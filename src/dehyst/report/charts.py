@@ -65,7 +65,6 @@ class Series:
     opacity: float = 1.0
     names: tuple[str, ...] = ()
     dashed: bool = False
-    hollow: bool = False
     top: Array | None = None
     values: Array | None = None
     darkest: float | None = None
@@ -230,7 +229,7 @@ class ChartData:
             stored["top"] = self._place(chart.y.scaled(series.top))
         if series.values is not None:
             stored["values"] = self._place(series.values.ravel())
-        flags: dict[str, Any] = {"rising": series.rising, "hollow": series.hollow, "darkest": series.darkest}
+        flags: dict[str, Any] = {"rising": series.rising, "darkest": series.darkest}
         flags |= {"names": list(series.names), "dash": [5, 4] * series.dashed}
         return stored | {key: value for key, value in flags.items() if value}
 

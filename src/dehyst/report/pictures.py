@@ -266,16 +266,11 @@ def turning_points(plane: TurnPlane, path: Sequence[Turn] = ()) -> Chart:
 
 
 def _dots(name: str, turns: Sequence[Turn], colour: Colour, width: float) -> list[Series]:
-    """Return a dot for each turn, and a ring where the voltage was held."""
-    series = []
-    for held in (True, False):
-        some = [turn for turn in turns if turn.held > 0 or not held]
-        if some:
-            lower, upper = np.sort([(turn.begin, turn.end) for turn in some]).T
-            words = tuple(turn.words for turn in some)
-            size = width + 4 if held else width
-            series.append(Series(name, lower, upper, colour, "points", size, names=words, hollow=held))
-    return series
+    """Return a dot for each turn."""
+    if not turns:
+        return []
+    lower, upper = np.sort([(turn.begin, turn.end) for turn in turns]).T
+    return [Series(name, lower, upper, colour, "points", width, names=tuple(turn.words for turn in turns))]
 
 
 def stroke_of(fit: Fit) -> float:

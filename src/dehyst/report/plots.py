@@ -220,9 +220,8 @@ def _draw_series(ax: Axes, series: Series, label: str) -> None:
     if series.kind == "line":
         ax.plot(series.x, series.y, lw=series.width * _POINTS, ls="--" if series.dashed else "-", **style)
     elif series.kind == "points":
-        edge, face = (0.8, "white") if series.hollow else (0.0, style["color"])
-        marks = {"marker": "o", "ms": series.width * _POINTS, "mec": style["color"], "mew": edge}
-        ax.plot(series.x, series.y, ls="none", mfc=face, rasterized=series.x.size > _VECTOR_POINTS, **marks, **style)
+        marks: dict[str, Any] = {"marker": "o", "ms": series.width * _POINTS, "mew": 0.0}
+        ax.plot(series.x, series.y, ls="none", rasterized=series.x.size > _VECTOR_POINTS, **marks, **style)
     elif series.top is not None:
         ax.fill_between(series.x, series.y, series.top, lw=0, **style)
     elif series.values is not None:

@@ -173,14 +173,9 @@ def checks(fit: Fit) -> str:
 def made_of(actuator: Actuator) -> list[Part]:
     """Return what each part of an actuator does, and its charts."""
     rows: list[Row] = [
-        (
-            part.name,
-            html.spelled(part.sentence).replace("tau(v)", "τ(v)"),
-            "–" if part.holds is None else f"{number(part.holds)} V",
-        )
-        for part in parts_of(actuator)
+        (part.name, html.spelled(part.sentence).replace("tau(v)", "τ(v)")) for part in parts_of(actuator)
     ]
-    parts = html.table(("Part", "What it does", "Holds at most"), rows, texts=2)
+    parts = html.table(("Part", "What it does"), rows, texts=2)
     caption = (
         "Single large stiffnesses between zeros show that the records determine sums of stiffnesses better than single "
         "ones. All numbers are in the model's file."
@@ -252,8 +247,8 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
     if plane is None:
         return []
     caption = (
-        "Dots: voltages between which the records turned. Rings: the voltage was held there. Shaded: loops on which "
-        "the model is tested, because both branches begin where a record turned and do not go beyond it."
+        "Dots: voltages between which the records turned. Shaded: loops on which the model is tested, because both "
+        "branches begin where a record turned and do not go beyond it."
     )
     rows: list[Row] = []
     turns = [*plane.turns, *path]

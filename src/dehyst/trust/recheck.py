@@ -422,5 +422,5 @@ def _uncovered(actuator: Actuator, record: Record) -> tuple[str, ...]:
     """Return a sentence if the record covers little of the model's voltages."""
     (low, high), (least, most) = voltages_of(actuator), record.voltage_range
     covered = max((min(most, high) - max(least, low)) / (high - low), 0.0)
-    words = f"{record.name}: covers {100 * covered:.0f} % of the model's voltages: what lies beyond was not checked."
-    return (f"{words} Record a loop over the whole range.",) if covered < _LITTLE else ()
+    words = f"{record.name}: covers {100 * covered:.0f} % of the model's voltages. Record a loop over the whole range."
+    return (words,) if covered < _LITTLE else ()

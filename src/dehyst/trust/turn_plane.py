@@ -1,8 +1,7 @@
-"""The plane of turning points: between which voltages records turned, their speeds, and their holds.
+"""The plane of turning points: between which voltages records turned, and their speeds.
 
-A rise from a lower turning point tests the model for this point and all upper voltages that the rise passes. A fall
-from an upper turning point tests it for all lower voltages that the fall passes. A loop between two voltages is tested
-if both its branches are tested.
+A rise from a lower turning point tests the model for all upper voltages that it passes, a fall from an upper one for
+all lower ones.
 """
 
 from __future__ import annotations
@@ -18,35 +17,30 @@ from numpy.typing import NDArray
 from dehyst._types import Array, Mask
 from dehyst.model import CELLS, branches_of, paces_of, tested_loops
 
-# Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn
-# and in which a voltage is held.
+# Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn.
 _ENOUGH, _BAND = 100_000, 0.01
-# A sine stays near its ends for an eighth of a rise: a longer stay, as a part of the rise before it, is a hold.
-_HOLD = 0.2
 # Turns that are kept of all records.
 _MOST = 2000
 
 
 class Turn(NamedTuple):
-    """A branch between two turning points: voltages [V], mean speed [V/s], hold at its end [s], and its count.
+    """A branch between two turning points: voltages [V], mean speed [V/s] and its count.
 
-    Time at rest does not count for the speed. Without time the speed is NaN and the hold 0.
+    Time at rest does not count for the speed. Without time the speed is NaN.
     """
 
     record: str
     begin: float
     end: float
     speed: float
-    held: float
     times: int
 
     @property
     def words(self) -> str:
-        """Voltages, speed and hold as text."""
+        """Voltages and speed as text."""
         speed = f" at {self.speed:.3g} V/s" if isfinite(self.speed) else ""
-        held = f", held {self.held:.3g} s" if self.held > 0 else ""
         often = f", {self.times} times" if self.times > 1 else ""
-        return f"{self.record}: from {self.begin:.4g} to {self.end:.4g} V{speed}{held}{often}"
+        return f"{self.record}: from {self.begin:.4g} to {self.end:.4g} V{speed}{often}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +71,7 @@ class TurnPlane:
         """Return the rises and falls of a path by its voltage (n,) [V] and time (n,) [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
         turns = _turns(name, clock, voltage, float(np.ptp(self.edges)))
-        return tuple(turns if time is not None else (turn._replace(speed=nan, held=0.0) for turn in turns))
+        return tuple(turns if time is not None else (turn._replace(speed=nan) for turn in turns))
 
 
 def turn_plane(
@@ -122,14 +116,5 @@ def _turns(name: str, time: Array, voltage: Array, span: float) -> list[Turn]:
     alike: dict[tuple[int, int], list[Turn]] = {}
     for (first, last), speed in zip(at.tolist(), paces_of(time, voltage, at)[:, 0].tolist(), strict=True):
         begin, end = float(voltage[first]), float(voltage[last])
-        # A hold begins with the first sample near the end, and may go on after the turning point.
-        near = np.abs(voltage - end) <= band
-        arrived = last - int(np.argmin(near[first : last + 1][::-1])) + 1
-        after = last + int(np.argmin(near[last:])) if not near[last:].all() else len(near)
-        held = float(time[after - 1] - time[arrived])
-        turn = Turn(name, begin, end, speed, held if held > _HOLD * abs(end - begin) / speed else 0.0, 1)
-        alike.setdefault((round(begin / band), round(end / band)), []).append(turn)
-    return [
-        max(turns, key=lambda turn: turn.speed)._replace(held=max(turn.held for turn in turns), times=len(turns))
-        for turns in alike.values()
-    ]
+        alike.setdefault((round(begin / band), round(end / band)), []).append(Turn(name, begin, end, speed, 1))
+    return [max(turns, key=lambda turn: turn.speed)._replace(times=len(turns)) for turns in alike.values()]

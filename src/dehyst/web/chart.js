@@ -14,7 +14,7 @@ const MANY = 3000; // vertices from which on a curve is drawn step by step
 //     right   { factor, label, unit }: a second axis, of the numbers of y times a factor
 //     series  [{ name, colour, x, y, kind, ... }], each of a kind
 //             "line"    width, dash, opacity; `rising` if x rises
-//             "points"  width, opacity, hollow, and the `names` of single points
+//             "points"  width, opacity, and the `names` of single points
 //             "area"    from y to `top`
 //             "cells"   `values` on a grid with the edges x and y, row by row: the larger, the darker, up to `darkest`
 //     shaded  [[from, to], ...] of x;  band: [low, high] of y;  levels: [{ value, name, colour }]
@@ -290,9 +290,7 @@ function drawLine(chart, pen, series) {
 
 function drawPoints(chart, pen, series) {
   const size = series.width ?? 3;
-  pen.fillStyle = chart.colour(series.hollow ? "paper" : series.colour);
-  pen.strokeStyle = chart.colour(series.colour);
-  pen.lineWidth = 1.2;
+  pen.fillStyle = chart.colour(series.colour);
   pen.globalAlpha = series.opacity ?? 1;
   const { px, py } = pixels({ x: series.x, y: series.y }, chart.frame());
   const drawn = new Set(); // pixels
@@ -301,10 +299,9 @@ function drawPoints(chart, pen, series) {
     if (drawn.has(place) || !Number.isFinite(place)) continue;
     drawn.add(place);
     pen.beginPath();
-    if (size <= 4 && !series.hollow) pen.rect(px[i] - size / 2, py[i] - size / 2, size, size);
+    if (size <= 4) pen.rect(px[i] - size / 2, py[i] - size / 2, size, size);
     else pen.arc(px[i], py[i], size / 2, 0, 2 * Math.PI);
     pen.fill();
-    if (series.hollow) pen.stroke();
   }
   pen.globalAlpha = 1;
 }
