@@ -6,8 +6,7 @@ With s the simulated displacement, m(v) its mean line (the average of rising and
 
 whose coefficients are the changes. The error of a model is no white noise: it is alike wherever the loop comes again.
 Its covariance falls with the distance in voltage and in h, and its size grows with the change itself, because no loop
-ages exactly as the columns say; standard errors follow from it. Theory: what a loop can tell of change. Constants were
-chosen on aged stages by other mechanisms, and are tested on further ones: `benchmarks/ageing.py`.
+ages exactly as the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
 """
 
 from __future__ import annotations
