@@ -44,7 +44,7 @@ _BEFORE = "Before recording, play one cycle on all axes, so that the record begi
 _DRIVEN: dict[str, Declaration] = {
     "output": output("Write time and voltage here (CSV)."),
     "frequency": number("Cycles per second [Hz]; default: the slowest that takes two minutes (recommended: four)."),
-    "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle."),
+    "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle, recommended 1000."),
     "base": number("Voltage [V] at which a protocol starts and ends.", default=0.0),
     "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
     "limits": pair("Voltages allowed [V]; others are refused."),

@@ -146,7 +146,7 @@ class Sampling:
         Cycles per second [Hz]; a branch between two turning points takes half a cycle, regardless of its height, to the
         nearest sample, and is half a cosine (paper, Sec. 3).
     sample_rate : float, optional
-        [Hz]; by default 400 samples a cycle.
+        [Hz]; by default 400 samples a cycle, and 1000 of the recommended excitation.
     base : float
         Voltage [V] at which a protocol starts and ends.
     present : float, optional

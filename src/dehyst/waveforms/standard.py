@@ -27,8 +27,8 @@ _PAPER, _PACE = Sampling(), Sampling(0.1)
 # The recommended excitation: major loops, falling tops, cycles that each of its two holds lasts, random turning points
 # at each of three speeds, number of the turning point that is held, and the largest speed over the smallest.
 _LOOPS, _TOPS, _HOLD, _TURNS, _HELD, FASTER = 2, 5, 3.0, (12, 12, 24), 10, 25.0
-# Least samples of a cycle at the largest speed.
-_FEWEST = 16
+# Least samples of a cycle at the largest speed; samples of one at the smallest speed by default, as of `calibrate`.
+_FEWEST, _SAMPLES = 16, 1000
 _MOST_TURNS = 1_000_000
 _count = partial(whole, least=1, most=_MOST_TURNS // 4, error=RecordError)
 # Least height of a branch between random turning points, as a part of the range; its time, as a part of half a cycle.
@@ -47,8 +47,10 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     ones 25 times as fast or as fast as slew rate and sample rate allow. The falling tops determine the stiffnesses, the
     holds show creep, the speeds tell a lag from a fast creep, and the random turning points test any path.
 
-    `highest` [V], above the base. `drive`: sampling and slowest speed, 0.1 Hz. Raise `RecordError` as all others do.
+    `highest` [V], above the base. `drive`: slowest speed, 0.1 Hz, and sampling, by default 1000 samples a slow cycle.
+    Raise `RecordError` as all others do.
     """
+    drive = replace(drive, sample_rate=drive.sample_rate or _SAMPLES * drive.frequency)
     top, hold = _top(highest, drive), _HOLD / drive.frequency
     height, tops = top - drive.base, [*(top,) * _LOOPS, *_tops(top, _TOPS, drive)[1:]]
     branches = drive.branches([drive.base, *(v for peak in tops for v in (peak, drive.base))])
