@@ -43,9 +43,8 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     """Return the excitation for an identification, in one run of some 17 cycles: two holds, three speeds.
 
     Two major loops, the second one with a hold at the top, and loops with falling tops; then random turning points,
-    always the same ones, the first twelve at the `drive`'s speed and with a second hold, the others faster, the last
-    ones 25 times as fast or as fast as slew rate and sample rate allow. The falling tops determine the stiffnesses, the
-    holds show creep, the speeds tell a lag from a fast creep, and the random turning points test any path.
+    always the same ones, twelve at the `drive`'s speed and with a second hold, the last ones 25 times as fast or as fast
+    as slew rate and sample rate allow.
 
     `highest` [V], above the base. `drive`: slowest speed, 0.1 Hz, and sampling, by default 1000 samples a slow cycle.
     Raise `RecordError` as all others do.
