@@ -42,9 +42,8 @@ RATIO = 1.3247179572447460
 def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     """Return the excitation for an identification, in one run of some 17 cycles: two holds, three speeds.
 
-    Two major loops, the second one with a hold at the top, and loops with falling tops; then random turning points,
-    always the same ones, twelve at the `drive`'s speed and with a second hold, the last ones 25 times as fast or as fast
-    as slew rate and sample rate allow.
+    Two major loops, the second one with a hold at the top, and falling tops; then random turning points, always the
+    same ones: twelve with a second hold, the last ones 25 times as fast, or as slew rate and sample rate allow.
 
     `highest` [V], above the base. `drive`: slowest speed, 0.1 Hz, and sampling, by default 1000 samples a slow cycle.
     Raise `RecordError` as all others do.
