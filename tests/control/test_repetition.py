@@ -67,6 +67,15 @@ def test_a_slow_sensor_is_learnt_from_and_a_gap_is_not():
     assert not np.any(life.repetition.correction) and life.repetition.believed
 
 
+def test_a_first_cycle_without_any_error_is_the_best_one():
+    repetition = Repetition(Compensator(PLANT, (-20, 220), period=PERIOD), PATH)
+    for worse in (0.0, 0.01, 0.02, 0.02, 0.02):
+        repetition.next()
+        repetition.learn(PATH + worse * np.ptp(PATH) * np.sin(np.arange(len(PATH))))
+    assert repetition.errors[0] == 0 and repetition.believed
+    assert np.abs(repetition.correction).max() <= repetition.bound
+
+
 def test_a_clamped_cycle_is_not_learnt():
     life = Life(limits=(-20, 100))
     assert not life.cycle() and not life.repetition.errors

@@ -239,8 +239,8 @@ class Repetition:
         floor = np.median(size[len(size) // 2 :], axis=0) / np.sqrt(np.log(2))
         noise = _ERRORS * float(floor.max()) / len(error) / np.sqrt(2)
         best = self._best
-        near = (_NEAR, 1.0, np.inf)[self._returned] * self.errors[0]
-        if best is not None and cycle.rms > max(_WORSE * best.rms + noise, near):
+        near = (_NEAR, 1.0, 1.0)[self._returned] * self.errors[0]
+        if best is not None and self._returned < 2 and cycle.rms > max(_WORSE * best.rms + noise, near):
             # The best cycle may have come before a resonance swung; a cycle without a correction excites none.
             self._returned += 1
             self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
