@@ -1,7 +1,7 @@
 """Homing: a voltage through the limits that leads from any state to a known state.
 
-It is simulated in time from the states that bound all histories; the number of its branches and its holds follow from
-the tolerance, or from the time that it may take.
+It is simulated in time from the states that bound all histories; its holds follow from the tolerance, or from the time
+that it may take.
 
 If the order of voltages alone determines the state, every voltage keeps the order of states. Then the two extreme
 equilibria, on either branch of the major loop, bound every state at rest, and two simulations propagate the bounds
@@ -42,8 +42,6 @@ _TOLERANCE = 1e-3
 _BRANCH, _PERIODS = 0.05, 50.0
 # A mass and a lag are at rest after this many of their time constants.
 _RESTS = 12.0
-# Most branches; two more are added if they reduce the spread to less than this share.
-_MOST_BRANCHES, _FEWER = 12, 0.7
 # Samples of a branch in rough simulations; fewest samples that a `Sampling` takes for a cycle.
 _SAMPLES, _LEAST_CYCLE = 60, 8
 # Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
@@ -150,8 +148,7 @@ def shortest_homing(
 class _TimedHoming:
     """A homing over time through both `limits`, from the states that bound all histories within what is `allowed`.
 
-    `start`: first and last voltage [V]. Its parameters are the number of branches, and the holds [s] at the last visit
-    of either limit.
+    `start`: first and last voltage [V]. Its parameter is the hold [s] at the last visit of either limit.
     """
 
     actuator: Actuator
@@ -163,9 +160,13 @@ class _TimedHoming:
 
     def __post_init__(self) -> None:
         self.states = possible_states(self.actuator, self.start, self.allowed, self.sampling.half)
-        # The longest time constant of creep [s].
+        # The longest time constant of creep [s], and the voltages to visit, the shorter way first.
         self.longest = float(creep_times(self.actuator).max(initial=0.0))
-        self._cycle = self._few(self.sampling.branches(_way_through(self.limits, self.start, 2)))
+        low, high = self.limits
+        ways = [self.start, high, low, self.start], [self.start, low, high, self.start]
+        turns = min(ways, key=lambda way: sum(abs(b - a) for a, b in pairwise(way)))
+        self.turns = tuple(volts for k, volts in enumerate(turns) if not k or volts != turns[k - 1])
+        self._cycle = self._few(self.sampling.branches(self.turns))
 
     def homing(self, within: float | None) -> Homing:
         """Return the shortest homing; it may take no longer than `within` [s]."""
@@ -175,39 +176,37 @@ class _TimedHoming:
             return Homing((start,), known, True, (), self.sampling.play("homing", [Branch(start, start, 0.0)]), spread)
         wait = _rest_seconds(self.actuator)
         if self.longest:
-            needed = self.needed(wait)
+            needed = self.needed()
             wait = self.longest if needed is None else needed
-        branches = self.best(wait)[0]
-        excitation = self.sampling.play("homing", self.path(branches, wait))
+        excitation = self.sampling.play("homing", self.path(wait))
         if within is not None and excitation.duration > within:
-            branches, wait, excitation = self.shortened(within)
+            wait, excitation = self.shortened(within)
         state, spread = self.left(excitation.voltage, excitation.time)
-        return Homing(
-            self.turns(branches), state, spread <= self.tolerance, tuple(self.remarks(wait, spread)), excitation, spread
-        )
+        remarks = tuple(self.remarks(wait, spread))
+        return Homing(self.turns, state, spread <= self.tolerance, remarks, excitation, spread)
 
-    def shortened(self, within: float) -> tuple[int, float, Excitation]:
-        """Return branches, holds [s] and voltage of a homing that takes no longer than `within` [s]."""
-        excitation = self.sampling.play("homing", self.path(2, 0.0))
-        if excitation.duration > within:
-            frequency = self.sampling.frequency * excitation.duration / within
-            if self.sampling.sample_rate is not None:
-                frequency = min(frequency, max(self.sampling.frequency, self.sampling.sample_rate / _LEAST_CYCLE))
-            self.sampling = replace(self.sampling, frequency=frequency)
-            excitation = self.sampling.play("homing", self.path(2, 0.0))
-            if excitation.duration > within + 2 / self.sampling.rate:
-                need = f"{excitation.duration:.4g} s at least, by the slew rate or the sample rate"
-                raise RecordError(argument="home_within", got=f"{within:g} s for the homing", need=need)
-            return 2, 0.0, excitation
-        wait = (within - excitation.duration) / self.holds(2)
-        return 2, wait, self.sampling.play("homing", self.path(2, wait))
+    def shortened(self, within: float) -> tuple[float, Excitation]:
+        """Return holds [s] and voltage of a homing that takes no longer than `within` [s]."""
+        excitation = self.sampling.play("homing", self.path(0.0))
+        if excitation.duration <= within:
+            wait = (within - excitation.duration) / max(1, len(self.path(math.inf)) - len(self.path(0.0)))
+            return wait, self.sampling.play("homing", self.path(wait))
+        frequency = self.sampling.frequency * excitation.duration / within
+        if self.sampling.sample_rate is not None:
+            frequency = min(frequency, max(self.sampling.frequency, self.sampling.sample_rate / _LEAST_CYCLE))
+        self.sampling = replace(self.sampling, frequency=frequency)
+        excitation = self.sampling.play("homing", self.path(0.0))
+        if excitation.duration > within + 2 / self.sampling.rate:
+            need = f"{excitation.duration:.4g} s at least, by the slew rate or the sample rate"
+            raise RecordError(argument="home_within", got=f"{within:g} s for the homing", need=need)
+        return 0.0, excitation
 
     def remarks(self, wait: float, spread: float) -> Iterator[str]:
         """Yield remarks on a homing with holds [s] that leaves a `spread` [m]."""
         reasons = time_dependence(self.actuator)
         if spread > self.tolerance:
             remedy = "no hold suffices within these limits; wider limits may, or a larger tolerance"
-            if (needed := self.needed(wait)) is not None:
+            if (needed := self.needed()) is not None:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
             share = 100 * spread / float(np.ptp(self.actuator.spring.displacement))
             yield (
@@ -220,24 +219,12 @@ class _TimedHoming:
                 f"this actuator {reasons}"
             )
 
-    def best(self, hold: float) -> tuple[int, float]:
-        """Return the best number of branches with these holds, and roughly the spread [m]."""
-        branches, spread = 2, self._rough_spread(2, hold)
-        for more in range(4, _MOST_BRANCHES + 1, 2):
-            if spread <= self.tolerance:
-                break
-            less = self._rough_spread(more, hold)
-            if less > _FEWER * spread:
-                break
-            branches, spread = more, less
-        return branches, spread
-
-    def needed(self, hold: float) -> float | None:
-        """Return holds [s] that keep the tolerance; None if there are none. `hold` [s]: tried first."""
+    def needed(self) -> float | None:
+        """Return holds [s] that keep the tolerance; None if there are none."""
         low, high = 0.0, _PATIENCE * self.longest
 
         def misses(seconds: float) -> bool:
-            return self.best(seconds)[1] > _ROUGHLY * self.tolerance
+            return self.left(*self._few(self.path(seconds)))[1] > _ROUGHLY * self.tolerance
 
         if not self.longest:
             return None
@@ -245,20 +232,14 @@ class _TimedHoming:
             return 0.0
         if misses(high):
             return None
-        if not misses(hold):
-            high = hold
         while high - low > _NEARLY * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if misses(middle) else (low, middle)
         return high
 
-    def turns(self, branches: int) -> tuple[float, ...]:
-        """Return the voltages [V] to visit, the present voltage first."""
-        return _way_through(self.limits, self.start, branches)
-
-    def path(self, branches: int, hold: float) -> list[Branch]:
+    def path(self, hold: float) -> list[Branch]:
         """Return the branches through the turns, with a hold at the last visit of either limit."""
-        turns = self.turns(branches)
+        turns = self.turns
         # A hold shorter than a sample is left out.
         last = {turn: k for k, turn in enumerate(turns) if turn in self.limits and hold * self.sampling.rate > 1}
         path: list[Branch] = []
@@ -266,10 +247,6 @@ class _TimedHoming:
             path += [] if branch is None else [branch]
             path += [Branch(turns[k], turns[k], hold)] if last.get(turns[k]) == k else []
         return path
-
-    def holds(self, branches: int) -> int:
-        """Return the number of holds in a path, or 1."""
-        return max(1, len(self.path(branches, math.inf)) - len(self.path(branches, 0.0)))
 
     def left(self, voltage: Array, time: Array) -> tuple[State, float]:
         """Return the middle of the states at the end, and the spread [m] there and along a further cycle."""
@@ -279,9 +256,6 @@ class _TimedHoming:
             ends.append(end)
             paths.append(np.append(self._played(*self._cycle, end)[0], end.deformation))
         return middle_of(ends), float(np.ptp(paths, axis=0).max())
-
-    def _rough_spread(self, branches: int, hold: float) -> float:
-        return self.left(*self._few(self.path(branches, hold)))[1]
 
     def _few(self, branches: Sequence[Branch]) -> tuple[Array, Array]:
         """Return a coarse sampling of branches: voltage [V] and time [s]."""
@@ -298,19 +272,6 @@ class _TimedHoming:
     def _played(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
         motion = self.actuator.simulate(voltage, time=time, state=state, extrapolate=True)
         return motion.displacement, motion.state
-
-
-def _way_through(limits: tuple[float, float], start: float, branches: int) -> tuple[float, ...]:
-    """Return the voltages [V] of the shorter way through both limits in `branches` visits; up first if equal."""
-    low, high = limits
-    ways = []
-    for first, second in ((high, low), (low, high)):
-        visited = [start]
-        for turn in [*[first, second] * (branches // 2), start]:
-            if turn != visited[-1]:
-                visited.append(turn)
-        ways.append(tuple(visited))
-    return min(ways, key=lambda way: sum(abs(b - a) for a, b in pairwise(way)))
 
 
 def branch_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
