@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1072,
     "cli": 388,
-    "control": 3655,
+    "control": 3616,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1356,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2251,
 }
 HOUSE = {
-    "lines of Python": 36817,
+    "lines of Python": 36778,
     "files of Python": 188,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2718,
