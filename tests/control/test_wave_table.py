@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import DisplacementCreep, Dynamics, RecordError
-from dehyst.control import plan_path, wave_table
+from dehyst.control import wave_table
 from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing, turned, voltages_of
 from dehyst.waveforms import Raster, Triangle
 
@@ -35,14 +35,6 @@ def simulated(actuator, played, state=None):
     """What the actuator does with all that is played, by default after slow loops."""
     start = standing(actuator, float(played.voltage[0]), voltages_of(actuator)) if state is None else state
     return actuator.simulate(played.voltage, time=played.time, state=start).displacement
-
-
-def test_a_way_without_a_homing_is_shown_as_in_a_plan_of_the_path():
-    path, given = TRIANGLE.path(), {"home": False, "present": 200, "slew_rate": 1e4}
-    table = wave_table(PLAIN, path, **given)
-    plan = plan_path(PLAIN, path.displacement, time=path.time, **given)
-    assert 0 < plan.first <= table.plan.first
-    np.testing.assert_array_equal(table.plan.expected[: plan.first], plan.expected[: plan.first])
 
 
 def unknown(table):
