@@ -129,7 +129,6 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     played = table.played(5)
     assert limits[0] <= played.voltage.min() and played.voltage.max() <= limits[1]
     steps = np.abs(np.diff(played.voltage)) * table.sample_rate
-    # From the start-up to the first cycle and from cycle to cycle it goes on as the last cycles did.
     assert slew is None or steps.max() <= slew * (1 + 1e-6)
     made, size = simulated(actuator, played, actuator.relaxed(20.0)), len(table.cycle)
     off = np.abs(made - played.expected)
