@@ -6,7 +6,6 @@ import places
 import pytest
 
 pytest.importorskip("matplotlib")
-pytest.importorskip("pandas")
 nbformat = pytest.importorskip("nbformat")
 
 NOTEBOOK = places.EXAMPLES / "first_steps.ipynb"

@@ -80,18 +80,6 @@ def test_an_actuator_whose_loops_cannot_be_computed_still_has_a_line():
     assert "1 slip element" in repr(actuator)
 
 
-def test_tables_have_units_in_their_names(things):
-    pandas = pytest.importorskip("pandas")
-    columns = {
-        "record": ["time_s", "voltage_V", "displacement_um"],
-        "plan": ["phase", "voltage_V", "displacement_um", "expected_um", "clamped"],
-    }
-    for name, expected in columns.items():
-        frame = things[name].to_dataframe()
-        assert isinstance(frame, pandas.DataFrame)
-        assert list(frame.columns) == expected
-
-
 def test_a_name_that_is_nearly_right_is_suggested(fit):
     with pytest.raises(dehyst.ModelError, match="you mean 'residuals'"):
         fit.plot("residual")

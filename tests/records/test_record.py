@@ -1,7 +1,6 @@
 """Record: what is refused, what is measured on it, and that its turning points are the right ones."""
 
 import pickle
-import sys
 
 import numpy as np
 import places
@@ -9,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst._errors import FileFormatError, MissingExtraError, RecordError
+from dehyst._errors import FileFormatError, RecordError
 from dehyst._units import per_metre
 from dehyst.records import Record, read, reversals, write_record
 from dehyst.records.signals import beyond_noise, gaps, resolution, turning_points, white_noise
@@ -318,7 +317,7 @@ def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():
     assert other.voltage[4] == 4
 
 
-# Units and DataFrames
+# Units
 
 WAVE = np.array([1.0, 2.0, 3.5, 2.5, 1.2])
 
@@ -357,15 +356,3 @@ def test_what_no_actuator_or_instrument_has_is_refused(column, factor, tmp_path)
         with pytest.raises(FileFormatError, match=r"got .*, need .*time"):
             read(tmp_path / "a.csv")
         assert len(read(tmp_path / "a.csv", "rate=1000")) == len(record)
-
-
-def test_a_dataframe_and_back(monkeypatch):
-    record = lagging()
-    frame = record.to_dataframe()
-    assert frame.attrs == {"name": "made"}
-    again = Record.from_arrays(frame["time_s"], frame["voltage_V"], frame["displacement_um"], units="um")
-    assert np.array_equal(again.voltage, record.voltage)
-    assert again.displacement == pytest.approx(record.displacement, rel=1e-15)
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"needs pandas.*pip install 'dehyst\[files\]'"):
-        record.to_dataframe()

@@ -17,7 +17,6 @@ from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
 from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
-from dehyst._views import tables
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
 from dehyst.records.formats.column import Column
@@ -25,7 +24,6 @@ from dehyst.records.tables import Table
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
-    from pandas import DataFrame
 
 Span: TypeAlias = "slice[int, int, None]"
 
@@ -300,14 +298,6 @@ class Record(Plotted):
         if words := quality.other_unit(record):
             raise record._error(words)
         return record
-
-    def to_dataframe(self) -> DataFrame:
-        """Return time_s and the channels, as voltage_V and displacement_um, as a pandas DataFrame.
-
-        Raise `MissingExtraError` if pandas is not installed.
-        """
-        others = [channel.column for channel in self.others]
-        return tables.frame(columns_of(self), name=self.name, **({"others": others} if others else {}))
 
     @property
     def channels(self) -> tuple[Channel, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,9 @@ from numpy.typing import NDArray
 from dehyst._text import counted
 from dehyst._types import Array, Mask
 from dehyst._units import per_metre
-from dehyst._views import tables
 from dehyst._views.lines import length, span_of
 from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.start import StartError
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 HOMING, WAY, PATH = 0, 1, 2
 
@@ -162,23 +158,6 @@ class PathPlan:
             f"{count} clamped, missed by up to {missed}" if count else "nothing clamped",
         ]
         return f"<PathPlan: {', '.join(facts)}>"
-
-    def to_dataframe(self) -> DataFrame:
-        """Return the columns time_s, phase, voltage_V, displacement_um, expected_um and clamped as a pandas DataFrame.
-
-        With several axes, the last four have a number after their quantity. Raise `MissingExtraError` if pandas is not
-        installed.
-        """
-        um = 1e6 / per_metre(self.units)
-        columns: dict[str, Any] = {} if self.time is None else {"time_s": self.time}
-        columns["phase"] = self.phase
-        for k, plan in enumerate(self.each or (self,)):
-            number = k + 1 if self.each else ""
-            columns[f"voltage{number}_V"] = plan.voltage
-            columns[f"displacement{number}_um"] = plan.displacement * um
-            columns[f"expected{number}_um"] = plan.expected * um
-            columns[f"clamped{number}"] = plan.clamped
-        return tables.frame(columns)
 
 
 def shortfall(
