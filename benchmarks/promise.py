@@ -44,6 +44,8 @@ KINDS = ("one sine", "triangles", "tops", "curves", "growing", "random", "tops a
 SHARE = 0.9
 PARTS = {"found": {**TRUTHS, **MORE, **UNSEEN, **FRESH}, "made": UNSPENT}
 DRIVE = Sampling(1.0, sample_rate=200.0)
+# As `dehyst excite` samples it by default.
+FINE = 1000
 
 
 def _tops_and_random(rng, fast):
@@ -60,7 +62,9 @@ def _triangles(rng, fast):
 
 ALL_PROTOCOLS = {
     **PROTOCOLS,
-    "recommended": Protocol("recommended", lambda rng, fast: [Part(recommended(1.0, drive=DRIVE).voltage)]),
+    "recommended": Protocol(
+        "recommended", lambda rng, fast: [Part(recommended(1.0, drive=Sampling(1.0, sample_rate=FINE)).voltage)], FINE
+    ),
     "one sine": Protocol("one sine", lambda rng, fast: [Part(raised_cosine([1.0], cycles=4, drive=DRIVE).voltage)]),
     "triangles": Protocol("triangles", _triangles),
     "tops and random": Protocol("tops and random", _tops_and_random),

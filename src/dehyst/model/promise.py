@@ -61,7 +61,7 @@ _NEW = 0.02
 # Turning points of a path of which nothing is known but its range.
 _TURNS = 60
 # The bound of the largest error, and that of the RMS error: what the records show, times these.
-LARGEST, RMS = 5.5, 2.2
+LARGEST, RMS = 6.2, 2.2
 # Factors of the promised errors where the path closes loops and fewer branches of the records than this part do; and
 # where the records leave open who lags.
 _CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
