@@ -43,9 +43,8 @@ CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "u
 KINDS = ("one sine", "triangles", "tops", "curves", "growing", "random", "tops and random", "staircase", "speeds")
 SHARE = 0.9
 PARTS = {"found": {**TRUTHS, **MORE, **UNSEEN, **FRESH}, "made": UNSPENT}
-DRIVE = Sampling(1.0, sample_rate=200.0)
-# As `dehyst excite` samples it by default.
-FINE = 1000
+# Others, and the recommended excitation as `dehyst excite` samples it by default.
+DRIVE, FINE = Sampling(1.0, sample_rate=200.0), Sampling(1.0, sample_rate=1000.0)
 
 
 def _tops_and_random(rng, fast):
@@ -62,9 +61,7 @@ def _triangles(rng, fast):
 
 ALL_PROTOCOLS = {
     **PROTOCOLS,
-    "recommended": Protocol(
-        "recommended", lambda rng, fast: [Part(recommended(1.0, drive=Sampling(1.0, sample_rate=FINE)).voltage)], FINE
-    ),
+    "recommended": Protocol("recommended", lambda rng, fast: [Part(recommended(1.0, drive=FINE).voltage)], 1000),
     "one sine": Protocol("one sine", lambda rng, fast: [Part(raised_cosine([1.0], cycles=4, drive=DRIVE).voltage)]),
     "triangles": Protocol("triangles", _triangles),
     "tops and random": Protocol("tops and random", _tops_and_random),
