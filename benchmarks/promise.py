@@ -174,7 +174,6 @@ def case(job):
         error = (wanted - np.append(wanted[0], copy.deepcopy(stage.bench).play(when[1:], sent[1:])))[1:]
         found = plan.promise
         if found.delay:
-            # Apart from a constant delay, too.
             rate = np.gradient(wanted, when)[1:]
             error -= rate * np.polyfit(rate, error, 1)[0]
         zeroed = float(np.abs(error - error[0]).max())
