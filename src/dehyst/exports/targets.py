@@ -37,9 +37,9 @@ class Target(NamedTuple):
 
 # By suffix; a path without one is a folder of C, as is one whose end is not that of a file.
 TARGETS = {
-    "": Target("C", write_c, ("preview", "number", "name"), None),
-    ".wasm": Target("WebAssembly", write_wasm, ("preview",), wasm_files),
-    ".fmu": Target("an FMU", write_fmu, ("preview", "kind")),
+    "": Target("C", write_c, ("number", "name"), None),
+    ".wasm": Target("WebAssembly", write_wasm, (), wasm_files),
+    ".fmu": Target("an FMU", write_fmu, ("kind",)),
 }
 
 

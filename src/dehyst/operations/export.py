@@ -13,7 +13,7 @@ from dehyst._views.fields import json_values
 from dehyst.control import Axis, Compensator
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
-from dehyst.exports.targets import TARGETS, target_of, written
+from dehyst.exports.targets import target_of, written
 from dehyst.operations.axes import (
     AxesModel,
     AxisLimits,
@@ -21,10 +21,9 @@ from dehyst.operations.axes import (
     is_stage,
     limits_of,
     limits_option,
-    of_one_axis,
     slew_option,
 )
-from dehyst.operations.command import FOLDER, Condition, Values, argument, command, flag, option
+from dehyst.operations.command import FOLDER, Values, argument, command, flag, option
 from dehyst.operations.command import number as number_option
 from dehyst.operations.run import Result, Run, demand_outputs
 
@@ -32,22 +31,13 @@ from dehyst.operations.run import Result, Run, demand_outputs
 _BEGINS = "displacement_m=displacement voltage_V=voltage way"
 
 
-def _of(option: str) -> Condition:
-    """Return the condition that the target supports an option."""
-    takers = " or ".join(target.words for target in TARGETS.values() if option in target.options)
-
-    def supports(given: Values) -> str:
-        suffix = "" if is_stage(given["model"]) else given["directory"].suffix
-        return "" if option in TARGETS.get(suffix, TARGETS[""]).options else f"on anything but {takers}"
-
-    return supports
+def _of_fmu(given: Values) -> str:
+    fmu = given["directory"].suffix == ".fmu" and not is_stage(given["model"])
+    return "" if fmu else "on anything but an FMU of one axis"
 
 
 def _of_loop(given: Values) -> str:
     return "on an FMU of the actuator" if given.get("kind") == "actuator" else ""
-
-
-_PREVIEW = (of_one_axis, _of("preview"), _of_loop)
 
 
 @command("export")
@@ -58,19 +48,17 @@ def export(
     number: Literal["double", "float"] = option(
         "double: the same bits as Python. float: for a processor without doubles.",
         click.Choice(["double", "float"]),
-        of_one_axis,
-        _of("number"),
         default="double",
     ),
     limits: AxisLimits = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
     period: float | None = number_option("Time between steps [s]; a model that depends on time needs it."),
-    preview: bool = flag("Compensate delay and inertia, of displacements in advance.", *_PREVIEW),
-    name: str | None = option("Prefix of files and functions; default: piezo, or stage.", None, _of("name")),
+    preview: bool = flag("Compensate delay and inertia, of displacements in advance.", _of_loop),
+    name: str | None = option("Prefix of files and functions; default: piezo, or stage."),
     kind: str = option(
         "Kind of FMU: compensator (displacement to voltage), or virtual actuator.",
         click.Choice(["compensator", "actuator"]),
-        _of("kind"),
+        _of_fmu,
         default="compensator",
     ),
 ) -> Result:
