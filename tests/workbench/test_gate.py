@@ -1,14 +1,11 @@
 """Nothing passes the gate but the page itself: no foreign host, page, token or path, and no random request."""
 
 import http.client
-import io
 import json
-import os
 import random
 import re
 import string
 import time
-import zipfile
 
 import httpx
 import pytest
@@ -240,19 +237,6 @@ def test_an_upload_that_is_too_large_leaves_nothing(bench, client):
         assert "0.5 MB" in answer.json()["error"]
         assert "--max-size" in answer.json()["error"]
     assert sorted(path.name for path in (bench.folder / "uploads").iterdir()) == before
-
-
-def test_a_folder_comes_as_an_archive_without_what_its_links_lead_to(bench, client, tmp_path):
-    (tmp_path / "secret.txt").write_text("secret")
-    place = bench.folder / "exports" / "plain"
-    (place / "deeper").mkdir(parents=True)
-    (place / "deeper" / "own.txt").write_text("own")
-    (place / "file").symlink_to(tmp_path / "secret.txt")
-    (place / "folder").symlink_to(tmp_path)
-    os.mkfifo(place / "pipe")
-    archive = zipfile.ZipFile(io.BytesIO(client.get("/files/exports/plain").content))
-    assert [name for name in archive.namelist() if not name.endswith("/")] == ["plain/deeper/own.txt"]
-    assert archive.read("plain/deeper/own.txt") == b"own"
 
 
 def test_an_empty_or_malformed_upload_is_refused_with_a_sentence(bench, client):

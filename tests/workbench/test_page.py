@@ -120,7 +120,7 @@ def test_each_scan_can_be_followed_as_it_is_suggested(owner, kind):
 
 def test_exports_and_the_script_can_be_downloaded(owner):
     owner.step("Export")
-    for name, suffix in (("C99", "-c.zip"), ("FMU", ".fmu"), ("WebAssembly", ".wasm")):
+    for name, suffix in (("C99", "-c"), ("FMU", ".fmu"), ("WebAssembly", ".wasm")):
         card = owner.page.locator("#export li").filter(has=owner.page.get_by_role("heading", name=name))
         card.get_by_role("button").first.click()
         owner.page.locator("#files").get_by_text(re.compile(rf"exports/loops.*{suffix.split('.')[0]}")).first.wait_for()

@@ -100,14 +100,14 @@ class Folder:
         return found
 
     def inside(self, relative: str) -> Path:
-        """Return a file or folder that the page may read; raises FileFormatError for anything else."""
+        """Return a file that the page may read; raises FileFormatError for anything else."""
         parts = relative.split("/")
         known = relative == SCRIPT or parts[0] in _PLACES
         if not known or "\\" in relative or "\0" in relative or any(part.startswith(".") or not part for part in parts):
             raise FileFormatError(f"{relative}: is not a file of this workbench; choose one of its list")
         path = self.path / relative
         # A link may lead elsewhere.
-        if not path.resolve().is_relative_to(self.path) or not path.exists():
+        if not path.resolve().is_relative_to(self.path) or not path.is_file():
             raise FileFormatError(f"{relative}: is not a file of this workbench; choose one of its list")
         return path
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import shutil
-import stat
 import tempfile
-import zipfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from starlette.applications import Starlette
-from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
@@ -193,23 +188,6 @@ async def body_of(request: Request) -> dict[str, Any]:
     return json_of(await text_of(request))
 
 
-async def archived(folder: Path) -> Response:
-    """Return a folder as a ZIP archive of its files and folders, without links."""
-    place = Path(tempfile.mkdtemp(prefix="dehyst-"))
-    archive = place / f"{folder.name}.zip"
-
-    def pack() -> None:
-        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as writer:
-            for inner, _, names in os.walk(folder):
-                for path in (Path(inner), *(Path(inner) / name for name in sorted(names))):
-                    if path == Path(inner) or stat.S_ISREG(path.lstat().st_mode):
-                        writer.write(path, path.relative_to(folder.parent))
-
-    await asyncio.to_thread(pack)
-    remove = BackgroundTask(shutil.rmtree, place, ignore_errors=True)
-    return FileResponse(archive, filename=archive.name, background=remove)
-
-
 class Workbench:
     """The requests of a workbench's page.
 
@@ -379,11 +357,9 @@ class Workbench:
         self.session.delete(request.path_params["key"])
 
     async def file(self, request: Request) -> Any:
-        """Return a file of the folder, or a folder of it as a ZIP archive."""
+        """Return a file of the folder."""
         relative = request.path_params["path"]
         path = self.session.folder.inside(relative)
-        if path.is_dir():
-            return await archived(path)
         if path.suffix == ".html" and not relative.startswith(places.UPLOADS):
             return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": _SANDBOX})
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)

@@ -351,7 +351,8 @@ class WorkbenchSession:
             axis = scan.pop("axis", "x")
             given["trajectory"] = self.folder.new(places.PATHS, f"{Path(file).stem}-scan", ".csv")
             before = [Step("scan", {**scan, "sample_rate": request.get("rate"), "output": given["trajectory"]})]
-            given |= {"columns": "displacement=y_um"} if axis == "y" else {}
+            several = scan.get("kind") == "raster" and not model.axes
+            given |= {"columns": f"displacement={axis}_um"} if several else {}
         else:
             raise SessionError("path: got none, need points or a scan")
         if (limits := request.get("limits")) is not None:

@@ -7,7 +7,9 @@ import { fileLink, jobCards, modelChoice } from "./verdict.js";
 
 export function exportView({ files, log }, model) {
   const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
-  const rows = sorted.map(({ path, kind, bytes: size }) => [fileLink(path, path), kind ?? "", bytes(size)]);
+  // A folder is on this machine already.
+  const shown = ({ path, bytes: size }) => (size === null ? path : fileLink(path, path));
+  const rows = sorted.map((file) => [shown(file), file.kind ?? "", bytes(file.bytes)]);
   return [
     model && exportsOf(model),
     byId("rig"),
