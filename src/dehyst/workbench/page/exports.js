@@ -7,9 +7,7 @@ import { fileLink, jobCards, modelChoice } from "./verdict.js";
 
 export function exportView({ files, log }, model) {
   const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
-  // A folder is on this machine already.
-  const shown = ({ path, bytes: size }) => (size === null ? path : fileLink(path, path));
-  const rows = sorted.map((file) => [shown(file), file.kind ?? "", bytes(file.bytes)]);
+  const rows = sorted.map(({ path, kind, bytes: n }) => [n === null ? path : fileLink(path, path), kind, bytes(n)]);
   return [
     model && exportsOf(model),
     byId("rig"),
