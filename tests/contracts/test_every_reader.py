@@ -11,7 +11,7 @@ import pytest
 
 from dehyst import DehystError, FileFormatError, Record, read
 from dehyst.records import LOADERS, files, read_table
-from dehyst.records.formats.file_content import Allowance
+from dehyst.records.formats.column import Allowance
 
 RECORD = Record(file_specimens.T, file_specimens.V, file_specimens.Y)
 NAMES = [

@@ -18,9 +18,8 @@ from dehyst._io import COMPUTED, PathLike, packed, path_of, reading, write_atomi
 from dehyst._types import Array
 from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
-from dehyst.records.formats.column import TEXT, Column, listed
+from dehyst.records.formats.column import MOST, TEXT, Allowance, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
-from dehyst.records.formats.file_content import MOST, Allowance
 from dehyst.records.formats.loaders import LOADERS, load
 from dehyst.records.record import Record, columns_of, further_channels
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined

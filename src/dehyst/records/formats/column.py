@@ -8,11 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dehyst._errors import FileFormatError
 from dehyst._types import Array
 from dehyst._units import FACTORS, quantity_of, symbol_of
 from dehyst.records.formats.notation import Moment
 
 TEXT = (".csv", ".tsv", ".txt", ".dat")
+# Limit of the bytes of a file and of its numbers, 20 million samples; bytes of a number.
+MOST, _DOUBLE = 500_000_000, 8
 
 
 class ColumnWords(NamedTuple):
@@ -160,6 +163,27 @@ def unlikely(quantity: str, values: Array) -> str:
     unit = _POSSIBLE[quantity][1]
     likely = not (0 < span < least or span > most)
     return "" if likely else f"a range of {span:.3g} {unit}, where a stage has {least:g} to {most:g} {unit}"
+
+
+class Allowance:
+    """The memory [bytes] for the numbers of a file, of which declared sizes are taken; its stem and decimal sign."""
+
+    def __init__(self, most: int, stem: str = "", decimal: str | None = None) -> None:
+        self.most, self.left, self.stem, self.decimal = most, most, stem, decimal
+
+    def take(self, numbers: int, what: str) -> None:
+        """Reserve memory for a count of `numbers`; raise FileFormatError, with `what` has them, if it is too little."""
+        self.check(numbers * _DOUBLE, what)
+        self.left -= numbers * _DOUBLE
+
+    def check(self, size: int, what: str) -> None:
+        """Refuse a `size` [bytes] of `what` that exceeds the remaining memory."""
+        if size > self.left:
+            raise FileFormatError(
+                f"{what} has {size / 1e6:.4g} MB, more than the {self.left / 1e6:.4g} MB left of the "
+                f"{self.most / 1e6:.4g} MB that are allowed",
+                hint="save every second sample, or several records",
+            )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -20,8 +20,7 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._io import demand_version
 from dehyst._units import quantity_of, symbol_of
-from dehyst.records.formats.column import Column, listed, shortened
-from dehyst.records.formats.file_content import Allowance
+from dehyst.records.formats.column import Allowance, Column, listed, shortened
 
 # Name of the array of an NPZ, and the beginning of the first line of a text, in which a record file states in JSON
 # "guesses" and "timing" by quantity and the columns of "others"; and the longest such text [bytes].

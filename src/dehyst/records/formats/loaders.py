@@ -21,8 +21,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst.records.formats import containers
-from dehyst.records.formats.column import TEXT, Column, shortened
-from dehyst.records.formats.file_content import Allowance
+from dehyst.records.formats.column import TEXT, Allowance, Column, shortened
 from dehyst.records.formats.notation import is_number, number_in
 from dehyst.records.formats.text_table import read_text
 

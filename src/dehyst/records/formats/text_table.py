@@ -15,8 +15,7 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
 from dehyst._units import FACTORS, symbol_of
-from dehyst.records.formats.column import Column, shortened
-from dehyst.records.formats.file_content import Allowance
+from dehyst.records.formats.column import Allowance, Column, shortened
 from dehyst.records.formats.notation import (
     Blocks,
     Moment,
