@@ -48,16 +48,11 @@ class Scale(NamedTuple):
         """Return the scale in a text; raise `FileFormatError` for one that cannot be used."""
         periodic, match = _PERIODIC.fullmatch(text), _FACTOR.fullmatch(text)
         number = 0.0 if GAIN in text else float(periodic[2] if periodic else match[1])  # type: ignore[index]
-        if GAIN in text:
-            need = f"a number for {GAIN}, from the data sheet"
-        elif periodic and not (0 < number < inf and quantity_of(periodic[3]) == "displacement"):
-            need = "a length above 0, as in *fringe 316.4 nm"
-        elif not isfinite(number) or number == 0:
-            need = "a factor that is finite and not 0"
-        elif periodic:
+        if periodic and 0 < number < inf and quantity_of(periodic[3]) == "displacement":
             return cls(number, symbol_of(periodic[3]), "", periodic[1].lower())
-        else:
-            return cls(number, match[2] or "", match[3] or "")  # type: ignore[index]
+        if match and isfinite(number) and number:
+            return cls(number, match[2] or "", match[3] or "")
+        need = "a number from the data sheet, not 0; of a fringe or a grating a length, as *fringe 316.4 nm"
         raise FileFormatError(argument="columns", got=f"*{text}", need=need)
 
     @property

@@ -22,8 +22,8 @@ class ColumnWords(NamedTuple):
     """Words and units by which the columns of a quantity are found.
 
     `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
-    in names, the usual `units`, and the plausible `range` in SI units: for proposals. A bare factor
-    is in the first of the units.
+    in names, the usual `units`, and the `range` of piezo stages in SI units, for proposals; others are remarked. A bare
+    factor is in the first of the units.
     """
 
     example: str
@@ -35,8 +35,6 @@ class ColumnWords(NamedTuple):
     letters: str = ""
 
 
-# Ranges of the voltage and the displacement of piezo stages, in SI units: others are remarked, or wrong as a guess.
-_LIKELY = {"voltage": (0.05, 1500.0), "displacement": (5e-9, 2e-3)}
 QUANTITIES = {
     "time": ColumnWords(
         example="time_s",
@@ -54,7 +52,7 @@ QUANTITIES = {
         parts="volt, spannung, drive, ampl, monitor, command, tension, ao, output, ausgang, current, pressure, dac",
         letters="uv",
         units=("V", "mV"),
-        range=_LIKELY["voltage"],
+        range=(0.05, 1500.0),
     ),
     "displacement": ColumnWords(
         example="displacement_um",
@@ -63,7 +61,7 @@ QUANTITIES = {
         parts="disp, pos, weg, auslenk, sensor, gauge, strain, stroke, capac, ai, height, angle, encoder, dehnung",
         letters="yxzdw",
         units=("um", "nm", "mm", "m"),
-        range=_LIKELY["displacement"],
+        range=(5e-9, 2e-3),
     ),
     "temperature": ColumnWords(
         example="temperature_C",
@@ -156,10 +154,10 @@ def impossible(quantity: str, size: float) -> str:
 
 def unlikely(quantity: str, values: Array) -> str:
     """Return the range of a voltage or displacement (n,) [V, m] that no stage has, in words; or empty."""
-    if quantity not in _LIKELY or not values.size:
+    if quantity not in ("voltage", "displacement") or not values.size:
         return ""
     # Without the readings of an overload.
-    span, (least, most) = float(np.ptp(np.quantile(values, (0.05, 0.95)))), _LIKELY[quantity]
+    span, (least, most) = float(np.ptp(np.quantile(values, (0.05, 0.95)))), QUANTITIES[quantity].range
     unit = _POSSIBLE[quantity][1]
     likely = not (0 < span < least or span > most)
     return "" if likely else f"a range of {span:.3g} {unit}, where a stage has {least:g} to {most:g} {unit}"

@@ -31,15 +31,15 @@ class Layout(NamedTuple):
     """The place of a table in a text file.
 
     `first`: number of lines before its first row. `delimiter`: separator of its cells, None for blanks. `names`,
-    `units`: of its columns; no names if the file has none. `row`: its first row. `header`: the lines with the names and
-    the units. `above`: the lines above the table, and what a row of units states of the times of samples.
+    `units`: of its columns; numbers if it is `unnamed`. `header`: the lines with the names and the units. `above`: the
+    lines above the table, and what a row of units states of the times of samples.
     """
 
     first: int
     delimiter: str | None
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
-    row: str = ""
+    unnamed: bool = False
     header: tuple[str, ...] = ()
     above: tuple[str, ...] = ()
 
@@ -133,7 +133,10 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     marked = [line.number for line in comments if not is_comment(line.cells, shape.width, delimiter)]
     first = min(rest + [number for number in marked if number >= heading.first])
     above = (*written[:first], *heading.above)
-    return heading._replace(first=first, delimiter=delimiter, row=written[first].strip(), above=above)
+    # A separator at the end of the names only.
+    empty = not heading.names[-1] and len(heading.names) > len(cells_of(written[first].strip(), delimiter))
+    names = heading.names[:-1] if empty else heading.names
+    return heading._replace(first=first, delimiter=delimiter, names=names, above=above)
 
 
 def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape: _Shape) -> Layout:
@@ -151,7 +154,8 @@ def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape:
         )
     while place and (len(lines[place - 1].cells) == shape.width or shape.is_row(lines[place - 1].cells)):
         place -= 1
-    return Layout(lines[place].number, delimiter, row=lines[place].text.strip())
+    numbers = tuple(str(k + 1) for k in range(len(lines[place].cells)))
+    return Layout(lines[place].number, delimiter, numbers, unnamed=True)
 
 
 def _commented(line: _Line, delimiter: str | None, width: int) -> _Line:
@@ -206,6 +210,6 @@ def _heading(lines: list[_Line], shape: _Shape) -> Layout | None:
     )
     if are_units and names and all(names[k] for k in shape.numeric):
         stated_units = tuple(cell.strip("[]() ") for cell in units[: shape.width])
-        return Layout(end, None, names, stated_units, "", tuple(line.text for line in lines[-2:]), clock)
+        return Layout(end, None, names, stated_units, False, tuple(line.text for line in lines[-2:]), clock)
     names = shape.names(last)
     return Layout(end, None, names, header=(lines[-1].text,)) if names else None

@@ -96,11 +96,7 @@ class _Table:
 
     def __init__(self, blocks: Blocks, layout: Layout, decimal: str | None) -> None:
         self.blocks, self.layout, self.delimiter = blocks, layout, layout.delimiter
-        cells = cells_of(layout.row, self.delimiter)
-        self.names = list(layout.names) or [str(k + 1) for k in range(len(cells))]
-        if len(self.names) > max(len(cells), 1) and not self.names[-1]:
-            self.names.pop()
-        self.width = len(self.names)
+        self.names, self.width = layout.names, len(layout.names)
         self.decimal = decimal_sign(blocks, self.delimiter, decimal)
         self.count, self.hole = 0, 0
         self.faults: dict[int, str] = {}
@@ -209,7 +205,7 @@ class _Table:
             except ValueError as error:
                 fault = str(error)
         data = np.empty(0) if fault else data
-        return Column(self.names[place], data, unit, fault, unnamed=not self.layout.names, began=began)
+        return Column(self.names[place], data, unit, fault, unnamed=self.layout.unnamed, began=began)
 
 
 # Letters of the words for the time from one sample to the next, and for samples a second.
