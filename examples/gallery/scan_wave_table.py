@@ -6,6 +6,7 @@ A triangle with rounded turns, as one period that a generator repeats.
 """
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 import dehyst
 from dehyst.virtual import PlayActuator
@@ -20,24 +21,28 @@ actuator = dehyst.identify(record).actuator
 # 2 to 12 um at 10 Hz; a fifth of each branch is for the turns.
 scan = Triangle(2e-6, 12e-6, frequency=10, turns=0.2)
 table = dehyst.wave_table(actuator, scan.path(), limits=(0, 200), slew_rate=20_000)
-played = table.played(cycles=3)
+plan, cycle = table.plan, table.cycle
 print(f"{table.cycles} cycle of start-up, then the table is steady to {1e9 * table.error:.2g} nm; {table.warnings=}")
 
 # %%
-# Play homing, start-up and cycles on the stage: the lines come out straight.
-reached = stage.play(played.voltage, measured=False)
-colours = {0: "tab:gray", 1: "tab:orange", 2: "tab:blue"}
-names = {0: "homing", 1: "start-up", 2: "table"}
+# Play the plan and then the cycle twice on the stage: the lines come out straight.
+voltage = np.concatenate([plan.voltage[:-1], cycle.voltage, cycle.voltage])
+wanted = np.concatenate([plan.displacement[:-1], cycle.displacement, cycle.displacement])
+time = np.append(plan.time[:-1], plan.time[-1] + np.arange(2 * len(cycle)) / table.sample_rate)
+reached = stage.play(voltage, measured=False)
 figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), sharex=True)
-for phase, colour in colours.items():
-    part = played.phase == phase
-    above.plot(played.time[part], played.voltage[part], color=colour, label=names[phase])
-    below.plot(played.time[part], 1e6 * reached[part], color=colour)
+steady = voltage.size - 3 * len(cycle)
+for name, part in {
+    "homing": slice(plan.first),
+    "start-up": slice(plan.first, steady),
+    "table": slice(steady, None),
+}.items():
+    above.plot(time[part], voltage[part], label=name)
+    below.plot(time[part], 1e6 * reached[part])
 above.set_ylabel("voltage (V)")
 above.legend(ncols=3)
 below.set(xlabel="time (s)", ylabel="displacement (µm)")
 plt.show()
 
-cycles = played.phase == 2
-error = reached[cycles] - played.displacement[cycles]
+error = reached[steady:] - wanted[steady:]
 print(f"largest error on the cycles: {1e9 * abs(error).max():.1f} nm of 10 um")

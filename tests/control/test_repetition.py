@@ -50,9 +50,8 @@ def test_what_was_learnt_is_a_wave_table():
     life = Life()
     assert sum(life.cycle() for _ in range(10)) > 1
     table = life.repetition.table()
-    played = table.played(2)
-    assert len(played.voltage) == 2 * len(PATH) and table.settled and table.sample_rate == 1 / PERIOD
-    again = AGED.simulate(played.voltage, state=life.state, extrapolate=True).displacement
+    assert len(table.cycle) == len(PATH) and table.settled and table.sample_rate == 1 / PERIOD
+    again = AGED.simulate(np.tile(table.cycle.voltage, 2), state=life.state, extrapolate=True).displacement
     assert np.abs(again - np.tile(PATH, 2))[len(PATH) :].max() < 10 * NOISE
     with pytest.raises(ModelError, match="nothing was learnt"):
         Life().repetition.table()

@@ -156,7 +156,7 @@ def test_the_displacement_before_a_path_is_within_reach():
     wanted = low + (high - low) * (0.5 - 0.3 * np.cos(np.linspace(0, 2 * np.pi, 200)))
     time, present = np.arange(200.0), actuator.limits[0]
     homed = plan_path(Compensator(actuator), wanted, time=time, home=True, present=present)
-    table = wave_table(actuator, Triangle(low, high - 0.1 * (high - low), 0.1).path(), present=present).played()
+    table = wave_table(actuator, Triangle(low, high - 0.1 * (high - low), 0.1).path(), present=present).plan
     for path in (homed, table):
         before = path.displacement[path.phase < 1]
         assert before.size and before.min() >= low - 1e-9 and before.max() <= high + 1e-9

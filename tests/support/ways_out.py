@@ -234,10 +234,11 @@ class Life:
         path = scan_of("triangle", options, 1 / self.period).path()
         state, present = self.state(), float(self.rng.uniform(self.low, self.high))
         table = wave_table(self.actuator, path, slew_rate=self.slew, start=state, present=None if state else present)
-        played = table.played(3)
+        cycle, time = table.cycle, table.plan.time[:-1]
+        voltage = np.concatenate([table.plan.voltage[:-1], cycle.voltage, cycle.voltage])
         begin = present if state is None else self.held(state)
-        intervals = np.diff(played.time, prepend=played.time[0] - self.period)
-        self.hold_against("wave table", played.voltage, begin, intervals, slack=1e-6)
+        intervals = np.append(np.diff(time, prepend=time[0] - self.period), np.full(2 * len(cycle), self.period))
+        self.hold_against("wave table", voltage, begin, intervals, slack=1e-6)
 
     def stage(self):
         other, _ = random_actuator(self.rng)

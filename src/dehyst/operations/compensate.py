@@ -15,7 +15,6 @@ from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
 from dehyst.control import PathPlan, PossibleStart, plan_path, wave_table
-from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
@@ -53,7 +52,6 @@ from dehyst.operations.paths import (
 )
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
-from dehyst.operations.waves import refuse_cycles
 from dehyst.records import read_table
 from dehyst.waveforms import ScanPath
 from dehyst.waveforms.scans import scan_of
@@ -89,14 +87,13 @@ def compensate(
     present: AxisNumbers = option("Present voltage [V]; default: of --start, or 0.", _PRESENT, multiple=True),
     on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
     table: Path | None = option("Write the steady cycle of a scan here (CSV).", OUTPUT, _of_scan),
-    cycles: int = integer("Steady cycles in the output.", beside("table"), default=1),
-    start_up: int | None = integer("Cycles before these; default: as needed.", beside("table")),
+    start_up: int | None = integer("Cycles before the steady one; default: as needed.", beside("table")),
     plot: Path | None = option("Draw path, voltage and promise here (HTML).", PAGE),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
-    Jumps and homings keep to the speed of the model's records. Column phase: 0 homing, 1 way or start-up, 2 path. The
+    Jumps and homings keep to the speed of the model's records. Column phase: 0 homing, 1 way, 2 path. The
     status is 1 if the model is not usable, the path is missed by more than the promise, or a homing leaves the start
     open; with --table also if a voltage is clamped or the cycle is not settled.
     """
@@ -118,8 +115,7 @@ def compensate(
         with _named(trajectory):
             made = task.follow(wanted + place, clock, warmth, on_time, output)
     else:
-        period = _declared_scan(trajectory, columns, place, cycles)
-        made = task.tabulate(period, cycles, start_up, output, table)
+        made = task.tabulate(_declared_scan(trajectory, columns, place), start_up, output, table)
     if plot is not None:
         run.progress("drawing the path")
         _draw(plot, known.axes, made.plans, command=run.command)
@@ -137,11 +133,10 @@ def _named(path: Path) -> Iterator[None]:
         raise of_part(error, path.name) from error
 
 
-def _declared_scan(path: Path, columns: Columns, zero: float, repeats: int) -> ScanPath:
+def _declared_scan(path: Path, columns: Columns, zero: float) -> ScanPath:
     """Return the period of the scan in the first line of a path file, along the wanted axis, relative to a zero [m].
 
-    Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's, and
-    `RecordError` if a file cannot hold as many cycles as `repeats`.
+    Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
     """
     columns.demand(("displacement", "decimal"), "on the path of a scan")
     hint, declared = "write it again with dehyst scan", scan_declared(path) or {}
@@ -162,7 +157,6 @@ def _declared_scan(path: Path, columns: Columns, zero: float, repeats: int) -> S
     span = float(np.abs(rows.displacement).max())
     if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
         raise FileFormatError(f"{path}: its rows are not those of the scan in its first line", hint=hint)
-    refuse_cycles(made, repeats)
     return replace(period, displacement=period.displacement + zero)
 
 
@@ -204,7 +198,7 @@ class _Task:
         write_table(output, {**clock, **_columns(known, plans), **temperature_column(plans[0])})
         return _Made(plans, len(plans[0].voltage), urgent)
 
-    def tabulate(self, path: ScanPath, repeats: int, cycles: int | None, output: Path, steady: Path) -> _Made:
+    def tabulate(self, path: ScanPath, cycles: int | None, output: Path, steady: Path) -> _Made:
         """Write the wave table of a scan with its start-up, and its homing unless a start or --no-home is given."""
         actuator, limits = self.known.actuators[0], self.limits[0]
         urgent = reach_remarks(actuator, path.displacement, limits, self.zero)
@@ -216,15 +210,12 @@ class _Task:
             if error.argument == "cycles":
                 error.argument = "start_up"
             raise
-        rows, rate, cycle, plan = table.rows(repeats), table.sample_rate, table.cycle, table.plan
-        if plan is None or rows > MOST_ROWS:
-            got, need = f"{rows} rows at {rate:g} Hz", f"at most {MOST_ROWS:g} rows"
-            hint = "try a lower sample rate, fewer cycles or start-up, or the start where the actuator stands"
-            raise RecordError(argument="output", got=got, need=need, hint=hint)
-        played = table.played(repeats)
+        rate, cycle, plan = table.sample_rate, table.cycle, table.plan
+        # The cycle follows at once, so that its first sample is not written twice.
+        rows = plan.voltage.size - 1
         self.run.progress(f"writing {rows} rows")
-        clock = {"time_s": played.time, "phase": played.phase}
-        write_table(output, {**clock, **_columns(self.known, [played])})
+        columns = {"time_s": plan.time, "phase": plan.phase, **_columns(self.known, [plan])}
+        write_table(output, {name: values[:-1] for name, values in columns.items()})
         write_table(steady, {"time_s": cycle.time, **_columns(self.known, [cycle])})
         line = (
             f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "

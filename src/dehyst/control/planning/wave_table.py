@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +18,10 @@ from dehyst._types import Array
 from dehyst._views.lines import span_of
 from dehyst.control.compensator import Compensator
 from dehyst.control.planning.path import Task
-from dehyst.control.planning.plan import PathPlan
 from dehyst.control.planning.start import PossibleStart
 from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, State
-from dehyst.waveforms import ScanPath, positive, refuse_long, whole
+from dehyst.waveforms import ScanPath, positive, whole
 
 # A drift that falls to no less than this share with more cycles does not settle; share of what may be left of creep.
 _FALLS, _SAFE = 0.9, 0.95
@@ -30,7 +29,6 @@ _FALLS, _SAFE = 0.9, 0.95
 _TOLERANCE = 1e-4
 # Numbers of cycles that are tried.
 _COUNTS = 400
-START_UP, CYCLE = 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +49,6 @@ class Cycle:
         return np.arange(len(self)) / self.sample_rate
 
 
-class Played(NamedTuple):
-    """Plan and cycles in sequence (n,): time [s], phase (0, 1, 2), voltage [V], wanted and expected displacement [m].
-
-    Rows of a long homing are farther apart than the others; between rows the voltage is linear.
-    """
-
-    time: Array
-    phase: Array
-    voltage: Array
-    displacement: Array
-    expected: Array
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class WaveTable:
     """The voltages of a periodic scan of one axis: a start-up, then the cycle any number of times.
@@ -73,8 +58,8 @@ class WaveTable:
     cycle : Cycle
         One period in its steady cycle.
     plan : PathPlan or None
-        The plan of homing, way, cycles of start-up and the cycle once, closed; None if only the cycle is known. Its
-        promise and warnings are those of the table.
+        The plan of homing, way, cycles of start-up and the cycle once, closed: play it but for its last sample, and
+        then the cycle. None if only the cycle is known. Its promise is that of the table.
     cycles : int
         Cycles in the start-up, after which the cycle may be played.
     error : float
@@ -88,7 +73,7 @@ class WaveTable:
     """
 
     cycle: Cycle
-    plan: PathPlan | None = None
+    plan: Any = None
     cycles: int = 0
     error: float = 0.0
     tolerance: float = 0.0
@@ -98,7 +83,7 @@ class WaveTable:
     def __repr__(self) -> str:
         settled = "settled" if self.settled else "not settled"
         cycle = f"{counted(len(self.cycle), 'sample')} a cycle, {span_of(self.cycle.voltage, 'V')}"
-        return f"<WaveTable: {cycle}, after {self.rows(0)} of start-up, {settled}>"
+        return f"<WaveTable: {cycle}, after {counted(self.cycles, 'cycle')} of start-up, {settled}>"
 
     @property
     def settled(self) -> bool:
@@ -109,30 +94,6 @@ class WaveTable:
     def sample_rate(self) -> float:
         """Sample rate [Hz] of start-up and cycle, and of a homing that is not long."""
         return self.cycle.sample_rate
-
-    def rows(self, cycles: int = 1) -> int:
-        """Return the number of rows of `played` with `cycles` cycles."""
-        before = 0 if self.plan is None else self.plan.voltage.size - len(self.cycle) - 1
-        return before + cycles * len(self.cycle)
-
-    def played(self, cycles: int = 1) -> Played:
-        """Return the plan and then the cycle, `cycles` times.
-
-        Its phase is 0 in the homing, 1 in the start-up, 2 in the cycles. Raise `RecordError` if `cycles` is not a valid
-        number of cycles, or there are more than 5e7 samples.
-        """
-        times, first, cycle = whole(cycles, "cycles", 0), self.rows(0), self.cycle
-        refuse_long(self.rows(times), self.sample_rate)
-        time = np.arange(times * len(cycle)) / self.sample_rate
-        phase = np.full(time.size, CYCLE)
-        rows = [np.tile(getattr(cycle, name), times) for name in ("voltage", "displacement", "expected")]
-        plan = self.plan
-        if plan is None or plan.time is None:
-            return Played(time, phase, *rows)
-        before = (plan.voltage, plan.displacement, plan.expected)
-        joined = [np.concatenate([column[:first], row]) for column, row in zip(before, rows, strict=True)]
-        phase = np.concatenate([np.minimum(plan.phase[:first], START_UP), phase])
-        return Played(np.concatenate([plan.time[:first], plan.time[first] + time]), phase, *joined)
 
 
 def wave_table(
