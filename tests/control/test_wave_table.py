@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dehyst import DisplacementCreep, Dynamics, RecordError
 from dehyst.control import wave_table
 from dehyst.model import GradedSlip, SmoothSlip, Transformer, needs_time, standing, turned, voltages_of
-from dehyst.waveforms import Raster, Triangle
+from dehyst.waveforms import Triangle
 
 UM = 1e-6
 PLAIN = replace(plain_records.plant(10), limits=(-50.0, 250.0))
@@ -81,7 +81,6 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
     rows = played(table, 80 if needs_time(actuator) or actuator.smooth else 3)
     made = simulated(actuator, rows, state)
     miss = np.abs(made - rows.displacement)
-    # However often it is played, it drifts by no more; the rest that a homing leaves unknown adds to that.
     assert miss[rows.steady].max() <= 1.05 * table.error + unknown(table) + 1e-9 * stroke
     if not homed:
         assert miss[~rows.steady].max() <= 1e-9 * stroke
@@ -117,12 +116,6 @@ def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     assert 0.8 * needed < found.cycles <= needed
 
 
-def test_the_axes_of_a_scan_can_be_kept_together():
-    scan = Raster(4 * UM, 12 * UM, 10, 4, y_low=5 * UM, y_high=11 * UM)
-    tables = [wave_table(PLAIN, scan.path(axis), start=PLAIN.relaxed(20.0), cycles=2) for axis in "xy"]
-    assert {table.plan.voltage.size - table.plan.first for table in tables} == {3 * scan.samples + 1}
-
-
 def test_a_scan_that_stands_where_it_begins_has_no_way():
     table = wave_table(PLAIN, TRIANGLE.path(), start=turned(PLAIN, 2 * UM, rising=False))
     assert table.plan.voltage.size == (table.cycles + 1) * TRIANGLE.samples + 1 and not table.plan.first
@@ -143,7 +136,6 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     made, size = simulated(actuator, rows, actuator.relaxed(20.0)), len(table.cycle)
     off = np.abs(made - rows.expected)
     assert off[: -5 * size].max() <= 0.1 * table.tolerance
-    # Statement on the first cycle; the cycles after it continue to settle.
     assert off[-5 * size : -4 * size].max() <= 1.0001 * table.error + 1e-12 * strokes(TRIANGLE)
     assert off.max() <= 4 * table.error + 1e-12 * strokes(TRIANGLE)
 
@@ -156,7 +148,6 @@ def test_a_long_homing_has_a_sample_rate_of_its_own_and_loses_nothing():
     rows = played(table, 2)
     assert (rows.phase == 0).sum() < 5e4
     assert np.diff(rows.time).min() > 0.99 / table.sample_rate
-    # All that was left out lies on straight lines between rows.
     whole = np.interp(homing.time, rows.time, rows.voltage)
     assert np.abs(whole - homing.voltage)[:-1].max() <= 1e-9
     # The rows alone give the simulation with every sample, at the rows and after them.
