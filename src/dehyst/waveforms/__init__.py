@@ -1,7 +1,7 @@
 """Waveforms: voltages that excite an actuator, and scans for it to follow."""
 
 from dehyst.waveforms import standard
-from dehyst.waveforms.excitation import STEEPEST, Branch, Excitation, Sampling, positive, refuse_long, volts
+from dehyst.waveforms.excitation import STEEPEST, Branch, Excitation, Sampling, positive, volts
 from dehyst.waveforms.scan import Scan, ScanPath, whole
 from dehyst.waveforms.scans import Raster, Steps, Triangle
 from dehyst.waveforms.standard import (
