@@ -186,26 +186,14 @@ def said_of(call, wanted):
     return [warning.message for warning in heard]
 
 
-def test_a_first_step_that_the_slew_rate_holds_back_names_the_voltage_that_was_assumed():
-    top = PLANT.voltage()
+def test_a_step_that_the_slew_rate_holds_back_names_the_voltage_before():
     options = {"limits": (0.0, 200.0), "slew_rate": 1e3, "period": 1e-3}
-    low, path = 0.2 * plain_records.STROKE, np.full(3, 0.2 * plain_records.STROKE)
-    assert Compensator(PLANT, **options)._axes[0].assumed_voltage == top
-    (said,) = said_of(Compensator(PLANT, **options).step, low)
-    assert said.assumed == top
-    given = turned(PLANT, 0.9 * plain_records.STROKE)
-    (said,) = said_of(Compensator(PLANT, **options, state=given).step, low)
-    assert said.assumed is None
-    (said,) = said_of(Compensator(PLANT, **options).run, path)
-    assert said.assumed == top
-    copied = pickle.loads(pickle.dumps(Compensator(PLANT, **options)))
-    assert said_of(copied.step, low)[0].assumed == top
-    assert said_of(copied._clone().step, low)[0].assumed == top
-    later = Compensator(PLANT, **options)
-    assert said_of(later.step, later.state.deformation - 1e-9) == []
-    assert said_of(later.step, low)[0].assumed is None
-    later.reset(turned(PLANT, 0.9 * plain_records.STROKE))
-    assert (later._axes[0].assumed_voltage, said_of(later.run, path)[0].assumed) == (None, None)
+    low, given = 0.2 * plain_records.STROKE, turned(PLANT, 0.9 * plain_records.STROKE)
+    for state in (None, given):
+        loop, copied = (Compensator(PLANT, **options, state=state) for _ in range(2))
+        before = PLANT.voltage() if state is None else PLANT.voltage(given)
+        assert [said.before for said in said_of(loop.step, low)] == [before]
+        assert [said.before for said in said_of(pickle.loads(pickle.dumps(copied)).run, np.full(3, low))] == [before]
 
 
 def test_a_clamp_that_is_made_an_error_has_moved_nothing():

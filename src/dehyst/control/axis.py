@@ -16,7 +16,7 @@ from dehyst._errors import ModelError, of_part
 from dehyst._native import CoreError, CoreState, Loop
 from dehyst._types import Array
 from dehyst._validation import for_each, interval, keep, number
-from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_run, warn_of_sample
+from dehyst.control.limits import Clamps, VoltageLimits, stray_sentence, warn_of_clamps
 from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_loop, state_within_limits, stroke_of
 
 # A delay this close to a whole number of steps is that number.
@@ -75,15 +75,16 @@ class Axis:
             words = f"{slew:g} V/s allow no change in {seconds:g} s"
             raise ModelError(words, argument="slew_rate", hint="give more, or a longer period")
         numbers = np.array([*self.limits, change, *model.amplifier(seconds)])
-        actuator, bounds, name, assumed = self.actuator, self.bounds, self.name, self.assumed
+        actuator, bounds, name = self.actuator, self.bounds, self.name
 
         def warn(slewed: bool, displacement: float, voltage: float, before: float) -> None:
-            guess = before if assumed and before == begin else None
-            warn_of_sample(actuator, bounds, slewed, displacement, voltage, guess, name)
+            reason = f"the slew rate allows no more from {before:.6g} V" if slewed else "that is a limit"
+            words = f"CLAMPED: {displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
+            warn_of_clamps(actuator, bounds, name, words, np.array([displacement]), before)
 
         call = warn if self.warns else lambda *_: None
         loop = model.core.loop(coefficients, self.preview[0], numbers, call, self.core_start)
-        loop.per_metre, begin = self.per_metre, loop.sent()
+        loop.per_metre = self.per_metre
         return loop
 
     @property
@@ -105,12 +106,6 @@ class Axis:
     def voltage(self) -> float:
         """The last voltage sent [V]; before any, the voltage that holds the actuator in its start."""
         return self.loop.sent() if self.running else self.held(self.start)
-
-    @property
-    def assumed_voltage(self) -> float | None:
-        """The present voltage [V], if it is only assumed: no state was given, and nothing was sent; else None."""
-        begins = self.assumed and (not self.running or self.loop.sent() == self.held(self.start))
-        return self.voltage if begins else None
 
     @property
     def state(self) -> State:
@@ -171,14 +166,15 @@ class Axis:
 
     def run(self, wanted: Array) -> Array:
         """Return the voltages (n,) [V] of steps for displacements (n,) [m]; raise and warn as `Compensator.run`."""
-        begin, before = self.assumed_voltage, self.loop.counts()
+        begin, before = self.voltage, self.loop.counts()
         voltage = self.loop.run(wanted)
         limited, slewed, refused = (int(n) for n in np.subtract(self.loop.counts(), before))
         if refused:
             raise refusal(float(wanted[np.argmax(np.abs(wanted))]))
         if (limited or slewed) and self.warns:
-            clamps, inside = Clamps(limited, slewed), self.in_model(wanted)
-            warn_of_run(self.actuator, self.bounds, clamps, inside, begin, self.name)
+            reason = f"{limited} at the limits {self.bounds.words}, {slewed} by the slew rate"
+            words = f"{limited + slewed} of {wanted.size} voltages from {begin:.6g} V on clamped: {reason}"
+            warn_of_clamps(self.actuator, self.bounds, self.name, words, self.in_model(wanted), begin)
         return voltage
 
     def commit(self, voltage: float) -> None:

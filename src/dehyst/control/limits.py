@@ -170,18 +170,12 @@ def outside_identified(
 class ClampWarning(UserWarning):
     """A wanted displacement was not followed: its voltage was clamped at a limit or held back by the slew rate.
 
-    `assumed`: voltage [V] of the actuator's own state, if the slew rate counted from there because no state was given;
-    else None.
+    `before`: voltage [V] from which the slew rate counted: of the state, until one was sent.
     """
 
-    def __init__(self, words: str, assumed: float | None = None) -> None:
-        if assumed is not None:
-            words += (
-                f". No state was given, so the model's own is assumed, with {assumed:.6g} V at the actuator: give the "
-                "right state by reset(state), or its voltage to a whole path by present="
-            )
+    def __init__(self, words: str, before: float | None = None) -> None:
         super().__init__(words)
-        self.assumed = assumed
+        self.before = before
 
 
 class SensorFault(IntEnum):
@@ -240,41 +234,16 @@ class Clamps(NamedTuple):
     slewed: int
 
 
-def warn_of_sample(
-    actuator: Actuator,
-    limits: VoltageLimits,
-    slewed: bool,
-    displacement: float,
-    voltage: float,
-    assumed: float | None,
-    axis: str,
+def warn_of_clamps(
+    actuator: Actuator, limits: VoltageLimits, axis: str, words: str, displacement: Array, before: float
 ) -> None:
-    """Warn the caller of a step or an offer that the `voltage` [V] for a `displacement` [m] is clamped.
+    """Warn the caller in these `words` of voltages that are clamped, of an `axis` if there are several.
 
-    `assumed`: the voltage before [V], if it was not given. `axis`: its name, of several; the displacement is then that
-    of its actuator alone.
+    `before`: the voltage before [V]. If the wanted displacements (n,) [m] are implausible, say why.
     """
-    head = f"{axis}: " if axis else ""
-    reason = "the slew rate allows no more" if slewed else "that is a limit"
-    words = f"CLAMPED: {head}{displacement * 1e6:.6g} um wanted, {voltage:.6g} V to be sent: {reason}"
-    _warn(words, actuator, limits, np.array([displacement]), assumed if slewed else None)
-
-
-def warn_of_run(
-    actuator: Actuator, limits: VoltageLimits, clamps: Clamps, displacement: Array, assumed: float | None, axis: str
-) -> None:
-    """Warn the caller of `Compensator.run` that some of the voltages are clamped; `assumed` as in `warn_of_sample`."""
-    reason = f"{clamps.limited} at the limits {limits.words}, {clamps.slewed} by the slew rate"
-    head = f"{axis}: " if axis else ""
-    words = f"{head}{sum(clamps)} of {displacement.size} voltages clamped: {reason}"
-    _warn(words, actuator, limits, displacement, assumed if clamps.slewed else None)
-
-
-def _warn(words: str, actuator: Actuator, limits: VoltageLimits, displacement: Array, assumed: float | None) -> None:
-    """Warn of clamped voltages, and say why displacements (n,) [m] are implausible."""
-    if stray := stray_sentence(actuator, limits, displacement):
-        words += f". {stray}"
-    warnings.warn(ClampWarning(words, assumed), None, _caller())
+    stray = stray_sentence(actuator, limits, displacement)
+    words = f"{axis and f'{axis}: '}{words}{stray and f'. {stray}'}"
+    warnings.warn(ClampWarning(words, before), None, _caller())
 
 
 def stray_sentence(actuator: Actuator, limits: VoltageLimits, displacement: Array) -> str:
