@@ -172,8 +172,8 @@ class Axis:
         if refused:
             raise refusal(float(wanted[np.argmax(np.abs(wanted))]))
         if (limited or slewed) and self.warns:
-            reason = f"{limited} at the limits {self.bounds.words}, {slewed} by the slew rate"
-            words = f"{limited + slewed} of {wanted.size} voltages from {begin:.6g} V on clamped: {reason}"
+            reason = f"{limited} at the limits {self.bounds.words}, {slewed} by the slew rate from {begin:.6g} V"
+            words = f"{limited + slewed} of {wanted.size} voltages clamped: {reason}"
             warn_of_clamps(self.actuator, self.bounds, self.name, words, self.in_model(wanted), begin)
         return voltage
 
