@@ -31,8 +31,6 @@ _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 GENERATOR = f"dehyst {__version__}"
 # Column of a displacement that a model gives: no measured table has it.
 COMPUTED = "expected_um"
-# Begins the first line of the path of a scan, with its declaration as JSON.
-SCAN = "# dehyst-scan: "
 # Every format of dehyst has this version.
 VERSION = 1
 OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"

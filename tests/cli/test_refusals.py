@@ -76,8 +76,9 @@ REFUSED = {
     f"{TABLE} --present 900": "present",
     f"{TABLE} --start-up -1": "start_up",
     f"{TABLE} --start-up 10000000": "start_up",
-    f"{TABLE} --columns time=t": "columns",
-    f"{TABLE} --columns displacement=y_um": ("displacement", "y_um"),
+    f"{TABLE} --columns displacement=y_um": ("", "y_um"),
+    "compensate thermal.json warm.csv -o out.csv --table t.csv": "table",
+    "compensate model.json untimed.csv -o out.csv --table t.csv": ("table", "--columns rate"),
     "compensate model.json scan.csv -o out.csv --table out.csv": ("", "out.csv"),
     "compensate model.json scan.csv -o out.csv --table model.json": ("", "model.json"),
     f"{TRIANGLE} -o out.csv --cycles 0": "cycles",
@@ -139,6 +140,7 @@ def folder(tmp_path_factory):
         "stage": {"vx_V": path, "x_um": path, "vy_V": path, "y_um": path},
         "plan": {"displacement_um": path, "voltage_V": 10 * path, "expected_um": path},
         "rooms": {"displacement_um": path, "room_temp_C": 20 + path, "temperature_C": 20 + path},
+        "warm": {"displacement_um": path, "temperature_C": 20 + path},
         "hole": {"displacement_um": path, "temperature_C": np.where(time == 0.5, 4000.0, 20)},
     }
     for name, columns in tables.items():

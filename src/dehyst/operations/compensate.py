@@ -1,4 +1,4 @@
-"""`compensate`: the voltages that follow a path, or the wave table of a scan."""
+"""`compensate`: the voltages that follow a path, or the wave table of a period."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import FileFormatError, ModelError, RecordError, of_part
+from dehyst._errors import ModelError, RecordError, of_part
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
+from dehyst.calibration.plan import even_rate
 from dehyst.control import PathPlan, PossibleStart, plan_path, wave_table
 from dehyst.model import Actuator, voltages_of
 from dehyst.operations import start as starts
@@ -42,7 +43,7 @@ from dehyst.operations.command import (
     output,
     switch,
 )
-from dehyst.operations.files import COLUMNS, Columns, scan_declared, write_table
+from dehyst.operations.files import COLUMNS, Columns, write_table
 from dehyst.operations.paths import (
     ZERO,
     reach_remarks,
@@ -52,20 +53,13 @@ from dehyst.operations.paths import (
 )
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
-from dehyst.records import read_table
 from dehyst.waveforms import ScanPath
-from dehyst.waveforms.scans import scan_of
 
 # How the library begins a remark on a path that is missed by more than its promise.
 _CLAMPED = "CLAMPED"
-# Part of the reachable range by which a row of a scan's file may differ from the scan.
-_WRITTEN = 1e-9
+# Part of its range by which a period may end elsewhere than it begins.
+_CLOSED = 1e-9
 _PRESENT = AxisNumber("[AXIS=]V")
-
-
-def _of_scan(given: Values) -> str:
-    scans = not of_one_axis(given) and scan_declared(given["trajectory"]) is not None
-    return "" if scans else "without the path of a dehyst scan, for a model of one axis"
 
 
 def _homes(given: Values) -> str:
@@ -86,7 +80,7 @@ def compensate(
     home_within: float | None = number("Longest duration of homing and way [s].", _homes),
     present: AxisNumbers = option("Present voltage [V]; default: of --start, or 0.", _PRESENT, multiple=True),
     on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
-    table: Path | None = option("Write the steady cycle of a scan here (CSV).", OUTPUT, _of_scan),
+    table: Path | None = option("Write the steady cycle of a periodic path here (CSV).", OUTPUT, of_one_axis),
     start_up: int | None = integer("Cycles before the steady one; default: as needed.", beside("table")),
     plot: Path | None = option("Draw path, voltage and promise here (HTML).", PAGE),
     columns: Columns = COLUMNS,
@@ -110,12 +104,13 @@ def compensate(
         for actuator, begin, now in zip(known.actuators, begins, volts, strict=True)
     ]
     task = _Task(run, known, bounds, slews, begins, volts, {"home": home, "home_within": home_within}, zero)
-    if table is None:
-        wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
-        with _named(trajectory):
+    wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
+    with _named(trajectory):
+        if table is None:
             made = task.follow(wanted + place, clock, warmth, on_time, output)
-    else:
-        made = task.tabulate(_declared_scan(trajectory, columns, place), start_up, output, table)
+        else:
+            period = _period_of(trajectory, wanted[:, 0] + place, clock, warmth)
+            made = task.tabulate(period, start_up, output, table)
     if plot is not None:
         run.progress("drawing the path")
         _draw(plot, known.axes, made.plans, command=run.command)
@@ -133,31 +128,26 @@ def _named(path: Path) -> Iterator[None]:
         raise of_part(error, path.name) from error
 
 
-def _declared_scan(path: Path, columns: Columns, zero: float) -> ScanPath:
-    """Return the period of the scan in the first line of a path file, along the wanted axis, relative to a zero [m].
+def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Array | None, repeats: int) -> ScanPath:
+    """Return a path (n,) [m] that ends where it begins as one period, with the derivatives of its periodic spline.
 
-    Raise `FileFormatError` if no scan can be made from that line, or the rows of the path are not the scan's.
+    Raise `ModelError` or `RecordError` if it is not periodic, has no even times, or depends on temperature.
     """
-    columns.demand(("displacement", "decimal"), "on the path of a scan")
-    hint, declared = "write it again with dehyst scan", scan_declared(path) or {}
-    options = {name: value for name, value in declared.items() if name not in ("kind", "cycles", "sample_rate")}
-    try:
-        made, cycles = scan_of(declared["kind"], options, declared["sample_rate"]), declared["cycles"]
-    except (KeyError, TypeError, ValueError) as error:
-        fault = f"nothing known for {error}" if isinstance(error, KeyError) else f"{error}"
-        raise FileFormatError(f"{path}: no scan by its first line: {fault}", hint=hint) from error
-    names = {f"{axis}_um": axis for axis in made.axes} if len(made.axes) > 1 else {"displacement_um": "x"}
-    wanted = columns.displacement or "displacement_um"
-    if wanted not in names:
-        raise FileFormatError(argument="displacement", got=wanted, need=f"one of {', '.join(names)}")
-    axis = names[wanted]
-    table, period = read_table(path, columns), made.path(axis)
-    rows = period.repeated(cycles)
-    written = next(column.data for column in table.columns if names.get(column.name) == axis)
-    span = float(np.abs(rows.displacement).max())
-    if written.size != len(rows) or np.abs(1e-6 * written - rows.displacement).max() > _WRITTEN * span:
-        raise FileFormatError(f"{path}: its rows are not those of the scan in its first line", hint=hint)
-    return replace(period, displacement=period.displacement + zero)
+    from scipy.interpolate import CubicSpline
+
+    if warmth is not None:
+        raise ModelError(argument="table", got="a path with temperatures", need="one without: it is at the reference")
+    if not clock:
+        raise RecordError(argument="table", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
+    even_rate(path, clock["time_s"])
+    if abs(wanted[-1] - wanted[0]) > _CLOSED * float(np.ptp(wanted)):
+        got = f"{1e6 * wanted[0]:.6g} um at the first sample and {1e6 * wanted[-1]:.6g} um at the last"
+        raise RecordError(argument="table", got=got, need="one period, which ends where it begins")
+    rows = wanted.size - 1
+    rate = rows / float(np.ptp(clock["time_s"]))
+    at = np.arange(rows + 1) / rate
+    spline = CubicSpline(at, np.append(wanted[:-1], wanted[0]), bc_type="periodic")
+    return ScanPath(wanted[:-1], spline(at[:-1], 1), spline(at[:-1], 2), rate)
 
 
 class _Made(NamedTuple):
@@ -199,7 +189,7 @@ class _Task:
         return _Made(plans, len(plans[0].voltage), urgent)
 
     def tabulate(self, path: ScanPath, cycles: int | None, output: Path, steady: Path) -> _Made:
-        """Write the wave table of a scan with its start-up, and its homing unless a start or --no-home is given."""
+        """Write the wave table of a period with its start-up, and its homing unless a start or --no-home is given."""
         actuator, limits = self.known.actuators[0], self.limits[0]
         urgent = reach_remarks(actuator, path.displacement, limits, self.zero)
         self.run.progress("homing, and the steady cycle")

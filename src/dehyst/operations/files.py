@@ -1,15 +1,13 @@
-"""Files of operations: records and tables by --columns; models; written tables; paths of scans."""
+"""Files of operations: records and tables by --columns; models; written tables."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dehyst._errors import FileFormatError
-from dehyst._io import SCAN, demand_version, format_of
+from dehyst._io import format_of
 from dehyst._types import Array
 from dehyst.operations.command import Parsed, option
 from dehyst.operations.run import MODELS, Run
@@ -53,7 +51,6 @@ def warmth_of(table: Table, columns: Columns) -> Array | None:
 
 # Significant digits of a table: 0.1 nV of 100 V.
 _DIGITS = 12
-_LONGEST = 1_000_000
 
 
 def is_model(path: Path, *formats: str) -> bool:
@@ -72,21 +69,6 @@ def read_model(run: Run, path: Path) -> Actuator:
     return actuator
 
 
-def write_table(path: Path, columns: Mapping[str, Any], scan: Mapping[str, Any] | None = None) -> None:
-    """Write a table with rounded numbers; the table of a `scan` begins with its declaration."""
-    head = () if scan is None else (f"{SCAN}{json.dumps(scan)}",)
-    write_columns(path, columns, digits=_DIGITS, head=head)
-
-
-def scan_declared(path: Path) -> dict[str, Any] | None:
-    """Return the declaration in the first line of a path file; None if there is none, or the file is a pipe."""
-    if not path.is_file():
-        return None
-    found = None
-    with path.open("rb") as stream, suppress(ValueError):
-        line = stream.readline(_LONGEST).decode(errors="replace")
-        found = json.loads(line.removeprefix(SCAN)) if line.startswith(SCAN) else None
-    if not isinstance(found, dict):
-        return None
-    demand_version(found, f"{path}")
-    return found
+def write_table(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write a table with rounded numbers."""
+    write_columns(path, columns, digits=_DIGITS)

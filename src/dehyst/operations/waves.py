@@ -28,7 +28,7 @@ from dehyst.operations.command import (
 )
 from dehyst.operations.files import write_table
 from dehyst.operations.run import Result, Run
-from dehyst.waveforms import Excitation, Sampling, Scan, stage_excitation, standard
+from dehyst.waveforms import Excitation, Sampling, stage_excitation, standard
 from dehyst.waveforms.excitation import voltages
 from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 
@@ -196,10 +196,10 @@ def _written(
     return Result(fields, [line, *advice], warnings=fields["warnings"])
 
 
-def refuse_cycles(made: Scan, cycles: int) -> None:
-    """Raise an error for a number of cycles that is too large for a file."""
-    if not 1 <= cycles <= MOST_ROWS // made.samples:
-        need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {made.samples} a cycle"
+def refuse_cycles(samples: int, cycles: int) -> None:
+    """Raise an error for a number of cycles, of so many `samples`, that is too large for a file."""
+    if not 1 <= cycles <= MOST_ROWS // samples:
+        need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {samples} a cycle"
         raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle, or lower the sample rate")
 
 
@@ -245,13 +245,12 @@ _add_scan("steps", "Levels with holds between edges.")
 def _scanned(kind: str, options: Mapping[str, Any], output: Path, sample_rate: float | None, cycles: int) -> Result:
     """Write the path of a scan."""
     made = scan_of(kind, options, sample_rate)
-    refuse_cycles(made, cycles)
+    refuse_cycles(made.samples, cycles)
     paths = {axis: made.path(axis).repeated(cycles) for axis in made.axes}
     time = next(iter(paths.values())).time
     names = {axis: "displacement_um" if len(paths) == 1 else f"{axis}_um" for axis in paths}
-    declared = {"kind": kind, **options, "sample_rate": sample_rate, "cycles": cycles}
     moved = {names[axis]: 1e6 * path.displacement for axis, path in paths.items()}
-    write_table(output, {"time_s": time, **moved}, declared)
+    write_table(output, {"time_s": time, **moved})
     ranges = {names[axis]: [1e6 * end for end in path.range] for axis, path in paths.items()}
     fields = {
         "kind": kind,
