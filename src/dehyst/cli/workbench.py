@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from dehyst.operations.command import argument, command, integer, number, switch
+from dehyst.operations.command import argument, command, integer, switch
 from dehyst.operations.run import Result, Run
 from dehyst.workbench import serve
 from dehyst.workbench.serving import Door
@@ -23,7 +23,6 @@ def workbench(
     folder: Path = argument(_FOLDER, required=False, default="dehyst-workbench"),
     port: int | None = integer("0: any that is free; default: 8754, or any."),
     browser: bool = switch("--browser/--no-browser", "Open the page.", default=True),
-    max_size: float = number("Largest file to receive [MB].", default=500.0),
 ) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
@@ -39,7 +38,7 @@ def workbench(
         if browser:
             threading.Thread(target=_open, args=(door,), daemon=True).start()
 
-    serve(folder, port=port, upload_limit=1e6 * max_size, opened=opened)
+    serve(folder, port=port, opened=opened)
     return Result({}, [f"Everything is in {folder}; the same command goes on from there."])
 
 

@@ -59,10 +59,9 @@ class Folder:
     """
 
     def __init__(self, path: Path) -> None:
-        new = not path.exists()
         demand_own_folder(path, STATE, FORMAT)
         self.path = made_folder(path).resolve()
-        self.privacy = _made_private(self.path, new=new)
+        self.privacy = _made_private(self.path)
         if not (self.path / STATE).exists():
             self.save({})
         self._lock = _locked(self.path)
@@ -153,16 +152,14 @@ class Folder:
             self._promised.discard(relative)
 
 
-def _made_private(folder: Path, *, new: bool) -> str:
-    """Make a folder private; return a remark if other users could, or still can, read it."""
-    mode = folder.stat().st_mode
-    if os.name != "posix" or not mode & 0o077:
-        return ""
-    with suppress(OSError):
-        folder.chmod(0o700)
-    if folder.stat().st_mode & 0o077:
-        return f"{folder}: other users of this machine may read it, and that cannot be changed; give another folder"
-    return "" if new else f"{folder}: other users of this machine could read it; from now on they cannot"
+def _made_private(folder: Path) -> str:
+    """Make a folder private; return a remark if other users can read it still."""
+    if os.name == "posix":
+        with suppress(OSError):
+            folder.chmod(0o700)
+        if folder.stat().st_mode & 0o077:
+            return f"{folder}: other users of this machine may read it, and that cannot be changed; give another folder"
+    return ""
 
 
 def _locked(folder: Path) -> BinaryIO:

@@ -189,19 +189,12 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 class Workbench:
-    """The requests of a workbench's page.
+    """The requests of the page of a workbench in a `folder`."""
 
-    Parameters
-    ----------
-    folder : Path
-    upload_limit : float
-        Largest size of an upload [bytes].
-    """
-
-    def __init__(self, folder: Path, upload_limit: float) -> None:
-        self.upload_limit = int(upload_limit)
-        self.events = Events(self.state)
-        self.session = WorkbenchSession(Folder(folder), self.events.changed)
+    def __init__(self, folder: Path) -> None:
+        self.session = WorkbenchSession(Folder(folder))
+        self.events = Events(self.session.state)
+        self.session.changed = self.events.changed
 
     def app(self) -> Starlette:
         """Return the application."""
@@ -231,10 +224,6 @@ class Workbench:
             routes += [Route(path, _answering(handler), methods=[method]) for path, handler in paths.items()]
         return Starlette(routes=routes, lifespan=self._life, exception_handlers=_ERRORS)
 
-    def state(self) -> dict[str, Any]:
-        """Return the state that all pages show."""
-        return {**self.session.state(), "upload_limit": self.upload_limit}
-
     @asynccontextmanager
     async def _life(self, _: Starlette) -> AsyncIterator[None]:
         yield
@@ -259,28 +248,18 @@ class Workbench:
 
     async def get_state(self, _: Request) -> Any:
         """Return the state."""
-        return self.state()
+        return self.session.state()
 
     async def upload(self, request: Request) -> Any:
         """Receive a file, and read it as a record."""
         name = Path(request.query_params.get("name", "record.csv").replace("\\", "/")).name
         place = self.session.folder.new(places.UPLOADS, Path(name).stem, Path(name).suffix[:10])
-        declared = request.headers.get("content-length", "0")
-        self._demand_size(int(declared) if declared.isdigit() else 0)
         with self.session.folder.receive(place) as upload:
             async for part in request.stream():
                 upload.write(part)
-                self._demand_size(upload.tell())
             if not upload.tell():
                 raise RequestError(f"{name}: is empty; choose a file with time, voltage and displacement")
         return {"id": self.session.add_record(place, name).id}
-
-    def _demand_size(self, size: int) -> None:
-        if size > self.upload_limit:
-            raise TooLargeError(
-                f"the file has more than {self.upload_limit / 1e6:.6g} MB; cut or resample it, or start dehyst "
-                "workbench with a larger --max-size"
-            )
 
     async def excite(self, request: Request) -> Any:
         """Write an excitation to play."""

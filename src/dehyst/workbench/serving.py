@@ -54,7 +54,6 @@ def serve(
     folder: Path,
     *,
     port: int | None = None,
-    upload_limit: float = 1e9,
     opened: Callable[[Door], None] = lambda _: None,
 ) -> None:
     """Serve a workbench until Ctrl-C or SIGTERM.
@@ -65,8 +64,6 @@ def serve(
         Folder for all results: new, empty, or of an earlier workbench.
     port : int, optional
         Port of the server; 0: any free port. Default: 8754, or any free port if it is in use.
-    upload_limit : float, optional
-        Most bytes of an upload.
     opened : callable, optional
         Called with the way in, once a browser may come.
 
@@ -90,8 +87,7 @@ def serve(
             f"workbench: needs {error.name}, which is not installed; install it with: pip install 'dehyst[workbench]'"
         ) from error
     with _listening(port) as listener:
-        taken = listener.getsockname()[1]
-        bench = Workbench(folder, upload_limit)
+        taken, bench = listener.getsockname()[1], Workbench(folder)
         place, token = bench.session.folder, secrets.token_urlsafe(32)
         link = f"http://{HOST}:{taken}/?token={token}"
         door = Door(link, _written_page(place.path, link), place.privacy)

@@ -4,7 +4,7 @@ import { byId, h } from "./dom.js";
 import { exciteCard } from "./excite.js";
 import { COLOURS, Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { Form, card, facts, fold, list, remarks, tick } from "./forms.js";
-import { bytes, duration, range, short, whole } from "./numbers.js";
+import { duration, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
 import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
@@ -64,12 +64,10 @@ example.onclick = () =>
   server.example("virtual-loops.csv").then((made) => sendAll([made]), (error) => server.complain("upload", error.message));
 
 async function send(file) {
-  const { name, size } = file;
-  const limit = session.state.upload_limit;
+  const { name } = file;
   uploads += 1;
   redraw();
   try {
-    if (limit && size > limit) throw new Error(`it has ${bytes(size)}, and at most ${bytes(limit)} can be read`);
     await server.upload(file);
     announce(`${name} was sent and is being read.`);
   } catch (error) {
