@@ -128,7 +128,7 @@ def _named(path: Path) -> Iterator[None]:
         raise of_part(error, path.name) from error
 
 
-def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Array | None, repeats: int) -> ScanPath:
+def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Array | None) -> ScanPath:
     """Return a path (n,) [m] that ends where it begins as one period, with the derivatives of its periodic spline.
 
     Raise `ModelError` or `RecordError` if it is not periodic, has no even times, or depends on temperature.

@@ -196,13 +196,6 @@ def _written(
     return Result(fields, [line, *advice], warnings=fields["warnings"])
 
 
-def refuse_cycles(samples: int, cycles: int) -> None:
-    """Raise an error for a number of cycles, of so many `samples`, that is too large for a file."""
-    if not 1 <= cycles <= MOST_ROWS // samples:
-        need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {samples} a cycle"
-        raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle, or lower the sample rate")
-
-
 class Numbers(tuple[float, ...]):
     """Numbers separated by commas."""
 
@@ -245,7 +238,9 @@ _add_scan("steps", "Levels with holds between edges.")
 def _scanned(kind: str, options: Mapping[str, Any], output: Path, sample_rate: float | None, cycles: int) -> Result:
     """Write the path of a scan."""
     made = scan_of(kind, options, sample_rate)
-    refuse_cycles(made.samples, cycles)
+    if not 1 <= cycles <= MOST_ROWS // made.samples:
+        need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {made.samples} a cycle"
+        raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle, or lower the sample rate")
     paths = {axis: made.path(axis).repeated(cycles) for axis in made.axes}
     time = next(iter(paths.values())).time
     names = {axis: "displacement_um" if len(paths) == 1 else f"{axis}_um" for axis in paths}
