@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +11,6 @@ from dehyst.calibration.plan import Excitations
 from dehyst.calibration.session import ProgressListener, Session
 from dehyst.control import VoltageLimits
 from dehyst.instruments.simulated import SimulatedRig
-from dehyst.records import files
 from dehyst.virtual import PlayActuator
 
 LOOK = Excitations((VoltageLimits(0, 200),), 400.0).homing()
@@ -123,15 +123,15 @@ def test_nothing_that_was_set_aside_is_replaced(folder):
 
 def test_no_right_to_read_is_no_record(folder, monkeypatch):
     """As another user than root: its file may not be read, but moved."""
-    real = files.opened
+    real = Path.open
 
-    def refuse(path, most):
-        if path == folder / RECORD:
+    def refuse(path, mode="r", **options):
+        if path == folder / RECORD and mode == "rb":
             raise PermissionError(13, "Permission denied")
-        return real(path, most)
+        return real(path, mode, **options)
 
     with monkeypatch.context() as patched:
-        patched.setattr(files, "opened", refuse)
+        patched.setattr(Path, "open", refuse)
         with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
             assert job.stored("look", LOOK) is None
     assert go_on(folder)
