@@ -106,7 +106,7 @@ def test_a_rig_has_a_slew_rate_even_if_none_is_given(given, remarks, used):
     said = run(*words)
     planned = result_of(said)
     assert len(said[: said.index("{")].splitlines()) == remarks
-    assert planned["slew_rate_V_per_s"] == used
+    assert planned["slew_rate_V_per_s"] == [used]
 
 
 def test_an_interrupted_identification_of_axes_writes_nothing(folder, monkeypatch):

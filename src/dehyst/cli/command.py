@@ -67,7 +67,7 @@ def run_command(ctx: click.Context) -> None:
     finally:
         run.progress("")
     if as_json:
-        echo_json(result.as_dict())
+        echo_json(result.fields)
     else:
         for line in result.printed(details=bool(ctx.params.get("details"))):
             echo(line)

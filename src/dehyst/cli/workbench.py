@@ -26,8 +26,8 @@ def workbench(
 ) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
-    Everything is kept in FOLDER, with a script of the commands that would do the same. The page is served to this
-    machine only, to who has the printed link. Ctrl-C ends it.
+    Everything is kept in FOLDER, with a script of the commands that would do the same. Only this machine
+    can reach the page, by the printed link. Ctrl-C ends it.
     """
 
     def opened(door: Door) -> None:

@@ -39,7 +39,7 @@ def insight(
     zero: float | None = number("Zero of the trajectory, as in compensate.", _of_path),
     start: Start | None = option("State before the trajectory, as in compensate.", START, _of_path),
     limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
-    slew_rate: AxisNumbers = slew_option("Of the trajectory, as in compensate.", _of_path),
+    slew_rate: AxisNumbers = slew_option("Largest slew rate of the trajectory [V/s].", _of_path),
     report: Path | None = page(),
     columns: Columns = COLUMNS,
 ) -> Result:
@@ -88,7 +88,7 @@ def check(
     model: Path = argument(),
     record: Path = argument(),
     goal: float | None = number("Largest error [% of the stroke] that is good; default: the model's, or 1."),
-    log: Path | None = option("Append a row an axis to this table (CSV); --force begins it anew.", CONTINUED),
+    log: Path | None = option("Append a row for each axis to this table (CSV); --force begins it anew.", CONTINUED),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.

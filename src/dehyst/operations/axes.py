@@ -17,7 +17,7 @@ from dehyst.control import Compensator, PathPlan
 from dehyst.model import Actuator, Stage
 from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Condition, Values, option
-from dehyst.operations.files import AS_FOUND, Columns, is_model, read_model
+from dehyst.operations.files import AS_FOUND, Columns, is_model
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import columns_of_axis
@@ -111,7 +111,12 @@ class AxesModel:
     def read(cls, run: Run, path: Path) -> AxesModel:
         """Read a model; warn if its identification was not usable."""
         if not is_stage(path):
-            return cls(None, (read_model(run, path),), ("",))
+            actuator = Actuator.load(path)
+            known = actuator.identification
+            outcome = None if known is None else known.outcome
+            if outcome is not None and not outcome.good:
+                run.note(f"{path}: when this model was identified: {outcome.value}")
+            return cls(None, (actuator,), ("",))
         stage = Stage.load(path)
         return cls(stage, stage.actuators, stage.axes)
 

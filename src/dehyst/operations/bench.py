@@ -27,7 +27,6 @@ from dehyst.operations.run import Result, Run
 from dehyst.report import write_report
 
 REPORT = "report.html"
-_ANEW = "give another -o to measure anew"
 
 
 class Steps(ProgressListener):
@@ -124,8 +123,8 @@ def calibrate(
         calibration = _calibrated(run, instrument, output, plan)
     warnings: Sequence[str] = calibration.warnings()
     if kept := calibration.kept:
-        played = f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}; {_ANEW}"
-        warnings = [played, *warnings]
+        played = f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}"
+        warnings = [f"{played}; give another -o to measure anew", *warnings]
     fields = {**calibration.as_dict(), "output": str(output)}
     return Result(fields, [*_lines(calibration, output)], warnings=warnings, good=calibration.good)
 
@@ -148,14 +147,13 @@ def _left(output: Path) -> Iterator[None]:
 
 def _planned(rig: AbstractRig, plan: Plan) -> Result:
     """Return the voltages that would be sent, as JSON values and lines."""
-    planned, several = [step.as_dict(rig) for step in steps(rig, plan)], len(rig.axes) > 1
-    columns: dict[str, list[Any]] = {
-        "axes" if several else "axis": list(rig.axes),
+    planned = [step.as_dict(rig) for step in steps(rig, plan)]
+    allowed = {
+        "axes": list(rig.axes),
         "limits_V": [[part.limits.low, part.limits.high] for part in rig.rigs],
         "slew_rate_V_per_s": [part.slew_rate for part in rig.rigs],
         "safe_V": [part.safe for part in rig.rigs],
     }
-    allowed = columns if several else {name: values[0] for name, values in columns.items()}
     bounds = "; ".join(f"axis {part.axis}: {part.limits.words}, at most {part.slew_rate:.6g} V/s" for part in rig.rigs)
     seconds = sum(entry["seconds"] for entry in planned)
     lines = [
@@ -180,8 +178,6 @@ def _step_lines(planned: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
     """Return the calibration of a rig, with its report."""
-    for line in _step_lines([step.as_dict(rig) for step in steps(rig, plan)]) if len(rig.axes) > 1 else ():
-        run.note(line)
     with Steps(run) as watcher:
         calibration = run_calibration(rig, output, plan=plan, watcher=watcher)
         watcher.step("report")

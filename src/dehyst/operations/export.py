@@ -53,7 +53,7 @@ def export(
     limits: AxisLimits = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
     period: float | None = number_option("Time between steps [s]; a model that depends on time needs it."),
-    preview: bool = flag("Compensate delay and inertia, of displacements in advance.", _of_loop),
+    preview: bool = flag("Compensate delay and inertia; displacements come in advance then.", _of_loop),
     name: str | None = option("Prefix of files and functions; default: piezo, or stage."),
     kind: str = option(
         "Kind of FMU: compensator (displacement to voltage), or virtual actuator.",

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dehyst._errors import FileFormatError
 from dehyst._io import format_of
 from dehyst._types import Array
 from dehyst.operations.command import Parsed, option
-from dehyst.operations.run import MODELS, Run
+from dehyst.operations.run import MODELS
 from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, VOLTAGE
 from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
-
-if TYPE_CHECKING:
-    from dehyst.model import Actuator
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "VOLTAGE", "Columns"]
 AS_COLUMNS = Parsed(Columns)
@@ -56,17 +53,6 @@ _DIGITS = 12
 def is_model(path: Path, *formats: str) -> bool:
     """Return whether a file is a model, by its format alone; by default of one axis or several."""
     return path.is_file() and format_of(path) in (formats or MODELS)
-
-
-def read_model(run: Run, path: Path) -> Actuator:
-    """Read a model; warn if its identification was not usable."""
-    from dehyst.model import Actuator
-
-    actuator = Actuator.load(path)
-    known = actuator.identification
-    if known is not None and known.outcome is not None and not known.outcome.good:
-        run.note(f"{path}: when this model was identified: {known.outcome.value}")
-    return actuator
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:

@@ -50,7 +50,7 @@ def follow(
     output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
     repeat: int | None = integer("How often the path is followed; default: once, with --learn until the error stays."),
     learn: bool = flag("Correct each repetition by the error of the one before."),
-    feedback: bool = flag("Correct each sample by the reading before, of one axis, at 200 Hz at most."),
+    feedback: bool = flag("Correct each sample by the reading before it: of one axis, at most at 200 Hz."),
     limits: AxisLimits = limits_option("Range of the voltage [V]; default: that of the model and the device."),
     slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's."),
     zero: float | None = ZERO,

@@ -52,7 +52,7 @@ _SETTINGS = {
     ),
     "goal": number("Largest error [% of the stroke] that is good.", default=1.0),
     "sensor_lag": number("Time constant of the sensor's filter [s]."),
-    "lag_of": option("Whose the lag of the records is, if known.", click.Choice(["actuator", "sensor"])),
+    "lag_of": option("Who lags in the records, if that is known.", click.Choice(["actuator", "sensor"])),
     "delay": number("Lag of the displacement [s]; default: estimated."),
     "drift": switch("--drift/--no-drift", "Remove a drift of each record.", default=True),
     "shared_datum": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),

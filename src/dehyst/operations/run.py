@@ -112,10 +112,6 @@ class Result:
     warnings: Sequence[str] = ()
     good: bool = True
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return dict(self.fields)
-
     def printed(self, *, details: bool) -> list[str]:
         """Return the lines to print, with all `details` or with a line that says how to get them."""
         if details or not self.more:

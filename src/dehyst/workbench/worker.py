@@ -88,7 +88,7 @@ def _answer(request: Message, run: _WorkerRun) -> Message:
     try:
         with terminable():
             result = perform(context_of(request["do"]), run)
-            return {"result": result.as_dict(), "good": result.good}
+            return {"result": result.fields, "good": result.good}
     except DehystError as error:
         return {"error": {**run.known, **error.as_dict()}}
     except Exception as error:
