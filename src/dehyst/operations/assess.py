@@ -17,7 +17,6 @@ from dehyst.operations.command import CONTINUED, INPUT, Values, argument, comman
 from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.paths import reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.operations.start import START, Start, starts_of
 from dehyst.records import percent
 from dehyst.report import write_insight
 from dehyst.trust import Insight, Recheck, StageInsight, Update
@@ -37,7 +36,6 @@ def insight(
     records: tuple[Path, ...] = argument(nargs=-1),
     trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
     zero: float | None = number("Zero of the trajectory, as in compensate.", _of_path),
-    start: Start | None = option("State before the trajectory, as in compensate.", START, _of_path),
     limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
     slew_rate: AxisNumbers = slew_option("Largest slew rate of the trajectory [V/s].", _of_path),
     report: Path | None = page(),
@@ -61,11 +59,10 @@ def insight(
             # The columns are those of the records.
             own = Columns(temperature=columns.temperature)
             path, warmth, clock = read_path(known, trajectory, own, remark=run.note)
-            begins, remarks = starts_of(known, start, [limits], columns)
             path = path + 1e-6 * (zero or 0.0)
-            for remark in [*remarks, *reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth)]:
+            for remark in reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth):
                 run.note(remark)
-            when = {"time": clock.get("time_s"), "temperature": warmth, "start": begins}
+            when = {"time": clock.get("time_s"), "temperature": warmth}
             (plan,) = known.planned(plan_path, path, [limits], known.slews(slew_rate)[0], **when)
         assessed = insight_one(known.actuators[0], training, plan=plan, **asked)
         found, head = (assessed,), []
