@@ -32,18 +32,24 @@ from dehyst.waveforms import Excitation, Sampling, stage_excitation, standard
 from dehyst.waveforms.excitation import voltages
 from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 
-# Cycles a second [Hz] that are tried, and the longest time [s] that a recording may take.
-_FREQUENCIES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-_LONGEST, _RECOMMENDED, _HARDLY = 120.0, 240.0, 1.25
-_WHY = (
-    "Go slower (--frequency) if the sensor or the amplifier lags behind at this rate, faster if drift or creep adds to "
-    "the loops; best is the rate at which the actuator will be used."
-)
 _BEFORE = "Before recording, play one cycle on all axes, so that the record begins within the loops."
+
+
+class Numbers(tuple[float, ...]):
+    """Numbers separated by commas."""
+
+    metavar = "UM,UM,..."
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Return the numbers in a text; raise ValueError if there are none."""
+        return cls(map(float, text.split(",")))
+
+
 # Options of every excitation.
 _DRIVEN: dict[str, Declaration] = {
     "output": output("Write time and voltage here (CSV)."),
-    "frequency": number("Cycles per second [Hz]; default: the slowest that takes two minutes (recommended: four)."),
+    "frequency": number("Cycles per second [Hz], of recommended the slowest ones; as you will use it.", default=0.1),
     "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle, recommended 1000."),
     "base": number("Voltage [V] at which a protocol starts and ends.", default=0.0),
     "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
@@ -62,14 +68,20 @@ scan = kinds(
 )
 
 
-def _add_excitation(
-    kind: str, text: str, protocol: Callable[..., Excitation], longest: float = _LONGEST, **options: Any
-) -> None:
+def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], **options: Any) -> None:
     """Add the command of a kind of excitation, with the `options` of its protocol."""
 
-    def written(run: Run, output: Path, **given: Any) -> Result:
+    def written(run: Run, output: Path, frequency: float, **given: Any) -> Result:
         (name,) = {"highest", "peaks"} & {*given}
-        return _excited(protocol, given.pop(name), name=name, output=output, longest=longest, **given)
+        if given.get("axes"):
+            given["axes"] = given["axes"].split(",")
+        if kind == "stage" and len(given[name]) < 2:
+            raise RecordError(argument=name, got=f"{len(given[name])} for a stage", need="one for each of several axes")
+        sampled = {key: given.pop(key) for key in ("sample_rate", "base", "present", "limits", "slew_rate")}
+        top = float(voltages(np.ravel(given[name]), name).max())
+        if sampled["limits"] is None and top > 0:
+            sampled["limits"] = -top, top
+        return _written(protocol(given.pop(name), drive=Sampling(frequency, **sampled), **given), output)
 
     written.__doc__ = text
     command(kind, {**options, **_DRIVEN}, excite)(written)
@@ -80,7 +92,6 @@ _add_excitation(
     "Write all that identification needs, in one run of three minutes, or longer at a low slew rate.\n\n"
     "Major loops up to HIGHEST [V], falling tops, random turns at three speeds, and two holds.",
     standard.recommended,
-    _RECOMMENDED,
     **_VOLTAGE,
 )
 _add_excitation(
@@ -108,60 +119,18 @@ _add_excitation(
 )
 
 
-@command("stage", {**_VOLTAGES, **_DRIVEN}, excite)
-def stage(
-    run: Run,
-    highest: tuple[float, ...] = argument(NUMBER, nargs=-1),
-    axes: str | None = option("Names of the axes, as x,y."),
-    steps: int = integer("Number of falling tops of each axis alone.", default=10),
-    cycles: int = integer("Cycles of the first axis when all move together; 0: none.", default=12),
-    **given: Any,
-) -> Result:
-    """Move several axes to their HIGHEST [V]: one axis after the other, then all together."""
-    if len(highest) < 2:
-        raise RecordError(argument="highest", got=f"{len(highest)} for a stage", need="one for each of several axes")
-    names, longest = None if axes is None else axes.split(","), _LONGEST * (len(highest) + 1)
-    given |= {"steps": steps, "cycles": cycles, "axes": names}
-    return _excited(stage_excitation, highest, longest=longest, **given)
+_add_excitation(
+    "stage",
+    "Move several axes to their HIGHEST [V]: one axis after the other, then all together.",
+    stage_excitation,
+    **_VOLTAGES,
+    axes=option("Names of the axes, as x,y."),
+    steps=integer("Number of falling tops of each axis alone.", default=10),
+    cycles=integer("Cycles of the first axis when all move together; 0: none.", default=12),
+)
 
 
-def _excited(
-    protocol: Callable[..., Excitation],
-    highest: Any,
-    output: Path,
-    frequency: float | None,
-    longest: float = _LONGEST,
-    name: str = "highest",
-    **options: Any,
-) -> Result:
-    """Write an excitation to one or several highest voltages [V], the parameter `name`.
-
-    Without a `frequency`, it takes at most the `longest` time [s], if it can, and the advice is given.
-    """
-    sampled = {name: options.pop(name) for name in ("sample_rate", "base", "present", "limits", "slew_rate")}
-    top = float(voltages(np.ravel(highest), name).max())
-    if sampled["limits"] is None and top > 0:
-        sampled["limits"] = -top, top
-
-    def make(hertz: float) -> Excitation:
-        return protocol(highest, drive=Sampling(hertz, **sampled), **options)
-
-    if frequency is not None:
-        return _written(make(frequency), output)
-    # The slowest one that is short enough, or hardly longer than the fastest; a slew rate may lengthen branches.
-    possible = [(make(hertz), hertz) for hertz in _FREQUENCIES]
-    possible = [each for each in possible if sampled["slew_rate"] is None or not each[0].warnings] or possible
-    most = max(longest, _HARDLY * min(excitation.duration for excitation, _ in possible))
-    found, hertz = next(each for each in possible if each[0].duration <= most)
-    return _written(found, output, f"{hertz:g} Hz by default", (_WHY,))
-
-
-def _written(
-    excitation: Excitation,
-    output: Path,
-    remark: str = "",
-    advice: tuple[str, ...] = (),
-) -> Result:
+def _written(excitation: Excitation, output: Path) -> Result:
     """Write an excitation of one axis or several."""
     names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
     rate, (low, high) = excitation.sample_rate, excitation.voltage_range
@@ -187,24 +156,12 @@ def _written(
     size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {rate:.6g} Hz"
     if excitation.axes:
         what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
-        advice = (_BEFORE,)
     else:
         branches = paces_of(excitation.time, excitation.voltage, branches_of(excitation.voltage, high - low))[:, 0]
         what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
         what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
-    line = f"{excitation.name}: {size}, {what}{f'; {remark}' if remark else ''}: {output}"
-    return Result(fields, [line, *advice], warnings=fields["warnings"])
-
-
-class Numbers(tuple[float, ...]):
-    """Numbers separated by commas."""
-
-    metavar = "UM,UM,..."
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the numbers in a text; raise ValueError if there are none."""
-        return cls(map(float, text.split(",")))
+    line = f"{excitation.name}: {size}, {what}: {output}"
+    return Result(fields, [line, *[_BEFORE] * bool(excitation.axes)], warnings=fields["warnings"])
 
 
 def _add_scan(kind: str, text: str) -> None:
