@@ -240,8 +240,10 @@ class _Task:
             **made.fields,
         }
         words = known.prefixed(
-            [f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V {starts.begin_words(actuator, plan, limits)}"]
-            for actuator, plan, limits, *_ in each
+            [
+                f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V {starts.begin_words(actuator, plan, limits, now)}"
+            ]
+            for actuator, plan, limits, _, now in each
         )
         lines = [
             *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),

@@ -110,10 +110,11 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
     return f"(start: {start.name}, at {volts:.4g} V)"
 
 
-def begin_words(actuator: Actuator, path: PathPlan, limits: Limits) -> str:
+def begin_words(actuator: Actuator, path: PathPlan, limits: Limits, present: float | None) -> str:
     """Describe what comes before a path, or the state before its first sample, in brackets."""
     if path.homing is None:
-        return start_words(actuator, path.start, path.start.within(actuator, limits))
+        place = limits if present is None else (present, present)
+        return start_words(actuator, path.start, path.start.within(actuator, place))
     seconds = "" if path.time is None else f" in {path.homing.played.duration:.4g} s"
     samples = f"{counted(path.first, 'sample')}, each row has its time"
     return f"(homed first from {path.homing.turns[0]:.6g} V{seconds}; {samples})"
