@@ -239,12 +239,9 @@ class _Task:
             "output": str(output),
             **made.fields,
         }
-        words = known.prefixed(
-            [
-                f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V {starts.begin_words(actuator, plan, limits, now)}"
-            ]
-            for actuator, plan, limits, _, now in each
-        )
+        spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
+        begins = (starts.begin_words(actuator, plan, limits, now) for actuator, plan, limits, _, now in each)
+        words = known.prefixed([f"{span} {begin}"] for span, begin in zip(spans, begins, strict=True))
         lines = [
             *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
             *reasons,
