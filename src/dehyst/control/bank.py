@@ -14,7 +14,7 @@ from dehyst._native import Bank as Loops
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import FARTHEST, for_each
-from dehyst.control.axis import axes_of, unchanged_by_errors
+from dehyst.control.axis import Axis, axes_of, restore_all
 from dehyst.control.limits import Clamps, ClampWarning
 from dehyst.model import Actuator, State
 
@@ -128,16 +128,19 @@ class Bank:
 
     def _follow(self, wanted: Array) -> Array:
         """Return the voltages (n, M) [V] for displacements (n, M) [m], and warn of the first clamps of each kind."""
-        voltage, before = np.empty(wanted.shape), self.clamps
-        with unchanged_by_errors(*self._axes):
-            self._loops.run(wanted, voltage, False)
-            new = np.subtract(self.clamps, before)
-            for kind, clamped in zip(("at a limit", "by the slew rate"), new.T, strict=True):
-                if clamped.any() and kind not in self._warned:
-                    most = int(np.argmax(clamped))
-                    words = f"{clamped.sum()} of {wanted.size} voltages clamped {kind}, of actuator {most} the most"
+        voltage, memory = np.empty(wanted.shape), [] if len(self._warned) == 2 else [*map(Axis.snapshot, self._axes)]
+        none = np.empty((0, len(self)))
+        before, after = self._loops.run(none, none, False), self._loops.run(wanted, voltage, False)
+        for kind, now, then in zip(("limited", "slewed"), after[:2], before[:2], strict=True):
+            if now > then and kind not in self._warned:
+                most = int(np.argmax([getattr(clamps, kind) for clamps in self.clamps]))
+                words = f"{now - then} of {wanted.size} voltages {kind}, of actuator {most} the most so far"
+                try:
                     warnings.warn(words, ClampWarning, 3)
-                    self._warned.add(kind)
+                except ClampWarning:
+                    restore_all(self._axes, memory)
+                    raise
+                self._warned.add(kind)
         return voltage
 
     def _table(self, displacement: ArrayLike) -> Array:
