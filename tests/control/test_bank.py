@@ -161,10 +161,10 @@ def test_wrong_displacements_move_nothing():
     bad[2, 1] = np.nan
     for values, message in [
         (good[:, :2], r"got the shape \(4, 2\), need a column for each of 3 actuators"),
-        (good[0], "need a column for each of 3"),
-        (bad, "sample 2 of actuator 1 is nan"),
+        (good[0], "need two dimensions"),
+        (bad, "first at index 7"),
         (good * 1e6, "actuator 0: .*micrometres"),
-        (good * 1j, "got an array of complex128, need numbers"),
+        (good * 1j, "need an array of numbers"),
     ]:
         with pytest.raises(ModelError, match=message):
             bank.run(values)

@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._native import Bank as Loops
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import FARTHEST, for_each
+from dehyst._validation import FARTHEST, for_each, matrix
 from dehyst.control.axis import Axis, axes_of, restore_all
 from dehyst.control.limits import Clamps, ClampWarning
 from dehyst.model import Actuator, State
@@ -145,14 +145,10 @@ class Bank:
 
     def _table(self, displacement: ArrayLike) -> Array:
         """Return displacements (n, M); raise `ModelError` if they have another shape, or one is not a finite number."""
-        given, count = np.asarray(displacement), len(self)
-        if given.dtype.kind not in "iuf":
-            raise ModelError(argument="displacement", got=f"an array of {given.dtype}", need="numbers")
-        table = np.ascontiguousarray(given, dtype=np.float64)
-        if table.ndim != 2 or table.shape[1] != count:
-            need = f"a column for each of {count} actuators"
+        table = matrix(displacement, "displacement")
+        if table.shape[1] != len(self):
+            need = f"a column for each of {len(self)} actuators"
             raise ModelError(argument="displacement", got=f"the shape {table.shape}", need=need)
-        if table.size and not (table.max() <= FARTHEST and table.min() >= -FARTHEST):
-            t, i = np.argwhere(~(np.abs(table) <= FARTHEST))[0]
-            raise ModelError(f"displacement: sample {t} of actuator {i} is {table[t, i]}, need finite numbers")
+        for t, i in np.argwhere(np.abs(table) > FARTHEST):
+            raise ModelError(f"displacement: sample {t} of actuator {i} is {table[t, i]}, too large to compute with")
         return table

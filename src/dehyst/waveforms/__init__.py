@@ -2,7 +2,7 @@
 
 from dehyst.waveforms import standard
 from dehyst.waveforms.excitation import STEEPEST, Branch, Excitation, Sampling, positive, volts
-from dehyst.waveforms.scan import Scan, ScanPath, whole
+from dehyst.waveforms.scan import Scan, ScanPath
 from dehyst.waveforms.scans import Raster, Steps, Triangle
 from dehyst.waveforms.standard import (
     FASTER,

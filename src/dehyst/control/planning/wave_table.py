@@ -15,13 +15,14 @@ import numpy as np
 from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._validation import count as whole
 from dehyst._views.lines import span_of
 from dehyst.control.compensator import Compensator
 from dehyst.control.planning.path import Task
 from dehyst.control.planning.start import PossibleStart
 from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, State
-from dehyst.waveforms import ScanPath, positive, whole
+from dehyst.waveforms import ScanPath, positive
 
 # A drift that falls to no less than this share with more cycles does not settle; share of what may be left of creep.
 _FALLS, _SAFE = 0.9, 0.95
@@ -138,7 +139,8 @@ def wave_table(
     """
     compensator = Compensator(actuator, limits, slew_rate, period=1 / path.sample_rate)
     least = _TOLERANCE * (path.range[1] - path.range[0]) if tolerance is None else positive(tolerance, "tolerance")
-    count, last = 1 if cycles is None else _counted(cycles, path), inf
+    most = MOST_ROWS // len(path)
+    count, last = 1 if cycles is None else whole(cycles, "cycles", 0, most, error=RecordError), inf
     task = _task(compensator, path, count, home_within)
     task.give(start, present)
     if home or (home is None and start is None):
@@ -171,17 +173,13 @@ def _last_cycle(task: Task, path: ScanPath, count: int, least: float) -> tuple[W
     It may drift by `least` [m]. If it drifts by more and no start-up suffices, the table lacks none.
     """
     (part,), size = task.parts, len(path)
-    voltage, expected = (column[-size - 1 : -1] for column in (part.found.voltage, part.found.displacement))
-    # The slew rate holds from its end to its beginning too.
-    far = part.loop.bounds.largest_step(1 / path.sample_rate) * np.arange(size, 0, -1)
-    voltage = np.clip(voltage, voltage[0] - far, voltage[0] + far)
+    _close(task, size)
+    closed, expected = part.found.voltage[-size - 1 :], part.found.displacement[-size - 1 : -1]
     # Three cycles more show how it drifts; then each branch of creep has moved by a share of the way to its end.
     actuator, state = part.loop.actuator, part.found.state
     played, states = [], [state]
     for _ in range(3):
-        motion = actuator.simulate(
-            np.append(voltage, voltage[0]), time=path.repeated(1).time, state=states[-1], extrapolate=True
-        )
+        motion = actuator.simulate(closed, time=path.repeated(1).time, state=states[-1], extrapolate=True)
         played.append(motion.displacement[:-1] - expected)
         states.append(motion.state)
     creep, left, rates = actuator.displacement_creep, np.zeros(0), np.zeros(0)
@@ -197,18 +195,17 @@ def _last_cycle(task: Task, path: ScanPath, count: int, least: float) -> tuple[W
         remedy = f"give a start-up of {counted(count + more, 'cycle')}" if more else "no start-up is long enough"
         drifts = f"the cycles that follow drift by up to {error * 1e6:.3g} um, need {least * 1e6:.3g} um"
         warnings = (f"NOT SETTLED: after {counted(count, 'cycle')} of start-up {drifts}; {remedy}",)
-    cycle = Cycle(voltage, path.displacement, expected, path.sample_rate)
+    cycle = Cycle(closed[:-1], path.displacement, expected, path.sample_rate)
     return WaveTable(cycle, None, count, error, least, state, warnings), more
 
 
-def _counted(cycles: int, path: ScanPath) -> int:
-    """Return the given number of cycles in the start-up; raise `RecordError` if there are too many."""
-    count, most = whole(cycles, "cycles", 0), MOST_ROWS // len(path)
-    if count > most:
-        raise RecordError(
-            argument="cycles",
-            got=f"{count}, {count * len(path):g} samples of start-up",
-            need=f"{most} at most ({MOST_ROWS:g} samples)",
-            hint="try fewer, or a lower sample rate",
-        )
-    return count
+def _close(task: Task, size: int) -> None:
+    """Let the last cycle of a planned path, of `size` samples, end where it begins, within the slew rate."""
+    (part,) = task.parts
+    voltage = part.found.voltage.copy()
+    cycle, first = voltage[-size - 1 : -1], voltage[-size - 1]
+    far = part.loop.bounds.largest_step(part.loop.period or inf) * np.arange(size, 0, -1)
+    cycle[:], voltage[-1] = np.clip(cycle, first - far, first + far), first
+    if not np.array_equal(voltage, part.found.voltage):
+        moved, (state,) = task.motion(voltage[:, np.newaxis])
+        part.found = part.found._replace(voltage=voltage, displacement=moved[-voltage.size :, 0], state=state)
