@@ -58,17 +58,6 @@ def strokes(scan, axis="x"):
     return high - low
 
 
-@given(our.actuators(), our.SEEDS, st.sampled_from(our.STATE_KINDS), st.floats(0.05, 1.5))
-def test_without_time_the_second_cycle_is_the_steady_one(actuator, seed, kind, share):
-    knots, span = actuator.spring.displacement, our.span_of(actuator)
-    path = Triangle(0.0, min(share * span, 1.0), 1, sample_rate=60).path()
-    cycles = knots[0] + path.repeated(4).displacement
-    voltage = actuator.compensate(cycles, state=our.make_state(actuator, seed, kind)).voltage
-    second, third, fourth = (voltage[k * 60 : (k + 1) * 60] for k in (1, 2, 3))
-    assert np.abs(third - second).max() <= 1e-12 * our.volts_of(actuator)
-    assert np.array_equal(fourth, third)
-
-
 @pytest.mark.parametrize("homed", [True, False])
 @pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("name", ACTUATORS)
