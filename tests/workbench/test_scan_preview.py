@@ -6,9 +6,8 @@ from command_line import run
 
 from dehyst._errors import DehystError
 from dehyst.model import Actuator, MaxwellSlip, Spring
-from dehyst.operations.command import words_of
 from dehyst.records import read_table
-from dehyst.workbench.data import scan_columns
+from dehyst.workbench.data import scan_columns, scan_words
 from dehyst.workbench.server import json_of
 
 SCANS = (
@@ -22,12 +21,12 @@ SCANS = (
 def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
     model, output = tmp_path / "model.json", tmp_path / "v.csv"
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 12e-6], [0, 100])).save(model)
-    path = {**scan, "sample_rate": 1000, "output": str(tmp_path / "path.csv")}
-    axis = path.pop("axis", None)
-    run(*words_of("scan", path))
-    columns = [] if axis is None else ["--columns", f"displacement={axis}_um"]
+    path = tmp_path / "path.csv"
+    words, axis = scan_words(scan, sample_rate=1000, output=path)
+    run(*words)
+    columns = ["--columns", f"displacement={axis}_um"] if "axis" in scan else []
     words = ["--start", "bottom", "--no-home", "--limits", 0, 100, *columns, "-o", output]
-    run("compensate", model, path["output"], *words)
+    run("compensate", model, path, *words)
     table = read_table(output)
     time, wanted = scan_columns(scan, 1000)
     written = table.columns[table.names.index("displacement_um")].data

@@ -6,6 +6,7 @@ import json
 import pytest
 
 from dehyst import Actuator, DehystError, FileFormatError, MaxwellSlip, Spring, Thermal
+from dehyst.operations.command import context_of, given_in
 from dehyst.workbench.data import RequestError, wasm, written_path
 from dehyst.workbench.entries import ModelEntry
 from dehyst.workbench.folder import Folder
@@ -82,8 +83,13 @@ class Stage:
 
     @property
     def step(self):
-        """The last step that was begun."""
+        """The words of the last step that was begun."""
         return self.workers[-1].steps[-1]
+
+    @property
+    def given(self):
+        """Its values."""
+        return given_in(context_of(self.step))
 
     async def next(self, *answers):
         """Let the last worker end its steps, with these answers."""
@@ -161,8 +167,8 @@ async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
     await stage.next(Finished(written))
     (entry,) = stage.session.excitations.values()
     assert (entry.range_v, entry.seconds, entry.words) == ([-20.0, 100.0], 8.0, ["slow"])
-    given = stage.step.parameters
-    assert (given["limits"], given["base"], given["present"], given["slew_rate"]) == ([-20.0, 100.0], -20.0, 0.0, 300)
+    given = stage.given
+    assert (given["limits"], given["base"], given["present"], given["slew_rate"]) == ((-20.0, 100.0), -20.0, 0.0, 300)
     with pytest.raises(RequestError):
         stage.session.excite({"low": "0", "high": 1})
 
@@ -266,9 +272,8 @@ async def test_the_path_of_a_scan_is_written_before_its_voltage(stage):
     stage.session.follow(entry.id, {"scan": scan, "rate": 50, "limits": [0, 100], "slew": "none"})
     await stage.next(Finished({}), Finished(error={"message": "no"}))
     first, second = [step for worker in stage.workers for step in worker.steps][-2:]
-    assert first.operation == "scan" and first.parameters["output"] == second.parameters["trajectory"]
-    assert second.command[2:4] == [entry.file, first.parameters["output"]]
-    assert {"--limits", "--slew-rate", "displacement=y_um"} <= {*second.command}
+    assert first[0] == "scan" and second[1:3] == [entry.file, first[first.index("--output") + 1]]
+    assert {"--limits", "--slew-rate", "displacement=y_um"} <= {*second}
     log = stage.session.state()["log"]
     assert log[-1].startswith("dehyst scan raster") and stage.session.voltages == {}
 
@@ -322,7 +327,7 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     fits = {"x": FIT, "y": worse}
     whole = {"verdict": "Ready for use: ...", "good": True, "coupling": [[1, 0.1], [0, 1]]}
     await stage.next(Finished({**whole, "fits": fits}))
-    assert stage.step.parameters["columns"] == "x=vx_V:x_m, y=vy_V:y_m"
+    assert str(stage.given["columns"]) == "x=vx_V:x_m, y=vy_V:y_m"
     assert (model.status, model.verdict["largest_percent"]) == ("ready", 2.0)
     assert model.verdict["remarks"] == ["y: look"]
     assert model.coupling["matrix"][0][1] == 0.1
@@ -330,7 +335,7 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     points = {"x": [[0, 1], [1, 2]], "y": [[0, 3], [2, 1]]}
     stage.session.follow(model.id, {"points": points, "rate": 10})
     await stage.next(Finished(error={"message": "no"}))
-    header = (stage.session.folder.path / stage.step.parameters["trajectory"]).read_text().splitlines()
+    header = (stage.session.folder.path / stage.given["trajectory"]).read_text().splitlines()
     assert header[0] == "time_s,x_um,y_um" and len(header) == 22
     with pytest.raises(SessionError, match="different axes"):
         stage.session.identify({"train": [entry.id, (await stage.record()).id]})
@@ -366,7 +371,7 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
         stage.session.check(model.id, {})
     stage.session.check(model.id, {"record": record.id})
     await stage.next(Finished(CHECK))
-    assert stage.step.parameters == {"model": model.file, "record": record.file}
+    assert stage.step == ["check", model.file, record.file]
     assert (model.check["record"], model.check["good"], model.check["why"]) == (record.id, False, ["Less."])
     late = {**PROMISE, "largest_m": 4e-8, "apart": "apart from a constant offset and a delay"}
     numbers = {"good": True, "promise": late, "sentences": ["Less."]}
@@ -376,7 +381,7 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
     stage.session.update(model.id, {"record": record.id})
     await asyncio.sleep(0.01)
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100)).save(
-        stage.session.folder.path / stage.step.parameters["output"]
+        stage.session.folder.path / stage.given["output"]
     )
     await stage.next(Finished({"used": True, "sentence": "Updated: ...", **numbers}))
     made = list(stage.session.models.values())[-1]

@@ -256,39 +256,6 @@ def command_of(ctx: click.Context, **replaced: str) -> str:
     return shlex.join([*words, *(word for name, text in replaced.items() for word in (f"--{name}", text))])
 
 
-def words_of(name: str, values: dict[str, Any]) -> list[str]:
-    """Return the words of an operation with these values by name; `kind` selects one of several kinds.
-
-    Raise OperationError if there is no such operation, kind or parameter.
-    """
-    given = {key: value for key, value in values.items() if value is not None}
-    command, head = registry.find(name), [name]
-    if isinstance(command, click.Group):
-        head.append(str(given.pop("kind", "")))
-        if head[1] not in command.commands:
-            raise OperationError(argument="kind", got=repr(head[1]), need=f"one of {', '.join(command.commands)}")
-        command = command.commands[head[1]]
-    known = {parameter.name: parameter for parameter in command.params}
-    if unknown := [key for key in given if key not in known]:
-        raise OperationError(
-            argument=unknown[0], got=f"it for {name}", need=f"some of {', '.join(filter(None, known))}"
-        )
-    options = list[str]()
-    for key, value in given.items():
-        parameter = known[key]
-        several = parameter.nargs == -1 or (isinstance(parameter, click.Option) and parameter.multiple)
-        for each in value if several else [value]:
-            texts = [*map(str, each if isinstance(each, list | tuple) else [each])]
-            texts = [",".join(texts)] if parameter.nargs == 1 else texts
-            if isinstance(parameter, click.Option) and parameter.is_flag:
-                options += parameter.opts if each else parameter.secondary_opts
-            elif isinstance(parameter, click.Option):
-                options += [parameter.opts[-1], *texts]
-            else:
-                head += texts
-    return [*head, *options]
-
-
 def context_of(words: Sequence[str]) -> click.Context:
     """Return the context of an operation that is given as words; raise OperationError if they cannot be understood."""
     command, name, left = registry.find(words[0]), words[0], [*words[1:]]

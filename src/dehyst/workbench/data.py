@@ -16,12 +16,13 @@ from dehyst.control import Compensator
 from dehyst.exports import wasm_module
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.command import context_of, given_in, words_of
+from dehyst.operations.command import context_of, given_in
 from dehyst.operations.files import AS_FOUND, Columns, clock_of
 from dehyst.operations.run import Run
 from dehyst.records import read, table_of, write_columns
 from dehyst.records.tables import ColumnsError
-from dehyst.waveforms.scans import scan_of
+from dehyst.waveforms.scans import SCANS, scan_of
+from dehyst.workbench.jobs import words_of
 
 _MICRO = 1e6
 # Samples of a path that is written, and of one that a page draws.
@@ -109,19 +110,29 @@ def _corners(points: Any) -> Array:
     return corners
 
 
+def scan_words(scan: Mapping[str, Any], **more: Any) -> tuple[list[str], str]:
+    """Return the words of a scan that was requested, with `more` options, and the wanted axis.
+
+    Raise `RequestError` or `OperationError` if the request is not a scan.
+    """
+    given = {name: ",".join(map(str, value)) if isinstance(value, list) else value for name, value in scan.items()}
+    kind, axis = str(given.pop("kind", "")), str(given.pop("axis", None) or "x")
+    if kind not in SCANS:
+        raise RequestError(argument="kind", got=repr(kind), need=f"one of {', '.join(SCANS)}")
+    known = (*SCANS[kind].takes, "cycles")
+    if unknown := [name for name, value in given.items() if name not in known and value not in (None, "")]:
+        raise RequestError(argument=unknown[0], got=f"it for a {kind}", need=f"some of {', '.join(known)}")
+    return words_of(f"scan {kind}", **given, **more), axis
+
+
 def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
     """Return time [s] and displacement [um] of a scan that was requested, sampled at a rate [Hz].
 
-    Raises
-    ------
-    RequestError, OperationError
-        If the request is not a scan, or has too many samples.
-    RecordError
-        If the scan is impossible.
+    Raise `RequestError`, `OperationError` or `RecordError` if the scan is impossible, or has too many samples.
     """
-    given = {name: value for name, value in scan.items() if value not in (None, "")}
-    hertz, axis = number_of(rate, "rate"), str(given.pop("axis", "x"))
-    context = context_of(words_of("scan", {**given, "output": "path.csv"}))
+    hertz = number_of(rate, "rate")
+    words, axis = scan_words(scan, output="path.csv")
+    context = context_of(words)
     kind, cycles = str(context.info_name), context.params["cycles"]
     values = {name: value for name, value in given_in(context).items() if name not in ("output", "cycles")}
     path = scan_of(kind, values, hertz).path(axis)

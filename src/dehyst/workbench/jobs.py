@@ -7,14 +7,14 @@ import inspect
 import json
 import signal
 import sys
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 from dehyst._errors import DehystError
-from dehyst.operations.command import context_of, words_of
+from dehyst.operations.command import context_of
 from dehyst.workbench.folder import Folder
 
 # A session has one person, and a small computer two cores.
@@ -28,19 +28,18 @@ _LONGEST = 1 << 26
 Progress: TypeAlias = Callable[[str], None]
 
 
-class Step(NamedTuple):
-    """An operation with its JSON parameters; `force`: whether it may replace any file."""
+def words_of(command: str, *arguments: str, **options: Any) -> list[str]:
+    """Return the words of a command; raise OperationError if they cannot be understood.
 
-    operation: str
-    parameters: Mapping[str, Any]
-    force: bool = False
-
-    @property
-    def command(self) -> list[str]:
-        """The words of the equivalent command; raises OperationError if they cannot be understood."""
-        words = [*words_of(self.operation, {**self.parameters}), *["--force"] * self.force]
-        context_of(words)
-        return ["dehyst", *words]
+    An option that is None or empty is left out; a list gives it several times, and a tuple several words.
+    """
+    words = [*command.split(), *arguments]
+    for name, value in options.items():
+        for each in value if isinstance(value, list) else [value]:
+            if each not in (None, ""):
+                words += [f"--{name.replace('_', '-')}", *map(str, each if isinstance(each, tuple) else (each,))]
+    context_of(words)
+    return words
 
 
 @dataclass
@@ -80,11 +79,11 @@ class Worker:
         """Whether it can run another operation."""
         return not self._stopped and self._process is not None and self._process.returncode is None
 
-    async def run(self, step: Step, progress: Progress) -> Finished:
+    async def run(self, step: Sequence[str], progress: Progress) -> Finished:
         """Run an operation to its end; if this task is cancelled, the process is ended too."""
         if self._stopped:
             return Finished(stopped=True)
-        request = {"do": step.command[1:]}
+        request = {"do": step}
         try:
             self._process = self._process or await self._started()
             stdin, stdout = self._process.stdin, self._process.stdout
@@ -179,13 +178,10 @@ class Jobs:
         self._turns, self._last = asyncio.Semaphore(_AT_ONCE), 0
 
     def start(
-        self, kind: str, subject: str, steps: Sequence[Step], done: Done, progress: Progress = lambda _: None
+        self, kind: str, subject: str, steps: Sequence[Sequence[str]], done: Done, progress: Progress = lambda _: None
     ) -> str:
-        """Run operations one after another; call `done` with the end of the last one; return the job's key.
-
-        What an operation refuses is not begun.
-        """
-        words = "; ".join(" ".join(step.command) for step in steps)
+        """Run operations one after another; call `done` with the end of the last one; return the job's key."""
+        words = "; ".join(" ".join(["dehyst", *step]) for step in steps)
         self._last += 1
         entry = JobEntry(f"j{self._last}", kind, subject, words, progress="waiting for its turn")
         self.entries[entry.id] = entry
@@ -223,7 +219,7 @@ class Jobs:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await asyncio.gather(*(worker.close() for worker in self._idle))
 
-    async def _run(self, entry: JobEntry, steps: Sequence[Step], done: Done, progress: Progress) -> None:
+    async def _run(self, entry: JobEntry, steps: Sequence[Sequence[str]], done: Done, progress: Progress) -> None:
         def report(words: str) -> None:
             entry.progress = words
             progress(words)
@@ -236,7 +232,7 @@ class Jobs:
                     finished = await self._step(entry, step, report)
                     if finished.result is None:
                         break
-                    self._folder.note(step.command)
+                    self._folder.note(["dehyst", *step])
             entry.progress = ""
             # First: a page that sees a job done looks for what it made.
             after = done(finished)
@@ -255,7 +251,7 @@ class Jobs:
                 del self.entries[key]
             self._changed()
 
-    async def _step(self, entry: JobEntry, step: Step, report: Progress) -> Finished:
+    async def _step(self, entry: JobEntry, step: Sequence[str], report: Progress) -> Finished:
         """Run a step in a worker, which is kept for the next one unless it ended."""
         entry.progress = ""
         worker = self._busy[entry.id] = self._idle.pop() if self._idle else self._worker(self._folder.path)

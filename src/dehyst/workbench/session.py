@@ -18,11 +18,11 @@ from dehyst._io import finite
 from dehyst._version import __version__
 from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
-from dehyst.workbench.data import number_of, written_path
+from dehyst.workbench.data import number_of, scan_words, written_path
 from dehyst.workbench.entries import ExcitationEntry, ModelEntry, RecordEntry, VoltageEntry, verdict_of, worst
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.forms import EXPORTS
-from dehyst.workbench.jobs import Finished, Jobs, Step, Worker
+from dehyst.workbench.jobs import Finished, Jobs, Worker, words_of
 from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
@@ -109,9 +109,9 @@ class WorkbenchSession:
         """Write the excitation from `low` to `high` [V], with `slew` [V/s] and `frequency` [Hz]; return the job."""
         low, high = (number_of(request.get(name), name) for name in ("low", "high"))
         file = self.folder.new(places.EXCITATIONS, f"{low:g}-to-{high:g}-V", ".csv")
-        given = {"kind": "recommended", "highest": high, "base": low, "present": min(max(0.0, low), high)}
-        options = {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
-        step = Step("excite", {**given, "limits": [low, high], **options, "output": file})
+        given = {"base": low, "present": min(max(0.0, low), high), "limits": (low, high), "output": file}
+        given |= {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
+        step = words_of("excite recommended", str(high), **given)
         entry = ExcitationEntry(self._id("e"), Path(file).stem, file)
 
         def done(finished: Finished) -> None:
@@ -142,9 +142,8 @@ class WorkbenchSession:
         if known.axes:
             known.of_axes()
         file = entry.file or self.folder.new(places.RECORDS, entry.name, ".npz")
-        given = {"file": entry.source, "output": file} | ({"columns": str(known)} if str(known) else {})
         # A record is a measurement, which is not replaced without force: here by the same file, read otherwise.
-        step = Step("show", given, force=True)
+        step = [*words_of("show", entry.source, output=file, columns=str(known)), "--force"]
         entry.columns, entry.status, entry.error, entry.hint = str(known), "reading", None, ""
         if is_model(self.folder.path / entry.source):
             entry.status, entry.error = "refused", _NO_RECORD
@@ -185,10 +184,8 @@ class WorkbenchSession:
         stem = Path(file).stem
         entry = ModelEntry(self._id("m"), stem, file, options=given, report=f"{places.REPORTS}/{stem}.html")
         entry.train, entry.validate = ([record.id for record in role] for role in (train, validate))
-        outputs = {"output": file, "report": entry.report}
-        held_out = {"validate": [record.file for record in validate]} if validate else {}
-        read = train[0].reading
-        step = Step("identify", {"records": [record.file for record in train], **outputs, **given, **held_out, **read})
+        outputs = {"output": file, "report": entry.report, "validate": [record.file for record in validate]}
+        step = words_of("identify", *(record.file for record in train), **outputs, **given, **train[0].reading)
         began = time.monotonic()
 
         def progress(words: str) -> None:
@@ -229,7 +226,7 @@ class WorkbenchSession:
             if finished.result is not None:
                 entry.insight = {"report": report}
 
-        step = Step("insight", {"model": entry.file, "records": files, "report": report, **read})
+        step = words_of("insight", entry.file, *files, report=report, **read)
         return self.jobs.start("insight", entry.id, [step], done)
 
     def check(self, key: str, request: Mapping[str, Any]) -> str:
@@ -252,7 +249,7 @@ class WorkbenchSession:
             if model.coupling:
                 model.check["why"] += found["changes"]
 
-        step = Step("check", {"model": model.file, "record": record.file, **record.reading})
+        step = words_of("check", model.file, record.file, **record.reading)
         return self.jobs.start("check", model.id, [step], done)
 
     def update(self, key: str, request: Mapping[str, Any]) -> str:
@@ -273,7 +270,7 @@ class WorkbenchSession:
             }
             self._list_updated(model, file, record.name, verdicts)
 
-        step = Step("update", {"model": model.file, "record": record.file, "output": file, **record.reading})
+        step = words_of("update", model.file, record.file, output=file, **record.reading)
         return self.jobs.start("update", model.id, [step], done)
 
     def _list_updated(self, model: ModelEntry, file: str, record: str, verdicts: Mapping[str, dict[str, Any]]) -> None:
@@ -315,7 +312,7 @@ class WorkbenchSession:
             raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
         name, suffix = Path(model.file).stem, EXPORTS[kind][-1]
         target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
-        step = Step("export", {"model": model.file, "directory": target})
+        step = words_of("export", model.file, target)
         return self.jobs.start("export", model.id, [step], lambda _: None)
 
     def cancel(self, job: str) -> None:
@@ -339,27 +336,22 @@ class WorkbenchSession:
         self._save()
         self.folder.close()
 
-    def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str) -> list[Step]:
+    def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str) -> list[list[str]]:
         """Return the operations that compute a voltage: of points, or of the path of a scan."""
-        before: list[Step] = []
-        given: dict[str, Any] = {"model": model.file, "output": file}
+        before, columns = [], None
         if "points" in request:
-            given["trajectory"] = self.folder.new(places.PATHS, Path(file).stem, ".csv")
-            written_path(self.folder.path / given["trajectory"], request["points"], request.get("rate"))
+            path = self.folder.new(places.PATHS, Path(file).stem, ".csv")
+            written_path(self.folder.path / path, request["points"], request.get("rate"))
         elif isinstance(request.get("scan"), Mapping):
-            scan = {name: value for name, value in request["scan"].items() if value not in (None, "")}
-            axis = scan.pop("axis", "x")
-            given["trajectory"] = self.folder.new(places.PATHS, f"{Path(file).stem}-scan", ".csv")
-            before = [Step("scan", {**scan, "sample_rate": request.get("rate"), "output": given["trajectory"]})]
-            several = scan.get("kind") == "raster" and not model.axes
-            given |= {"columns": f"displacement={axis}_um"} if several else {}
+            path = self.folder.new(places.PATHS, f"{Path(file).stem}-scan", ".csv")
+            words, axis = scan_words(request["scan"], sample_rate=request.get("rate"), output=path)
+            before = [words]
+            columns = f"displacement={axis}_um" if "raster" in words and not model.axes else None
         else:
             raise SessionError("path: got none, need points or a scan")
-        if (limits := request.get("limits")) is not None:
-            given["limits"] = [limits]
-        if (slew := request.get("slew")) is not None:
-            given["slew_rate"] = [slew]
-        return [*before, Step("compensate", given)]
+        limits = tuple(number_of(end, "limits") for end in request.get("limits") or ())
+        given = {"limits": limits or None, "slew_rate": request.get("slew"), "columns": columns}
+        return [*before, words_of("compensate", model.file, path, output=file, **given)]
 
     def _usable(self, keys: object) -> list[RecordEntry]:
         """Return records that are ready; raises SessionError if one is not."""
