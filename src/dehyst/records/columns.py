@@ -249,7 +249,8 @@ class Columns:
         for name, text in self.axes.items():
             parts = columns_of_axis(text)
             if len(parts) != 2 or not all(parts):
-                raise refusal(f"'{name}={text}'", "the columns of a voltage and a displacement (NAME or NAME:UNIT)")
+                need = f"a key of {', '.join(RECORD)}, or an axis with the columns of a voltage and a displacement"
+                raise refusal(f"'{name}={text}'", need)
             used += [Entry.of(part).name for part in parts]
             found[name] = replace(self, voltage=parts[0], displacement=parts[1], axes={})
         if twice := sorted({column for column in used if used.count(column) > 1}):
