@@ -106,7 +106,7 @@ NO_COLUMNS = {
     "time=a, time=b": "columns",
     "rate=HZ": "columns",
     "rate=0": "rate",
-    "rate=nan": "rate",
+    "rate=nan": "columns",
     "decimal=;": "decimal",
     "hold=long": "hold",
     "voltage=a*GAIN": "columns",

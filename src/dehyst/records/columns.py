@@ -211,7 +211,10 @@ class Columns:
         found: dict[str, Any] = {"axes": {}}
         for key, value in entries_of(text).items():
             if key == "rate":
-                found[key] = _number(key, value)
+                if not re.fullmatch(_NUMBER, value):
+                    need = "the number of samples a second, as 1000"
+                    raise FileFormatError(argument="columns", got=f"rate={value}", need=need)
+                found[key] = float(value)
             elif key in RECORD:
                 found[key] = value
             else:
@@ -311,11 +314,3 @@ def _text_in(path: Path) -> str:
     if text.startswith("@"):
         raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")
     return text
-
-
-def _number(key: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        need = "the number of samples a second, as 1000"
-        raise FileFormatError(argument="columns", got=f"{key}={text}", need=need) from error

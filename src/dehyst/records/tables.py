@@ -151,6 +151,7 @@ class Table:
                 values: Array = in_si(column.data, unit)
             else:
                 values = column.data if entry.scale.kind else entry.scale.apply(quantity, unit, column.data)
+            step = float(np.median(np.diff(values))) if quantity == "time" and values.size > 1 else 0.0
         if quantity == "voltage" and entry.scale is None and column.is_plug and is_small(values):
             problem = f"column '{shortened(column.name)}' has the name of an output or a monitor, and only "
             hint = (
@@ -164,7 +165,6 @@ class Table:
             problem = f"column '{shortened(column.name)}' would have, in the guessed unit {unit}, {words}"
             hint = f"find out its unit, and give {quantity}={shortened(column.name)}:UNIT without the {GUESS}"
             raise ColumnError(self.source, quantity, problem, hint, column)
-        step = float(np.median(np.diff(values))) if quantity == "time" and values.size > 1 else 0.0
         if step > 0 and (words := impossible("time", step)):
             raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {words}", change=("columns",))
         # The record shares these values.

@@ -54,15 +54,21 @@ def is_number(cell: str) -> bool:
     return bool(cell)
 
 
-def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> str:
-    """Return the decimal sign that the user states, else the one that the cells show; a point if no cell has one.
+def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> tuple[str, int]:
+    """Return the decimal sign that the user states, else the one that the cells show or a point; and how many lines.
 
     Raise `DecimalSignError` if the cells do not show the sign, and `FileFormatError` if they show both.
     """
+    found, certain, lines = dict[str, str](), set[str](), 0
+    for before, block in blocks():
+        lines += len(block)
+        for sign in [sign for sign in _SIGNS if given is None and sign not in certain]:
+            first, sure = _shown(before, block, delimiter, sign)
+            if first:
+                found.setdefault(sign, first)
+            certain |= {sign} if sure else set()
     if given is not None:
-        return given
-    shown = {sign: _shown(blocks, delimiter, sign) for sign in _SIGNS}
-    found = {sign: cell for sign, (cell, _) in shown.items() if cell}
+        return given, lines
     if len(found) > 1:
         raise FileFormatError(
             f"{found['.']} and {found[',']}, need one decimal sign in a file, and no groups of digits",
@@ -71,30 +77,29 @@ def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> st
         )
     sign = next(iter(found), ".")
     # Numbers between commas or blanks have a decimal point by habit.
-    if found and not shown[sign][1] and not (sign == "." and delimiter in (",", ", ", None)):
+    if found and sign not in certain and not (sign == "." and delimiter in (",", ", ", None)):
         raise DecimalSignError(
             f"{found[sign]}, which is a number with three decimals or a thousand times as large: no cell shows "
             f"whether the {_SIGNS[sign]} is the decimal sign or groups digits",
             hint=f'give "{_SIGNS[sign]}" if it is the decimal sign; else save it without groups of digits',
             change=("decimal",),
         )
-    return sign
+    return sign, lines
 
 
-def _shown(blocks: Blocks, delimiter: str | None, sign: str) -> tuple[str, bool]:
-    """Return the first cell with a sign, in words, and whether a cell shows that the sign is decimal."""
+def _shown(before: int, block: list[str], delimiter: str | None, sign: str) -> tuple[str, bool]:
+    """Return the first cell of a block with a sign, in words, and whether a cell shows that the sign is decimal."""
     number, first = re.compile(_SIGNED.format(sign)), ""
     # Between commas, a cell with a comma is in quotes.
     mark = '"' if sign == delimiter else sign
-    for before, block in blocks():
-        for line, text in enumerate(block if mark in "".join(block) else (), before + 1):
-            # The last line of a file may be cut off in the middle of a number.
-            if mark not in text or not (text.endswith("\n") or len(block) == 1):
-                continue
-            for cell in filter(number.fullmatch, cells_of(text, delimiter)):
-                first = first or f"row {line} holds '{cell[:_SHOWN]}'"
-                if not _DOUBTFUL.fullmatch(cell):
-                    return first, True
+    for line, text in enumerate(block if mark in "".join(block) else (), before + 1):
+        # The last line of a file may be cut off in the middle of a number.
+        if mark not in text or not (text.endswith("\n") or len(block) == 1):
+            continue
+        for cell in filter(number.fullmatch, cells_of(text, delimiter)):
+            first = first or f"row {line} holds '{cell[:_SHOWN]}'"
+            if not _DOUBTFUL.fullmatch(cell):
+                return first, True
     return first, False
 
 

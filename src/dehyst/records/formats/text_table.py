@@ -89,15 +89,15 @@ def _read(
 class _Table:
     """The rows of a text file, read block by block.
 
-    `decimal`: the decimal sign. `count`: rows so far. `faults`, `clocks`: why a column cannot be read, and the
-    timestamps of one that has them. `hole`: line of the first empty row since the last row. `headers`: lines of
-    repeated headers.
+    `decimal`: the decimal sign. `lines`: their number. `count`: rows so far. `faults`, `clocks`: why a column cannot be
+    read, and the timestamps of one that has them. `hole`: line of the first empty row since the last row. `headers`:
+    lines of repeated headers.
     """
 
     def __init__(self, blocks: Blocks, layout: Layout, decimal: str | None) -> None:
         self.blocks, self.layout, self.delimiter = blocks, layout, layout.delimiter
         self.names, self.width = layout.names, len(layout.names)
-        self.decimal = decimal_sign(blocks, self.delimiter, decimal)
+        self.decimal, self.lines = decimal_sign(blocks, self.delimiter, decimal)
         self.count, self.hole = 0, 0
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
@@ -105,10 +105,9 @@ class _Table:
 
     def columns(self, allowance: Allowance) -> list[Column]:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
-        lines = sum(len(block) for _, block in self.blocks())
-        allowance.take(lines * self.width, "the number of its rows")
+        allowance.take(self.lines * self.width, "the number of its rows")
         # Memory is taken as it is filled.
-        columns = np.empty((self.width, lines))
+        columns = np.empty((self.width, self.lines))
         for number, block in self.blocks():
             numbers = self._at_once(block)
             numbers = self._by_rows(number, block) if numbers is None else numbers
