@@ -85,6 +85,8 @@ class Axis:
         call = warn if self.warns else lambda *_: None
         loop = model.core.loop(coefficients, self.preview[0], numbers, call, self.core_start)
         loop.per_metre = self.per_metre
+        # A block gives the loop the checksums of its model, which snapshots need.
+        loop.block(*self.core_start, seconds, self.preview[1])
         return loop
 
     @property
@@ -201,19 +203,16 @@ class Axis:
 
     def ids(self) -> tuple[int, int]:
         """Return the checksums `id` and `shape` of the model in C; limits and start have no effect on them."""
-        self.block()
         return self.loop.ids()
 
     def snapshot(self) -> bytes:
         """Return the whole memory of the loop."""
-        self.block()
         return self.loop.save()
 
     def restore(self, snapshot: object) -> None:
         """Continue from a `snapshot`, see `restore_all`, which undoes what an error leaves."""
         if not isinstance(snapshot, bytes):
             raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="the bytes of snapshot()")
-        self.block()
         try:
             self.loop.restore(snapshot)
         except CoreError as error:
