@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1072,
     "cli": 387,
-    "control": 3517,
+    "control": 3516,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1330,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2199,
 }
 HOUSE = {
-    "lines of Python": 36421,
+    "lines of Python": 36420,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
