@@ -1,6 +1,7 @@
-"""Binary files: what writes each, and the record or the refusal that it gives, before memory is taken on its word."""
+"""Files: what writes each, and the record or the refusal that it gives, before memory is taken on its word."""
 
 import hashlib
+import os
 import resource
 import struct
 import sys
@@ -346,9 +347,31 @@ def test_declared_sizes_are_checked_first(name, write, tmp_path):
     refused(tmp_path / name, ())
 
 
+def written(text):
+    return lambda path: path.write_text(text)
+
+
+LONG, STRANGE = "is longer than 1000000 characters", "is a device, a pipe or a socket"
+
+
 @pytest.mark.parametrize(
     ("name", "write", "words"),
     [
+        ("name.csv", written("time_s," + "x" * 2_000_000 + "\n1,2\n"), LONG),
+        ("number.csv", written("time_s,voltage_V\n" + "1" * 3_000_000), LONG),
+        ("quotes.csv", written('"' * 2_000_000 + "\n1,2\n"), LONG),
+        ("comment.csv", written("#" * 5_000_000), LONG),
+        *((f"{device}.csv", partial(os.symlink, f"/dev/{device}"), STRANGE) for device in ("zero", "null", "random")),
+        ("pipe.csv", lambda path: os.mkfifo(path), STRANGE),
+        # Numbers that only Python writes.
+        *(
+            (
+                f"{ord(cell[0])}.csv",
+                written(f"time_s,voltage_V\n0,{cell}\n1,3\n"),
+                f"row 2 holds '{cell}', which is no n",
+            )
+            for cell in ("5_0", "\u0665\u0660", "\u22125")
+        ),
         ("object.mat", matlab({"note": "x"}, opaque=True), "MATLAB object"),
         ("object73.mat", matlab73({"a": T}, {"a.MATLAB_object_decode": 3}), "MATLAB object"),
         ("cell.mat", matlab({"a": np.array([T, 1], dtype=object)}), "cell array"),
