@@ -12,6 +12,7 @@ import places
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from laboratory_files import text
 
 import dehyst
 from dehyst._errors import FileFormatError, RecordError
@@ -22,12 +23,6 @@ DATA = places.DATA
 T = np.arange(30) * 0.01
 V = 50 - 50 * np.cos(T * 20)
 Y = 1e-5 * np.sin(T * 20)
-
-
-def text(tmp_path, content, name="a.csv", encoding="utf-8"):
-    path = tmp_path / name
-    path.write_bytes(content.encode(encoding))
-    return path
 
 
 WORDS = {"time": ["time", "Zeit", "t"], "voltage": ["Drive", "voltage"], "displacement": ["Position", "y", "Weg"]}

@@ -6,7 +6,7 @@ import laboratory_files
 import numpy as np
 import places
 import pytest
-from laboratory_files import RATE, UM, N, T, V, Y, assert_measured
+from laboratory_files import RATE, UM, N, T, V, Y, assert_measured, text
 
 from dehyst._errors import FileFormatError
 from dehyst.records import Columns, read, read_table, write_columns, write_record
@@ -26,14 +26,6 @@ def test_units_after_slashes_select_no_other_column(tmp_path):
     assert_measured(read(path, "displacement=Sensor A/nm"))
     with pytest.raises(FileFormatError, match="'Sensor A/nm'"):
         read(path, "voltage=Sensor A/nm:V")
-
-
-# Names and units
-
-
-def text(tmp_path, content, name="a.csv"):
-    (tmp_path / name).write_text(content)
-    return tmp_path / name
 
 
 # Two files

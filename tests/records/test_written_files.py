@@ -11,17 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from laboratory_files import text
 
 from dehyst._errors import FileFormatError
 from dehyst._io import draft_of, is_draft, read_json, write_atomically, write_json
 from dehyst.records import Record, read, write_columns, write_record
-
-
-def text(tmp_path, content, name="a.csv", encoding="utf-8"):
-    path = tmp_path / name
-    path.write_bytes(content.encode(encoding))
-    return path
-
 
 numbers = st.floats(-1e6, 1e6)
 

@@ -37,6 +37,12 @@ def rows(*columns: np.ndarray, sign: str = ",", number: str = "%.9g") -> str:
     return "".join(sign.join(number % cell for cell in row) + "\n" for row in zip(*columns, strict=True))
 
 
+def text(folder: Path, content: str, name: str = "a.csv", encoding: str = "utf-8") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode(encoding))
+    return path
+
+
 def german(text: str) -> str:
     return text.replace(".", ",")
 

@@ -6,6 +6,7 @@ import time as clock
 import numpy as np
 import places
 import pytest
+from laboratory_files import text
 
 import dehyst
 from dehyst._errors import RecordError
@@ -19,12 +20,6 @@ NAMED = {"time_s": T, "voltage_V": V, "displacement_um": Y * 1e6}
 HEAD = "time_s,voltage_V,displacement_um"
 BODY = "\n".join(",".join(map(repr, row)) for row in zip(*(x.tolist() for x in NAMED.values()), strict=True)) + "\n"
 SECONDS = 3.0
-
-
-def text(tmp_path, content, name="a.csv"):
-    path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return path
 
 
 RUNS = [mark * 20_000 for mark in (" ", "_", "[", "(", "]", "\t", " _", "[ ", "]]", ") ")]
