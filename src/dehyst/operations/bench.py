@@ -21,7 +21,7 @@ from dehyst.calibration.session import ProgressListener
 from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, Samples, open_rig
 from dehyst.operations.axes import AxisLimits, AxisNumbers, limits_of, limits_option, of_axes, slew_option
-from dehyst.operations.command import CONTINUED, Values, argument, command, flag, number, option, output
+from dehyst.operations.command import CONTINUED, argument, command, flag, number, option, output
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_report
@@ -74,12 +74,11 @@ class Steps(ProgressListener):
         self._name = ""
 
 
-def _names(given: Values) -> list[str] | None:
+def _names(rig: str, axes: str | None) -> list[str] | None:
     """Return the names of several axes; None for one."""
-    if given.get("axes") is not None:
-        return [name.strip() for name in given["axes"].split(",")]
-    last = str(given["rig"]).rpartition("/")[2]
-    return last.split(",") if given["rig"].lower().startswith("pi://") and "," in last else None
+    last = rig.rpartition("/")[2]
+    text = axes or (last if rig.lower().startswith("pi://") and "," in last else "")
+    return [name.strip() for name in text.split(",")] if text else None
 
 
 @command("calibrate")
@@ -101,7 +100,7 @@ def calibrate(
 
     Ctrl-C brings the voltage to a safe value; the same command continues from the records on disk.
     """
-    names = _names({"rig": rig, "axes": axes})
+    names = _names(rig, axes)
     every = names or [""]
     allowed, rates = limits_of(every, limits), of_axes(every, slew_rate, "slew_rate")
     steepest = [None if rate == math.inf else rate for rate in rates]

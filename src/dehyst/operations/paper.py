@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 
 from dehyst.operations.command import FOLDER, command, output
@@ -15,8 +15,7 @@ _TITLES = {
     "asymmetric": "Virtual E-280.10",
     "symmetric": "The same without its asymmetric map: these errors come from the method, not from the model class",
 }
-_WIDTHS = (9, 12, 13)
-_HEADS = (("paper", "ours, by", "ours, whole"), ("", "its method", "records"))
+_ROW = "  {:<48}{:>9}{:>12}{:>15}"
 
 
 @command("paper")
@@ -31,19 +30,13 @@ def paper(
     return Result({**result.as_dict(), "written": [str(path) for path in written]}, lines)
 
 
-def _table(found: Paper) -> list[str]:
-    """Return the numbers of the paper and of this package for both virtual actuators."""
-    lines = []
+def _table(found: Paper) -> Iterator[str]:
+    """Yield the numbers of the paper and of this package for both virtual actuators."""
     for key, repeated in found.experiments.items():
-        lines.append(f"{_TITLES[key]} (errors against the truth)")
-        lines += [f"  {'':<42}{_cells(head)}" for head in _HEADS]
+        yield f"{_TITLES[key]} (errors against the truth)"
+        yield _ROW.format("", "paper", "its method", "whole records")
         for row in summary(repeated):
             first = row["actuator"] if row["breakpoints"] is None else row["breakpoints"]
             texts = ("" if x is None else f"{x:.3f}" for x in (row["paper"], first, row["record"]))
-            lines.append(f"  {row['quantity'] + ', ' + row['unit'].replace('µ', 'u'):<42}{_cells(texts)}")
-        lines.append("")
-    return lines
-
-
-def _cells(texts: Iterable[str]) -> str:
-    return "".join(f"{text:>{width}}" for text, width in zip(texts, _WIDTHS, strict=True))
+            yield _ROW.format(f"{row['quantity']}, {row['unit'].replace('µ', 'u')}", *texts)
+        yield ""
