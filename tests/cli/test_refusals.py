@@ -79,6 +79,7 @@ REFUSED = {
     f"{TABLE} --columns displacement=y_um": ("", "y_um"),
     "compensate thermal.json warm.csv -o out.csv --table t.csv": "table",
     "compensate model.json untimed.csv -o out.csv --table t.csv": ("table", "--columns rate"),
+    "compensate model.json gap.csv -o out.csv --table t.csv": ("", "gap.csv"),
     "compensate model.json scan.csv -o out.csv --table out.csv": ("", "out.csv"),
     "compensate model.json scan.csv -o out.csv --table model.json": ("", "model.json"),
     f"{TRIANGLE} -o out.csv --cycles 0": "cycles",
@@ -145,6 +146,7 @@ def folder(tmp_path_factory):
     }
     for name, columns in tables.items():
         write_columns(place / f"{name}.csv", {"time_s": time, **columns})
+    (place / "gap.csv").write_text("time_s,displacement_um\n0,3\n1,\n2,3\n")
     write_columns(place / "untimed.csv", {"displacement_um": path})
     write_columns(place / "timeless.csv", {"voltage_V": 10 * path})
     write_columns(place / "volts.csv", {"voltage_V": np.array([0.0, 2e5, 3e4])})

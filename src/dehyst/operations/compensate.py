@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import dehyst._validation as check
 from dehyst._errors import ModelError, RecordError, of_part
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
@@ -140,6 +141,7 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
     if not clock:
         raise RecordError(argument="table", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
     even_rate(path, clock["time_s"])
+    wanted = check.vector(wanted, "displacement")
     if abs(wanted[-1] - wanted[0]) > _CLOSED * float(np.ptp(wanted)):
         got = f"{1e6 * wanted[0]:.6g} um at the first sample and {1e6 * wanted[-1]:.6g} um at the last"
         raise RecordError(argument="table", got=got, need="one period, which ends where it begins")

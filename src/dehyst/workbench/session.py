@@ -349,7 +349,8 @@ class WorkbenchSession:
             columns = f"displacement={axis}_um" if "raster" in words and not model.axes else None
         else:
             raise SessionError("path: got none, need points or a scan")
-        limits = tuple(number_of(end, "limits") for end in request.get("limits") or ())
+        ends = request.get("limits") or []
+        limits = tuple(number_of(end, "limits") for end in (ends if isinstance(ends, list) else [ends]))
         given = {"limits": limits or None, "slew_rate": request.get("slew"), "columns": columns}
         return [*before, words_of("compensate", model.file, path, output=file, **given)]
 
