@@ -37,7 +37,6 @@ _NO_RECORD = (
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "goal", "time_limit", "sensor_lag")
 
-
 _KINDS = {"records": RecordEntry, "models": ModelEntry, "voltages": VoltageEntry, "excitations": ExcitationEntry}
 
 
