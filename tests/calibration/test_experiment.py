@@ -80,14 +80,6 @@ def test_the_error_is_what_was_measured(finished):
     assert found.compensated.stroke == pytest.approx(PlayActuator().stroke, rel=1e-3)
 
 
-def test_the_loop_error_is_told_while_it_plays(finished):
-    found, _, _, heard = finished
-    homing = len(Excitations((VoltageLimits(0, 200),), 100.0).homing())
-    assert heard.largest("nominal") == pytest.approx(0.01 * found.nominal.largest_percent)
-    for name in ("nominal", "compensated"):
-        assert np.isnan(np.concatenate(heard.errors[name])).sum() == homing
-
-
 def test_a_second_call_plays_nothing(finished):
     found, folder, _, _ = finished
     rig, heard = SimulatedRig(PlayActuator()), Heard()

@@ -21,8 +21,8 @@ def test_a_note_begins_and_ends_each_step_and_an_error_ends_the_last_one(fails, 
         for k, blocks in enumerate(steps):
             listener.step(f"step {k}")
             for size in blocks:
-                listener.samples(Samples(*np.zeros((3, size))), np.full(size, 1e-7), 1e-5)
-                assert "1.000 %" in shown[-1]
+                listener.samples(Samples(*np.zeros((3, size))))
+                assert "samples" in shown[-1]
         if fails:
             raise KeyboardInterrupt
     sentences, beside = zip(*notes, strict=True)

@@ -139,9 +139,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
     planner = PathPlanner(excitations)
 
     def play(planned: PlannedRun, *, again: bool = False) -> Record:
-        return session.record(
-            planned.excitation, planned.excitation.name, wanted=planned.wanted, stroke=planned.stroke, again=again
-        )
+        return session.record(planned.excitation, planned.excitation.name, again=again)
 
     linear = planner.nominal(fit.model, session.sequence)
     before = play(linear)

@@ -154,7 +154,7 @@ class FollowedPath:
         """Play voltages (n, axes) [V], record them with what is wanted [m], return what the last `size` reached."""
         excitation = Excitation("path", voltage if self._several else voltage[:, 0], self.rate)
         self.listener.step("path", excitation.duration)
-        record = player.play(excitation, wanted, self._strokes, begin=len(voltage) - size, step=step)
+        record = player.play(excitation, wanted, step=step)
         self.noise = [record.axis(j).noise for j in range(len(self.rig.axes))]
         rows, reached = self.rig.rows(len(voltage)), np.empty(voltage.shape)
         reached[rows] = record.displacement.reshape(rows.size, -1)

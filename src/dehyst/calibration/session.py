@@ -27,8 +27,8 @@ class ProgressListener:
     def step(self, name: str, seconds: float = 0.0) -> None:
         """Receive the beginning of step `name`, which plays for `seconds` [s]; 0 for a step that computes."""
 
-    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
-        """Receive `samples`; `expected` (n,) [m] is their wanted displacement, `stroke` [m] the actuator's stroke."""
+    def samples(self, samples: Samples) -> None:
+        """Receive `samples` of the first axis."""
 
     def message(self, text: str) -> None:
         """Receive a `text` on the present activity of the step."""
@@ -64,37 +64,21 @@ class Player:
         if not self.file.samples:
             self.file.path.unlink(missing_ok=True)
 
-    def play(
-        self,
-        excitation: Excitation,
-        wanted: Array | None = None,
-        strokes: Any = 1.0,
-        *,
-        begin: int = 0,
-        step: StepFunction | None = None,
-    ) -> Record:
+    def play(self, excitation: Excitation, wanted: Array | None = None, *, step: StepFunction | None = None) -> Record:
         """Play an `excitation` and return its record; raise as `AbstractRig.play`, or `FileFormatError` on a full disk.
 
-        `wanted`: displacements [m] at each voltage, (n,) or (n, axes). From the sample `begin` on, the listener has
-        those of the axis that is farthest off, relative to the `strokes` [m] of each axis. `step` as of the rig.
+        `wanted`: displacements [m] at each voltage, (n,) or (n, axes), for a file that has them. `step` as of the rig.
         """
-        rows, count, each = self._rig.rows(len(excitation)), 0, np.broadcast_to(strokes, len(self._rig.axes))
-        columns = None if wanted is None else wanted.reshape(len(excitation), -1)
+        rows, count = self._rig.rows(len(excitation)), 0
+        columns = None if wanted is None else 1e6 * wanted.reshape(len(excitation), -1)
 
         def listen(samples: Samples) -> None:
             nonlocal count
             at = rows[count : count + samples.time.size]
             count += samples.time.size
-            if columns is None:
-                self.file.add(samples)
-                self._listener.samples(samples.axis(0))
-                return
-            targets = dict(zip(self._wanted, 1e6 * columns[at].T, strict=False))
+            targets = {} if columns is None else dict(zip(self._wanted, columns[at].T, strict=True))
             self.file.add(samples._replace(others={**samples.others, **targets}))
-            expected = np.where(at[:, None] < begin, np.nan, columns[at])
-            error = np.abs(samples.displacement.reshape(expected.shape) - expected) / each
-            worst = int(np.nan_to_num(error).max(axis=0).argmax())
-            self._listener.samples(samples.axis(worst), expected[:, worst], float(each[worst]))
+            self._listener.samples(samples.axis(0))
 
         return self._rig.play(excitation, listen, step=step)
 
@@ -137,15 +121,10 @@ class Session:
             os.close(self._lock)
         self._lock = -1
 
-    def record(
-        self, excitation: Excitation, name: str, *, wanted: Array | None = None, stroke: Any = 1.0, again: bool = False
-    ) -> Record:
+    def record(self, excitation: Excitation, name: str, *, again: bool = False) -> Record:
         """Play an excitation and write its record, unless the record is on disk already and `again` is false.
 
         Raise `RecordError` or `RigError` as `AbstractRig.play`, and `FileFormatError` if nothing can be written.
-
-        For the listener: `wanted` displacements [m] at each voltage, (n,) or (n, axes), NaN if there is none, and the
-        `stroke` [m] of each axis, the reference of the error.
         """
         record = None if again else self.stored(name, excitation)
         if record is not None:
@@ -156,7 +135,7 @@ class Session:
                 self.rig.retreat()
             if os.path.lexists(self._path(name)):
                 self.aside.append(self._set_aside(self._path(name)))
-            record = self._play(name, excitation, wanted, stroke)
+            record = self._play(name, excitation)
             self.kept = [other for other in self.kept if other != name]
             self.played.append(name)
         self.sequence.append(record)
@@ -194,7 +173,7 @@ class Session:
     def _path(self, name: str) -> Path:
         return self.records / f"{name}.csv"
 
-    def _play(self, name: str, excitation: Excitation, wanted: Array | None, stroke: Any) -> Record:
+    def _play(self, name: str, excitation: Excitation) -> Record:
         """Play an excitation and record it."""
         self._listener.step(name, excitation.duration)
         about = {
@@ -205,7 +184,7 @@ class Session:
             "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
         }
         with Player(self.rig, self._path(name), about, self._listener) as player:
-            player.play(excitation, wanted, stroke)
+            player.play(excitation)
         return self._read(name)
 
     def _read(self, name: str) -> Record:

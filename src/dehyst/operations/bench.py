@@ -9,11 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_own_folder
-from dehyst._types import Array
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.plan import steps
@@ -45,32 +42,25 @@ class Steps(ProgressListener):
         """End the present step and begin another; it plays for `seconds` [s], 0 if it computes."""
         self._end("done in")
         self._name, self._seconds, self._began = name, seconds, time.monotonic()
-        self._count, self._largest, self._first = 0, 0.0, 0.0
+        self._count, self._first = 0, 0.0
         self._run.note(f"{name}: begins" + (f", {seconds:.1f} s" if seconds else ""))
 
-    def samples(self, samples: Samples, expected: Array | None = None, stroke: float | None = None) -> None:
-        """Show received samples; `expected` (n,) [m], NaN where none is, and the `stroke` [m] give their error."""
+    def samples(self, samples: Samples) -> None:
+        """Show how much was received."""
         self._first = self._first if self._count else float(samples.time[0])
         self._count += samples.time.size
-        if expected is not None and stroke:
-            error = 100 * np.abs(samples.displacement - expected) / stroke
-            self._largest = max(self._largest, float(np.max(error, initial=0.0, where=np.isfinite(error))))
         played = float(samples.time[-1]) - self._first
-        self._run.progress(f"{self._name}: {played:.0f} of {self._seconds:.0f} s, {self._told()}")
+        self._run.progress(f"{self._name}: {played:.0f} of {self._seconds:.0f} s, {self._count} samples")
 
     def message(self, text: str) -> None:
         """Show the present activity of the step."""
         self._run.progress(f"{self._name}: {text}")
 
-    def _told(self) -> str:
-        off = f", off the path by at most {self._largest:.3f} % of the stroke" if self._largest else ""
-        return f"{self._count} samples{off}" if self._count else ""
-
     def _end(self, how: str) -> None:
         if self._name:
             self._run.progress("")
-            words = [f"{time.monotonic() - self._began:.1f} s", self._told()]
-            self._run.note(f"{self._name}: {how} {', '.join(filter(None, words))}")
+            received = f", {self._count} samples" if self._count else ""
+            self._run.note(f"{self._name}: {how} {time.monotonic() - self._began:.1f} s{received}")
         self._name = ""
 
 
