@@ -15,7 +15,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1072,
+    "calibration": 1049,
     "cli": 387,
     "control": 3516,
     "exports": 1265,
@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 5810,
     "instruments": 2434,
     "model": 3474,
-    "operations": 2962,
+    "operations": 2952,
     "paper": 958,
     "records": 4500,
     "report": 1479,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2199,
 }
 HOUSE = {
-    "lines of Python": 36414,
+    "lines of Python": 36381,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 33535,
+    "lines of tests": 33513,
     "lines of benchmarks": 4956,
     "words of docs": 27403,
     "public names": 111,
