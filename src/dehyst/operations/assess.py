@@ -75,7 +75,8 @@ def insight(
         each = [[*(["", f"Axis {axis}"] if axis else []), *part.summary(full).split("\n")] for axis, part in parts]
         return [*head, *(line for own in each for line in own), *files(Report=report)]
 
-    good = not any(part.warnings() for part in found)
+    followed = all(part.plan is None or part.plan.followed for part in found)
+    good = followed and not any(part.warnings() for part in found)
     return Result(assessed.as_dict(), lines(full=False), lines(full=True), good=good)
 
 
