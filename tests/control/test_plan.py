@@ -55,6 +55,17 @@ def test_a_lag_that_is_not_the_actuators_is_made_up_for_only_if_that_is_asked(la
     assert asked.voltage.size > plan.voltage.size
 
 
+@pytest.mark.parametrize(("size", "followed"), [(60, False), (6000, True)])
+def test_corners_between_two_samples_are_counted(size, followed):
+    time = np.linspace(0, 0.6, size, endpoint=False)
+    wanted = plain_records.STROKE * (0.3 + np.abs(time / 0.2 % 2 - 1) / 3)
+    late = replace(LATE, delay=0.3 * float(time[1] - time[0]))
+    plan = plan_path(late, wanted, time=time, home=False, start=turned(late, float(wanted[0])))
+    reached = shown(late, plan)
+    assert plan.followed == followed == (np.abs(reached - wanted).max() < 1e-3 * plain_records.STROKE)
+    np.testing.assert_allclose(plan.expected[plan.first :], reached, atol=2e-3 * plain_records.STROKE)
+
+
 def test_each_axis_of_a_stage_leads_by_its_own_delay():
     stage = Stage((LATE, replace(LATE, delay=3 * STEP)), [[1.0, 0.05], [-0.03, 1.0]])
     wanted = np.column_stack([WANTED, WANTED[::-1]])

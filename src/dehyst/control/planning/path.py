@@ -374,15 +374,15 @@ class Task:
 
     def misses(self) -> Array:
         """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
-        if all(np.array_equal(part.found.displacement, part.moved) for part in self.parts):
-            return np.broadcast_to(0.0, self.rows.shape)
         miss = []
-        for part in self.parts:
-            own = part.found.displacement - part.moved
+        for part, late in zip(self.parts, apply(self.stage.decoupling, self.rows).T, strict=True):
+            own = part.found.displacement
             if self.time is not None and part.delay:
-                own = np.interp(self.time - part.delay, self.time, own)
-            miss.append(own)
-        return apply(self.stage.coupling, np.column_stack(miss))
+                # Between two samples the displacement does not have the corners of the path.
+                miss.append(np.interp(self.time - part.delay, self.time, own) - late)
+            else:
+                miss.append(own - part.moved)
+        return apply(self.stage.coupling, np.column_stack(miss)) if np.any(miss) else np.zeros(self.rows.shape)
 
     def errors(self) -> list[StartError]:
         """Return the error of each axis along its path due to its start."""

@@ -173,7 +173,7 @@ def shortfall(
         # Then only a mass or an amplifier can be left behind.
         return (
             f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
-            "actuator's state, or moves too fast for its sample rate",
+            "actuator's state, or moves or turns too fast for its sample rate",
         )
     count = int(np.count_nonzero(clamped))
     at_limit = int(np.count_nonzero(clamped & limits.reached(voltage)))
