@@ -139,6 +139,7 @@ def path_start_fields(path: PathPlan) -> dict[str, Any]:
         "homing_samples": path.first if homed else 0,
         "homing_s": path.homing.played.duration if timed else None if homed else 0.0,
         "certified": path.certified if homed else None,
+        "seconds": None if path.time is None else float(np.ptp(path.time)),
     }
 
 

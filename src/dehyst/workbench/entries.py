@@ -213,6 +213,7 @@ class VoltageEntry:
         self.largest_um = [None if promise is None else promise["largest_m"] * _MICRO for promise in each("promise")]
         self.words = [str(warning) for warning in result["warnings"]]
         if max(each("homing_samples")):
-            seconds = max(homing or 0.0 for homing in each("homing_s"))
-            self.words.insert(0, f"the first {seconds:.4g} s home the actuator: play the whole file")
-        self.samples, self.seconds = int(result["samples"]), result["samples"] / rate
+            home = max(homing or 0.0 for homing in each("homing_s"))
+            self.words.insert(0, f"the first {home:.4g} s home the actuator: play the whole file, each row at its time")
+        self.samples = int(result["samples"])
+        self.seconds = max(seconds or self.samples / rate for seconds in each("seconds"))

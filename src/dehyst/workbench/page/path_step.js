@@ -229,7 +229,7 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, band }
   const light = band ? lightOf(known)[0] : "amber";
   let speed = "";
   if (recorded && steepest > recorded * 1.001) {
-    speed = ` (${short(steepest / recorded)} times faster than anything recorded, ${short(recorded)} V/s)`;
+    speed = ` (${short(steepest / recorded)} times as fast as the fastest branch of the records, ${short(recorded)} V/s)`;
   } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
   const said = judged(planned, { ...known, band, light, speed });
   return { ...said, remarks: known.remarks };
