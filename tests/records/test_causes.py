@@ -126,6 +126,7 @@ def test_branches_that_are_sorted_are_told_and_a_sawtooth_is_not():
     [
         (straight(V), True),
         (np.round(straight(V), 9), True),
+        (np.array([float(f"{y:.6g}") for y in straight(V)]), True),
         (np.round(0.1234e-6 * V, 9), True),
         (np.concatenate([np.zeros(2), straight(V)[:-2]]), True),
         (np.concatenate([np.zeros(7), np.round(0.1234e-6 * V, 9)[:-7]]), True),

@@ -42,9 +42,9 @@ _SLIPS, _BETTER, _RETURNS = 0.01, 3.0, 4
 _WHOLE, _BINS = 0.9, 32
 # Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
 _LEAST, _LOUD = 0.1, 8.0
-# Echo: rounding, and largest digit that may hide a sensor, parts of the stroke; how far values are from multiples of
-# a digit; samples that are looked at first.
-_ROUNDING, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-3, 0.1, 4096
+# Echo: rounding, that to six digits, and largest digit that may hide a sensor, parts of the stroke; how far values are
+# from multiples of a digit; samples that are looked at first.
+_ROUNDING, _SIX_DIGITS, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-6, 5e-3, 0.1, 4096
 
 
 def sense(voltage: Array, displacement: Array, cycles: list[Span] | None = None) -> int:
@@ -188,7 +188,7 @@ def _rounded(values: Array) -> float:
     digit = float(steps[steps > _ROUNDING * span].min(initial=span))
     digits = (values[:_STRETCH] - values[0]) / digit
     rounded = digit < _DIGIT * span and np.abs(digits - np.round(digits)).max() < _ON_GRID
-    return _ROUNDING * span + (0.5 * digit * (1 + 3 / sqrt(values.size)) if rounded else 0.0)
+    return _SIX_DIGITS * span + (0.5 * digit * (1 + 3 / sqrt(values.size)) if rounded else 0.0)
 
 
 def fringes(record: Record) -> str:
