@@ -54,7 +54,7 @@ def test_identify_writes_stage_and_report(folder):
 
 
 def test_bare_columns_are_taken_by_their_names_too(folder):
-    words = ["compensate", folder / "stage.json", folder / "bare-path.csv", "--no-home"]
+    words = ["compensate", folder / "stage.json", folder / "bare-path.csv"]
     path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
     write_columns(folder / "bare-path.csv", path | {"b_um": path["y_um"]})
     run(*words, "-o", folder / "bare.csv")
@@ -184,7 +184,7 @@ def test_a_record_with_scales_is_checked_with_and_without_columns(folder, scaled
 def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
     write_columns(folder / "plain.csv", {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)})
     for name in ("stage", "scaled"):
-        run("compensate", folder / f"{name}.json", folder / "plain.csv", "--no-home", "-o", folder / f"{name}-v.csv")
+        run("compensate", folder / f"{name}.json", folder / "plain.csv", "-o", folder / f"{name}-v.csv")
         run("simulate", folder / f"{name}.json", folder / "stage-v.csv", "-o", folder / f"{name}-y.csv")
     assert (folder / "stage-v.csv").read_bytes() == (folder / "scaled-v.csv").read_bytes()
     assert (folder / "stage-y.csv").read_bytes() == (folder / "scaled-y.csv").read_bytes()

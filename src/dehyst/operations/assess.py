@@ -43,7 +43,7 @@ def insight(
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
-    The status is 1 if there is a warning.
+    The status is 1 if there is a warning, or the path cannot be followed.
     """
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on records")

@@ -17,7 +17,8 @@ from dehyst._text import counted, escape
 from dehyst._types import Array
 from dehyst.calibration.plan import even_rate
 from dehyst.control import PathPlan, PossibleStart, plan_path, wave_table
-from dehyst.model import Actuator, voltages_of
+from dehyst.model import USELESS, Actuator, voltages_of
+
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
     AxesModel,
@@ -89,8 +90,8 @@ def compensate(
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
     Jumps and homings keep to the speed of the model's records. Column phase: 0 homing, 1 way, 2 path. The
-    status is 1 if the model is not usable, the path is missed by more than the promise, or a homing leaves the start
-    open; with --table also if a voltage is clamped or the cycle is not settled.
+    status is 1 if the path is missed by more than the promise, or this exceeds 5 % of the stroke; with --table also if
+    a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
@@ -252,10 +253,16 @@ class _Task:
             *added,
             *made.lines,
         ]
-        usable = not any(plan.promise is not None and plan.promise.unusable for plan in plans)
-        good = usable and made.good and all(plan.followed and plan.certified for plan in plans)
+        good = made.good and all(map(_is_good, plans))
         more = [*lines, *others[1:]] if others[1:] else ()
         return Result(fields, lines, more, [*urgent, *others[:1]], good)
+
+
+def _is_good(plan: PathPlan) -> bool:
+    """Return whether a path is followed, with a promise of at most 5 % of the stroke or, without one, a known start."""
+    promise = plan.promise
+    small = plan.certified if promise is None else promise.largest <= 0.01 * USELESS * promise.stroke
+    return plan.followed and small
 
 
 def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None, _: float | None) -> dict[str, Any]:
