@@ -36,13 +36,13 @@ ROOMS = {
     "workbench": 2199,
 }
 HOUSE = {
-    "lines of Python": 36381,
+    "lines of Python": 36391,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 33513,
+    "lines of tests": 33532,
     "lines of benchmarks": 4956,
-    "words of docs": 27398,
+    "words of docs": 27401,
     "public names": 111,
     "commands": 16,
     "options": 106,
