@@ -18,7 +18,6 @@ from dehyst._types import Array
 from dehyst.calibration.plan import even_rate
 from dehyst.control import PathPlan, PossibleStart, plan_path, wave_table
 from dehyst.model import USELESS, Actuator, voltages_of
-
 from dehyst.operations import start as starts
 from dehyst.operations.axes import (
     AxesModel,
