@@ -107,6 +107,16 @@ def test_a_path_that_lies_beyond_a_limit_as_a_whole_has_status_1(folder):
         assert told["missed_um"] < 1e6 * (told["promise"]["largest_m"] - told["promise"]["parts"].get("missed_m", 0.0))
 
 
+@pytest.mark.parametrize("words", [("excite", "recommended", 150), ("compensate", "model.json", "path.csv")])
+def test_inputs_of_an_amplifier_are_the_voltages_over_its_gain(folder, words):
+    result(*words, "-o", "plain.csv", cwd=folder)
+    result(*words, "-o", "v.csv", "--gain", 15, cwd=folder)
+    voltage, inputs = column(folder, "v.csv", "voltage_V"), column(folder, "v.csv", "voltage_input_V")
+    np.testing.assert_allclose(inputs, voltage / 15, rtol=1e-11)
+    np.testing.assert_array_equal(voltage, column(folder, "plain.csv", "voltage_V"))
+    assert run(*words, "-o", "v.csv", "--gain", 0, cwd=folder)[0] == 2
+
+
 def test_the_duration_of_a_homing_is_told_without_the_way(folder):
     words = ("compensate", "creep.json", "path.csv", "-o", "v.csv", "--home-within", 5)
     _, told = result(*words, cwd=folder)

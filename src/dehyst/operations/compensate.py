@@ -44,7 +44,7 @@ from dehyst.operations.command import (
     output,
     switch,
 )
-from dehyst.operations.files import COLUMNS, Columns, write_table
+from dehyst.operations.files import COLUMNS, GAIN, Columns, write_table
 from dehyst.operations.paths import (
     ZERO,
     reach_remarks,
@@ -83,6 +83,7 @@ def compensate(
     on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
     table: Path | None = option("Write the steady cycle of a periodic path here (CSV).", OUTPUT, of_one_axis),
     start_up: int | None = integer("Cycles before the steady one; default: as needed.", beside("table")),
+    gain: float | None = GAIN,
     plot: Path | None = option("Draw path, voltage and promise here (HTML).", PAGE),
     columns: Columns = COLUMNS,
 ) -> Result:
@@ -104,7 +105,7 @@ def compensate(
         begin and (begin if now is None else begin.standing_at(actuator, now))
         for actuator, begin, now in zip(known.actuators, begins, volts, strict=True)
     ]
-    task = _Task(run, known, bounds, slews, begins, volts, {"home": home, "home_within": home_within}, zero)
+    task = _Task(run, known, bounds, slews, begins, volts, {"home": home, "home_within": home_within}, zero, gain)
     wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
     with _named(trajectory):
         if table is None:
@@ -165,7 +166,10 @@ class _Made(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What was asked for of each axis of a model: limits, slew rate, start, present voltage; `how` to home."""
+    """What was asked for of each axis of a model: limits, slew rate, start, present voltage; `how` to home.
+
+    `gain`: of the amplifier, whose inputs are written too.
+    """
 
     run: Run
     known: AxesModel
@@ -175,6 +179,7 @@ class _Task:
     present: Sequence[float | None]
     how: Mapping[str, Any]
     zero: float | None
+    gain: float | None
 
     def follow(
         self, wanted: Array, time: Mapping[str, Array], warmth: Array | None, on_time: bool | None, output: Path
@@ -187,7 +192,7 @@ class _Task:
         plans = known.planned(plan_path, wanted, self.limits, self.slews, on_time=on_time, **path, **self.how)
         self.run.progress(f"writing {plans[0].voltage.size} rows")
         clock = starts.clock_columns(plans[0], time)
-        write_table(output, {**clock, **_columns(known, plans), **temperature_column(plans[0])})
+        write_table(output, {**clock, **_columns(known, plans), **temperature_column(plans[0])}, self.gain)
         return _Made(plans, len(plans[0].voltage), urgent)
 
     def tabulate(self, path: ScanPath, cycles: int | None, output: Path, steady: Path) -> _Made:
@@ -207,8 +212,8 @@ class _Task:
         rows = plan.voltage.size - 1
         self.run.progress(f"writing {rows} rows")
         columns = {"time_s": plan.time, "phase": plan.phase, **_columns(self.known, [plan])}
-        write_table(output, {name: values[:-1] for name, values in columns.items()})
-        write_table(steady, {"time_s": cycle.time, **_columns(self.known, [cycle])})
+        write_table(output, {name: values[:-1] for name, values in columns.items()}, self.gain)
+        write_table(steady, {"time_s": cycle.time, **_columns(self.known, [cycle])}, self.gain)
         line = (
             f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "
             f"{counted(len(cycle), 'sample')} a cycle: {steady}"

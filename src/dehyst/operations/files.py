@@ -6,20 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dehyst._errors import FileFormatError
 from dehyst._io import format_of
 from dehyst._types import Array
-from dehyst.operations.command import Parsed, option
+from dehyst.operations.command import Parsed, number, option
 from dehyst.operations.run import MODELS
 from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, VOLTAGE
 from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
+from dehyst.waveforms import positive
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "VOLTAGE", "Columns"]
 AS_COLUMNS = Parsed(Columns)
 _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; see dehyst show --help."
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)
+GAIN: Any = number("Gain of the amplifier: its input, a voltage over the gain, is a column too.")
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:
@@ -55,6 +59,9 @@ def is_model(path: Path, *formats: str) -> bool:
     return path.is_file() and format_of(path) in (formats or MODELS)
 
 
-def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write a table with rounded numbers."""
-    write_columns(path, columns, digits=_DIGITS)
+def write_table(path: Path, columns: Mapping[str, Any], gain: float | None = None) -> None:
+    """Write a table with rounded numbers; with a `gain`, also the inputs of an amplifier."""
+    factor = 1.0 if gain is None else positive(gain, "gain")
+    volts = {name: values for name, values in columns.items() if name.endswith("_V") and gain is not None}
+    inputs = {f"{name.removesuffix('_V')}_input_V": np.asarray(values) / factor for name, values in volts.items()}
+    write_columns(path, {**columns, **inputs}, digits=_DIGITS)

@@ -26,7 +26,7 @@ from dehyst.operations.command import (
     output,
     pair,
 )
-from dehyst.operations.files import write_table
+from dehyst.operations.files import GAIN, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, stage_excitation, standard
 from dehyst.waveforms.excitation import voltages
@@ -55,6 +55,7 @@ _DRIVEN: dict[str, Declaration] = {
     "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
     "limits": pair("Voltages allowed [V]; others are refused."),
     "slew_rate": number("Largest abs(dv/dt) [V/s]; a low one makes the excitation longer."),
+    "gain": GAIN,
 }
 _VOLTAGE, _VOLTAGES = {"highest": argument(NUMBER)}, {"highest": argument(NUMBER, nargs=-1)}
 
@@ -71,7 +72,7 @@ scan = kinds(
 def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], **options: Any) -> None:
     """Add the command of a kind of excitation, with the `options` of its protocol."""
 
-    def written(run: Run, output: Path, frequency: float, **given: Any) -> Result:
+    def written(run: Run, output: Path, frequency: float, gain: float | None, **given: Any) -> Result:
         (name,) = {"highest", "peaks"} & {*given}
         if given.get("axes"):
             given["axes"] = given["axes"].split(",")
@@ -81,7 +82,7 @@ def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], *
         top = float(voltages(np.ravel(given[name]), name).max())
         if sampled["limits"] is None and top > 0:
             sampled["limits"] = -top, top
-        return _written(protocol(given.pop(name), drive=Sampling(frequency, **sampled), **given), output)
+        return _written(protocol(given.pop(name), drive=Sampling(frequency, **sampled), **given), output, gain)
 
     written.__doc__ = text
     command(kind, {**options, **_DRIVEN}, excite)(written)
@@ -130,12 +131,12 @@ _add_excitation(
 )
 
 
-def _written(excitation: Excitation, output: Path) -> Result:
+def _written(excitation: Excitation, output: Path, gain: float | None) -> Result:
     """Write an excitation of one axis or several."""
     names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
     rate, (low, high) = excitation.sample_rate, excitation.voltage_range
     columns = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
-    write_table(output, {"time_s": excitation.time, **columns})
+    write_table(output, {"time_s": excitation.time, **columns}, gain)
     first, last = (excitation.voltage[k].tolist() for k in (0, -1))
     steepest = rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
     fields = {
