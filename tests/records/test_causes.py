@@ -74,6 +74,7 @@ def test_a_good_record_has_no_cause(mechanism, drive):
         assert good.problems() == ()
         # A unit that is wrong by a thousand is asked about.
         assert [len(guesses(record(v, k * good.displacement))) for k in (1e-3, 1.0, 1e3)] == [1, 0, 1]
+        assert [len(guesses(record(v, good.displacement, k * RATE))) for k in (1e-3, 1.0)] == [1, 0]
         assert loops.early_turns(good) == 0
 
 

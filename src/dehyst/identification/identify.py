@@ -318,9 +318,7 @@ class _Run:
         lag, items = actuator.delay + actuator.lag, [item.reduced.record for item in self.training]
         moved = lag * max(rms(np.diff(record.displacement)) / record.sample_time for record in items)
         if lag_open := self.settings.lags is None and moved > missed:
-            caveats.append(
-                f"the records leave open who lags by {1e3 * lag:.3g} ms: state sensor_lag (0: none) or lag_of"
-            )
+            caveats.append(f"the records leave open whether the actuator or the sensor lags by {1e3 * lag:.3g} ms")
         return caveats, lag_open
 
     def outcome(self, errors: Sequence[RecordErrors]) -> Outcome:

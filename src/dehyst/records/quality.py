@@ -23,6 +23,8 @@ LARGEST, SHORTEST = 1e30, 1e-30
 _LEAST_EVENTS = 60
 # Least and largest displacement for each volt [m/V] of stages, also by the input of an amplifier.
 _GAINS = (2e-9, 5e-5)
+# Slowest cycle [s] of a record that is not asked about: milliseconds in place of seconds are slower.
+_SLOWEST = 1000.0
 # Fewer samples show no spike; least samples of a sweep.
 _FEWEST, _SWEEP = 20, 3
 # A time starts again within this part of its way so far.
@@ -106,6 +108,8 @@ def guesses(record: Record) -> tuple[str, ...]:
     driven, moved = (float(np.ptp(np.quantile(values, (0.05, 0.95)))) for values in columns.values())
     if not doubts and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
         doubts = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
+    if (cycle := float(np.ptp(record.time)) / max(len(record.cycles()), 1)) > _SLOWEST:
+        doubts.append(f"The time has {cycle:.3g} s a cycle")
     return (
         *(f"The {key} is guessed, verify: {words}." for key, words in dict(guessed or {}).items()),
         *(f"{doubt}; check its unit and scale." for doubt in doubts),

@@ -121,7 +121,7 @@ class Steps(Scan):
 
     levels: Annotated[tuple[float, ...], ScanOption("um", "Levels of steps")]
     dwell: Annotated[float, ScanOption("s", "Time on each level")]
-    edge: Annotated[float, ScanOption("s", "Time between levels", "as the limits allow")] | None = None
+    edge: Annotated[float, ScanOption("s", "Time between levels", "by the acceleration")] | None = None
     speed: base.Speed | None = None
     acceleration: base.Acceleration | None = None
     sample_rate: base.SampleRate | None = None
