@@ -288,7 +288,7 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
         words = f"Directions of {known.subject} that the turning points determine, whatever the noise"
         yield f"{words}: {known.determined} of {known.of}"
     commands = found.record_next
-    yield "To record next:" if commands else "To record next: nothing; no excitation tests more."
+    yield "To record next:" if commands else "To record next: nothing; no excitation would test more."
     if found.promise is not None and found.promise.delay:
         yield "State who lags, if it is known (dehyst identify --lag-of or --sensor-lag): it lowers the promise."
     yield from (f"    {command}" for command in commands)

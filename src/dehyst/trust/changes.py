@@ -123,7 +123,7 @@ _WORDS = {
 _REMEDIES = {
     "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
     "width": "Check the temperature, the load and the range of the voltage.",
-    "zero": "No error counts it: zero the sensor or home the actuator; that needs no new model.",
+    "zero": "The errors leave it out: zero the sensor or home the actuator; no new model is needed.",
     "lag": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",
     "drift": "Let the actuator warm up, or record at a constant temperature.",

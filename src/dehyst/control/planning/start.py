@@ -226,8 +226,12 @@ class StartError:
 
 
 def model_error(actuator: Actuator) -> float:
-    """Return the largest error [m] of the model on its records without noise; a thousandth of the stroke if unknown."""
+    """Return the largest error [m] of the model on its records without noise, or its RMS error on held-out parts.
+
+    A thousandth of the stroke if it is not known.
+    """
     known, stroke = actuator.identification, stroke_of(actuator)
     if known is None or (known.validity is None and known.largest_error is None):
         return _MODEL_ERROR * stroke
-    return max(known.largest_error or 0.0 if known.validity is None else known.validity.largest, _LEAST * stroke)
+    own = known.validity
+    return max(known.largest_error or 0.0 if own is None else max(own.largest, own.rms), _LEAST * stroke)

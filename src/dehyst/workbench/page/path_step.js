@@ -219,7 +219,7 @@ function planAxes(model) {
 // Without a plan there is no verdict either: that of the path before is not this one's.
 function cannotPlan(why) {
   const before = view.last ? " The pictures show the path before." : "";
-  view.said = { light: "amber", first: `This path has no voltage yet: see below its options.${before}`, facts: [] };
+  view.said = { light: "amber", first: `This path has no voltage yet: the message below its options says why.${before}`, facts: [] };
   complain("path", why);
   redraw();
 }
