@@ -14,7 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
 from rehearsal import (
     HANG_UP,
     INTERRUPT,
@@ -85,14 +84,6 @@ def taken(folder: Path) -> Outcome:
     return found
 
 
-def beyond(folder: Path) -> Outcome:
-    """Run a protocol of 250 V."""
-    swing = 125 * (1 - np.cos(2 * np.pi * np.arange(401) / 400))
-    lines = [f"{t:.6g},{v:.6g}\n" for t, v in zip(np.arange(401) / 400, swing, strict=True)]
-    (folder / "beyond.csv").write_text("time_s,voltage_V\n" + "".join(lines))
-    return against(folder, _TRUE, "--protocol", str(folder / "beyond.csv"))
-
-
 def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
     """Return a rehearsal with a controller left in this state; it drops the connection unless stopped."""
 
@@ -124,7 +115,6 @@ CASES = (
     Case("error", "The controller stops, with an error", struck("error")),
     Case("stall", "Its wave generator hangs", struck("stall")),
     Case("narrow", "Its limits are narrower than it tells", struck("narrow")),
-    Case("beyond", "A protocol asks for more than its limits", beyond),
     Case("wide", "`--limits` wider than its own", lambda folder: against(folder, _HURRIED, "--limits", "-50", "300")),
     Case(
         "astray",

@@ -374,6 +374,8 @@ class Task:
 
     def misses(self) -> Array:
         """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
+        if all(not part.delay and np.array_equal(part.found.displacement, part.moved) for part in self.parts):
+            return np.broadcast_to(0.0, self.rows.shape)
         miss = []
         for part, late in zip(self.parts, apply(self.stage.decoupling, self.rows).T, strict=True):
             own = part.found.displacement
@@ -382,7 +384,7 @@ class Task:
                 miss.append(np.interp(self.time - part.delay, self.time, own) - late)
             else:
                 miss.append(own - part.moved)
-        return apply(self.stage.coupling, np.column_stack(miss)) if np.any(miss) else np.zeros(self.rows.shape)
+        return apply(self.stage.coupling, np.column_stack(miss))
 
     def errors(self) -> list[StartError]:
         """Return the error of each axis along its path due to its start."""
