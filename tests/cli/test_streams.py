@@ -85,7 +85,7 @@ def test_a_full_device_as_output_is_a_sentence(folder):
 
 # Modules whose loading is interrupted: of the command line, of the command, and none, so that it runs.
 @pytest.mark.parametrize("module", ["click", "dehyst.cli.command", "numpy", "its work"])
-def test_ctrl_c_is_a_sentence(module):
+def test_ctrl_c_is_a_sentence(module, tmp_path):
     stop = "os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)"
     code = (
         f"import builtins, os, signal, sys, time, types\nload, work = builtins.__import__, {module == 'its work'}\n"
@@ -95,6 +95,7 @@ def test_ctrl_c_is_a_sentence(module):
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "demo"],
+        cwd=tmp_path,
         capture_output=True,
         text=True,
         timeout=100,
