@@ -27,6 +27,7 @@ def test_each_way_alone_never_jumps(call):
     for case in range(6 if call in ("table", "stage_home", "file") else 20):
         life = ways_out.Life(np.random.default_rng([11, case]), lambda word: counts.update([word]))
         getattr(life, call)()
+        life.end()
         assert life.findings == []
     assert counts["voltages"] or call == "reset"
 

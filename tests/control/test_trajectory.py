@@ -9,7 +9,7 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError
+from dehyst import Actuator, Compensator, Dynamics
 from dehyst.control import following
 from dehyst.control.following import follow
 from dehyst.model import turned
@@ -47,25 +47,6 @@ def test_the_actuators_own_limits_are_the_default():
     assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
     command = follow(Compensator(limited)._axes[0], plain_records.path((0, 1, 0)))
     assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
-
-
-@pytest.mark.parametrize(
-    ("path", "given"),
-    [
-        ([0.0, 1e-6], {}),
-        ([0.0, 1e-6], {"time": [0.0]}),
-        ([0.0, 1e-6], {"time": [0.0, 1.0, 2.0]}),
-        ([0.0, 1e-6], {"time": [0.0, 0.0]}),
-        ([0.0, 1e-6], {"time": [1.0, 0.0]}),
-        ([1e-6], {"time": [0.0]}),
-        ([0.0, 1e-6], {"time": [0.0, 1.0], "present": 300.0}),
-        ([0.0, np.nan], {"time": [0.0, 1.0]}),
-        ([0.0], {"time": [0.0], "state": plain_records.any_state(plain_records.plant(3), 0.0, 1)}),
-    ],
-)
-def test_refusals(path, given):
-    with pytest.raises(ModelError):
-        follow(Compensator(PLANT, (LOW, HIGH), RATE)._axes[0], path, **given)
 
 
 WIDE = {

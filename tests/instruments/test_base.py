@@ -5,7 +5,6 @@ import signal
 import sys
 import threading
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +19,7 @@ from dehyst.control import ClampWarning
 from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
 from dehyst.instruments.interrupts import Shield
 from dehyst.instruments.output import TICK
-from dehyst.instruments.waves import SensorWatch, host_timed
+from dehyst.instruments.waves import SensorWatch
 from dehyst.waveforms import Excitation
 
 UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
@@ -379,53 +378,6 @@ def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name, error):
     setattr(rig, name, raises(error))
     with pytest.raises(DeviceError, match=f"fake: {name} .* {type(error).__name__}: "):
         {"_halt": rig.retreat, "_close": rig.close}.get(name, lambda: rig.play(replace(UP, voltage=UP.voltage + 1)))()
-
-
-@pytest.mark.parametrize("number", [2, 30, 77])
-def test_a_wave_timed_by_the_host_is_brought_back_from_the_last_voltage_if_its_reading_fails(number):
-    rig, reads = FakeRig((0.0, 100.0), slew_rate=600.0), []
-    read = rig._read
-
-    def reading():
-        if rig.instrument.voltage > 0:
-            reads.append(rig.instrument.voltage)
-            if len(reads) >= number:
-                raise OSError("unplugged")
-        return read()
-
-    rig._read, rig._wave = reading, partial(host_timed, rig)
-    with pytest.raises(DeviceError, match="unplugged") as caught:
-        rig.play(UP)
-    assert caught.value.__notes__ == [BROUGHT]
-    sent = np.array(rig.instrument.sent)
-    assert sent.max() == pytest.approx(0.5 * number)
-    assert np.abs(np.diff(sent)).max() <= 1.0 + 1e-9
-    assert sent[-1] == 0.0
-
-
-@pytest.mark.parametrize("silent", [0.0, 0.03, 5.0])
-def test_a_wave_timed_by_the_device_is_brought_back_from_where_it_is_by_now_if_its_reading_fails(silent):
-    rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0)
-    rig._now, unplugged = lambda: clock.now, raises(OSError("unplugged"))
-
-    def wave(voltage, rate):
-        begun = clock.now
-        rig._halt = lambda: rig.instrument.put(voltage[min(int((clock.now - begun) * rate), voltage.size - 1)])
-        clock.now += 0.0205
-        yield Samples(np.arange(21) / rate, voltage[:21], rig.instrument.displacement(voltage[:21]))
-        clock.now += silent
-        rig._read = unplugged
-        unplugged()
-
-    rig._wave = wave
-    with pytest.raises(DeviceError, match="unplugged") as caught:
-        rig.play(UP)
-    (note,) = caught.value.__notes__
-    assert note.safe
-    stopped, *retreat = rig.instrument.sent[1:]
-    assert stopped == pytest.approx(min(10 + 500 * silent, 50))
-    assert np.abs(np.diff([stopped, *retreat])).max() <= 1.0 + 1e-9
-    assert retreat[-1] == 0.0
 
 
 @pytest.mark.parametrize("late", [0.0, 0.06, 0.5])

@@ -174,17 +174,3 @@ def test_ten_thousand_samples_come_quickly():
         record = rig.play(wave)
         assert time.process_time() - began < 5
     assert np.abs(record.voltage - wave.voltage).max() < 1e-6
-
-
-def test_somebody_elses_client_understands_the_emulator():
-    """The E-516 of pylablib: it sets a voltage, and reads it, limits, servo and position."""
-    devices = pytest.importorskip("pylablib.devices.PhysikInstrumente", reason="pylablib is not installed")
-    bench = VirtualBench(PlayActuator(highest=100.0))
-    with Server(Controller(bench), port=0) as server:
-        stage = devices.PIE516(f"127.0.0.1:{server.port}", auto_online=False)
-        assert "emulated piezo controller" in stage.get_id()
-        assert (stage.get_voltage_lower_limit(axis="1"), stage.get_voltage_upper_limit(axis="1")) == (0.0, 100.0)
-        assert stage.set_voltage(20.0, axis="1") == stage.get_voltage(axis="1") == bench.axis.voltage == 20.0
-        assert stage.get_position(axis="1") == pytest.approx(1e6 * bench.axis.displacement(), abs=1e-3)
-        assert not stage.is_servo_enabled(axis="1")
-        stage.close()

@@ -7,9 +7,7 @@ import plain_records
 import pytest
 
 from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, Thermal
-from dehyst.control import shortest_homing
-from dehyst.control.following import follow
-from dehyst.model import knots_of, turned, voltages_of
+from dehyst.model import knots_of, turned
 
 PLANT = plain_records.plant(10, seed=4)
 PART = DisplacementCreep([0.02, 0.3, 4.0], [0.02, 0.03, 0.04])
@@ -59,23 +57,6 @@ def test_a_held_voltage_ends_at_the_displacement_at_rest():
     held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
     assert held.displacement[-1] == pytest.approx(1.09 * held.state.deformation, rel=1e-12)
     assert CREEPING.displacement(held.state) == pytest.approx(held.displacement[-1], rel=1e-14)
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-@pytest.mark.parametrize("slew", [None, 3e3])
-def test_a_path_is_followed_as_a_loop_follows_it(slew):
-    period, limits = 1e-3, (20, 110)
-    low, high = CREEPING.reach
-    path = low + (high - low) * plain_records.path((0.5, 1, 0, 0.9, 0.2, 0.6), 60) / plain_records.STROKE
-    loop, whole = (Compensator(CREEPING, limits, slew, period=period) for _ in range(2))
-    command = follow(whole._axes[0], path)
-    first = follow(whole._axes[0], path[:1])
-    sent = np.array([loop.step(y) for y in path])
-    # The first sample of a path has no step before it.
-    np.testing.assert_allclose(command.voltage, sent, rtol=0, atol=0.2)
-    again = CREEPING.simulate(command.voltage, time=period * np.arange(path.size), state=whole._axes[0].given)
-    np.testing.assert_allclose(again.displacement, command.displacement, rtol=0, atol=1e-15)
-    assert command.clamped.any() and first.voltage.size == 1
 
 
 def with_scale(gain, offset=0.0):
@@ -133,21 +114,3 @@ def test_temperature_is_a_gain_and_an_offset_behind_all_other_parts():
     np.testing.assert_array_equal(
         THERMAL.compensate(path, time=time).voltage, CREEPING.compensate(path, time=time).voltage
     )
-
-
-def test_a_loop_follows_a_temperature():
-    time, state = 1e-3 * np.arange(300), turned(CREEPING, 8e-6)
-    path, warm = smooth(time), 25 + 15 * np.sin(2 * time)
-    loop = Compensator(THERMAL, (0, 200), period=1e-3, state=state)
-    sent = np.array([loop.step(y, temperature) for y, temperature in zip(path, warm, strict=True)])
-    assert loop.scale() == pytest.approx((1 + 0.004 * (warm[-1] - 25), 2e-9 * (warm[-1] - 25)))
-    reference = np.concatenate([[THERMAL.displacement(state)], (path - 2e-9 * (warm - 25)) / (1 + 0.004 * (warm - 25))])
-    exact = CREEPING.compensate(reference, time=1e-3 * np.arange(301), state=state).voltage[1:]
-    np.testing.assert_allclose(sent, exact, rtol=0, atol=1e-9)
-    assert loop.offer(path[-1]) == pytest.approx(sent[-1], abs=0.1)
-
-
-def test_homing_waits_for_creep_in_displacement():
-    homing = shortest_homing(CREEPING, limits=voltages_of(CREEPING), tolerance=0.01 * float(np.ptp(knots_of(CREEPING))))
-    assert homing.certified
-    assert np.ptp(homing.played.time) > PART.time_constants[-1]

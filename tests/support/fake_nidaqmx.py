@@ -4,10 +4,9 @@ Tasks reserve their channels, a clock edge reads the inputs before it changes th
 output at its last sample, and so does one that is stopped.
 """
 
-import enum
 import sys
 from contextlib import contextmanager
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -21,39 +20,18 @@ TIMEBASE = 1e8
 GAIN, SCALE = 10.0, 2e-6
 
 
-class Error(Exception):
-    pass
-
-
-class DaqError(Error):
-    def __init__(self, message, error_code, task_name=""):
-        super().__init__(f"{message}\n\nStatus Code: {error_code}")
-        self.error_code = error_code
-
-
-class AcquisitionType(enum.Enum):
-    FINITE = 10178
-
-
-class RegenerationMode(enum.Enum):
-    ALLOW_REGENERATION = 10097
-    DONT_ALLOW_REGENERATION = 10158
-
-
 class Card:
     """One output, an amplifier, an actuator of 0.1 um a volt, its sensor on ai0, a monitor on ai1."""
 
-    def __init__(self, ranges, internal=True):
-        self.ranges, self.internal = ranges, internal
-        self.limits = (GAIN * min(ranges), GAIN * max(ranges))
-        self.now, self.output, self.amplifies = 0.0, 0.0, True
-        self.log, self.tasks, self.clockless, self.broken = Extremes(0.0, 0.0), [], False, ""
-        self.regeneration = []
+    def __init__(self, ranges):
+        self.ranges, self.limits = ranges, (GAIN * min(ranges), GAIN * max(ranges))
+        self.now, self.output, self.log = 0.0, 0.0, Extremes(0.0, 0.0)
+        self.tasks, self.clockless = [], False
 
     @property
     def voltage(self):
         self.advance()
-        return GAIN * self.output * self.amplifies
+        return GAIN * self.output
 
     @property
     def playing(self):
@@ -66,11 +44,7 @@ class Card:
         self.output = float(volts)
 
     def seen(self, channel):
-        if channel == "Dev1/ai0":
-            return 1e-7 * GAIN * self.output * self.amplifies / SCALE
-        if channel == "Dev1/ai1":
-            return self.output * self.amplifies
-        return self.output
+        return {"Dev1/ai0": 1e-7 * GAIN * self.output / SCALE, "Dev1/ai1": self.output}[channel]
 
     def wait(self, seconds):
         self.now += seconds
@@ -88,19 +62,13 @@ class Card:
             task.edges = max(task.edges, due)
             task.running = task.edges < task.count
 
-    def demand(self, task, kind):
-        """Refuse a task whose channels another one has reserved."""
-        for other in self.tasks:
-            if other is not task and other.reserved and getattr(other, kind):
-                raise DaqError("The specified resource is reserved. The operation could not be completed.", -50103)
-
 
 class Task:
     """`nidaqmx.Task`, as far as it is used; `card` is set for each card."""
 
     card = None
 
-    def __init__(self, new_task_name="", *, grpc_options=None):
+    def __init__(self):
         self.inputs, self.outputs, self.rate, self.count, self.source = [], [], None, None, ""
         self.buffer, self.running, self.reserved, self.closed, self.edges, self.began = None, False, False, False, 0, 0
         self.taken, self.given, self.low, self.high = [], 0, -10.0, 10.0
@@ -113,38 +81,27 @@ class Task:
     def __exit__(self, kind, error, trace):
         self.close()
 
-    def _demand(self):
-        if self.closed:
-            raise DaqError("Specified task is invalid: it was cleared", -200088)
-        if self.card.broken:
-            raise DaqError(self.card.broken, -88705)
+    def demand(self, kind):
+        """Refuse a task that is closed, or whose channels another one has reserved."""
+        assert not self.closed
         self.card.advance()
+        for other in self.card.tasks:
+            assert other is self or not other.reserved or not getattr(other, kind), "The resource is reserved."
 
-    def add_ao_voltage_chan(self, physical_channel, name_to_assign_to_channel="", min_val=-10.0, max_val=10.0):
-        self._demand()
-        if physical_channel != "Dev1/ao0":
-            raise DaqError("Physical channel specified does not exist on this device.", -200170)
-        if min_val < min(self.card.ranges) or max_val > max(self.card.ranges):
-            raise DaqError("Requested value is not a supported value for this property.", -200077)
+    def add_ao_voltage_chan(self, physical_channel, min_val, max_val):
+        assert physical_channel == "Dev1/ao0"
+        assert min(self.card.ranges) <= min_val < max_val <= max(self.card.ranges)
         self.outputs.append(physical_channel)
         self.low, self.high = min_val, max_val
 
-    def add_ai_voltage_chan(
-        self, physical_channel, name_to_assign_to_channel="", terminal_config=None, min_val=-5.0, max_val=5.0
-    ):
-        self._demand()
-        known = ["Dev1/ai0", "Dev1/ai1", *(["Dev1/_ao0_vs_aognd"] if self.card.internal else [])]
-        if physical_channel not in known:
-            raise DaqError("Physical channel specified does not exist on this device.", -200170)
+    def add_ai_voltage_chan(self, physical_channel, min_val, max_val):
         self.inputs.append(physical_channel)
 
-    def cfg_samp_clk_timing(
-        self, rate, source="", active_edge=None, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000
-    ):
-        self._demand()
-        assert sample_mode is AcquisitionType.FINITE
-        if not 1 <= rate <= 250_000 or samps_per_chan < 2:
-            raise DaqError("Requested value is not a supported value for this property.", -200077)
+    def cfg_samp_clk_timing(self, rate, sample_mode, samps_per_chan, source=""):
+        assert sample_mode == "finite" and samps_per_chan >= 2
+        # Others are not supported.
+        if not 1 <= rate <= 250_000:
+            raise ValueError(f"rate: {rate} Hz")
         self.rate, self.source, self.count = TIMEBASE / round(TIMEBASE / rate), source, samps_per_chan
 
     @property
@@ -152,36 +109,24 @@ class Task:
         return self.rate
 
     @property
-    def regen_mode(self):
-        return self.card.regeneration[-1]
-
-    @regen_mode.setter
-    def regen_mode(self, mode):
-        self.card.regeneration.append(mode)
-
-    @property
     def avail_samp_per_chan(self):
-        self._demand()
+        self.card.advance()
         return len(self.taken) - self.given
 
-    def write(self, data, auto_start=False, timeout=10.0):
-        self._demand()
-        self.card.demand(self, "outputs")
+    def write(self, data, auto_start):
+        self.demand("outputs")
         values = np.atleast_1d(np.asarray(data, dtype=np.float64))
-        if (values < self.low).any() or (values > self.high).any():
-            raise DaqError("Attempted to write an invalid combination of position and offset.", -200561)
+        assert (values >= self.low).all() and (values <= self.high).all()
+        assert auto_start == (self.rate is None)
         if self.rate is None:
-            assert auto_start
             self.card.put(values[-1])
         else:
-            assert not auto_start
             assert values.size == self.count
             self.buffer, self.reserved = values.copy(), True
-        return values.size
 
     def start(self):
-        self._demand()
-        self.card.demand(self, "outputs" if self.outputs else "inputs")
+        self.demand("outputs" if self.outputs else "inputs")
+        assert not self.outputs or self.regen_mode == "not again"
         self.running = self.reserved = True
         self.began = self.card.now
         self.card.advance()
@@ -190,65 +135,40 @@ class Task:
         self.taken.append([self.card.seen(channel) for channel in self.inputs])
         self.running = len(self.taken) < self.count
 
-    def read(self, number_of_samples_per_channel=None, timeout=10.0):
-        self._demand()
+    def read(self, number_of_samples_per_channel=None):
         if self.rate is None:
-            self.card.demand(self, "inputs")
-            values = [self.card.seen(channel) for channel in self.inputs]
-            return values if len(values) > 1 else values[0]
+            self.demand("inputs")
+            return [self.card.seen(channel) for channel in self.inputs]
         lot = self.taken[self.given : self.given + number_of_samples_per_channel]
-        if len(lot) < number_of_samples_per_channel:
-            raise DaqError("Some or all of the samples requested have not yet been acquired.", -200284)
+        assert len(lot) == number_of_samples_per_channel
         self.given += len(lot)
         return [list(column) for column in zip(*lot, strict=True)]
 
-    def stop(self):
-        self._demand()
-        self.running = False
-
     def close(self):
-        if not self.closed:
-            self.card.advance()
-            self.running, self.reserved, self.closed = False, False, True
-            self.card.tasks.remove(self)
-
-
-class Device:
-    card = None
-    product_type, ao_samp_clk_supported = "PCIe-6323", True
-    ao_min_rate, ao_max_rate, ai_min_rate, ai_max_multi_chan_rate = 0.1, 900_000.0, 0.1, 250_000.0
-
-    def __init__(self, name, *, grpc_options=None):
-        if name != "Dev1":
-            raise DaqError("Device identifier is invalid.", -200220)
-
-    @property
-    def ao_voltage_rngs(self):
-        return [0.0, 5.0, *self.card.ranges]
+        self.card.advance()
+        self.running, self.reserved, self.closed = False, False, True
+        self.card.tasks.remove(self)
 
 
 @contextmanager
-def installed(ranges=(-2.0, 10.0), **options):
-    """Have a module `nidaqmx` for the time being, and the card behind it."""
-    card = Card(ranges, **options)
+def opened(ranges, **options):
+    """Open the rig in `examples/instruments` on a card behind a module `nidaqmx`, in a time of its own."""
+    card = Card(ranges)
+    device = SimpleNamespace(product_type="PCIe-6323", ao_voltage_rngs=[0.0, 5.0, *ranges])
     parts = {
         "nidaqmx": {"Task": type("Task", (Task,), {"card": card})},
-        "nidaqmx.system": {"Device": type("Device", (Device,), {"card": card})},
-        "nidaqmx.constants": {"AcquisitionType": AcquisitionType, "RegenerationMode": RegenerationMode},
-        "nidaqmx.errors": {"Error": Error, "DaqError": DaqError},
+        "nidaqmx.system": {"Device": {"Dev1": device}.__getitem__},
+        "nidaqmx.constants": {
+            "AcquisitionType": SimpleNamespace(FINITE="finite"),
+            "RegenerationMode": SimpleNamespace(DONT_ALLOW_REGENERATION="not again"),
+        },
     }
     modules = {name: ModuleType(name) for name in parts}
     for name, content in parts.items():
         vars(modules[name]).update(content)
         if "." in name:
             setattr(modules["nidaqmx"], name.rpartition(".")[2], modules[name])
-    with mock.patch.dict(sys.modules, modules):
-        yield card
-
-
-@contextmanager
-def opened(ranges, **options):
-    """Open the rig in `examples/instruments` on a card, in a time of its own."""
-    with installed(ranges) as card, open_rig(f"{places.EXAMPLES / 'instruments' / 'ni.py'}:NiRig", **options) as rig:
+    file = places.EXAMPLES / "instruments" / "ni.py"
+    with mock.patch.dict(sys.modules, modules), open_rig(f"{file}:NiRig", **options) as rig:
         rig._clock, rig._wait = lambda: card.now, card.wait
         yield rig, card

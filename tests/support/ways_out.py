@@ -1,13 +1,18 @@
 """Random lives through every way by which a voltage leaves: none may leave the limits or jump from the present voltage.
 
-A jump is a change beyond slew rate times time, from the voltage before; that before the first one counts too.
+A jump is a change beyond slew rate times time, from the voltage before; that before the first one counts too. What is
+refused moves nothing, run is step by step, and the state is where a simulation of the voltages that were sent leads.
 """
 
 import contextlib
+import copy
 import io
 import json
+import pickle
+import struct
 import tempfile
 import warnings
+import zlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,13 +25,14 @@ from dehyst import Actuator, Bank, Compensator, DehystError
 from dehyst.cli import main
 from dehyst.control import PossibleStart, plan_path, wave_table
 from dehyst.control.following import follow
-from dehyst.model import DisplacementCreep, Dynamics, Stage, turned, with_identification
+from dehyst.model import DisplacementCreep, Dynamics, SmoothSlip, Stage, needs_time, turned, with_identification
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of
 
 COUNTS = {"m": 1.0, "um": 1e6, "nm": 1e9}
 CARRIERS = ("list", "array", "series")
-PARTS = (*("plain",) * 9, *("transformer", "graded") * 3, "creep", "creep", "dynamics", "lag")
+PARTS = (*("plain",) * 9, *("transformer", "graded") * 3, "creep", "creep", "dynamics", "lag", "smooth", "all")
+HOSTILE = (np.nan, np.inf, -np.inf, 1e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30, -1e16, 5e-324, -1e-310, -0.0)
 # How often each call is made, in 1000; slow ones are rare.
 SHARES = {
     "step": 250,
@@ -35,6 +41,9 @@ SHARES = {
     "run": 120,
     "snapshot": 50,
     "reset": 30,
+    "refused": 50,
+    "damaged": 60,
+    "preview": 20,
     "follow": 250,
     "home": 30,
     "lead": 25,
@@ -75,15 +84,18 @@ def random_actuator(rng):
         (plain.spring.displacement - begin) * in_length, (plain.spring.voltage - low) * in_voltage
     )
     actuator, more = Actuator(slip, spring), {}
-    if kind in ("transformer", "graded"):
-        flags = {"graded": kind == "graded", "transformer": kind == "transformer", "creep": False}
+    if kind in ("transformer", "graded", "all"):
+        flags = {"graded": kind != "transformer", "transformer": kind != "graded", "creep": False}
         actuator = strategies.make_wider(actuator, seed, **flags)
-    if kind == "creep":
+    if kind in ("creep", "all"):
         more["displacement_creep"] = DisplacementCreep([0.05, 1.0], np.full(2, 0.02))
-    if kind == "dynamics":
+    if kind in ("dynamics", "all"):
         more["dynamics"] = Dynamics(rng.uniform(50, 500), rng.uniform(0.05, 1))
-    if kind == "lag":
+    if kind in ("lag", "all"):
         more["lag"] = 10 ** rng.uniform(-4, -2)
+    if kind in ("smooth", "all"):
+        stiffness = volts / span * rng.uniform(0, 0.4, 2)
+        more["smooth"] = SmoothSlip(span * rng.uniform(0.02, 0.5, 2), rng.uniform(0.5, 1, 2), stiffness)
     made = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, **more)
     edge = sorted(rng.uniform(-0.2, 1.2, 2))
     low, high = (volts * np.array(edge)).tolist() if edge[1] - edge[0] > 0.2 else (0.0, volts)
@@ -97,6 +109,7 @@ class Life:
     rng: np.random.Generator
     note: object = lambda _: None
     findings: list = field(default_factory=list)
+    history: list = field(default_factory=list)
 
     def __post_init__(self):
         rng = self.rng
@@ -107,7 +120,7 @@ class Life:
         self.units = str(rng.choice(list(COUNTS)))
         self.options = {"period": self.period, "units": self.units}
         self.loop = Compensator(self.actuator, None, self.slew, state=self.state(), **self.options)
-        self.before = self.loop.voltage
+        self.before, self.start = self.loop.voltage, self.loop.state
 
     def wish(self):
         low, high = self.actuator.reach
@@ -155,6 +168,7 @@ class Life:
     def sent(self, call, voltage):
         self.hold_against(call, voltage, self.before, self.period)
         self.before = float(np.atleast_1d(voltage)[-1]) if np.size(voltage) else self.before
+        self.history.extend(np.atleast_1d(voltage).tolist())
 
     def step(self):
         self.sent("step", self.loop.step(one(self.rng, self.wish(), self.units)))
@@ -169,14 +183,23 @@ class Life:
         self.sent("hold", self.loop.voltage)
 
     def run(self):
-        path = self.path()
-        self.sent("run", self.loop.run(carried(self.rng, path, self.units)))
+        """A run, the same steps in a copy, and the same run in one that goes on from a snapshot."""
+        path = carried(self.rng, self.path(), self.units)
+        twin = copy.deepcopy(self.loop) if self.rng.random() < 0.8 else pickle.loads(pickle.dumps(self.loop))
+        other = self.loop._clone()
+        other.restore(self.loop.snapshot())
+        stepped = np.array([twin.step(y) for y in path])
+        here, there = self.loop.run(path), other.run(path)
+        if not stepped.tobytes() == here.tobytes() == there.tobytes() or twin.clamps != self.loop.clamps:
+            self.findings.append(f"{self.kind}: run is not step by step")
+        self.sent("run", here)
 
     def snapshot(self):
-        memory, before = self.loop.snapshot(), self.before
+        memory, before, known = self.loop.snapshot(), self.before, len(self.history)
         self.step()
         self.loop.restore(memory)
         self.before = before
+        del self.history[known:]
         other = self.loop._clone()
         other.restore(memory)
         self.loop = other
@@ -184,7 +207,78 @@ class Life:
 
     def reset(self):
         self.loop.reset(self.state())
-        self.before = self.loop.voltage
+        self.before, self.start, self.history = self.loop.voltage, self.loop.state, []
+
+    def refused(self):
+        """What is no number, or leads nowhere, moves nothing; what is accepted is forgotten again."""
+        loop, before, bad = self.loop, self.loop.snapshot(), float(self.rng.choice(HOSTILE))
+        calls = (loop.step, loop.commit, lambda x: loop.run([0.0, x]), lambda x: follow(loop._axes[0], [x], time=[0.0]))
+        far = self.low - 1.5 * (self.high - self.low)
+        for call, number in (*((call, bad) for call in calls), (loop.commit, far)):
+            try:
+                call(number)
+            except DehystError:
+                self.note("voltages")
+                if loop.snapshot() != before:
+                    self.findings.append(f"{self.kind}: {number!r} was refused and moved something")
+                continue
+            if number == far:
+                self.findings.append(f"{self.kind}: commit took {far!r} V")
+            self.finite(loop)
+            loop.restore(before)
+
+    def damaged(self):
+        """A snapshot with a damaged number is refused, or the loop goes on within limits and slew rate."""
+        loop, data = self.loop._clone(), bytearray(self.loop.snapshot())
+        if self.rng.random() < 0.8:
+            # A number, with the checksum that belongs to it.
+            place = 40 + 8 * int(self.rng.integers((len(data) - 40) // 8))
+            data[place : place + 8] = struct.pack("<d", float(self.rng.choice(HOSTILE)))
+            data[12:16] = zlib.crc32(data[16:]).to_bytes(4, "little")
+        else:
+            data[self.rng.integers(len(data))] ^= 1 << int(self.rng.integers(8))
+        with contextlib.suppress(DehystError):
+            loop.restore(bytes(data))
+            for _ in range(10):
+                before = loop.voltage
+                voltage = loop.step(one(self.rng, self.wish(), self.units))
+                self.hold_against("after a damaged snapshot", voltage, before, self.period)
+            self.finite(loop)
+
+    def preview(self):
+        """The same with a compensator that looks a sample ahead."""
+        own = self.loop, self.before, self.history
+        self.loop = Compensator(self.actuator, None, self.slew, preview=True, **self.options)
+        self.before, self.history = self.loop.voltage, []
+        try:
+            for name in self.rng.choice(["step", "run", "offer", "hold", "refused", "damaged"], 4):
+                getattr(self, name)()
+        finally:
+            self.loop, self.before, self.history = own
+
+    def finite(self, loop):
+        state = loop.state
+        for name in ("deformation", "carts", "displacement_creep", "smooth", "motion"):
+            if not np.isfinite(getattr(state, name)).all():
+                self.findings.append(f"{self.kind}: the {name} is not finite")
+
+    def end(self):
+        """Where it is must be where its voltages lead."""
+        self.finite(self.loop)
+        if self.kind in ("lag", "dynamics", "all") or not self.history:
+            return
+        voltage, time = np.array(self.history), {}
+        if needs_time(self.actuator):
+            voltage = np.append(self.actuator.voltage(self.start), voltage)
+            time = {"time": np.arange(voltage.size) * self.period}
+        reached, state = (
+            self.actuator.simulate(voltage, state=self.start, extrapolate=True, **time).state,
+            self.loop.state,
+        )
+        errors = [reached.deformation - state.deformation, *(reached.carts - state.carts)]
+        self.note("states compared")
+        if not np.abs(errors).max() < 1e-6 * strategies.span_of(self.actuator):
+            self.findings.append(f"{self.kind}: the state is off by {np.abs(errors).max():.3g} m")
 
     def follow(self):
         path, options = self.path(), {}
@@ -203,7 +297,7 @@ class Life:
 
     def home(self):
         """A path after a homing."""
-        if self.kind == "creep" and self.rng.random() < 0.9:
+        if self.kind in ("creep", "all") and self.rng.random() < 0.9:
             return
         path, present = self.path(60), float(self.rng.uniform(self.low, self.high))
         self.homed("plan_path", path, present=present)
@@ -211,7 +305,7 @@ class Life:
     def lead(self):
         """From a state at rest within the limits."""
         state = self.actuator.relaxed(float(np.clip(0.0, self.low, self.high)))
-        if self.kind not in ("dynamics", "lag"):
+        if self.kind not in ("dynamics", "lag", "all"):
             voltage = [self.rng.uniform(self.low, self.high)]
             state = self.actuator.simulate(voltage, time=[0.0], extrapolate=True).state
         self.homed("from a state", self.path(60), start=PossibleStart("given", (state,)))
@@ -253,7 +347,7 @@ class Life:
 
     def stage_home(self):
         stage = Stage((self.actuator, replace(self.actuator, name="y")), np.array([[1, 0.1], [-0.05, 1]]), ("x", "y"))
-        if self.kind == "creep":
+        if self.kind in ("creep", "all"):
             return
         loop = Compensator(stage, period=self.period, slew_rate=[self.slew] * 2)
         time = self.period * np.arange(40)
@@ -298,7 +392,7 @@ class Life:
     def file(self):
         """What `dehyst compensate` writes."""
         known = with_identification(self.actuator, slew_rate=self.slew)
-        if self.kind == "creep":
+        if self.kind in ("creep", "all"):
             return
         with tempfile.TemporaryDirectory() as folder:
             model, path, out = (Path(folder) / name for name in ("model.json", "path.csv", "out.csv"))
@@ -351,4 +445,5 @@ def play(seed, case, note):
                 note(name)
             except DehystError as error:
                 note(f"refused: {name}: {str(error)[:40]}")
+        life.end()
     return life.findings
