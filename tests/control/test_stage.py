@@ -101,28 +101,6 @@ def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_b
         assert axis.state.deformation < dehyst.Compensator(actuator, limits).state.deformation - 1e-8
 
 
-def test_a_clamp_that_is_made_an_error_moves_no_axis():
-    other = Compensator(stage(), limits=[(-150.0, 22.0), None, None])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", dehyst.ClampWarning)
-        before = other.snapshot()
-        with pytest.raises(dehyst.ClampWarning):
-            other.step([6e-6, 3e-6, 2e-6])
-    assert [sum(counts) for counts in other.clamps] == [0, 0, 0]
-    assert other.snapshot() == before
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_an_offer_that_is_not_committed_changes_nothing():
-    wanted, model = path(np.random.default_rng(7)), stage()
-    options = {"limits": [(-150.0, 22.0), None, None], "slew_rate": [None, 250.0, None], "period": 1e-3}
-    loop, other = Compensator(model, **options), Compensator(model, **options)
-    for row in wanted:
-        loop.offer(row[::-1].copy())
-        assert np.array_equal(loop.step(row), other.step(row))
-    assert loop.clamps == other.clamps
-
-
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_a_stage_in_micrometres_and_its_copies_send_the_voltages_of_the_one_in_metres():
     wanted, options = path(np.random.default_rng(5)), {"limits": (-60.0, 40.0), "slew_rate": 900.0, "period": 1e-3}
@@ -198,19 +176,6 @@ def test_a_file_keeps_every_bit(tmp_path):
 def test_a_file_that_is_wrong_is_refused(change, words):
     with pytest.raises(dehyst.ModelError, match=words):
         Stage.from_dict({**stage().as_dict(), **change})
-
-
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_refused_displacement_withdraws_the_voltage_on_offer():
-    loop = Compensator(stage(), period=1e-3)
-    far = 10 * np.array(loop.reach)[:, 1]
-    loop.step(far)
-    before = loop.clamps
-    loop.offer(far)
-    with pytest.raises(dehyst.ModelError):
-        loop.offer(np.full(far.size, np.nan))
-    loop.hold()
-    assert loop.clamps == before
 
 
 @pytest.mark.parametrize("kind", ["stage", "bank"])

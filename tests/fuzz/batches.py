@@ -1,4 +1,4 @@
-"""How a fuzzer plays its cases: in batches, each in a process of its own, so that a crash or a hang is a finding.
+"""How a fuzzer plays its cases: each in a process of its own, so that a crash or a hang is a finding.
 
 A fuzzer has a function `play(seed, case, note)`: it plays one case and returns what is wrong, in sentences. What it
 notes is counted. An exception that leaves it is wrong too.
@@ -6,11 +6,9 @@ notes is counted. An exception that leaves it is wrong too.
 
 import argparse
 import json
-import mmap
 import os
 import resource
 import signal
-import struct
 import sys
 import time
 import traceback
@@ -18,7 +16,6 @@ from collections import Counter
 
 HANG = 10
 MEMORY = 2 << 30
-BATCH = 500
 _SHOWN = 20
 
 
@@ -27,11 +24,10 @@ def run(play, seed, count, *, first=0, seconds=None):
     begun, findings, counts = time.monotonic(), [], Counter()
     case = first
     while case < count and (seconds is None or time.monotonic() - begun < seconds):
-        stop = min(case + BATCH, count)
-        left = None if seconds is None else seconds - (time.monotonic() - begun)
-        case, found, noted = _batch(play, seed, case, stop, left)
-        findings += found
-        counts.update(noted)
+        found, noted = _played(play, seed, case)
+        findings += [{"case": case, "what": what, "ended": noted is None} for what in found]
+        counts.update(noted or {})
+        case += 1
     return {
         "seed": seed,
         "cases": case - first,
@@ -57,63 +53,33 @@ def main(name, play, known=lambda seed, finding: False):
     sys.exit(1 if summary["findings"] else 0)
 
 
-def _batch(play, seed, first, stop, seconds):
-    """The case to go on with, what was found, and what was counted."""
-    now = mmap.mmap(-1, 8)
+def _played(play, seed, case):
+    """What is wrong, and what was counted; nothing was if the process ended."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(out)
-        _child(play, seed, range(first, stop), now, into, seconds)
+        _child(play, seed, case, into)
     os.close(into)
-    with os.fdopen(out, "rb") as pipe:
-        told = pipe.read().decode()
-    _, status = os.waitpid(child, 0)
-    findings, counts = [], Counter()
-    for line in told.splitlines():
-        entry = json.loads(line)
-        findings += entry.get("findings", [])
-        counts.update(entry.get("counts", {}))
-    case = struct.unpack("q", now[:8])[0]
-    if status == 0:
-        return case, findings, counts
-    number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
-    what = f"hang over {HANG} CPU s" if number == signal.SIGXCPU else f"crash: signal {number}, status {status}"
-    return case + 1, [*findings, {"case": case, "what": what, "ended": True}], counts
+    with os.fdopen(out) as pipe:
+        told = pipe.read()
+    _, status, used = os.wait4(child, 0)
+    if number := os.waitstatus_to_exitcode(status):
+        return [f"hang over {HANG} CPU s" if number == -signal.SIGXCPU else f"crash: signal {-number}"], None
+    found, counts = json.loads(told)
+    if used.ru_maxrss * 1024 > MEMORY:
+        found.append(f"took {used.ru_maxrss >> 10} MiB of memory")
+    return found, counts
 
 
-def _child(play, seed, cases, now, into, seconds):
-    status, begun, counts = 1, time.monotonic(), Counter()
+def _child(play, seed, case, into):
+    counts = Counter()
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (HANG, resource.RLIM_INFINITY))
     try:
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        with os.fdopen(into, "w") as pipe:
-            for case in cases:
-                if seconds is not None and time.monotonic() - begun > seconds:
-                    break
-                now[:8] = struct.pack("q", case)
-                found = _one(play, seed, case, counts)
-                if found:
-                    pipe.write(json.dumps({"findings": [{"case": case, "what": what} for what in found]}) + "\n")
-                    pipe.flush()
-                now[:8] = struct.pack("q", case + 1)
-            pipe.write(json.dumps({"counts": counts}) + "\n")
-        status = 0
-    finally:
-        os._exit(status)
-
-
-def _one(play, seed, case, counts):
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    limit = int(used.ru_utime + used.ru_stime) + HANG + 1
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
-    found = []
-    try:
-        found += play(seed, case, lambda what: counts.update([what]))
+        found = play(seed, case, lambda what: counts.update([what]))[:_SHOWN]
     except BaseException as error:
-        found.append(f"{type(error).__name__}: {error}"[:300] + "".join(traceback.format_exc()[-900:]))
-    after = resource.getrusage(resource.RUSAGE_SELF)
-    if after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime > HANG:
-        found.append(f"took more than {HANG} CPU s")
-    if after.ru_maxrss * 1024 > MEMORY:
-        found.append(f"took {after.ru_maxrss >> 10} MiB of memory")
-    return found[:_SHOWN]
+        found = [f"{type(error).__name__}: {error}"[:300] + "".join(traceback.format_exc()[-900:])]
+    with os.fdopen(into, "w") as pipe:
+        json.dump([found, counts], pipe)
+    os._exit(0)

@@ -26,18 +26,18 @@ SAID = {
     **dict.fromkeys(("drop", "garble", "truncate", "error", "stall", "narrow", "servo"), (1, SAFE)),
     **dict.fromkeys(("saturate", "unplug", "dead"), (1, UNSEEN)),
     **dict.fromkeys(("refuse", "silence", "astray"), (1, LOST)),
-    **dict.fromkeys(("beyond", "file"), (2, None)),
     **dict.fromkeys(("wide", "deaf"), (0, None)),
     **dict.fromkeys(("playing", "interrupt", "impatient"), (130, SAFE)),
     **dict.fromkeys(("zero", "shift", "invert"), (130, DENIED)),
     "blank": (130, UNREAD),
     "terminate": (143, SAFE),
     "hang-up": (129, SAFE),
+    "file": (2, None),
     "kill": (-signal.SIGKILL, None),
     "full": (2, SAFE),
 }
 # Nobody spoke to the controller, or nothing was sent; or it was not dehyst that left it where it is.
-SILENT = ("taken", "beyond", "file", "narrow")
+SILENT = ("taken", "file", "narrow")
 ELSEWHERE = {"astray": 150.0}
 READBACKS = ("zero", "shift", "invert", "blank")
 # Those who cannot count what came: some was under way, or had no room.
