@@ -223,17 +223,6 @@ def test_steps_send_nothing_and_fit_the_limits():
     assert rig.instrument.axis.log.highest == 0
 
 
-@pytest.mark.nightly
-def test_a_low_slew_rate_is_kept_along_the_path_too(tmp_path):
-    rig = SimulatedRig(PlayActuator(), limits=(0, 120), slew_rate=200)
-    found = calibrate(rig, tmp_path)
-    assert found.remarks == ()
-    assert found.compensated.largest_percent < 0.2
-    for name in found.played:
-        record = read(tmp_path / "records" / f"{name}.csv")
-        assert np.abs(np.diff(record.voltage) / np.diff(record.time)).max() <= 200 * (1 + 1e-6)
-
-
 @pytest.mark.parametrize("wrong", [{"frequency": 0}, {"goal": -1}, {"frequency": np.nan}])
 def test_impossible_plans_are_refused(wrong):
     with pytest.raises(DehystError, match=next(iter(wrong))):

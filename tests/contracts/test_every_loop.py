@@ -96,7 +96,7 @@ def test_a_clamp_that_is_made_an_error_moves_nothing(kind):
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "bank"])
 def test_an_offer_that_is_not_committed_or_is_refused_changes_nothing(kind):
     (loop, near, far), (other, *_) = loop_of(kind), loop_of(kind)
-    for wanted in (near, far, 0.5 * near, near, far):
+    for wanted in (near, far, 0.5 * near, near, far, far, far):
         loop.offer(far)
         assert np.array_equal(loop.step(wanted), other.step(wanted))
     assert loop.clamps == other.clamps

@@ -15,6 +15,7 @@ from dehyst.instruments import LinkError, open_rig
 from dehyst.instruments.pi import PiRig
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.waveforms import Excitation
+from examples import at_night
 
 DEVICE, ALLOWED = (-20.0, 120.0), (0.0, 60.0)
 ODD = [np.nan, np.inf, -np.inf, 1e308, -1e308, 60.0000001, -1e-9, 5e-324, 0.0, 60.0, 119.0]
@@ -89,14 +90,7 @@ def ordeal(seed, share):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(
-    ("share", "replies"),
-    [
-        (0.02, 250),
-        (0.3, 500),
-        *(pytest.param(*each, marks=pytest.mark.nightly) for each in ((0.02, 1000), (0.05, 4000), (0.3, 6000))),
-    ],
-)
+@pytest.mark.parametrize(("share", "replies"), [(0.02, 250), at_night(0.05, 4000), (0.3, 500)])
 def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
     seed = changed = 0
     while changed < replies:
@@ -106,7 +100,7 @@ def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("sequences", [100, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("sequences", [100, at_night(1000)])
 def test_random_calls_keep_limits_and_slew_rate(sequences):
     done = 0
     for seed in range(sequences):

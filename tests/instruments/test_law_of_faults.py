@@ -18,6 +18,7 @@ from dehyst.instruments.output import VoltageNote
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Excitation
+from examples import at_night
 
 SLEW, TICK, ROUNDED = 400.0, 0.01, 1e-3
 # Seconds that a retreat takes beside its ramp; where the link is dead.
@@ -184,11 +185,19 @@ FAULTS = {
     "Ctrl-C": ("_wave", ctrl_c),
     "SIGTERM": ("_wave", terminate),
 }
+# These are tried with the IOC, in real time, on a push too.
+OVER_A_NETWORK = ("reading lost", "readback stays", "reading late", "put lost", "stop lost", "wave silent", "Ctrl-C")
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("kind", RIGS)
+@pytest.mark.parametrize(
+    ("kind", "fault"),
+    [
+        (kind, fault) if kind != "epics" or fault in OVER_A_NETWORK else at_night(kind, fault)
+        for kind in RIGS
+        for fault in FAULTS
+    ],
+)
 def test_after_a_fault_the_voltage_is_safe_or_its_place_is_said(kind, fault):
     name, change = FAULTS[fault]
     # In time of its own, a wave comes at once: its pieces come one by one.

@@ -66,13 +66,6 @@ def test_many_random_lives_on_the_sanitized_core(native, number):
     lives(native(number), 2, 1_000_000)
 
 
-def test_a_share_of_the_attacks_finds_nothing():
-    found = attacked(FUZZ / "compensators.py", "--seed", 3, "--count", 60)
-    assert found["cases"] == 60
-    # A reader that refuses everything finds nothing.
-    assert found["counts"]["voltages"] > 500
-
-
 @pytest.mark.fuzz
 def test_all_attacks_on_the_sanitized_package_find_nothing(tmp_path):
     if missing := sanitized.missing():

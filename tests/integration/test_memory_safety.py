@@ -1,6 +1,5 @@
 """Huge, tiny and damaged numbers: a clear error or a finite answer, never a crash; voltages stay in their limits."""
 
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -40,24 +39,6 @@ def swinging(damping):
 def test_numbers_that_cannot_be_computed_with_are_refused(call):
     with pytest.raises(ModelError):
         call()
-
-
-def test_a_loop_is_not_begun_anew_while_it_runs():
-    """That freed the memory that the run worked in."""
-    compensator = Compensator(PLAIN, (-10.0, 0.3))
-    compensator.step(-1e-6)
-    snapshot = compensator.snapshot()
-    run = threading.Thread(target=compensator._axes[0].loop.run, args=(np.full(5_000_000, -1e-6),))
-    refusals = 0
-    run.start()
-    while run.is_alive():
-        try:
-            compensator.restore(snapshot)
-        except RuntimeError as error:
-            assert "another thread" in str(error)
-            refusals += 1
-    run.join()
-    assert refusals > 0
 
 
 def test_the_farthest_place_leaves_room():

@@ -238,7 +238,7 @@ def test_counts_are_right(kind, seed):
     [
         at_night("fringe", "", 100, 0),
         at_night("grating", "", 100, 0),
-        ("fringe", "slow", 5, 0),
+        at_night("fringe", "slow", 5, 0),
         at_night("grating", "slow", 5, 0),
         at_night("fringe", "blocked", 5, 0),
         ("grating", "blocked", 5, 1),
