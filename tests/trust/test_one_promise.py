@@ -79,12 +79,12 @@ def test_five_commands_promise_the_same(name, tmp_path):
         other = answer("compensate", "m.json", "path.csv", "-o", "s.csv", *more, cwd=tmp_path)["promise"]
         seen = answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", *more, cwd=tmp_path)["promise"]
         assert seen == other != there
-    # Neither is content with a path that the voltages cannot follow.
+    # Both judge alike whether the voltages can follow a path.
     write_columns(
         tmp_path / "far.csv", {"time_s": time, "displacement_um": np.linspace(5, 1.02e6 * y.max(), time.size)}
     )
     far = ("compensate", "m.json", "far.csv", "-o", "f.csv"), ("insight", "m.json", "r.csv", "--trajectory", "far.csv")
-    assert [run(*words, cwd=tmp_path)[0] for words in far] == [1, 1]
+    assert {run(*words, cwd=tmp_path)[0] for words in far} == {0 if name == "lag" else 1}
     assert there["path"] in ("this path from a homed start", "this path from an unknown start")
     assert there["largest_m"] == pytest.approx(sum(there["parts"].values()))
     # The path of the record, from its fitted start.
