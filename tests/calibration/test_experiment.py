@@ -1,4 +1,4 @@
-"""The whole experiment on a bench in a time of its own: what it finds, what it leaves on disk, how it goes on."""
+"""The experiment on a bench in a time of its own: what it finds, what it leaves on disk, how it goes on; plans."""
 
 import shutil
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from command_line import result
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
 from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.experiment import _remarks
-from dehyst.calibration.plan import Excitations, steps
+from dehyst.calibration.plan import Excitations, even_rate, steps
 from dehyst.calibration.session import ProgressListener, Session
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
@@ -227,3 +227,15 @@ def test_steps_send_nothing_and_fit_the_limits():
 def test_impossible_plans_are_refused(wrong):
     with pytest.raises(DehystError, match=next(iter(wrong))):
         Plan(**wrong).excitations(SimulatedRig(PlayActuator()))
+
+
+@pytest.mark.parametrize(
+    "time", [[0, 0, 0, 0], [0, 1, 1, 2], [3, 2, 1, 0], [0, 1, 2, 4], [0]], ids=["zero", "twice", "back", "gap", "one"]
+)
+def test_times_that_do_not_rise_evenly_are_refused(time):
+    with pytest.raises(FileFormatError, match=r"wave\.csv"):
+        even_rate("wave.csv", np.array(time, dtype=float))
+
+
+def test_the_rate_is_that_of_the_times():
+    assert even_rate("wave.csv", np.arange(5) / 100) == pytest.approx(100.0)

@@ -5,12 +5,24 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
-from rest_states import PLANT, equilibrium
 
-from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, plan_path
+from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, State, plan_path
 from dehyst.control import Compensator, shortest_homing
-from dehyst.model import with_identification
+from dehyst.model import evaluator_of, with_identification
 from dehyst.waveforms import Sampling
+
+PLANT = plain_records.plant(10, seed=4)
+
+
+def equilibrium(actuator, voltage, rng):
+    """Any elongations at all; the spring holds the rest of the voltage."""
+    rho = actuator.slip.breakaway
+    s = rng.uniform(-1, 1, rho.size) * rho * rng.choice([0.1, 1.0])
+    at_ends = rng.random(rho.size) < rng.choice([0.0, 0.0, 0.5, 1.0])
+    s = np.where(at_ends, np.where(rng.random(rho.size) < 0.5, -rho, rho), s)
+    y = evaluator_of(actuator).core.spring_inverse(voltage - float(actuator.slip.stiffness @ s))
+    return State(y, y - s)
+
 
 CREEPING = with_identification(
     replace(PLANT, displacement_creep=DisplacementCreep([20.0], [0.02]), limits=(0.0, 260.0)), slew_rate=200.0

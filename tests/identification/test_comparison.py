@@ -1,5 +1,6 @@
 """Wider actuators beside records: a model that made a record meets it, whatever had gone before; given structures."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -7,12 +8,18 @@ import plain_records
 import pytest
 import structured_records as wide
 import tracking_trials
+from hypothesis import given
+from hypothesis import strategies as st
 
 import dehyst
-from dehyst import DisplacementCreep, Dynamics, Record
+from dehyst import Actuator, DisplacementCreep, Dynamics, Record, identify
+from dehyst._native import slip_elongations
 from dehyst.identification import Outcome
 from dehyst.identification.comparison import compare, errors_of, initial_state, state_after, without_offset
-from dehyst.identification.preparation import prepare
+from dehyst.identification.preparation import block_of, prepare
+from dehyst.identification.start_state import fit_start
+from dehyst.model import MaxwellSlip, Spring
+from dehyst.records.signals import bandwidth
 
 EXACT = 1e-9
 
@@ -191,3 +198,91 @@ def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
     first = min(compared.found.offsets)
     few = replace(compared, found=replace(compared.found, offsets={first: compared.found.offsets[first]}))
     assert few.last_offsets() == [compared.found.offsets[first] - compared.base]
+
+
+STROKE = 10e-6
+DELAY = 4e-3
+
+
+def voltage(seconds, rate, seed):
+    """Raised cosines of 1 Hz between random turns, in 0..100 V; the first two cycles are full."""
+    rng = np.random.default_rng(seed)
+    turns = [0.0, 100.0, 0.0, 100.0, 0.0]
+    while len(turns) < 2 * seconds + 1:
+        turns += [rng.uniform(50, 100), rng.uniform(0, 40)]
+    turns = np.array(turns[: 2 * seconds + 1])
+    phase = np.arange(seconds * rate) / rate * 2
+    branch = phase.astype(int)
+    return turns[branch] + (turns[branch + 1] - turns[branch]) * 0.5 * (1 - np.cos(np.pi * (phase - branch)))
+
+
+def truth():
+    rho = STROKE / 2 * np.array([0.06, 0.2, 0.45, 0.8])
+    slip = MaxwellSlip(rho, 1e6 * np.array([2.0, 1.2, 0.8, 0.5]))
+    return Actuator(slip, Spring([-0.2 * STROKE, 1.5 * STROKE], 7e6 * np.array([-0.2 * STROKE, 1.5 * STROKE])))
+
+
+def recorded(seconds, rate, seed, noise):
+    time = np.arange(seconds * rate) / rate
+    v = voltage(seconds, rate, seed)
+    late = truth().simulate(np.interp(time - DELAY, time, v)).displacement
+    return Record(time, v, late + noise * STROKE * np.random.default_rng(seed + 1).normal(size=time.size))
+
+
+@pytest.mark.parametrize(("rate", "least", "most"), [(200, 1, 1), (1000, 2, 5), (10_000, 16, 50)])
+def test_a_block_keeps_the_motion_and_enough_samples(rate, least, most):
+    record = recorded(20, rate, 3, 0.003)
+    block = block_of(record, len(record) / 4000)
+    assert least <= block <= most
+    assert block * record.sample_time <= 1 / 60
+    # A mean would move an event.
+    assert block_of(replace(record, measured=np.arange(len(record)) % 9 == 0), len(record) / 4000) == 1
+
+
+def test_steps_have_no_bandwidth_below_their_sampling():
+    time = np.arange(20_000) * 1e-3
+    steps = np.floor(time / 2) % 4
+    assert block_of(Record(time, steps, 1e-6 * steps), 5) == 1
+    assert bandwidth(np.sin(2 * np.pi * time), 1e-3, 1e-5) < 2
+
+
+@pytest.mark.nightly
+def test_a_fast_recording_gives_the_model_of_a_slow_one():
+    unseen = recorded(12, 500, 40, 0.0)
+    found = {}
+    for rate in (200, 10_000):
+        fit = identify(recorded(20, rate, 3, 0.003), structure="maxwell_slip")
+        found[rate] = errors_of(fit.actuator, compare(fit.actuator, prepare(unseen), STROKE), "validation")[0]
+        assert fit.actuator.delay == pytest.approx(DELAY, abs=1e-3)
+        assert fit.errors[0].samples > 0.99 * 20 * rate
+    assert found[10_000].rms < 0.0015 * STROKE
+    assert found[10_000].rms < 1.2 * found[200].rms + 2e-4 * STROKE
+
+
+COUNT = 12
+RHO = np.arange(1.0, COUNT + 1) * 1e-6
+NO_CREEP = np.zeros(0)
+
+
+def growing(loops=8, largest=12e-6, samples=20):
+    branches = [0.0]
+    for size in np.linspace(largest / loops, largest, loops):
+        branches += [size, -size]
+    return np.concatenate([np.linspace(a, b, samples) for a, b in itertools.pairwise(branches)])
+
+
+def carts_of(u, first):
+    return first + np.cumsum(np.diff(RHO, prepend=0.0) * u)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=COUNT, max_size=COUNT))
+def test_the_simulated_force_is_that_of_the_true_carts(u):
+    """Some carts bear on no sample: the force is what must come back, and the carts that bear on it."""
+    path, slip = growing(), MaxwellSlip(RHO, np.linspace(2e5, 1e5, COUNT))
+    true, _ = slip_elongations(RHO, carts_of(np.array(u), path[0]), path)
+    force = true @ slip.stiffness + 3.0
+    start = fit_start(slip, path, force, np.zeros((path.size, 0)), NO_CREEP)
+    found, _ = slip_elongations(RHO, start.carts, path)
+    left = force - found @ slip.stiffness - start.constant
+    assert np.sqrt(np.mean(left**2)) < 0.01 * np.ptp(force)
+    assert np.all(np.abs(start.carts - path[0]) <= RHO * (1 + 1e-9))

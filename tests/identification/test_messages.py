@@ -1,9 +1,71 @@
-"""What is said of an identification: only what is worth a sentence, and what the record can show."""
+"""What is said of an identification: reasons for care beside the verdict, and only what the record can show."""
 
+import itertools
+
+import numpy as np
 import plain_records
 import pytest
 
-from dehyst.identification import RecordErrors
+from dehyst import Actuator, IdentifyError, Record, identify
+from dehyst.identification import Readiness, RecordErrors
+from dehyst.identification.preparation import prepare
+from dehyst.model import MaxwellSlip, Spring
+
+STROKE, STEP, LAG = 1e-5, 0.01, 0.08
+
+
+def records():
+    """A plain actuator seen by a sensor of first order, and as it moves."""
+    rng = np.random.default_rng(3)
+    turns = np.concatenate([[0, 80, 0, 80, 0], rng.uniform(0, 80, 14), [0]])
+    t = np.linspace(0, np.pi, 100, endpoint=False)
+    v = np.concatenate([a + (b - a) * 0.5 * (1 - np.cos(t)) for a, b in itertools.pairwise(turns)])
+    ends = np.array([-0.2 * STROKE, 1.5 * STROKE])
+    slip = MaxwellSlip(STROKE / 2 * np.array([0.05, 0.2, 0.5, 0.9]), np.array([2e6, 1e6, 8e5, 4e5]))
+    y = Actuator(slip, Spring(ends, 7e6 * ends)).simulate(v).displacement
+    seen, state, keep = np.empty(y.size), y[0], np.exp(-STEP / LAG)
+    for k in range(y.size):
+        before = y[max(k - 1, 0)]
+        # Exact for a displacement that is linear between samples.
+        slope = (y[k] - before) / STEP
+        state = y[k] - LAG * slope + (state - before + LAG * slope) * keep
+        seen[k] = state
+    time = np.arange(y.size) * STEP
+    return Record(time, v, seen + 1e-9 * rng.normal(size=y.size)), y
+
+
+def test_the_displacement_before_the_sensor_is_found():
+    seen, y = records()
+    before = prepare(seen).without_lag(LAG).record
+    first = seen.time.size - len(before)
+    error = before.displacement - y[first:]
+    assert np.sqrt(np.mean(error**2)) < 0.005 * STROKE
+    assert np.sqrt(np.mean((seen.displacement - y) ** 2)) > 0.04 * STROKE
+
+
+def test_a_lag_is_called_the_sensor_s_or_the_actuator_s_and_an_option_tells():
+    seen, _ = records()
+    unknown, none, known = (identify(seen, structure="maxwell_slip", sensor_lag=lag) for lag in (None, 0.0, LAG))
+    assert unknown.actuator.delay + unknown.actuator.lag > 0.5 * LAG
+    assert unknown.promise.readiness is not Readiness.READY
+    assert len(none.promise.reasons) < len(unknown.promise.reasons)
+    assert known.actuator.delay + known.actuator.lag < 0.1 * LAG
+    assert known.options["sensor_lag"] == known.actuator.identification.sensor_lag == LAG
+
+
+def test_a_coarse_voltage_keeps_a_model_from_being_ready():
+    seen, y = records()
+    exact = Record(seen.time, seen.voltage, y)
+    coarse = Record(seen.time, np.round(seen.voltage / 0.3) * 0.3, y)
+    fine, verdict = (identify(record, structure="maxwell_slip").promise for record in (exact, coarse))
+    assert verdict.readiness is not Readiness.READY
+    assert len(fine.reasons) < len(verdict.reasons)
+
+
+@pytest.mark.parametrize("lag", [-1.0, np.nan, "soon", 1e9])
+def test_what_is_no_lag_is_refused(lag):
+    with pytest.raises(IdentifyError, match="sensor_lag"):
+        identify(records()[0], sensor_lag=lag)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
-"""The program: known actuators come back, bounds hold, folds are differences of sums, held-out time is predicted."""
+"""The program: known actuators come back, bounds hold, held-out time is predicted; its options and deadline."""
 
+import signal
+import time
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise, product
@@ -12,9 +14,10 @@ import structured_records as wide
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dehyst.identification import Structure, search
+from dehyst.identification import Deadline, Structure, search
 from dehyst.identification.program import _alike, with_folds
 from dehyst.identification.regressors import Rows, epochs
+from dehyst.identification.settings import Settings
 from dehyst.model import turned
 
 STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
@@ -261,3 +264,63 @@ def test_folds_are_sixths_of_the_time_of_each_record():
 def test_times_are_those_of_the_finest_and_the_longest_record():
     records = [plain_records.loops(plain_records.plant(10), plain_records.MAJOR, rate=rate) for rate in (200.0, 50.0)]
     assert wide.frame(records).times == pytest.approx((1 / 200, float(np.ptp(records[1].time))))
+
+
+def test_a_known_lag_of_the_sensor_makes_any_other_the_actuators():
+    assert (Settings().lags, Settings(sensor_lag=0.0).lags) == (None, "actuator")
+    assert Settings(sensor_lag=0.1, lag_of="sensor").lags == Settings(lag_of="sensor").lags == "sensor"
+    assert Settings(sensor_lag=0.1).as_dict() == {
+        "shared_datum": False,
+        "drift": True,
+        "sensor_lag": 0.1,
+        "lag_of": "actuator",
+    }
+
+
+def test_a_step_does_not_begin_after_the_limit():
+    endless, deadline = Deadline(), Deadline(1e-9)
+    assert (endless.left, endless.passed, endless.attempt(lambda: 1, 2, "a step")) == (np.inf, False, 1)
+    assert deadline.passed and deadline.left == 0
+    assert deadline.attempt(pytest.fail, 2, "the search") == 2
+    assert deadline.attempt(pytest.fail, None, "the tuning") is None
+    assert deadline.cut == ["the search", "the tuning"]
+    assert (len(endless.remarks("one")), len(deadline.remarks("one"))) == (0, 1)
+
+
+def test_a_step_that_looks_at_the_deadline_is_left():
+    deadline, said = Deadline(), []
+    report = deadline.watched(said.append)
+
+    def step():
+        report("begins")
+        deadline.end("Ctrl-C")
+        report("goes on")
+
+    deadline.check()
+    assert deadline.attempt(step, "so far", "the step") == "so far"
+    assert said == ["begins"]
+    # Outside of a step progress is only reported.
+    report("finishing")
+    assert said == ["begins", "finishing"]
+
+
+def test_an_error_in_a_step_is_an_error():
+    deadline = Deadline()
+    with pytest.raises(ZeroDivisionError):
+        deadline.attempt(lambda: 1 / 0, 0, "a step")
+    assert deadline.cut == []
+
+
+def test_a_signal_handler_leaves_a_step_that_looks_at_nothing():
+    deadline = Deadline()
+    before = signal.signal(signal.SIGINT, lambda *_: deadline.end("Ctrl-C", leave_step=True))
+    try:
+
+        def step():
+            signal.raise_signal(signal.SIGINT)
+            time.sleep(0)
+            pytest.fail("the step went on")
+
+        assert deadline.attempt(step, 7, "a step") == 7
+    finally:
+        signal.signal(signal.SIGINT, before)

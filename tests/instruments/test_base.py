@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from dehyst._errors import RecordError
 from dehyst.calibration.plan import Plan, steps
 from dehyst.control import ClampWarning
-from dehyst.instruments import DeviceError, LinkError, Reading, RigError, Samples, SensorError
+from dehyst.instruments import AbstractRig, DeviceError, LinkError, Reading, RigError, Samples, SensorError
 from dehyst.instruments.interrupts import Shield
 from dehyst.instruments.output import TICK
 from dehyst.instruments.waves import SensorWatch
@@ -670,3 +670,37 @@ def test_ctrl_c_between_an_error_and_the_retreat_waits():
     assert rig.instrument.voltage == 0.0
     first = caught.value.__context__
     assert (str(first), first.__notes__) == ("first", [BROUGHT])
+
+
+@pytest.mark.parametrize("name", ["play", "limits", "set_voltage", "_ramp", "_retreated", "retreat"])
+def test_no_rig_replaces_what_limits_and_retreat_rely_on(name):
+    with pytest.raises(TypeError, match=f"replaces {name} "):
+        type("Own", (AbstractRig,), {name: None})
+
+
+@pytest.mark.parametrize("name", ["play", "limits", "read", "close", "__exit__", "__getattribute__", "_ramp"])
+def test_no_base_of_a_rig_replaces_what_limits_and_retreat_rely_on(name):
+    mixin = type("Mixin", (), {name: None})
+    with pytest.raises(TypeError, match=f"Own: replaces {name} of AbstractRig"):
+        type("Own", (mixin, FakeRig), {})
+
+
+@pytest.mark.parametrize("name", ["play", "_ramp", "_reading"])
+def test_no_attribute_of_a_rig_hides_what_limits_and_retreat_rely_on(name):
+    class Own(FakeRig):
+        def __init__(self):
+            setattr(self, name, None)
+
+    with pytest.raises(TypeError, match=f"sets {name},"):
+        Own()
+
+
+def test_a_base_of_a_rig_may_have_what_a_driver_writes():
+    class Mixin:
+        def _wait(self, seconds):
+            self.instrument.wait(seconds)
+
+        def home(self):
+            return self.set_voltage(0.0)
+
+    assert type("Own", (Mixin, FakeRig), {})().home() == 0.0

@@ -7,17 +7,22 @@ import shutil
 import subprocess
 import sys
 import time
+import tomllib
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import places
+import plain_records
 import pytest
+import structured_records
 from command_line import run
 from virtual_loops import record_loops
 
 import dehyst
-from dehyst import read
+from dehyst import Compensator, read
 from dehyst.instruments import open_rig
 from dehyst.records import write_record
 from dehyst.virtual import PlayActuator
@@ -268,3 +273,80 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
         assert space["plan"].units == "um" and len(space["same"]) == len(space["record"])
     if page == "tutorials/first_stage.md":
         assert np.loadtxt("path.csv", delimiter=",", skiprows=1).shape == (400, 2)
+
+
+ROOT = places.ROOT
+
+
+def test_every_benchmark_runs_once():
+    recipe = re.search(r"^bench:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.M)[1]
+    runs = Counter(re.findall(r"benchmarks/(\w+)\.py", recipe))
+    programs = {path.stem for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text()}
+    assert programs >= {"speed", "accuracy", "faults"}
+    assert runs == dict.fromkeys(programs, 1)
+
+
+TARGETS = {
+    target for line in re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.M) for target in line.split()
+}
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+
+
+def test_the_targets_that_everybody_knows_are_there():
+    assert {"demo", "test", "check", "bench", "clean", "wheel"} <= TARGETS
+
+
+@pytest.mark.parametrize(
+    "path", [*WORKFLOWS, ROOT / ".ci" / "run", ROOT / "CONTRIBUTING.md"], ids=lambda path: path.name
+)
+def test_only_targets_that_exist_are_run(path):
+    called = set(re.findall(r"^(?:.*run: |    )?make ([a-z]+)", path.read_text(), re.M))
+    assert called
+    assert called <= TARGETS
+
+
+def test_the_conda_recipe_requires_what_the_package_requires():
+    listed = set(re.findall(r"^    - ([\w-]+ >=[\d.]+)$", (ROOT / "recipe" / "recipe.yaml").read_text(), re.M))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    needed = [*project["project"]["dependencies"], *project["build-system"]["requires"]]
+    python = "python " + project["project"]["requires-python"]
+    assert listed - {"cmake >=3.18"} == {python, *(requirement.replace(">=", " >=") for requirement in needed)}
+
+
+PAGE = places.DOCS / "how_to" / "control.md"
+
+
+def test_the_code_on_the_page_runs(tmp_path, monkeypatch):
+    made = structured_records.plant(structured_records.STRUCTURES["all"])
+    actuator = replace(made.actuator, limits=(0.0, 250.0))
+    actuator.save(tmp_path / "model.json")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL):
+        exec(code, names)
+    compensator = names["compensator"]
+    assert compensator.clamps == (0, 0)
+    first = compensator._clone()
+    time = 1e-3 * np.arange(names["sent"].size + 1)
+    y = actuator.simulate(np.append(first.voltage, names["sent"]), time=time, state=first.state).displacement[1:]
+    plain_records.assert_close(y, names["wanted"], 1e-12 * plain_records.STROKE)
+    assert names["feedback"].believed and abs(names["feedback"].correction) < 1e-3 * plain_records.STROKE
+    repetition = names["repetition"]
+    assert repetition.believed and repetition.errors[-1] <= repetition.errors[0] < 1e-2 * plain_records.STROKE
+    assert len(names["table"].cycle) == len(names["wanted"])
+    written = []
+
+    def write(voltage):
+        if len(written) == 1:
+            written.append(None)
+            raise OSError("the converter is asleep")
+        written.append(voltage)
+
+    compensator = Compensator(actuator, (0, 200), period=1e-3)
+    device, other = names["Stage"](compensator, write), Compensator(actuator, (0, 200), period=1e-3)
+    device.set(5e-6)
+    with pytest.raises(OSError, match="asleep"):
+        device.set(9e-6)
+    device.set(6e-6)
+    assert [written[0], written[2]] == [other.step(5e-6), other.step(6e-6)]
+    assert device.read() == {"displacement": 6e-6, "voltage": written[2]}

@@ -4,15 +4,22 @@ import ast
 import inspect
 import json
 import textwrap
+from contextlib import suppress
+from types import SimpleNamespace
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from command_line import commands, sample_words
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dehyst.cli.command import run_command
+from dehyst.instruments import Samples
 from dehyst.operations import registry
 from dehyst.operations.axes import AxisNumber, limits_of, of_axes
+from dehyst.operations.bench import Steps
 from dehyst.operations.command import (
     HOUSE,
     INPUT,
@@ -138,3 +145,24 @@ def test_the_function_of_a_command_uses_each_parameter(name):
     used = {node.id for node in names if isinstance(node.ctx, ast.Load)}
     arguments = [each.arg for each in (*function.args.args, function.args.kwarg) if each is not None]
     assert [each for each in arguments if each not in used and each != "run"] == []
+
+
+@pytest.mark.parametrize("fails", [False, True])
+@given(steps=st.lists(st.lists(st.integers(1, 50), max_size=3), min_size=1, max_size=4))
+def test_a_note_begins_and_ends_each_step_and_an_error_ends_the_last_one(fails, steps):
+    notes, shown = [], [""]
+    run = SimpleNamespace(note=lambda sentence: notes.append((sentence, shown[-1])), progress=shown.append)
+    with suppress(KeyboardInterrupt), Steps(run) as listener:
+        for k, blocks in enumerate(steps):
+            listener.step(f"step {k}")
+            for size in blocks:
+                listener.samples(Samples(*np.zeros((3, size))))
+                assert "samples" in shown[-1]
+        if fails:
+            raise KeyboardInterrupt
+    sentences, beside = zip(*notes, strict=True)
+    for k, (blocks, begin, end) in enumerate(zip(steps, sentences[::2], sentences[1::2], strict=True)):
+        assert (begin, ("failed" in end)) == (f"step {k}: begins", fails and k == len(steps) - 1)
+        assert (f"{sum(blocks)} samples" in end) is bool(blocks)
+    # No note is on the line of the progress.
+    assert set(beside) == {""}

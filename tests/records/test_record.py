@@ -1,16 +1,20 @@
-"""Record: what is refused, what is measured on it, and that its turning points are the right ones."""
+"""Record: what is refused, what is measured on it, its turning points; records of several axes."""
 
 import pickle
+from dataclasses import replace
 
+import coupled_stage
 import numpy as np
 import places
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import dehyst
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._units import per_metre
 from dehyst.records import Record, read, reversals, write_record
+from dehyst.records.record import columns_of
 from dehyst.records.signals import beyond_noise, gaps, resolution, turning_points, white_noise
 
 DATA = places.DATA
@@ -356,3 +360,61 @@ def test_what_no_actuator_or_instrument_has_is_refused(column, factor, tmp_path)
         with pytest.raises(FileFormatError, match=r"got .*, need .*time"):
             read(tmp_path / "a.csv")
         assert len(read(tmp_path / "a.csv", "rate=1000")) == len(record)
+
+
+RECORD, _ = coupled_stage.excited(steps=2, cycles=3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"displacement": RECORD.displacement[:, :1]},
+        {"displacement": RECORD.displacement * np.nan},
+        {"axes": ("x",)},
+        {"axes": ("x", "x")},
+        {"time": RECORD.time[::-1]},
+        {"measured": RECORD.time > 1},
+    ],
+)
+def test_arrays_that_make_no_record_are_refused(change):
+    arrays = {"time": RECORD.time, "voltage": RECORD.voltage, "displacement": RECORD.displacement}
+    with pytest.raises(dehyst.RecordError):
+        dehyst.Record(**{**arrays, **change})
+
+
+def test_the_channels_of_a_record_have_names_units_and_roles():
+    assert [(c.name, c.unit, c.role, c.axis) for c in RECORD.channels] == [
+        ("vx", "V", "drive", "x"),
+        ("x", "m", "displacement", "x"),
+        ("vy", "V", "drive", "y"),
+        ("y", "m", "displacement", "y"),
+    ]
+    single = RECORD.axis("y")
+    assert [(c.name, c.role) for c in single.channels] == [("voltage", "drive"), ("displacement", "displacement")]
+    assert single.axes == ()
+    assert single.axis(0) is single
+    assert [*columns_of(RECORD)] == ["time_s", "vx_V", "x_um", "vy_V", "y_um"]
+
+
+def test_a_part_of_a_record_keeps_its_axes():
+    part = replace(RECORD, hold="sample")[10:200]
+    assert (part.axes, part.hold) == (RECORD.axes, part.axis(1).hold)
+    assert part.voltage.shape == part.displacement.shape == (190, 2)
+    assert np.array_equal(part.axis(1).voltage, RECORD.axis(1)[10:200].voltage)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda record: dehyst.check(dehyst.identify(RECORD.axis(0), structure="maxwell_slip").actuator, record),
+        lambda record: record.stroke,
+        lambda record: record.cycles(),
+        lambda record: record.check_usable(),
+        lambda record: record.problems(),
+        lambda record: record.axis("z"),
+        lambda record: dehyst.Record(record.time, record.voltage[:, 0], record.displacement[:, 0], axes=("x",)),
+    ],
+)
+def test_what_one_axis_has_is_not_asked_of_several(ask):
+    with pytest.raises(dehyst.RecordError, match=r"axis|axes"):
+        ask(RECORD)

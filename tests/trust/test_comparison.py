@@ -1,22 +1,27 @@
-"""Models side by side: the same figures for each, by hand where they can be; a failure is a row."""
+"""Models side by side: figures by hand where they can be, a table of two branches, models of other packages."""
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
 import plain_records
 import pytest
+from command_line import run
 
 import dehyst
-from dehyst import FileFormatError, IdentifyError, Record, RecordError
+from dehyst import FileFormatError, IdentifyError, ModelError, Record, RecordError
 from dehyst.identification import prepare
 from dehyst.identification.regressors import epochs
 from dehyst.model import AbstractModel, turned
 from dehyst.report import write_comparison
 from dehyst.trust import AbstractBaseline, ModelComparison, compare
-from dehyst.trust.baselines import Linear
-from dehyst.trust.comparison import ModelScore, Played, scored
+from dehyst.trust.baselines import Linear, TwoBranches
+from dehyst.trust.comparison import OURS, ModelScore, Played, contenders, scored
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, descending_tops
 
 PLANT = plain_records.plant()
 
@@ -244,3 +249,91 @@ def test_the_page_draws_the_models_best_first(records, tmp_path):
     assert re.findall(r"<dt>(\w+)</dt>", bars) == ["truth", "line"]
     widths = [float(width) for width in re.findall(r"width:([\d.]+)%", bars)]
     assert len(widths) == 4 and max(widths) == 100 and widths[2] > widths[3]
+
+
+VOLTS = np.linspace(0, 100, 11)
+TABLE = TwoBranches(
+    VOLTS, 1e-7 * VOLTS - 1e-8 * VOLTS * (1 - VOLTS / 100), 1e-7 * VOLTS + 1e-8 * VOLTS * (1 - VOLTS / 100)
+)
+
+
+def test_each_direction_has_its_branch_and_between_them_nothing_moves():
+    up = TABLE.simulate(VOLTS)
+    assert np.array_equal(up.displacement, TABLE.rising)
+    down = TABLE.simulate(VOLTS[::-1], state=up.state)
+    assert np.array_equal(down.displacement, TABLE.falling[::-1])
+    turn = TABLE.simulate([50.0, 49.0, 51.0])
+    assert turn.displacement[0] == turn.displacement[1] < turn.displacement[2]
+
+
+def test_the_major_loop_of_a_record_is_met():
+    plant = plain_records.plant()
+    record = plain_records.loops(plant, (0, 1, 0, 1, 0))
+    table = TwoBranches.fit(record)
+    cycle = slice(len(record) // 2, len(record))
+    error = table.simulate(record.voltage).displacement - record.displacement
+    error -= error[cycle].mean()
+    assert np.abs(error[cycle]).max() < 0.01 * plain_records.STROKE
+    line = record.displacement - plain_records.STROKE / plain_records.VOLTS * record.voltage
+    assert np.ptp(line[cycle]) > 0.05 * plain_records.STROKE
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        ([0], [0], [0]),
+        ([0, 1], [0, 1], [0, 1, 2]),
+        ([0, 0], [0, 1], [0, 1]),
+        ([0, 1], [1, 0], [1, 2]),
+        ([0, 1], [0, 1], [0, 0.5]),
+        ([0, 1], [0, np.nan], [0, 1]),
+    ],
+)
+def test_what_is_no_table_is_refused(columns):
+    with pytest.raises(ModelError):
+        TwoBranches(*columns)
+
+
+def test_records_without_both_directions_are_refused():
+    with pytest.raises(IdentifyError, match="got no records"):
+        TwoBranches.fit([])
+    u = np.linspace(0, 1, 400)
+    with pytest.raises(RecordError):
+        TwoBranches.fit(Record(u, 100 * u, 1e-5 * u, "rises"))
+
+
+FITS = """
+from dehyst.trust.baselines import Linear
+
+flat = Linear.fit
+
+def broken(records):
+    raise KeyError("slope")
+"""
+ENTRIES = "flat = rival:flat\nbroken = rival:broken\nabsent = no_such_module:fit\nlinear ratio = rival:broken"
+
+
+def test_a_library_that_is_imported_looks_for_no_entry_point():
+    code = "import sys, dehyst; assert 'importlib.metadata' not in sys.modules"
+    done = subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"], check=False)
+    assert done.returncode == 0
+
+
+def test_a_model_of_a_package_is_a_row_and_a_faulty_one_fails_alone(tmp_path, monkeypatch):
+    information = tmp_path / "rival-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: rival\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[dehyst.baselines]\n{ENTRIES}\n")
+    (tmp_path / "rival.py").write_text(FITS)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert list(contenders())[:3] == [OURS, "two branches", "linear ratio"]
+    excitation = descending_tops(100.0, steps=4, drive=Sampling(sample_rate=50.0))
+    measured = PlayActuator(highest=100.0).play(excitation.voltage)
+    dehyst.write_record(tmp_path / "a.csv", dehyst.Record(excitation.time, excitation.voltage, measured))
+    names = ("flat", "linear ratio", "broken", "absent")
+    chosen = [word for name in names for word in ("--only", name)]
+    status, out, _ = run("compare", tmp_path / "a.csv", "--json", *chosen)
+    rows = {row["model"]: row for row in json.loads(out)["models"]}
+    assert status == 0
+    assert rows["flat"]["errors"] == rows["linear ratio"]["errors"] != []
+    assert {name for name, row in rows.items() if row["said"]} == {"broken", "absent"}
