@@ -1,4 +1,4 @@
-"""Gain and offset by temperature: found where the records show them, used at other temperatures, and left out else."""
+"""Temperature, drift, noise and vibration: parts are found where records show them, and only then."""
 
 import itertools
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a record's samples tell of its origin: each fault by its own cause, and an innocent twin without any."""
+"""What a record's samples tell of its origin: each fault by its own cause, an innocent twin without any; speed."""
 
 import re
 
@@ -339,7 +339,7 @@ RNG = np.random.default_rng(3)
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.2])
 @pytest.mark.parametrize(("voltage", "speed"), [(TRIANGLE, 50.0), (SINE, 100 * np.pi)])
-def test_it_is_that_of_the_branches_whatever_the_noise(voltage, speed, noise):
+def test_the_recorded_speed_is_that_of_the_branches_whatever_the_noise(voltage, speed, noise):
     noisy = voltage + noise * RNG.normal(size=TIME.size)
     assert speed <= recorded_slew_rate([(TIME, noisy)]) <= 1.15 * speed
 

@@ -1,4 +1,4 @@
-"""The virtual bench and its rig: limits never left, samples at their times, an actuator that moves as its truth does."""
+"""The virtual bench and its rig: limits never left, samples at their times, an actuator that moves as it should."""
 
 import math
 import time
