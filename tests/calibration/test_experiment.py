@@ -1,18 +1,25 @@
-"""The experiment on a bench in a time of its own: what it finds, what it leaves on disk, how it goes on; plans."""
+"""The experiment in a time of its own: what it finds, leaves on disk, goes on from and refuses; its path, its plans."""
 
+import os
 import shutil
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calibration_listener import Heard
 from command_line import result
+from truths import AgeingActuator, AgeingCourse
+from truths.warm_rig import WarmRig
 
+import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
-from dehyst.calibration import Plan, calibrate
+from dehyst.calibration import Plan, TrackedPath, calibrate
 from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.plan import Excitations, even_rate, steps
 from dehyst.calibration.session import ProgressListener, Session
+from dehyst.calibration.tracking import PathPlanner, later_temperature
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
@@ -239,3 +246,215 @@ def test_times_that_do_not_rise_evenly_are_refused(time):
 
 def test_the_rate_is_that_of_the_times():
     assert even_rate("wave.csv", np.arange(5) / 100) == pytest.approx(100.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    time = 0.01 * np.arange(2400)
+    tops = np.interp(time, np.arange(0, 26, 2), [0, 200, 0, 200, 0, 170, 0, 140, 0, 110, 0, 80, 0])
+    record = dehyst.Record(time, tops, PlayActuator(seed=1).play(tops, time=time), name="new")
+    return dehyst.identify(record, structure="maxwell_slip").actuator
+
+
+def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):
+    """While it warms by 20 K, by an eighth of that along the path."""
+    truth = AgeingActuator(PlayActuator(seed=1), AgeingCourse(gain=-7, seconds=60, kelvins=20))
+    rig = WarmRig(truth)
+    rig._wait(30.0)
+    planner = PathPlanner(Excitations((rig.limits,), 400.0))
+    aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []
+    for trained in (model, aware):
+        homed = rig.play(planner.homing)
+        before = [homed, rig.play(planner.nominal(trained, [homed]).excitation)]
+        planned = planner.compensated(trained, before)
+        reached = rig.play(planned.excitation)
+        missed.append(TrackedPath.of(planned, reached, rig.rows(len(planned.excitation))).rms_percent)
+    assert missed[0] > 1 and missed[1] < 0.25
+
+
+def test_the_drift_of_a_temperature_goes_on_for_as_long_as_it_was_seen():
+    time, noise = 0.1 * np.arange(100), np.random.default_rng(0).normal(0, 0.05, 100)
+    warm = SimpleNamespace(thermal=0.0)
+    for drift in (0.0, 0.2):
+        degrees = 25 + drift * time + noise
+        record = dehyst.Record(time, time, time, "", others={"temperature_C": degrees})
+        expected = degrees[-5:].mean() if not drift else 25 + drift * (9.9 + np.array([0.0, 5.0, 9.9, 9.9]))
+        assert later_temperature(warm, record, [0.0, 5.0, 9.9, 500.0]) == pytest.approx(expected, abs=0.1)
+    assert later_temperature(warm, dehyst.Record(time, time, time), [0.0]) is None
+    assert later_temperature(SimpleNamespace(thermal=None), record, [0.0]) is None
+
+
+LOOK = Excitations((VoltageLimits(0, 200),), 400.0).homing()
+RECORD = "records/look.csv"
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("base") / "out"
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
+        job.record(LOOK, "look")
+    return folder
+
+
+@pytest.fixture
+def folder(base, tmp_path):
+    return shutil.copytree(base, tmp_path / "out")
+
+
+def go_on(folder, aside=None):
+    """Go on in a folder; returns whether its record was kept. `aside`: files that must be reported as moved."""
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
+        record = job.record(LOOK, "look")
+    assert len(record) == len(read(folder / RECORD)) == len(LOOK)
+    assert job.kept + job.played == ["look"]
+    assert aside is None or job.aside == aside
+    return bool(job.kept)
+
+
+# The record
+
+
+def edited(change):
+    """Change the lines of a record."""
+
+    def damage(folder):
+        lines = (folder / RECORD).read_text().splitlines(keepends=True)
+        (folder / RECORD).write_text("".join(change(lines)))
+
+    return damage
+
+
+def replaced(content):
+    return lambda folder: (folder / RECORD).write_bytes(content)
+
+
+def row(number, text):
+    """Replace a row of samples."""
+    return edited(lambda lines: [*lines[: number + 2], f"{text}\n", *lines[number + 3 :]])
+
+
+def link(target):
+    def damage(folder):
+        (folder / RECORD).unlink()
+        (folder / RECORD).symlink_to(folder / target)
+
+    return damage
+
+
+def become_a_folder(folder):
+    (folder / RECORD).unlink()
+    (folder / RECORD).mkdir()
+
+
+RECORDS = {
+    "cut off": edited(lambda lines: lines[:500]),
+    "cut off in a line": lambda folder: (folder / RECORD).write_bytes((folder / RECORD).read_bytes()[:20_000]),
+    "empty": replaced(b""),
+    "zeros": replaced(bytes(50_000)),
+    "zeros behind it": edited(lambda lines: [*lines[:500], "\0" * 4096]),
+    "text": replaced(b"no record"),
+    "a folder": become_a_folder,
+    "a dangling link": link("nowhere"),
+    "a link to itself": link(RECORD),
+    "no head": edited(lambda lines: lines[1:]),
+    "head no JSON": edited(lambda lines: ["# dehyst-record: {bad\n", *lines[1:]]),
+    "head a list": edited(lambda lines: ["# dehyst-record: [1]\n", *lines[1:]]),
+    "key of another excitation": edited(lambda lines: ['# dehyst-record: {"key": "0"}\n', *lines[1:]]),
+    "key a list": edited(lambda lines: ['# dehyst-record: {"key": [1]}\n', *lines[1:]]),
+    "NaN": row(5, "0.02,nan,1.0"),
+    "infinity": row(5, "0.02,1.0,inf"),
+    "no number": row(5, "0.02,1.0,1.0x"),
+    "time goes back": row(5, "-1.0,1.0,1.0"),
+    "a line is missing": edited(lambda lines: [*lines[:700], *lines[701:]]),
+    "no voltage": edited(lambda lines: [lines[0], lines[1].replace("voltage_V", "spare"), *lines[2:]]),
+}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_damaged_record_is_set_aside_and_played_anew(folder, name):
+    RECORDS[name](folder)
+    aside = folder / "records" / "set-aside" / "look.csv"
+    assert not go_on(folder, [aside])
+    assert os.path.lexists(aside)
+    if name.startswith("a dangling"):
+        # Nothing was written to where the link leads.
+        assert not (folder / "nowhere").exists()
+    assert go_on(folder)
+
+
+def test_nothing_that_was_set_aside_is_replaced(folder):
+    aside = folder / "records" / "set-aside"
+    aside.mkdir()
+    (aside / "look.csv").write_text("first")
+    (aside / "look-2.csv").symlink_to(folder / "nowhere")
+    RECORDS["empty"](folder)
+    assert not go_on(folder, [aside / "look-3.csv"])
+    assert (aside / "look.csv").read_text() == "first" and not (folder / "nowhere").exists()
+
+
+def test_no_right_to_read_is_no_record(folder, monkeypatch):
+    """As another user than root: its file may not be read, but moved."""
+    real = Path.open
+
+    def refuse(path, mode="r", **options):
+        if path == folder / RECORD and mode == "rb":
+            raise PermissionError(13, "Permission denied")
+        return real(path, mode, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", refuse)
+        with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
+            assert job.stored("look", LOOK) is None
+    assert go_on(folder)
+
+
+def test_an_undamaged_record_is_kept(folder, base):
+    assert go_on(folder)
+    assert (folder / RECORD).read_bytes() == (base / RECORD).read_bytes()
+
+
+def test_a_record_of_another_name_copied_over_is_not_taken(folder):
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
+        job.record(Excitations((VoltageLimits(0, 200),), 200.0).homing(), "homing")
+    shutil.copy(folder / "records" / "homing.csv", folder / RECORD)
+    assert not go_on(folder)
+
+
+def test_a_strangers_file_is_left_alone(folder):
+    path = folder / "records" / "notes.txt"
+    path.write_text("a,b\n1,2\n")
+    assert go_on(folder)
+    assert path.read_text() == "a,b\n1,2\n"
+
+
+# The folder
+
+
+def records_a_file(folder):
+    shutil.rmtree(folder / "records")
+    (folder / "records").write_text("x")
+
+
+def aside_a_file(folder):
+    (folder / "records" / "set-aside").write_text("x")
+    (folder / RECORD).write_bytes(b"")
+
+
+REFUSED = {
+    "records a file": (records_a_file, r"records: is a file where a folder is needed"),
+    "set-aside a file": (aside_a_file, r"set-aside: is a file where a folder is needed"),
+    "records of another axis": (
+        edited(lambda lines: ['# dehyst-record: {"rig": "x", "axis": "2"}\n', *lines[1:]]),
+        "axis 2",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_folder_that_cannot_be_used_is_refused_in_a_sentence(folder, name):
+    damage, message = REFUSED[name]
+    damage(folder)
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(FileFormatError, match=message):
+        go_on(folder)
+    assert sorted(folder.rglob("*")) == before
