@@ -161,8 +161,10 @@ def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
     assert (status, values["path"]) == (0, str(path)), values
     made = path.iterdir() if path.is_dir() else path.parent.iterdir()
     assert set(values["files"]) == {str(path) for path in made if path.name != "model.json"}
-    ((path if path.is_dir() else path.parent) / "notes.txt").write_text("mine")
+    notes = (path if path.is_dir() else path.parent) / "notes.txt"
+    notes.write_text("mine")
     assert exported(path.parent, PLAIN, path.name, "--force")[:2] == (0, values)
+    assert notes.read_text() == "mine"
 
 
 @pytest.mark.parametrize("suffix", TARGETS)

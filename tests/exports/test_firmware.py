@@ -192,15 +192,6 @@ def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag)
     assert "a NaN is not refused" in done.stderr
 
 
-def test_an_export_replaces_its_files_and_no_others(tmp_path):
-    compensator, folder = compiled_exports.plain(), tmp_path / "c"
-    assert export(compensator, folder) == folder
-    (folder / "notes.txt").write_text("mine")
-    export(compensator, folder, "float")
-    assert "DEHYST_REAL float" in (folder / CONFIG).read_text()
-    assert (folder / "notes.txt").read_text() == "mine"
-
-
 def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

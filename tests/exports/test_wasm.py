@@ -16,7 +16,6 @@ from node_programs import column, exported, node
 import dehyst
 from dehyst import Compensator, FileFormatError, ModelError
 from dehyst.exports import export, wasm_module
-from dehyst.exports.golden_trace import Call, golden_trace
 from dehyst.exports.naming import shipped, shipped_bytes
 from examples import at_night
 
@@ -61,6 +60,15 @@ compensator.reset();
 const kept = compensator.trajectory(wanted), ahead = compensator.simulate(kept.voltage);
 write("ran", compensator.run(wanted));
 compensator.reset();
+write("offered", wanted.map((one) => {
+    const offered = compensator.offer(one);
+    compensator.commit(offered);
+    return offered;
+}));
+compensator.commit(voltage[0]);
+compensator.commit();
+write("held", [compensator.voltage, compensator.displacement]);
+compensator.reset();
 write("played", kept.voltage.map((one) => compensator.play(one)));
 write("simulated", ahead);
 write("displacement", kept.displacement);
@@ -82,8 +90,11 @@ def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
     voltage = np.array([loop.step(each) for each in wanted.tolist()])
     assert np.array_equal(column(folder, "voltage"), voltage.view(np.uint64))
     assert counts[:3] == [*loop.clamps, 0] and counts[0] > 0
-    assert np.array_equal(column(folder, "ran"), voltage.view(np.uint64))
-    assert np.array_equal(column(folder, "path"), voltage.view(np.uint64))
+    for name in ("ran", "offered", "path"):
+        assert np.array_equal(column(folder, name), voltage.view(np.uint64)), name
+    loop.commit(float(voltage[0]))
+    loop.hold()
+    assert np.array_equal(column(folder, "held"), np.array([loop.voltage, loop.displacement]).view(np.uint64))
     assert counts[3] == loop.clamps.limited
     virtual, reached = compensator._clone("m"), []
     for sent in voltage.tolist():
@@ -140,43 +151,6 @@ def test_a_way_leads_to_a_path_within_the_slew_rate(tmp_path):
     present, steps, before, first, after = map(float, words)
     assert steps == np.floor(abs(first - present) / 0.05) and steps > 20
     assert abs(first - before) < 0.05 and before == after
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_it_replays_the_golden_trace(tmp_path, kind):
-    compensator = KINDS[kind]()
-    trace = golden_trace(compensator)
-    folder = exported(tmp_path / kind, compensator)
-    calls = {call.name: int(call) for call in Call}
-    program = (
-        f"const Call = {json.dumps(calls)};"
-        + """
-const what = read("what"), given = read("given"), compensator = new Compensator(module);
-let offered = 0, begun = false;
-const answers = {
-    [Call.STEP]: (y) => compensator.step(y),
-    [Call.OFFER]: (y) => (offered = compensator.offer(y)),
-    [Call.COMMIT]: (v) => (compensator.commit(v), compensator.displacement),
-    [Call.ACCEPT]: () => (compensator.commit(offered), compensator.displacement),
-    [Call.HOLD]: () => (compensator.commit(), compensator.displacement),
-    [Call.NONSENSE]: () => {
-        try { compensator.step(NaN); } catch (error) {
-            if (error instanceof RangeError) return compensator.commit(), compensator.voltage;
-        }
-        throw new Error("not refused");
-    },
-    [Call.SIMULATE]: (v) => {
-        if (!begun) compensator.reset();
-        begun = true;
-        return compensator.play(v);
-    },
-};
-write("answers", what.map((call, i) => answers[call](given[i])));
-"""
-    )
-    rows = trace.rows
-    node(folder, program, what=[row.what for row in rows], given=[row.given[0] for row in rows])
-    assert np.array_equal(column(folder, "answers"), np.array([row.answer[0] for row in rows]).view(np.uint64))
 
 
 def test_limits_and_slew_rate_may_be_others(tmp_path):
