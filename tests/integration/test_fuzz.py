@@ -10,6 +10,7 @@ import pytest
 import sanitized
 
 from dehyst.exports.model_header import config_header
+from examples import at_night
 
 FUZZ = places.FUZZ
 
@@ -49,21 +50,12 @@ def native(tmp_path_factory):
     return program
 
 
-def lives(program, seed, count):
-    done = subprocess.run([program, str(seed), "0", str(count)], capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("count", [2000, pytest.param(1_000_000, marks=pytest.mark.fuzz)])
+@pytest.mark.parametrize("number", ["double", at_night("float")])
+def test_random_lives_on_the_sanitized_core(native, number, count):
+    done = subprocess.run([native(number), "1", "0", str(count)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout}{done.stderr[-3000:]}"
     assert f"{count} cases" in done.stdout
-
-
-@pytest.mark.parametrize("number", ["double", pytest.param("float", marks=pytest.mark.nightly)])
-def test_random_lives_on_the_sanitized_core(native, number):
-    lives(native(number), 1, 2000)
-
-
-@pytest.mark.fuzz
-@pytest.mark.parametrize("number", ["double", "float"])
-def test_many_random_lives_on_the_sanitized_core(native, number):
-    lives(native(number), 2, 1_000_000)
 
 
 @pytest.mark.fuzz

@@ -26,7 +26,7 @@ class Card:
     def __init__(self, ranges):
         self.ranges, self.limits = ranges, (GAIN * min(ranges), GAIN * max(ranges))
         self.now, self.output, self.log = 0.0, 0.0, Extremes(0.0, 0.0)
-        self.tasks, self.clockless = [], False
+        self.tasks = []
 
     @property
     def voltage(self):
@@ -56,7 +56,7 @@ class Card:
             due = min(task.count, int((self.now - task.began) * task.rate + 1e-6) + 1)
             for k in range(task.edges, due):
                 for reader in self.tasks:
-                    if reader.running and reader.source == "/Dev1/ao/SampleClock" and not self.clockless:
+                    if reader.running and reader.source == "/Dev1/ao/SampleClock":
                         reader.take()
                 self.put(task.buffer[k])
             task.edges = max(task.edges, due)

@@ -82,20 +82,13 @@ def test_a_stroke_below_a_nucleus_is_constant():
 # By dice
 
 
-def test_mutated_files(monkeypatch):
+@pytest.mark.parametrize("count", [400, pytest.param(10_000, marks=pytest.mark.fuzz)])
+def test_mutated_files(monkeypatch, count):
     """A small share of `python tests/fuzz/files.py`."""
     monkeypatch.syspath_prepend(places.FUZZ)
     import files
 
-    found = files.attack(seed=14, count=400)
-    assert found["cases"] == 400
+    found = files.attack(seed=14, count=count)
+    assert found["cases"] == count
     assert found["findings"] == []
     assert found["counts"]["prepared"] > 20
-
-
-@pytest.mark.fuzz
-def test_ten_thousand_mutated_files(monkeypatch):
-    monkeypatch.syspath_prepend(places.FUZZ)
-    import files
-
-    assert files.attack(seed=1, count=10_000)["findings"] == []
