@@ -17,6 +17,7 @@ import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
 from dehyst.calibration import Plan, TrackedPath, calibrate
 from dehyst.calibration.experiment import _remarks
+from dehyst.calibration.following import _apart
 from dehyst.calibration.plan import Excitations, even_rate, steps
 from dehyst.calibration.session import ProgressListener, Session
 from dehyst.calibration.tracking import PathPlanner, later_temperature
@@ -141,6 +142,24 @@ def test_it_goes_on_after_an_interrupt(tmp_path):
     # The truncated file is still there, under another name.
     [aside] = (tmp_path / "records" / "set-aside").iterdir()
     assert len(read(aside)) == len(cut)
+
+
+@pytest.mark.parametrize(("most", "left"), [(0.0, 0.03), (5e-3, 0.015), (10e-3, 1e-4)])
+def test_a_delay_that_the_promise_leaves_out_counts_only_as_far(most, left):
+    time = np.linspace(0, 2, 2001)
+    wanted, reached = (np.sin(np.pi * (time - late)) for late in (0.0, 0.01))
+    error = _apart(TrackedPath(time, wanted, reached, 1.0), most)
+    assert np.abs(error).max() == pytest.approx(left, rel=0.1, abs=3e-4)
+
+
+def test_a_model_of_other_limits_is_not_replaced(tmp_path):
+    truth = PlayActuator(highest=100.0)
+    (tmp_path / "model.json").write_text("{}")
+    (tmp_path / "records").mkdir()
+    rig = SimulatedRig(truth)
+    with pytest.raises(FileFormatError, match="another calibration"):
+        calibrate(rig, tmp_path)
+    assert (tmp_path / "model.json").read_text() == "{}" and rig.instrument.axis.log.largest_step == 0.0
 
 
 def test_creep_is_seen_and_followed(creeping):

@@ -328,6 +328,25 @@ def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(answer):
     assert (np.abs(np.diff(volts)) <= 100.0 * np.diff(times) + 1e-9)[1:].all()
 
 
+@pytest.mark.parametrize("read", [None, "no number", [1.0], 1j])
+def test_a_retreat_needs_no_readback_that_is_a_number(read):
+    rig = FakeRig((0.0, 100.0))
+    rig.set_voltage(90.0)
+    rig._read_voltage = lambda: read
+    assert rig.retreat() == rig.instrument.voltage == 0.0
+    with pytest.raises(DeviceError, match="need a number"):
+        rig.set_voltage(90.0)
+
+
+def test_the_first_step_of_a_loop_comes_a_period_after_the_ramp():
+    rig = FakeRig((0.0, 100.0), slew_rate=100.0)
+    put, sent = rig._put, []
+    rig._put = lambda voltage: (sent.append((rig._now(), voltage)), put(voltage))
+    rig.play(Excitation("loop", np.linspace(20, 30, 101), 1000.0), step=lambda _: 100.0)
+    time, volts = np.array(sent).T
+    assert (np.abs(np.diff(volts)) <= 100.0 * np.diff(time) + 1e-9).all()
+
+
 def test_a_retreat_goes_on_though_every_command_is_complained_of():
     rig = FakeRig((0.0, 100.0))
     rig.set_voltage(90.0)

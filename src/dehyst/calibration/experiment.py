@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dehyst._errors import FileFormatError
 from dehyst._io import PathLike
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
@@ -133,7 +134,12 @@ def calibrate(
 def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> Calibration:
     """Record and identify, then play a path with a constant ratio and with the model."""
     excitations, several = plan.excitations(rig), len(rig.axes) > 1
-    whole = excitations.recommended()
+    whole, model = excitations.recommended(), session.folder / (STAGE_RESULT if several else RESULT)
+    if model.exists() and session.stored(whole.name, whole) is None:
+        raise FileFormatError(
+            f"{model}: is of another calibration, by other limits or another frequency; give another folder with -o, "
+            "or move this model away; nothing was sent"
+        )
     training = session.record(whole, whole.name)
     fit, insight_ = _identified(rig, training, listener)
     planner = PathPlanner(excitations)

@@ -43,6 +43,15 @@ def closed_path(wanted: Array) -> Array:
     return np.vstack([wanted, wanted[-1] + way[:, None] * gap])
 
 
+def _apart(path: TrackedPath, most: float) -> Array:
+    """Return the error (n,) [m] without its mean and a constant delay of `most` seconds, early or late."""
+    error = path.error - path.error.mean()
+    speed = np.gradient(path.wanted, path.time) if most and path.time.size > 1 else np.zeros(error.size)
+    speed -= speed.mean()
+    delay = -float(speed @ error) / max(float(speed @ speed), 1e-300)
+    return np.asarray(error + float(np.clip(delay, -most, most)) * speed)
+
+
 @dataclass(eq=False)
 class FollowedPath:
     """A path `wanted` (n, axes) [m] at a `rate` [Hz] on a `rig` by a `model`, within `bounds` of each axis.
@@ -78,11 +87,10 @@ class FollowedPath:
 
     @property
     def kept(self) -> list[bool | None]:
-        """Whether the promise of each axis is kept, apart from a constant offset and the sensor's noise."""
-        apart = [path.error - path.error.mean() for path in self.best.each]
+        """Whether the promise of each axis is kept, apart from what it leaves out and the sensor's noise."""
         return [
-            None if promise is None else promise.missed_by(*beyond_noise(error, noise)) <= 1
-            for promise, error, noise in zip(self.promises, apart, self.noise, strict=True)
+            None if promise is None else promise.missed_by(*beyond_noise(_apart(path, promise.delay), noise)) <= 1
+            for promise, path, noise in zip(self.promises, self.best.each, self.noise, strict=True)
         ]
 
     def follow(self, path: Path, *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:

@@ -397,7 +397,12 @@ class AbstractRig(ABC):
     def _voltage_read(self) -> float:
         """Return the voltage that is read [V]; raise `RigError` if it cannot be read."""
         with driver_errors(self.name, "_read_voltage"):
-            voltage = self._read_voltage()
+            read: Any = self._read_voltage()
+        try:
+            voltage = float(read)
+        except (TypeError, ValueError) as error:
+            need = "need a number; check the rig's _read_voltage"
+            raise DeviceError(f"{self.name}: read a voltage of {read!r}, {need}") from error
         if not math.isfinite(voltage):
             raise DeviceError(f"{self.name}: read a voltage of {voltage} V, need a finite one; check the device")
         return voltage

@@ -271,6 +271,9 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
     after the first.
     """
     period, readings, yielded, read = 1 / rate, [], rig._now(), None
+    if step is not None:
+        # A ramp has just taken its last step, and the first voltage is another.
+        rig._wait(period)
     for k in range(len(voltage)):
         if step is not None:
             voltage[k] = rig.limits.towards(step(read), float(voltage[max(k - 1, 0)]), period)
