@@ -15,14 +15,14 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1049,
+    "calibration": 1063,
     "cli": 387,
     "control": 3522,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1330,
     "identification": 5808,
-    "instruments": 2434,
+    "instruments": 2442,
     "model": 3474,
     "operations": 2973,
     "paper": 958,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2200,
 }
 HOUSE = {
-    "lines of Python": 36411,
+    "lines of Python": 36433,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 32668,
+    "lines of tests": 32706,
     "lines of benchmarks": 4946,
     "words of docs": 27390,
     "public names": 111,
