@@ -104,13 +104,13 @@ def _groups(words: _Words, size: int, most: int) -> list[_Words]:
 class ControllerAxis:
     """One axis: its name, its `bench`, the limits [V] it `reported`, and its wave generator.
 
-    `table`: the generator's wave table (0: none). `cycles`, `divider`, `interpolation`: its other settings. `monitor`:
-    function that returns the voltage that is read [V] of the one that is put out.
+    `table`: the generator's wave table (0: none). `cycles`, `divider`: its other settings. `monitor`: function that
+    returns the voltage that is read [V] of the one that is put out.
     """
 
     def __init__(self, name: str, bench: BenchAxis, reported: _Limits) -> None:
         self.name, self.bench, self.reported = name, bench, reported
-        self.table, self.cycles, self.divider, self.interpolation = 0, 0, 1, 1
+        self.table, self.cycles, self.divider = 0, 0, 1
         self.monitor: Callable[[float], float] = float
 
 
@@ -294,17 +294,14 @@ def _repeat_waves(controller: Controller, words: _Words) -> None:
 
 def _slow_waves(controller: Controller, words: _Words) -> None:
     """Do WTR {generator divider interpolation}; generator 0 is all of them."""
-    given = [
-        (
-            [controller.generator(number)] if _whole(number) else controller.axes,
-            _whole(rate, 1, _MOST),
-            _whole(kind, 0, 1),
-        )
-        for number, rate, kind in _groups(words, 3, len(controller.axes))
-    ]
-    for axes, divider, interpolation in given:
+    given = []
+    for number, rate, kind in _groups(words, 3, len(controller.axes)):
+        axes = [controller.generator(number)] if _whole(number) else controller.axes
+        given.append((axes, _whole(rate, 1, _MOST)))
+        _whole(kind, 0, 1)
+    for axes, divider in given:
         for axis in axes:
-            axis.divider, axis.interpolation = divider, interpolation
+            axis.divider = divider
 
 
 def _run_waves(controller: Controller, words: _Words) -> None:
@@ -467,7 +464,6 @@ COMMANDS: dict[str, GcsCommand] = {
     "SVA": _to_axes("Set open-loop value {axis voltage}", _set_voltage),
     "SVO": _to_axes("Set servo mode {axis state}", _set_servo),
     "SVO?": _of_axes("Get servo mode", lambda axis: int(axis.bench.servo)),
-    "TIM?": GcsCommand("Get timer value in ms", lambda c, _: [_numeral(1e3 * c.instrument.now)]),
     "TNR?": GcsCommand("Get number of record tables", lambda c, _: [str(len(c.records))]),
     "VMA?": _of_axes("Get highest voltage", lambda axis: axis.reported[1]),
     "VMI?": _of_axes("Get lowest voltage", lambda axis: axis.reported[0]),
