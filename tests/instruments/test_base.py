@@ -13,7 +13,7 @@ from fake_rig import FakeRig
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst._errors import RecordError
+from dehyst._errors import RecordError, Terminated
 from dehyst.calibration.plan import Plan, steps
 from dehyst.control import ClampWarning
 from dehyst.instruments import AbstractRig, DeviceError, LinkError, Reading, RigError, Samples, SensorError
@@ -612,6 +612,19 @@ def test_a_handler_that_only_takes_note_stops_nothing(monkeypatch):
     finally:
         signal.signal(signal.SIGTERM, before)
     assert noted == [signal.SIGTERM] * 2
+
+
+@POSIX
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP])
+def test_every_signal_that_ends_a_program_brings_the_voltage_back(number):
+    rig, before = FakeRig((0.0, 100.0)), signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(Terminated) as caught:
+            rig.play(UP, lambda _: interrupt(number))
+    finally:
+        signal.signal(number, before)
+    assert caught.value.code == 128 + number and caught.value.__notes__ == [BROUGHT]
+    assert rig.instrument.voltage == 0.0
 
 
 @POSIX

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: the first signal stops the wave, later ones wait until the voltage is safe."""
+"""Ctrl-C, Ctrl-\\, SIGTERM and SIGHUP: the first signal stops the wave, later ones wait until the voltage is safe."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Self
 
 from dehyst._errors import Terminated
 
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGQUIT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Shield:

@@ -110,6 +110,11 @@ def calibrate(
         if dry_run:
             return _planned(instrument, plan)
         calibration = _calibrated(run, instrument, output, plan)
+        try:
+            instrument.close()
+        except RigError as error:
+            # The voltage is at its safe value, and the results are written.
+            run.note(str(error))
     warnings: Sequence[str] = calibration.warnings()
     if kept := calibration.kept:
         played = f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}"
