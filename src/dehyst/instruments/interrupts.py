@@ -1,4 +1,4 @@
-"""Ctrl-C, Ctrl-\\, SIGTERM and SIGHUP: the first signal stops the wave, later ones wait until the voltage is safe."""
+"""Ctrl-C, SIGQUIT, SIGTERM and SIGHUP: the first signal stops the wave, later ones wait until the voltage is safe."""
 
 from __future__ import annotations
 
