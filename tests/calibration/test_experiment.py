@@ -16,7 +16,7 @@ from truths.warm_rig import WarmRig
 import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
 from dehyst.calibration import Plan, TrackedPath, calibrate
-from dehyst.calibration.experiment import _remarks
+from dehyst.calibration.experiment import _remarks, _slower
 from dehyst.calibration.following import _apart
 from dehyst.calibration.plan import Excitations, even_rate, steps
 from dehyst.calibration.session import ProgressListener, Session
@@ -150,6 +150,13 @@ def test_a_delay_that_the_promise_leaves_out_counts_only_as_far(most, left):
     wanted, reached = (np.sin(np.pi * (time - late)) for late in (0.0, 0.01))
     error = _apart(TrackedPath(time, wanted, reached, 1.0), most)
     assert np.abs(error).max() == pytest.approx(left, rel=0.1, abs=3e-4)
+
+
+def test_a_rig_that_takes_longer_than_planned_is_remarked():
+    planned = raised_cosine([100.0])
+    for slower, remarks in ((1.0, 0), (10.0, 1)):
+        record = Record(slower * planned.time, planned.voltage, 1e-7 * planned.voltage)
+        assert len([*_slower(record, planned)]) == remarks
 
 
 UNCLOSED = """

@@ -21,11 +21,14 @@ from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
 from dehyst.records import Record, guesses
 from dehyst.trust import Insight, Recheck, check, insight
+from dehyst.waveforms import Excitation
 
 # The model, next to the folder of records: of one axis, and of several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
 # A change of the temperature [K], and changes in the check of the last record, that are remarked.
 _WARMS, _DRIFTS = 0.5, {"gain", "zero", "drift"}
+# A record that takes so many times as long as its excitation is remarked.
+_LONGER = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +169,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         compensated=TrackedPath.of(modelled, after, rig.rows(len(modelled.excitation))),
         checked=checked,
         goal=plan.goal,
-        remarks=(*modelled.warnings, *_remarks(session.sequence, checked)),
+        remarks=(*modelled.warnings, *_slower(training, whole), *_remarks(session.sequence, checked)),
         instrument={
             "rig": rig.identity,
             **({"axes": list(rig.axes)} if several else {"axis": rig.axis}),
@@ -191,6 +194,14 @@ def _identified(
     listener.message("assessing what the record determines")
     fit = replace(fit, actuator=replace(fit.actuator, name=f"{rig.identity}, axis {rig.axis}"))
     return fit, insight(fit.actuator, [training], limits=(rig.limits.low, rig.limits.high))
+
+
+def _slower(record: Record, planned: Excitation) -> Iterator[str]:
+    """Remark a rig that took longer than was planned."""
+    factor = float(np.ptp(record.time)) / planned.duration
+    if factor > _LONGER:
+        words = "the model is of that speed. Use a faster link, or a lower --frequency"
+        yield f"The rig took {factor:.3g} times as long as planned for '{planned.name}': {words}."
 
 
 def _remarks(records: Sequence[Record], checked: Sequence[Recheck]) -> Iterator[str]:
