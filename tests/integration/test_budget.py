@@ -15,7 +15,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1063,
+    "calibration": 1074,
     "cli": 387,
     "control": 3522,
     "exports": 1265,
@@ -36,11 +36,11 @@ ROOMS = {
     "workbench": 2200,
 }
 HOUSE = {
-    "lines of Python": 36438,
+    "lines of Python": 36449,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 32737,
+    "lines of tests": 32744,
     "lines of benchmarks": 4946,
     "words of docs": 27391,
     "public names": 111,
