@@ -71,7 +71,6 @@ write("held", [compensator.voltage, compensator.displacement]);
 compensator.reset();
 write("played", kept.voltage.map((one) => compensator.play(one)));
 write("simulated", ahead);
-write("displacement", kept.displacement);
 write("path", kept.voltage);
 console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).length);
 """

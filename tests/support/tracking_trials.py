@@ -1,4 +1,4 @@
-"""Truths that are no model of ours: their records for identification, and how well a model makes them follow a path."""
+"""Voltages through turning points, for records of which every branch is half a cosine."""
 
 from itertools import pairwise
 
