@@ -13,7 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._native import Bank as Loops
 from dehyst._text import counted
 from dehyst._types import Array
-from dehyst._validation import FARTHEST, for_each, matrix
+from dehyst._validation import FARTHEST, for_each, matrix, vector
 from dehyst.control.axis import Axis, axes_of, restore_all
 from dehyst.control.limits import Clamps, ClampWarning
 from dehyst.model import Actuator, State
@@ -89,7 +89,8 @@ class Bank:
 
         Raise `ModelError` and warn `ClampWarning` as `run`; a displacement outside of the reach is clamped.
         """
-        row, result = np.asarray(displacement), np.empty(len(self))
+        given, result = displacement, np.empty(len(self))
+        row = given if isinstance(given, np.ndarray) else vector(given, "displacement")
         plain = row.shape == result.shape and row.dtype == np.float64 and row.flags.c_contiguous
         # It sends nothing if a displacement is refused or a voltage clamped.
         if not plain or not self._loops.step(row, result):
