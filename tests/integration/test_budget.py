@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1074,
     "cli": 387,
-    "control": 3522,
+    "control": 3523,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1330,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2200,
 }
 HOUSE = {
-    "lines of Python": 36449,
+    "lines of Python": 36450,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
