@@ -5,8 +5,9 @@ import json
 
 import pytest
 
-from dehyst import Actuator, DehystError, FileFormatError, MaxwellSlip, Spring, Thermal
+from dehyst import Actuator, DehystError, DisplacementCreep, FileFormatError, MaxwellSlip, ModelError, Spring, Thermal
 from dehyst.operations.command import context_of, given_in
+from dehyst.operations.run import Run, perform
 from dehyst.workbench.data import RequestError, wasm, written_path
 from dehyst.workbench.entries import ModelEntry
 from dehyst.workbench.folder import Folder
@@ -27,13 +28,7 @@ SHOWN = {
     "problems": ["The record is short."],
 }
 PROMISE = {"largest_percent": 0.5, "rms_percent": 0.1, "largest_m": 5e-8, "apart": "apart from a constant offset"}
-VERDICT = {
-    "readiness": "READY",
-    "promise": PROMISE,
-    "basis": "validation records",
-    "goal_percent": 1.0,
-    "reasons": [],
-}
+VERDICT = {"readiness": "READY", "promise": PROMISE, "basis": "validation records", "goal_percent": 1.0, "reasons": []}
 FIT = {"verdict": VERDICT, "remarks": []}
 
 
@@ -279,6 +274,25 @@ async def test_the_path_of_a_scan_is_written_before_its_voltage(stage):
 
 
 @played
+async def test_an_export_has_the_period_that_is_given_and_a_missing_one_is_asked_for_by_its_field(stage):
+    entry = await stage.model(Finished(FIT))
+    stage.session.export(entry.id, {"kind": "c", "period": 0.002})
+    await stage.next(Finished({}))
+    assert stage.given["period"] == 0.002
+    file, creep = stage.session.folder.path / entry.file, DisplacementCreep([1.0], [0.01])
+    Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), displacement_creep=creep, limits=(0, 100)).save(file)
+    entry.fill_ranges(file)
+    assert entry.timed
+    stage.session.export(entry.id, {"kind": "fmu"})
+    with pytest.raises(ModelError, match="period") as refused:
+        perform(context_of(["export", str(file), str(file.with_name("x.fmu"))]), Run())
+    await stage.next(Finished(error=refused.value.as_dict()))
+    assert "give Samples a second (Hz)" in stage.session.state()["jobs"][-1]["error"]
+    with pytest.raises(RequestError, match="a number"):
+        stage.session.export(entry.id, {"kind": "c", "period": "fast"})
+
+
+@played
 async def test_what_an_operation_refuses_is_not_begun(stage):
     entry = await stage.model(Finished(FIT))
     begun = len(stage.session.jobs.entries)
@@ -314,10 +328,8 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
 
 @played
 async def test_a_record_of_several_axes_is_identified_and_followed(stage):
-    parts = {
-        "x": {**SHOWN, "problems": []},
-        "y": {**SHOWN, "voltage_V": [-5, 120], "usable": False, "problems": ["short"]},
-    }
+    second = {**SHOWN, "voltage_V": [-5, 120], "usable": False, "problems": ["short"]}
+    parts = {"x": {**SHOWN, "problems": []}, "y": second}
     entry = stage.session.add_record("uploads/two.csv", "two.csv")
     await stage.next(Finished(parts))
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
@@ -385,12 +397,8 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
     )
     await stage.next(Finished({"used": True, "sentence": "Updated: ...", **numbers}))
     made = list(stage.session.models.values())[-1]
-    assert (made.status, made.verdict["readiness"], made.verdict["largest_um"]) == (
-        "ready",
-        "READY",
-        pytest.approx(0.04),
-    )
-    assert made.verdict["apart"] == late["apart"]
+    assert (made.status, made.verdict["readiness"], made.verdict["apart"]) == ("ready", "READY", late["apart"])
+    assert made.verdict["largest_um"] == pytest.approx(0.04)
     assert (made.check, made.range_v, made.report) == (None, [0.0, 100.0], model.report)
     assert model.name in made.origin
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dehyst.model import slew_rate_of_records, voltages_of
+from dehyst.model import needs_time, slew_rate_of_records, voltages_of
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.run import Run
 from dehyst.workbench.jobs import Finished
@@ -77,7 +77,7 @@ class ModelEntry:
     `origin`: a sentence on where an updated model comes from, which has no `seconds`. `check`: the last check by a new
     record. `axes`: one entry for each of several coupled axes: name, range_v, range_um and slew_v_per_s; the model's
     own ranges cover all axes, and its verdict is the verdict of the worst axis. `coupling`: the matrix, and each
-    verdict.
+    verdict. `fastest_v_per_s`: mean speed of the fastest branch of its records. `timed`: an export needs a period.
     """
 
     id: str
@@ -98,6 +98,8 @@ class ModelEntry:
     range_v: list[float] = field(default_factory=list)
     range_um: list[float] = field(default_factory=list)
     slew_v_per_s: float | None = None
+    fastest_v_per_s: float | None = None
+    timed: bool = True
     insight: dict[str, Any] | None = None
     origin: str = ""
     check: dict[str, Any] | None = None
@@ -142,6 +144,9 @@ class ModelEntry:
         for name in ("range_v", "range_um"):
             setattr(self, name, [min(axis[name][0] for axis in each), max(axis[name][1] for axis in each)])
         self.slew_v_per_s = min((axis["slew_v_per_s"] for axis in each if axis["slew_v_per_s"]), default=None)
+        tested = [own.identification.validity for own in known.actuators if own.identification]
+        self.fastest_v_per_s = min((v.speeds[1] for v in tested if v and v.speeds[1]), default=self.slew_v_per_s)
+        self.timed = any(map(needs_time, known.actuators)) or any(known.slews(())[0])
 
 
 def verdict_of(

@@ -76,6 +76,12 @@ FORMS: dict[str, Form] = {
         "slew": _SLEW,
         "rate": {"label": "Samples a second", "unit": "Hz", "value": "1000", "above": 0},
     },
+    "export": {
+        "rate": {
+            **{"label": "Samples a second", "unit": "Hz", "placeholder": "any", "optional": True, "above": 0},
+            "hint": "A model with creep, inertia, a lag or a slew rate needs it.",
+        },
+    },
     "check": {"record": {"label": "New record"}},
 }
 # Kinds of exports: title, text and, of a file, its suffix.

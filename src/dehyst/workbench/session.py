@@ -110,7 +110,6 @@ class WorkbenchSession:
         file = self.folder.new(places.EXCITATIONS, f"{low:g}-to-{high:g}-V", ".csv")
         given = {"base": low, "present": min(max(0.0, low), high), "limits": (low, high), "output": file}
         given |= {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
-        step = words_of("excite recommended", str(high), **given)
         entry = ExcitationEntry(self._id("e"), Path(file).stem, file)
 
         def done(finished: Finished) -> None:
@@ -118,7 +117,7 @@ class WorkbenchSession:
                 entry.fill(finished.result)
                 self.excitations[entry.id] = entry
 
-        return self.jobs.start("excite", "", [step], done)
+        return self.jobs.start("excite", "", [words_of("excite recommended", str(high), **given)], done)
 
     def add_record(self, source: str, name: str) -> RecordEntry:
         """Read a file, `source` relative to the folder, as a record."""
@@ -218,15 +217,14 @@ class WorkbenchSession:
         files, read = [record.file for record in known], known[0].reading if known else {}
         if not files:
             raise SessionError(f"{entry.name}: its training records were deleted; identify again")
-
         report = self.folder.new(places.REPORTS, f"{Path(entry.file).stem}-insight", ".html")
 
         def done(finished: Finished) -> None:
             if finished.result is not None:
                 entry.insight = {"report": report}
 
-        step = words_of("insight", entry.file, *files, report=report, **read)
-        return self.jobs.start("insight", entry.id, [step], done)
+        words = words_of("insight", entry.file, *files, report=report, **read)
+        return self.jobs.start("insight", entry.id, [words], done)
 
     def check(self, key: str, request: Mapping[str, Any]) -> str:
         """Check whether a model is still true by a `record`; return the job."""
@@ -248,8 +246,7 @@ class WorkbenchSession:
             if model.coupling:
                 model.check["why"] += found["changes"]
 
-        step = words_of("check", model.file, record.file, **record.reading)
-        return self.jobs.start("check", model.id, [step], done)
+        return self.jobs.start("check", model.id, [words_of("check", model.file, record.file, **record.reading)], done)
 
     def update(self, key: str, request: Mapping[str, Any]) -> str:
         """Update a model from a `record`, and list the new one if it is better; return the job."""
@@ -305,14 +302,19 @@ class WorkbenchSession:
         return self.jobs.start("compensate", entry.id, steps, done)
 
     def export(self, key: str, request: Mapping[str, Any]) -> str:
-        """Export a model as a `kind`: c, fmu or wasm; return the job."""
+        """Export a model as a `kind`: c, fmu or wasm, with a `period` [s] or none; return the job."""
         model, kind = self.model(key, ready=True), str(request.get("kind", ""))
         if kind not in EXPORTS:
             raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
         name, suffix = Path(model.file).stem, EXPORTS[kind][-1]
         target = self.folder.new(places.EXPORTS, name if suffix else f"{name}-c", suffix)
-        step = words_of("export", model.file, target)
-        return self.jobs.start("export", model.id, [step], lambda _: None)
+        period = None if request.get("period") is None else number_of(request["period"], "period")
+
+        def done(finished: Finished) -> None:
+            if period is None and "period" in finished.error.get("change", ()):
+                raise SessionError(f"{model.name}: depends on time; give Samples a second (Hz)")
+
+        return self.jobs.start("export", model.id, [words_of("export", model.file, target, period=period)], done)
 
     def cancel(self, job: str) -> None:
         """End a job without a result."""

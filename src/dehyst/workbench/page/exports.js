@@ -1,9 +1,15 @@
 // The fourth step: the model in other forms, all files of the folder, and the session as a script.
 import { DECLARED } from "./declared.js";
 import { byId, h, table } from "./dom.js";
+import { Form } from "./forms.js";
 import { bytes } from "./numbers.js";
+import { suggestedRate } from "./path_step.js";
 import { button, openJobs, problem, workOn } from "./server.js";
 import { fileLink, jobCards, modelChoice } from "./verdict.js";
+
+const form = new Form("export", DECLARED.forms.export);
+const period = () => (form.value("rate") ? 1 / form.value("rate") : null);
+let suggested; // the model whose rate was filled in
 
 export function exportView({ files, log }, model) {
   const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
@@ -18,29 +24,30 @@ export function exportView({ files, log }, model) {
 }
 
 function exportsOf(model) {
+  if (suggested !== model.id) form.values.rate = model.timed ? suggestedRate(model) : "";
+  suggested = model.id;
   // Coupled axes are exported as C alone.
   const kinds = Object.entries(DECLARED.exports).filter(([kind]) => kind === "c" || !model.coupling);
   const cards = kinds.map(([kind, [title, text]]) => {
     const about = { class: "main", "aria-label": `Export ${title}` };
-    const work = () => workOn(model.id, "export", { kind }, "The export has begun.");
+    const work = () => workOn(model.id, "export", { kind, period: period() }, "The export has begun.");
     const act = button("Export", `export ${kind}`, work, about);
     return h("li.card", h("h3", title), h("p", text), problem(`export ${kind}`), act);
   });
   return h("div#export-body", { key: "body" },
     modelChoice(),
+    form.row(["rate"], "kinds"),
     h("ul.kinds", cards, h("li.card", modelLinks(model))),
     h("ul#export-jobs.cards", jobCards(openJobs("export", model.id))),
   );
 }
 
 function modelLinks({ file, report }) {
+  const look = { class: "button main" };
   return [
     h("h3", "Model and report"),
     h("p", "The model as JSON, for Python and the command line; the report as one page that needs no server."),
-    h("p.row",
-      fileLink(file, "Model (JSON)", { class: "button main" }),
-      report && fileLink(report, "Report (HTML)", { class: "button main" }),
-    ),
+    h("p.row", fileLink(file, "Model (JSON)", look), report && fileLink(report, "Report (HTML)", look)),
   ];
 }
 
