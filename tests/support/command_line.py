@@ -77,14 +77,8 @@ def _text(argument):
 
 def run_as_process(*arguments, cwd=None, **options):
     """Status, standard output and standard error of a command as a process, which must not end in a traceback."""
-    given = {
-        "stdout": subprocess.PIPE,
-        "stderr": subprocess.PIPE,
-        "stdin": subprocess.DEVNULL,
-        "timeout": 120,
-        **options,
-    }
-    done = subprocess.run([*DEHYST, *map(os.fspath, arguments)], cwd=cwd, check=False, **given)
+    given = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL, "timeout": 120}
+    done = subprocess.run([*DEHYST, *map(os.fspath, arguments)], cwd=cwd, check=False, **given | options)
     err = (done.stderr or b"").decode()
     assert "Traceback" not in err and "Exception ignored" not in err, err
     return done.returncode, (done.stdout or b"").decode(), err

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from command_line import DEHYST
+from command_line import run_as_process
 from workbench_client import done, entry, held, served, until, upload, workers
 
 from dehyst import Actuator, read
@@ -69,6 +69,7 @@ def test_a_model_has_a_verdict_and_a_range(visited):
     assert (model["status"], model["verdict"]["readiness"]) == ("ready", "READY")
     assert model["verdict"]["largest_percent"] < 1
     actuator = Actuator.load(folder / model["file"])
+    assert not model["timed"] and model["fastest_v_per_s"] == actuator.identification.validity.speeds[1]
     assert model["range_v"] == list(voltages_of(actuator))
     assert model["range_um"] == [1e6 * end for end in actuator.reach]
 
@@ -128,14 +129,8 @@ def test_the_script_makes_the_same_files_again(visited, tmp_path):
     program.parent.mkdir()
     program.write_text(f"#!/bin/sh\nexec {sys.executable} -c 'from dehyst.cli import main; main()' \"$@\"\n")
     program.chmod(0o755)
-    ended = subprocess.run(
-        ["sh", "commands.sh"],
-        cwd=tmp_path / "again",
-        env=os.environ | {"PATH": f"{program.parent}:/usr/bin:/bin"},
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    own = {"cwd": tmp_path / "again", "env": os.environ | {"PATH": f"{program.parent}:/usr/bin:/bin"}}
+    ended = subprocess.run(["sh", "commands.sh"], **own, check=False, capture_output=True, text=True)
     assert ended.returncode in (0, 1), ended.stderr
     for file in state["files"]:
         if file["kind"] in ("record", "voltage") or file["path"] == "models/my-stage.json":
@@ -159,23 +154,14 @@ def test_everything_is_there_after_a_kill_and_a_new_start(tmp_path, loops):
 
 
 def test_two_workbenches_do_not_share_a_folder(bench):
-    second = subprocess.run(
-        [*DEHYST, "workbench", str(bench.folder), "--no-browser", "--port", "0"],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert second.returncode == 2
-    assert "workbench uses" in second.stderr
+    status, _, err = run_as_process("workbench", bench.folder, "--no-browser", "--port", "0")
+    assert status == 2 and "workbench uses" in err
 
 
 def test_a_folder_with_other_files_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    ended = subprocess.run(
-        [*DEHYST, "workbench", str(tmp_path), "--no-browser"], check=False, capture_output=True, text=True
-    )
-    assert ended.returncode == 2
-    assert "files (thesis.tex)" in ended.stderr
+    status, _, err = run_as_process("workbench", tmp_path, "--no-browser")
+    assert status == 2 and "files (thesis.tex)" in err
 
 
 @pytest.mark.nightly

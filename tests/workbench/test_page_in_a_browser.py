@@ -140,6 +140,13 @@ def test_what_cannot_be_reached_is_said_at_once(journey):
     sync_api.expect(page.locator("#plan-words .first")).to_contain_text("has no voltage yet")
     high.fill("100")
     page.wait_for_selector("#plan-words:not(.red)")
+    frequency = page.locator("#scan-frequency")
+    usual = frequency.input_value()
+    frequency.fill("40")
+    sync_api.expect(page.locator("#plan-words.amber")).to_contain_text("no record is that fast")
+    assert "%" not in page.inner_text("#plan-words .first")
+    frequency.fill(usual)
+    sync_api.expect(page.locator("#plan-words .first")).to_contain_text("of the stroke")
 
 
 def test_a_bad_file_brings_the_form_that_mends_it(journey, loops, tmp_path):

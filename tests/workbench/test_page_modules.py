@@ -9,6 +9,7 @@ import numpy as np
 import places
 import pytest
 
+from dehyst.model.branches import branches_of, paces_of
 from dehyst.web import files
 
 FOLDERS = places.SOURCES / "web", places.SOURCES / "workbench" / "page"
@@ -16,10 +17,11 @@ HEAD = """
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { before, nearest, pixels, steps } from "./thinning.js";
-import { inserted, moved, removed, sampled } from "./path.js";
+import { fastestBranch, inserted, moved, removed, sampled } from "./path.js";
 globalThis.document = { getElementById: () => null, createElement: () => ({}) };
 globalThis.window = { addEventListener() {} };
 const { column } = await import("./report.js");
+const { judged, TOO_FAST } = await import("./path_figures.js");
 import { bytes, duration, extent, length, parsed, percent, plain, range, roundDown, short } from "./numbers.js";
 import { limitsFrom, numberFrom, ticks, whole } from "./numbers.js";
 const floats = (name) => {
@@ -153,6 +155,28 @@ def test_a_path_through_points_is_sampled_as_the_server_does(run):
     time = np.arange(1001) / 1000
     assert got[0] == pytest.approx(time)
     assert got[1] == pytest.approx(np.interp(time, *np.array(points).T), abs=1e-12)
+
+
+def test_the_fastest_branch_of_a_voltage_is_that_of_a_promise(run):
+    time, random = np.arange(20_000) / 1000, np.random.default_rng(1)
+    triangle = 200 * np.abs((2 * time + 0.5) % 1 - 0.5)
+    stairs = np.interp(time, np.arange(0, 20, 0.05), np.repeat(random.uniform(0, 100, 200), 2))
+    noisy = triangle + random.normal(0, 0.2, time.size)
+    for values in (50 - 50 * np.cos(20 * time), noisy, stairs, 90 - 4 * time):
+        voltage = values.astype("<f4").astype(float)
+        known = paces_of(time, voltage, branches_of(voltage, 100))[:, 0].max()
+        assert run('print(1000 * fastestBranch(floats("v"), 2));', v=voltage) == pytest.approx(known, rel=1e-6)
+
+
+def test_a_path_without_a_promise_has_no_number(run):
+    run("""
+        const planned = { voltage: [0, 50], steepest: 9, missed: 0, clamps: { limited: 0, slewed: 0 } };
+        const known = { largest_percent: 0.56, why: TOO_FAST, speed: "" };
+        const said = (band) => JSON.stringify(judged(planned, { ...known, band }));
+        assert.match(said(0.1), /within 100 nm \\(0.56 %/);
+        assert.doesNotMatch(said(0), /within|%/);
+        assert.match(said(0), /no record is that fast. The written file has its own/);
+    """)
 
 
 def test_points_stay_in_their_order(run):

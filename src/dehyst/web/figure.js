@@ -85,9 +85,7 @@ export class Figure {
       );
     return [
       ...[...named].map((entry) => h("li", { key: entry[0] }, button(entry))),
-      ...notes.map(([colour, text]) =>
-        h("li.note", { key: `note ${text}` }, colour && swatch(colour), text),
-      ),
+      ...notes.map(([colour, text]) => h("li.note", { key: `note ${text}` }, colour && swatch(colour), text)),
     ];
   }
 }

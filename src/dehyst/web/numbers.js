@@ -93,9 +93,8 @@ export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return DASH;
   if (seconds < 100) return `${short(seconds)} s`;
-  const minutes = Math.floor(seconds / 60);
-  const rest = Math.round(seconds - 60 * minutes);
-  return rest === 60 ? `${minutes + 1} min 0 s` : `${minutes} min ${rest} s`;
+  const rounded = Math.round(seconds);
+  return `${Math.floor(rounded / 60)} min ${rounded % 60} s`;
 }
 
 export function bytes(count) {

@@ -61,6 +61,29 @@ export function plan(compensator, wanted) {
   };
 }
 
+// The largest mean speed of a rise or a fall (V a sample), as the records of a model count it; turns of less than `band`
+// volts do not count.
+export function fastestBranch(voltage, band) {
+  let [most, begin, end] = [0, 0, 0];
+  for (let i = 1; i <= voltage.length; i += 1) {
+    const way = Math.sign(voltage[end] - voltage[begin]);
+    const back = i < voltage.length ? way * (voltage[end] - voltage[i]) : Infinity;
+    if (back > band) {
+      most = Math.max(most, meanSpeed(voltage.subarray(begin, end + 1), 0.5 * band));
+      [begin, end] = [end, i];
+    } else if (back <= 0) end = i;
+  }
+  return most;
+}
+
+// The mean speed of a branch that is higher than `least`, without its time at rest.
+function meanSpeed(branch, least) {
+  const height = Math.abs(branch.at(-1) - branch[0]);
+  const rest = (0.1 * height) / (branch.length - 1);
+  const moving = branch.filter((value, i) => i > 0 && Math.abs(value - branch[i - 1]) > rest).length;
+  return height > least ? height / moving : 0;
+}
+
 function largestDifference(some, others) {
   let most = 0;
   for (let i = 0; i < some.length; i += 1) most = Math.max(most, Math.abs(some[i] - others[i]));

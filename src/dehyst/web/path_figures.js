@@ -68,17 +68,16 @@ export class PathFigures {
   }
 }
 
-// The sentence about a model that a check found old.
+// The sentences about a model that a check found old, and about a path that is much faster than the records.
 export const NO_PROMISE =
   "There is no promise: by the last check this model is not true any more. Update it, or identify again.";
+export const TOO_FAST = "There is no promise: no record is that fast. The written file has its own.";
 
-// The expectation of a plan: a light and a sentence, then facts. `band` in um.
-export function judged(planned, { largest_percent: share, band, light, speed, apart }) {
+// The expectation of a plan: a light and a sentence, then facts. `band` in um; without it, `why` there is no promise.
+export function judged(planned, { largest_percent: share, band, why, light, speed, apart }) {
   const { voltage, steepest, missed, clamps } = planned;
-  const cut = [
-    clamps.limited && `${whole(clamps.limited)} samples are clamped`,
-    clamps.slewed && `${whole(clamps.slewed)} samples are slewed`,
-  ].filter(Boolean);
+  const counts = [["clamped", clamps.limited], ["slewed", clamps.slewed]].filter(([, count]) => count > 0);
+  const cut = counts.map(([word, count]) => `${whole(count)} samples are ${word}`);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
   const within = band ? `: expect it within ${length(band)} (${percent(share)} of the stroke)` : "";
   return {
@@ -88,9 +87,7 @@ export function judged(planned, { largest_percent: share, band, light, speed, ap
       : `The path can be followed${within}.`,
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
-      band
-        ? `The promise is that of any path, ${apart}; a written file has its own.`
-        : NO_PROMISE,
+      band ? `The promise is that of any path, ${apart}; a written file has its own.` : why,
     ],
   };
 }

@@ -21,15 +21,7 @@ from dehyst._errors import DehystError
 from dehyst.web import files
 from dehyst.workbench import folder as places
 from dehyst.workbench import forms
-from dehyst.workbench.data import (
-    RequestError,
-    number_of,
-    packed,
-    path_points,
-    record_columns,
-    scan_columns,
-    wasm,
-)
+from dehyst.workbench.data import RequestError, number_of, packed, path_points, record_columns, scan_columns, wasm
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.reading import columns_of, verified
 from dehyst.workbench.session import WorkbenchSession

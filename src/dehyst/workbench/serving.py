@@ -50,12 +50,7 @@ _PATIENCE = 1
 _MOST, _LONGEST_MESSAGE = 96, 65536
 
 
-def serve(
-    folder: Path,
-    *,
-    port: int | None = None,
-    opened: Callable[[Door], None] = lambda _: None,
-) -> None:
+def serve(folder: Path, *, port: int | None = None, opened: Callable[[Door], None] = lambda _: None) -> None:
     """Serve a workbench until Ctrl-C or SIGTERM.
 
     Parameters

@@ -19,10 +19,8 @@ async function write() {
 export function exciteCard({ excitations, records }) {
   const last = excitations.at(-1);
   const content = [
-    h("p",
-      "One run shows all that an identification needs: large loops, small loops, three speeds and two holds. Begin to " +
-        "record time, voltage and displacement before you play it.",
-    ),
+    h("p", "One run shows all that an identification needs: large and small loops, three speeds and two holds."),
+    h("p", "Begin to record time, voltage and displacement before you play it."),
     form.row(Object.keys(form.fields)),
     server.button("Write the excitation", "excite", write, { class: last ? "" : "main" }),
     server.problem("excite"),

@@ -53,6 +53,7 @@ function runningCard(model) {
     const alert = h("p.error", { role: "alert" }, words);
     return h("li.card.refused", { key: id }, title, alert, problem(place));
   }
+  const quiet = { class: "quiet" };
   const end = () => server.workOn(id, "end");
   const [job] = server.openJobs("identify", id);
   const cancel = () => (job ? server.cancelJob(job.id) : end());
@@ -62,14 +63,8 @@ function runningCard(model) {
     h("progress", { "aria-label": `Identification of ${name}` }),
     h("p.progress-words", { role: "status" }, progress || "starting"),
     h("p.elapsed", `${duration(Math.round(seconds))} elapsed`),
-    h("p.muted",
-      "A first model exists within seconds; the search for a better structure takes minutes with long records. You " +
-        "can go on with other steps meanwhile.",
-    ),
-    h("div.row",
-      button("Finish with the best so far", place, end, { class: "quiet" }),
-      button("Cancel", place, cancel, { class: "quiet" }),
-    ),
+    h("p.muted", "A first model exists within seconds; the search for a better one takes minutes with long records."),
+    h("div.row", button("Finish with the best so far", place, end, quiet), button("Cancel", place, cancel, quiet)),
     problem(place),
   );
 }

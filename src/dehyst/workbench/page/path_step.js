@@ -5,8 +5,8 @@ import { h } from "./dom.js";
 import { COLOURS, MICROMETRES, SECONDS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
 import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
-import { plan, sampled } from "./path.js";
-import { NO_PROMISE, PathFigures, curve, judged, verdict } from "./path_figures.js";
+import { fastestBranch, plan, sampled } from "./path.js";
+import { NO_PROMISE, PathFigures, TOO_FAST, curve, judged, verdict } from "./path_figures.js";
 import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
 import { fileLink, isOld, jobCards, lightOf, modelChoice } from "./verdict.js";
@@ -14,6 +14,8 @@ import { fileLink, isOld, jobCards, lightOf, modelChoice } from "./verdict.js";
 const { button, chosenModel, complain, problem, redraw } = server;
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
+// Branches this much faster than the records' are like them; a voltage turns where it goes back by this part of the range.
+const [ALIKE, BAND] = [1.5, 0.02];
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
 const scans = new ScanForm(replan);
 const form = new Form("path", DECLARED.forms.path, replan);
@@ -121,6 +123,9 @@ function pace({ range_v: [low, high], slew_v_per_s: slew }) {
 // Suggested paths a second, one at most: the first quarter goes through 0.55 of the range.
 const frequency = (axis) => roundDown(Math.min(1, pace(axis) / 2.2));
 
+// Ten thousand samples at most, so that a path is planned while its points are dragged.
+export const suggestedRate = (model) => plain(Math.min(1000, 10_000 * frequency(model)), 6);
+
 function firstPoints() {
   const [low, high] = chosenModel().range_um;
   const seconds = 1 / frequency(chosenModel());
@@ -138,8 +143,7 @@ function adopt(model) {
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((end) => plain(end, 6));
   form.values.slew = "";
-  // Ten thousand samples at most, so that a path is planned while its points are dragged.
-  form.values.rate = plain(Math.min(1000, 10_000 * frequency(model)), 6);
+  form.values.rate = suggestedRate(model);
   scans.suggest(model.range_um, pace(model));
   replan();
 }
@@ -180,10 +184,10 @@ async function planNow(model) {
     const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
     const points = view.source === "points" ? view.points : null;
     const line = view.source === "scan" ? 1 / (scans.scan().frequency ?? NaN) : NaN;
-    view.last = {
-      ...{ path, planned, limits, points, line },
-      ...{ reach: model.range_um, band: isOld(model) ? 0 : model.verdict.largest_um },
-    };
+    const pace = paceOf(planned.voltage, rate, model);
+    const why = (isOld(model) && NO_PROMISE) || (pace > ALIKE && TOO_FAST);
+    const band = why ? 0 : model.verdict.largest_um;
+    view.last = { path, planned, limits, points, line, reach: model.range_um, band, why, pace };
     figures.draw(view.last);
     view.said = described(model, view.last);
     complain("path", "");
@@ -224,15 +228,15 @@ function cannotPlan(why) {
   redraw();
 }
 
-function described({ slew_v_per_s: recorded, verdict: known }, { planned, band }) {
-  const { steepest, clamps } = planned;
+// The fastest branch of a voltage, as a multiple of the fastest one of the records.
+const paceOf = (voltage, rate, { range_v: [low, high], fastest_v_per_s: fastest }) =>
+  fastest ? (rate * fastestBranch(voltage, BAND * (high - low))) / fastest : NaN;
+
+function described({ slew_v_per_s: recorded, verdict: known }, { planned, band, why, pace }) {
   const light = band ? lightOf(known)[0] : "amber";
-  let speed = "";
-  if (recorded && steepest > recorded * 1.001) {
-    speed = ` (${short(steepest / recorded)} times as fast as the fastest branch of the records, ${short(recorded)} V/s)`;
-  } else if (recorded && clamps.slewed) speed = ` (recorded: up to ${short(recorded)} V/s)`;
-  const said = judged(planned, { ...known, band, light, speed });
-  return { ...said, remarks: known.remarks };
+  const slewed = recorded && planned.clamps.slewed ? ` (recorded: up to ${short(recorded)} V/s)` : "";
+  const speed = pace > 1.001 ? ` (its fastest branch is ${short(pace)} times as fast as that of the records)` : slewed;
+  return { ...judged(planned, { ...known, band, why, light, speed }), remarks: known.remarks };
 }
 
 // Limits, slew rate and sample rate as they are typed.
@@ -245,8 +249,7 @@ function choices() {
 function currentRequest() {
   const model = chosenModel();
   if (model.coupling) {
-    const paths = chosenPaths();
-    const points = Object.fromEntries(namesOf(model).map((name, k) => [name, paths[k]]));
+    const points = Object.fromEntries(namesOf(model).map((name, k) => [name, chosenPaths()[k]]));
     return { points, rate: form.value("rate") };
   }
   const { slew, ...others } = choices();

@@ -37,10 +37,7 @@ export function recordsView({ records }) {
     uploads > 0 && h("p#uploads", { role: "status" }, "Sending\u2026"),
     records.length > 0 &&
       h("div#records-body.split", { key: "body" },
-        h("div.side",
-          h("ul#record-list.cards", { "aria-label": "Records" }, cards),
-          identifyCard(),
-        ),
+        h("div.side", h("ul#record-list.cards", { "aria-label": "Records" }, cards), identifyCard()),
         h("div.stage", readyRecords().length > 0 && figure.element),
       ),
   ];

@@ -14,9 +14,7 @@ export function assessment({ id, insight }) {
     return [problem(insight.report), h("h2", "What the records leave open"), h("div#insight", mounted(insight.report))];
   }
   return card("What do the records leave open?", { id: "assess", key: "assess" },
-    h("p",
-      "The assessment shows which loops no record tests, and what to record next. It takes seconds to minutes.",
-    ),
+    h("p", "The assessment shows which loops no record tests, and what to record next. It takes seconds to minutes."),
     !jobs.some(runs) && button("Assess the model", "assess", assess, { class: "main" }),
     h("ul.cards", jobCards(jobs)),
     problem("assess"),
@@ -44,8 +42,7 @@ export function checkCard(model) {
         check.sentences.map((sentence) => h("p.first", sentence)),
         list(check.why),
         check.remarks.length > 0 && fold("What limits this check", list(check.remarks)),
-        check.updates &&
-          act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
+        check.updates && act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
       ),
     records.length === 0 && h("p", measure),
     records.length > 0 && checking.field("record"),

@@ -82,10 +82,8 @@ export const fileLink = (path, text, attributes = {}) =>
 // Running and failed jobs, with the way to end them.
 export const jobCards = (jobs) =>
   jobs.map(({ id, status, error, progress }) => {
-    if (status === "failed") {
-      const alert = h("p.error", { role: "alert" }, error ?? "It failed.");
-      return h("li.card.refused", { key: id }, alert);
-    }
+    const alert = h("p.error", { role: "alert" }, error ?? "It failed.");
+    if (status === "failed") return h("li.card.refused", { key: id }, alert);
     return h("li.card", { key: id },
       h("p", { role: "status" }, progress || "Computing\u2026"),
       h("progress", { "aria-label": "Job" }),
