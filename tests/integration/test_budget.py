@@ -22,7 +22,7 @@ ROOMS = {
     "fleet": 310,
     "foundation": 1330,
     "identification": 5808,
-    "instruments": 2442,
+    "instruments": 2434,
     "model": 3474,
     "operations": 2978,
     "paper": 958,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2200,
 }
 HOUSE = {
-    "lines of Python": 36450,
+    "lines of Python": 36442,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,

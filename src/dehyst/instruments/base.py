@@ -195,16 +195,13 @@ class AbstractRig(ABC):
     ) -> Record:
         """Ramp to the first voltage of an `excitation` and play it, at the device's rate nearest to the excitation's.
 
-        Return voltage and displacement as recorded by the device, with its time; several axes play together, with one
-        column for each. `listen` is called with each batch of `Samples` as it arrives. After any error (also in
-        `listen`), Ctrl-C or SIGTERM, the wave is stopped and all voltages are ramped to their safe values; `listen` has
-        received all samples that arrived. Raise `RecordError` if the excitation does not have one voltage for each
-        axis, leaves the limits or is too steep: nothing was sent. Raise `RigError` if the device, its link or its
-        sensor fails.
+        Return voltage and displacement as recorded by the device, with its time; of several axes a column for each.
+        `listen` is called with each batch of `Samples` that arrives. After any error, Ctrl-C or SIGTERM the wave is
+        stopped and all voltages are ramped to their safe values. Raise `RecordError` if the excitation does not have a
+        voltage an axis, leaves the limits or is too steep: nothing was sent; `RigError` if device or link fails.
 
         `step`: called before each sample of a single axis with the displacement [m] of the reading before, or None; it
-        returns the voltage to send instead, which is held to limits and slew rate. This computer then sends each
-        voltage, as the default `_wave` does.
+        returns the voltage to send, within limits and slew rate. This computer sends it, as the default `_wave` does.
         """
         rate, axes = self.check(excitation), self.axes if self._parts else ()
         if step is not None:
@@ -398,14 +395,10 @@ class AbstractRig(ABC):
         """Return the voltage that is read [V]; raise `RigError` if it cannot be read."""
         with driver_errors(self.name, "_read_voltage"):
             read: Any = self._read_voltage()
-        try:
-            voltage = float(read)
-        except (TypeError, ValueError) as error:
-            need = "need a number; check the rig's _read_voltage"
-            raise DeviceError(f"{self.name}: read a voltage of {read!r}, {need}") from error
-        if not math.isfinite(voltage):
-            raise DeviceError(f"{self.name}: read a voltage of {voltage} V, need a finite one; check the device")
-        return voltage
+        with suppress(TypeError, ValueError):
+            if math.isfinite(voltage := float(read)):
+                return voltage
+        raise DeviceError(f"{self.name}: read {read!r} as the voltage, need a finite number of V; check the device")
 
     def _reading(self) -> Reading:
         """Read once; numbers may not be finite."""

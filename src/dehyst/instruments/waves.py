@@ -267,8 +267,7 @@ def _batches(
 def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
     """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
 
-    Readings have the device's time, just after each voltage. `step`: as of `AbstractRig.play`; it replaces the voltages
-    after the first.
+    Readings have the device's time, just after each voltage. `step`: as of `AbstractRig.play`, in their place.
     """
     period, readings, yielded, read = 1 / rate, [], rig._now(), None
     if step is not None:
