@@ -168,12 +168,12 @@ def test_limits_that_the_record_lacks_are_those_of_the_user(ioc):
 
 STALE = """
 import emulator.epics_ioc as served; ioc = served._running[0]; refresh = ioc._refresh; ioc._refresh = lambda: None;
-threading.Timer(1.8, lambda: vars(ioc).pop("_refresh")).start()
+threading.Timer(1.4, lambda: vars(ioc).pop("_refresh")).start()
 """
 
 
 def test_a_reading_that_is_older_than_the_command_contradicts_nothing(doomed):
-    """Of an IOC that is so busy that it reads its amplifier two seconds later."""
+    """Of an IOC that is so busy that it reads its amplifier over a second later."""
     rig = EpicsRig.connect(doomed.prefix)
     doomed.do(" ".join(STALE.split()))
     assert rig.set_voltage(60.0) == 60.0
