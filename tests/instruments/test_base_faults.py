@@ -77,7 +77,7 @@ def ordeal(seed, share):
     controller = FakeController(limits=DEVICE)
     meddle = Meddling(seed, share if rng.random() < 0.3 else 0.0)
     try:
-        rig = QuickRig(PipeLink(controller, meddle), limits=ALLOWED, slew_rate=rng.uniform(50, 5000), patience=0.02)
+        rig = QuickRig(PipeLink(controller, meddle), limits=ALLOWED, slew_rate=rng.uniform(50, 5000))
     except DehystError:
         pass
     else:
@@ -106,7 +106,7 @@ def test_random_calls_keep_limits_and_slew_rate(sequences):
     for seed in range(sequences):
         rng = random.Random(seed)
         controller, slew_rate = FakeController(limits=DEVICE), rng.uniform(50, 5000)
-        rig = QuickRig(PipeLink(controller), limits=ALLOWED, slew_rate=slew_rate, patience=0.02)
+        rig = QuickRig(PipeLink(controller), limits=ALLOWED, slew_rate=slew_rate)
         done += sum(act(rig, rng) for _ in range(rng.randint(1, 8)))
         rig.close()
         refuse_excess(controller.bench, controller.lines)
@@ -118,7 +118,7 @@ def test_random_calls_keep_limits_and_slew_rate(sequences):
 def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
     rng = random.Random(seed)
     controller = FakeController(limits=DEVICE)
-    rig = QuickRig(PipeLink(controller), limits=ALLOWED, patience=0.02, slew_rate=2000.0)
+    rig = QuickRig(PipeLink(controller), limits=ALLOWED, slew_rate=2000.0)
     rig.set_voltage(30.0)
     pipe, left = rig._client._link._socket, rng.randint(1, 60)
     receive, send = pipe.recv, pipe.sendall

@@ -19,7 +19,7 @@ from dehyst.waveforms import Excitation
 
 
 def quick(controller, **options):
-    return QuickRig(PipeLink(controller), **({"patience": 0.05} | options))
+    return QuickRig(PipeLink(controller), **options)
 
 
 def triangle(low=0.0, high=80.0, count=401, rate=1000.0):

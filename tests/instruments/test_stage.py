@@ -104,7 +104,7 @@ def test_what_one_axis_may_not_have_is_refused_before_anything_is_sent(change, w
 )
 def test_after_a_fault_all_axes_are_brought_back(fault, error):
     with served(fault, speed=2.0) as (server, bench), rig_of(server) as rig:
-        rig._patience = 0.5
+        rig.patience = 0.5
         with pytest.raises(error) as caught:
             rig.play(ex(waves()))
         assert voltages(bench) == [0.0] * 3

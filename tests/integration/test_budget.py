@@ -15,16 +15,16 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1074,
+    "calibration": 1072,
     "cli": 387,
     "control": 3523,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1330,
     "identification": 5808,
-    "instruments": 2434,
+    "instruments": 2433,
     "model": 3474,
-    "operations": 2978,
+    "operations": 2979,
     "paper": 958,
     "records": 4504,
     "report": 1479,
@@ -36,13 +36,13 @@ ROOMS = {
     "workbench": 2200,
 }
 HOUSE = {
-    "lines of Python": 36442,
+    "lines of Python": 36440,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 32741,
+    "lines of tests": 32809,
     "lines of benchmarks": 4946,
-    "words of docs": 27391,
+    "words of docs": 27387,
     "public names": 111,
     "commands": 16,
     "options": 108,

@@ -125,6 +125,8 @@ class PipeLink(TcpLink):
 class QuickRig(PiRig):
     """Waits in the controller's own time."""
 
+    patience = 0.05
+
     def __init__(self, link, **options):
         self._controller = link.controller
         super().__init__(link, **options)

@@ -57,11 +57,6 @@ class Calibration:
     aside: tuple[Path, ...] = ()
 
     @property
-    def since(self) -> str:
-        """Time at which the first record began, in UTC."""
-        return str(self.training.meta.get("started", ""))
-
-    @property
     def model(self) -> Actuator | Stage:
         """The identified model."""
         return self.fit.model

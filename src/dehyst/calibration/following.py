@@ -172,14 +172,17 @@ class FollowedPath:
         """Home, and follow the path with feedback; return what was reached."""
         lead = self._plan(np.repeat(wanted[:1], 2, axis=0), present)
         self._play(player, *self._even(lead), 0)
-        loop = self._compensator(lead.state)
-        corrected, ahead = Feedback(loop), iter(wanted[:, 0].tolist())
-        volts = np.reshape(plan.voltage[-len(wanted) :], wanted.shape)
+        loop = self._compensator(lead.state, preview=True)
+        # The loop looks ahead: the stage rests at the first sample meanwhile.
+        early, late = ((loop.samples_ahead, 0), (0, 0)), ((0, loop.samples_ahead), (0, 0))
+        volts = plan.voltage[-len(wanted) :].reshape(wanted.shape)
+        corrected, ahead = Feedback(loop), iter(np.pad(wanted, late, "edge")[:, 0].tolist())
 
         def step(measured: float | None) -> float:
             return corrected.step(next(ahead), measured)
 
-        reached = self._play(player, volts, wanted, len(wanted), step)
+        volts, due = (np.pad(values, early, "edge") for values in (volts, wanted))
+        reached = self._play(player, volts, due, len(wanted), step)
         self.clamped = int(np.sum(loop.clamps))
         return reached
 

@@ -332,7 +332,7 @@ class AbstractRig(ABC):
 
         One sample of the record for each voltage. Times continue from one call to the next. Of several axes, voltages
         are (n, axes) and begin at one instant. By default this computer sends each voltage, at `HIGHEST_RATE` at most,
-        never faster than `rate` and with uneven steps, and reads after each: a record's `hold` is then "line".
+        never faster than `rate` and with uneven steps, and reads in the middle of each hold: `Record.hold` "line".
         """
         return host_timed(self, voltage, rate)
 

@@ -25,8 +25,8 @@ from dehyst.instruments.output import AxisLimits, AxisSlewRates, bounds_of_axes
 from dehyst.instruments.waves import HIGHEST_RATE, Reading, Samples
 
 PORT = 50000
-# A recorder without a new sample for this time [s], and for this many sample periods, has stopped.
-PATIENCE, _PATIENT_SAMPLES = 5.0, 20
+# A recorder without a new sample for this many sample periods, and for the `patience` of a rig, has stopped.
+_PATIENT_SAMPLES = 20
 _STEPS_TO_STOP = 20
 # Controllers report positions in micrometres.
 _METRES = 1e-6
@@ -81,11 +81,10 @@ class PiRig(AbstractRig):
         Allowed voltages [V], of all axes or of each; the controller's own where they are narrower.
     slew_rate : float or sequence of float, optional
         Largest abs(dv/dt) [V/s], of all axes or of each.
-    patience : float
-        Seconds without a new sample after which a recorder has stopped.
     """
 
     waves: WaveTraits | None
+    patience = 5.0  # Seconds
 
     def __init__(
         self,
@@ -94,10 +93,9 @@ class PiRig(AbstractRig):
         axis: str | Sequence[str] | None = None,
         limits: AxisLimits = None,
         slew_rate: AxisSlewRates = None,
-        patience: float = PATIENCE,
     ) -> None:
         self._client = link if isinstance(link, GcsClient) else GcsClient(link)
-        self._patience, self._opened, self._began, self._last = patience, False, self._now(), -np.inf
+        self._opened, self._began, self._last = False, self._now(), -np.inf
         names = [axis] if axis is None or isinstance(axis, str) else list[str | None](axis)
         allowed = bounds_of_axes(limits, slew_rate, len(names))
         if len(names) == 1:
@@ -105,7 +103,7 @@ class PiRig(AbstractRig):
             self._open_axis(names[0], *allowed[0])
             return
         self._pi_rigs = [
-            PiRig(self._client, axis=name, limits=bounds, slew_rate=rate, patience=patience)
+            PiRig(self._client, axis=name, limits=bounds, slew_rate=rate)
             for name, (bounds, rate) in zip(names, allowed, strict=True)
         ]
         longest = min(rig.longest or 0 for rig in self._pi_rigs)
@@ -281,7 +279,7 @@ class PiRig(AbstractRig):
         keys = [str(number + 1) for number in range(2 * len(self._pi_rigs))]
         got, most = 0, max(1, _NUMBERS // len(keys))
         poll = min(_POLL, max(_SHORTEST_POLL, count * interval / _POLLS))
-        patience = max(self._patience, _PATIENT_SAMPLES * interval)
+        patience = max(self.patience, _PATIENT_SAMPLES * interval)
         latest = time.monotonic()
         while got < count:
             client.set()

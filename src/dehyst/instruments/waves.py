@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 # Takes the displacement that was read before a sample [m]; returns the voltage to send [V].
 StepFunction: TypeAlias = Callable[[float | None], float]
-_Kind = TypeVar("_Kind", bound="np.generic[Any]")
 
 # Highest rate [Hz] that a host keeps with one round trip a sample.
 HIGHEST_RATE = 200.0
@@ -265,11 +264,13 @@ def _batches(
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
-    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster, and read the instrument after each.
+    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster; read in the middle of each hold.
 
-    Readings have the device's time, just after each voltage. `step`: as of `AbstractRig.play`, in their place.
+    There the displacement is that of straight lines between the voltages, with the actuator's own lag, at every rate.
+    Readings have the device's time. `step`: as of `AbstractRig.play`, in their place.
     """
-    period, readings, yielded, read = 1 / rate, [], rig._now(), None
+    period, readings, yielded = 1 / rate, [], rig._now()
+    read, answer = None, 0.0
     if step is not None:
         # A ramp has just taken its last step, and the first voltage is another.
         rig._wait(period)
@@ -282,18 +283,18 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         rig._output.puts(v)
         # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
         sent = rig._now()
+        rig._wait(max(0.0, 0.5 * (period - answer)))
+        asked = rig._now()
         readings.append(rig._read())
-        read = readings[-1][2]
-        now = rig._now()
-        if now - yielded >= _BATCH_SECONDS:
+        read, now = readings[-1][2], rig._now()
+        answer = now - asked
+        if now - yielded >= _BATCH_SECONDS or k == len(voltage) - 1:
             yield Samples(*np.array(readings, dtype=np.float64).T)
             readings, yielded = [], now
         rig._wait(max(0.0, sent + period - rig._now()))
-    if readings:
-        yield Samples(*np.array(readings, dtype=np.float64).T)
 
 
-def pieces(values: NDArray[_Kind], longest: int | None) -> Iterator[NDArray[_Kind]]:
+def pieces(values: NDArray[Any], longest: int | None) -> Iterator[NDArray[Any]]:
     """Yield rows (n, ...) in pieces of `longest` at most, each beginning where the one before ended."""
     size = len(values)
     step = longest or size

@@ -117,7 +117,8 @@ def calibrate(
             run.note(str(error))
     warnings: Sequence[str] = calibration.warnings()
     if kept := calibration.kept:
-        played = f"from records on disk, {calibration.since}, not played again: {', '.join(kept)}"
+        began = calibration.training.meta["started"]
+        played = f"from records on disk, {began}, not played again: {', '.join(kept)}"
         warnings = [f"{played}; give another -o to measure anew", *warnings]
     fields = {**calibration.as_dict(), "output": str(output)}
     return Result(fields, [*_lines(calibration, output)], warnings=warnings, good=calibration.good)
