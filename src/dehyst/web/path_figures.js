@@ -44,10 +44,10 @@ export class PathFigures {
       series: [curve("wanted", "measured", time, wanted), ...(cut ? [curve("reached", "simulated", time, reached)] : [])],
     });
     const most = NM * Math.max(band, missed);
-    const promise = (sign, word) => ({ value: sign * NM * band, name: `promise ${word}${length(band)}`, colour: "measured" });
+    const promise = { value: NM * band, name: `promise \u00b1${length(band)}`, colour: "measured" };
     show(this.error, "Error over time where the model is the actuator, within the promise.", {
       y: { label: "Error (nm)", unit: "nm", range: most ? [-1.4 * most, 1.4 * most] : undefined },
-      levels: [{ value: 0 }, ...(band ? [promise(1, "+"), promise(-1, "\u2212")] : [])],
+      levels: [{ value: 0 }, ...(band ? [promise, { value: -NM * band, colour: "measured" }] : [])],
       band: band ? [-NM * band, NM * band] : undefined,
       series: [curve("as planned", "simulated", time, Float32Array.from(wanted, (y, i) => NM * (reached[i] - y)))],
     });

@@ -7,7 +7,7 @@ import { duration, limitsFrom, range, whole } from "./numbers.js";
 import * as server from "./server.js";
 import { fileLink, jobCards } from "./verdict.js";
 
-const form = new Form("excite", DECLARED.forms.excite);
+export const form = new Form("excite", DECLARED.forms.excite);
 const figure = new Figure({ title: "Voltage to play" });
 
 async function write() {

@@ -2,6 +2,7 @@
 import { DECLARED } from "./declared.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
+import { form as excitation } from "./excite.js";
 import { COLOURS, MICROMETRES, SECONDS } from "./figure.js";
 import { Form, fold, list, remarks, tick } from "./forms.js";
 import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
@@ -142,7 +143,7 @@ function adopt(model) {
   }
   view.points = view.source === "points" ? firstPoints() : null;
   [form.values.low, form.values.high] = model.range_v.map((end) => plain(end, 6));
-  form.values.slew = "";
+  form.values.slew = excitation.values.slew ?? "";
   form.values.rate = suggestedRate(model);
   scans.suggest(model.range_um, pace(model));
   replan();
