@@ -80,10 +80,6 @@ def test_a_known_state_needs_no_homing():
     assert none.turns == (0.0,) and none.certified
 
 
-def test_a_homing_shows_in_a_line():
-    assert repr(shortest_homing(CREEPING)).startswith("<Homing: 0, 260, 0")
-
-
 @pytest.mark.parametrize("seconds", [2.0, 5.0, 20.0, 60.0])
 def test_a_homing_takes_no_longer_than_is_allowed(seconds):
     drive = Sampling(0.1, 100.0, slew_rate=2000.0)

@@ -9,7 +9,7 @@ import pytest
 import dehyst
 from dehyst import ClampWarning, Compensator, ModelError, Repetition
 from dehyst.control import SensorFault, SensorWarning
-from dehyst.model import turned
+from dehyst.model import Identification, Validity, turned
 
 PLANT, STROKE, PERIOD = plain_records.plant(10, seed=4), plain_records.STROKE, 1e-3
 AGED = replace(PLANT, spring=replace(PLANT.spring, voltage=1.02 * PLANT.spring.voltage))
@@ -20,9 +20,12 @@ NOISE = 1e-4 * STROKE
 class Life:
     """A plant, its repetition, and the true errors of its cycles."""
 
-    def __init__(self, *, limits=(-20, 220), path=PATH, late=0, **options):
+    def __init__(self, *, limits=(-20, 220), path=PATH, late=0, known=None, **options):
         self.state = turned(PLANT, float(path[0]), rising=False)
-        plant, given = replace(PLANT, delay=late * PERIOD), {"state": self.state, "preview": late > 0}
+        plant, given = (
+            replace(PLANT, delay=late * PERIOD, identification=known),
+            {"state": self.state, "preview": late > 0},
+        )
         self.loop = Compensator(plant, limits, period=PERIOD, warns=False, **given)
         self.repetition, self.errors = Repetition(self.loop, path, **options), []
         self.sent, self.late = np.full(late, self.loop.voltage), late
@@ -129,6 +132,15 @@ def test_a_resonance_that_no_record_showed_does_no_harm(hertz, quality):
         errors.append(float(np.sqrt(np.mean((found - PATH) ** 2))))
         life.repetition.learn(found + NOISE * life.random.standard_normal(len(PATH)))
     assert max(errors) <= 1.2 * errors[0] and min(errors) < 0.3 * errors[0] and life.repetition.believed
+
+
+@pytest.mark.parametrize(("rates", "learnt"), [((0.05, 2.0), True), ((2.0, 2.0), False)])
+def test_records_of_several_speeds_exclude_a_resonance_at_the_harmonics_of_an_error(rates, learnt):
+    tested = Validity(NOISE, NOISE, 0.0, STROKE, limits=(0, 200), speeds=(10.0, 400.0), rates=rates)
+    life, ripple = Life(known=Identification(validity=tested)), 0.01 * STROKE * np.sin(np.arange(250) * np.pi * 6 / 125)
+    for _ in range(7):
+        life.cycle(lambda y: y + ripple)
+    assert (life.repetition.errors[-1] < 0.02 * life.repetition.errors[0]) == learnt
 
 
 def test_axes_of_a_stage_are_learnt_together():

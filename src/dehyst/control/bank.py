@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._native import Bank as Loops
-from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import FARTHEST, for_each, matrix, vector
 from dehyst.control.axis import Axis, axes_of, restore_all
@@ -79,10 +78,6 @@ class Bank:
 
     def __len__(self) -> int:
         return len(self.actuators)
-
-    def __repr__(self) -> str:
-        period = "" if self.period is None else f", every {self.period:g} s"
-        return f"<Bank of {counted(len(self), 'actuator')}{period}>"
 
     def step(self, displacement: ArrayLike) -> Array:
         """Return the voltages (M,) [V] to send for wanted displacements (M,) [m], and commit them.

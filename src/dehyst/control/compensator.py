@@ -127,14 +127,8 @@ class Compensator:
         raise AttributeError(f"{name} cannot be set; make another Compensator")
 
     def __repr__(self) -> str:
-        period = "" if self.period is None else f", every {self.period:g} s"
-        return f"<Compensator of {self.model.name!r}{''.join(map(self._words, self.stage.axes, self._axes))}{period}>"
-
-    def _words(self, name: str, axis: Axis) -> str:
-        """Return limits, slew rate, voltage and clamped samples of an axis in words, for `repr`."""
-        head, slew = "" if self._single else f"{name}: ", "" if axis.slew_rate is None else f", {axis.slew_rate:g} V/s"
-        counts = f"{axis.clamps.limited} limited, {axis.clamps.slewed} slewed"
-        return f", {head}{axis.bounds.words}{slew}, now at {axis.voltage:.6g} V, {counts}"
+        axes = "; ".join(f"{axis.bounds.words}, now at {axis.voltage:.6g} V" for axis in self._axes)
+        return f"<Compensator of {self.model.name!r}: {axes}>"
 
     def __reduce__(self) -> tuple[Callable[..., Compensator], tuple[object, ...]]:
         """Return how to copy and unpickle the compensator, with its memory."""

@@ -14,7 +14,7 @@ from dehyst._validation import FARTHEST, plain
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
 from dehyst.control.planning.wave_table import Cycle, WaveTable
-from dehyst.model import State, mechanical_response
+from dehyst.model import Actuator, State, mechanical_response
 
 # Share of the error that a cycle takes away.
 _GAIN = 0.6
@@ -35,6 +35,8 @@ _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
 _WORSE, _NEAR = 1.2, 0.3
 # A change of the RMS error counts above this share of it and these standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
+# Least share of the stroke that a resonance must add to be seen in records.
+_EXACT = 1e-4
 # Share of a cycle in which a new correction comes.
 _BLEND = 0.125
 
@@ -61,9 +63,10 @@ class Repetition:
             repetition.learn(rig.play(repetition.next()))
 
     A harmonic of the error is learnt as far as it is more than noise. The path shows up to which harmonic the
-    displacement follows. Above may be a resonance that the model does not know: the first step is so small that no
-    resonance can gain much in a cycle, and the next one is larger if the displacement changed as it should, else the
-    step is taken back. An identified resonance is expected, and the correction ends just above it.
+    displacement follows, and so do records of several speeds. Above may be a resonance that the model does not know:
+    the first step is so small that no resonance can gain much in a cycle, and the next one is larger if the
+    displacement changed as it should, else the step is taken back. An identified resonance is expected, and the
+    correction ends just above it.
 
     A cycle counts if its readings are complete, no voltage was clamped, and the sensor is believed. If a
     cycle has an RMS error of more than 1.2 times the least, the best cycle is played again.
@@ -110,11 +113,6 @@ class Repetition:
         self.bound = min(sensor_bound(self._unit * axis.width, bound) for axis in compensator._axes)
         self.reset()
 
-    def __repr__(self) -> str:
-        state = "believed" if self.believed else self.fault.name
-        error = f", RMS error {self.errors[-1]:.3g}" if self.errors else ""
-        return f"<Repetition of {len(self.path)} samples, sensor {state}{error}>"
-
     @property
     def believed(self) -> bool:
         """Whether the sensor is believed; once it is not, only `reset` trusts it again."""
@@ -135,6 +133,7 @@ class Repetition:
         self._gains = np.full((len(harmonic), len(axes)), _GAIN)
         seconds = len(self.path) * (self.compensator.period or 1.0)
         self._known = np.array([actuator.dynamics is not None for actuator in axes])
+        self._tested = seconds * np.array([_tested_to(actuator) for actuator in axes])
         # The harmonic at which the correction ends.
         rings = [_RESONANCE * seconds * part.dynamics.frequency for part in axes if part.dynamics is not None]
         self._highest = min([0.5 * len(self.path), *rings])
@@ -288,7 +287,23 @@ class Repetition:
         missed, there = (total - total[below] for total in sums)
         known = there > _KNOWN * sums[1][-1]
         failed = np.cumsum(known & (missed > _FOLLOWS**2 * there), axis=0) > 0
-        return np.asarray(np.where(known & ~failed, harmonic[:, None], 0).max(axis=0))
+        follows = (known | (harmonic[:, None] <= self._tested)) & ~failed
+        return np.asarray(np.where(follows, harmonic[:, None], 0).max(axis=0))
+
+
+def _tested_to(actuator: Actuator) -> float:
+    """Return half of the lowest frequency [Hz] of a resonance that the records of an `actuator` do not exclude.
+
+    A resonance at f0 adds (f / f0)^2 of a motion at f to it. The model has one gain for slow and fast branches, and so
+    the largest error of the records contains it.
+    """
+    tested = actuator.identification.validity if actuator.identification else None
+    if tested is None or actuator.dynamics is not None:
+        return 0.0
+    paces = tested.rates, np.divide(tested.speeds, tested.span)
+    faster = 0.5 * np.sqrt(min(fast**2 - slow**2 for slow, fast in paces))
+    share = max(tested.largest / tested.stroke, _EXACT)
+    return float(0.5 * min(faster / np.sqrt(2 * share), 1 / (np.pi * max(tested.lag_error, 1e-9))))
 
 
 def _longest_gap(there: Array) -> int:

@@ -81,11 +81,6 @@ class Homing:
     played: Excitation
     spread: float
 
-    def __repr__(self) -> str:
-        turns = ", ".join(f"{volt:.6g}" for volt in self.turns)
-        word = "certified" if self.certified else "not certified"
-        return f"<Homing: {turns} V in {self.played.duration:.4g} s, {word}, leaves {length(self.spread)}>"
-
 
 def shortest_homing(
     actuator: Actuator,

@@ -21,7 +21,6 @@ const view = { source: "scan", points: null, file: null, asked: 0, said: null, l
 const scans = new ScanForm(replan);
 const form = new Form("path", DECLARED.forms.path, replan);
 const figures = new PathFigures(usePoints);
-// Names of the axes; a path of several axes is one of all of them.
 const namesOf = (model) => (model.coupling ? model.axes.map((axis) => axis.name) : [""]);
 
 export function pathView(state, model) {
