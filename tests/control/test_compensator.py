@@ -301,14 +301,6 @@ def test_preview_makes_up_for_delay_and_inertia(parts, delay):
     assert errors[1] < 0.05 * np.abs(lazy).max() / plain_records.STROKE
 
 
-def test_a_whole_delay_alone_is_a_shift():
-    actuator = replace(PLANT, delay=3e-4)
-    compensator = Compensator(actuator, FREE, period=1e-4, preview=True)
-    assert compensator.samples_ahead == 3
-    path = wanted(2)
-    np.testing.assert_array_equal(compensator.run(path), Compensator(PLANT, FREE).run(path))
-
-
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_the_reach_is_where_slow_loops_turn(name):
     actuator = PLANTS[name]

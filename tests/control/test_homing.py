@@ -10,6 +10,7 @@ from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelErro
 from dehyst.control import Compensator, shortest_homing
 from dehyst.model import evaluator_of, with_identification
 from dehyst.waveforms import Sampling
+from examples import at_night
 
 PLANT = plain_records.plant(10, seed=4)
 
@@ -101,8 +102,12 @@ def test_a_long_homing_is_remarked_and_a_shorter_one_is_kept_to():
     assert np.abs(np.diff(long.voltage[before]) / np.diff(long.time[before])).max() <= 200.0 * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("step", [1e-6, 1e-4, 0.02])
-@pytest.mark.parametrize("actuator", [CREEPING, replace(CREEPING, dynamics=Dynamics(500.0, 0.02))])
+SWINGING = replace(CREEPING, dynamics=Dynamics(500.0, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("actuator", "step"), [(CREEPING, 1e-6), (CREEPING, 0.02), (SWINGING, 1e-4), at_night(SWINGING, 1e-6)]
+)
 def test_a_homing_and_its_way_take_half_the_time_where_this_is_asked(actuator, step):
     wanted = np.linspace(0.3, 0.6, 200) * plain_records.STROKE
     loop, time = Compensator(actuator, period=step), np.arange(200) * step

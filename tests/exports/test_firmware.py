@@ -5,13 +5,9 @@ import os
 import re
 import shlex
 import shutil
-import signal
 import subprocess
-import sys
-import time
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import compiled_exports
 import numpy as np
@@ -53,11 +49,11 @@ SOME = [
     *((kind, 4000) for kind in ("all", "moving")),
     *(at_night(kind, 10_000) for kind in ("all", "moving")),
 ]
-MANY = [("plain", 10**4), at_night("plain", 10**6)]
+MANY = [("plain", 4000), at_night("plain", 10**6)]
 
 
 @pytest.mark.parametrize(("kind", "compiler"), spanning(("plain", "slewing", "all", "moving"), ("gcc", "clang")))
-@pytest.mark.parametrize("samples", [10**4, at_night(10**5)])
+@pytest.mark.parametrize("samples", [4000, at_night(10**5)])
 def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
     if compiler == "clang" and shutil.which("clang") is None:
         pytest.skip("clang is not installed")
@@ -228,36 +224,6 @@ def test_names_that_mean_something_else_are_refused(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
-def test_ended_from_outside_it_leaves_nothing(tmp_path):
-    """While a compiler is at work."""
-    for name in ("work", "temporary", "bin"):
-        (tmp_path / name).mkdir()
-    slow = tmp_path / "bin" / "cc"
-    slow.write_text('#!/bin/sh\n: > "$TMPDIR/../started"\nexec sleep 60\n')
-    slow.chmod(0o755)
-    compiled_exports.plain().actuator.save(tmp_path / "model.json")
-    command = [str(Path(sys.executable).parent / "dehyst"), "export", "../model.json", "c.fmu"]
-    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
-    running = subprocess.Popen(
-        [*command, "--limits", "0", "250"],
-        cwd=tmp_path / "work",
-        env={**os.environ, "PATH": path, "CC": "cc", "TMPDIR": str(tmp_path / "temporary")},
-        stderr=subprocess.PIPE,
-    )
-    for _ in range(600):
-        if (tmp_path / "started").exists():
-            break
-        time.sleep(0.05)
-    running.terminate()
-    _, said = running.communicate(timeout=30)
-    assert running.returncode == 128 + signal.SIGTERM
-    assert b"Traceback" not in said
-    assert (tmp_path / "started").exists()
-    for name in ("work", "temporary"):
-        assert list((tmp_path / name).iterdir()) == []
-
-
 @pytest.mark.parametrize("name", ["x", "y", "stage", "Stage_2", "a" * 40])
 def test_other_names_compile(tmp_path, name):
     need("gcc")
@@ -332,21 +298,6 @@ def test_sanitizers_find_nothing(tmp_path, kind, number):
     assert re.match(r"double: 0 of \d+ answers differ" if number == "double" else r"float: ", said), said
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["*/ int evil; /*", 'quote"d\\', "a\nb", "/*/", "*\n/", "??/", "\u202e*/", "\\", "a\u2028*/\udc80"],
-)
-def test_no_name_breaks_out_of_its_comment(tmp_path, name):
-    need("gcc")
-    compensator = compiled_exports.plain()
-    named = Compensator(replace(compensator.actuator, name=name), LIMITS)
-    folder = written(tmp_path / "c", named)
-    compiled_exports.must_run(["gcc", *STRICT, "-c", *SOURCES], folder)
-    symbols = compiled_exports.must_run(["nm", "--defined-only", "piezo.o"], folder)
-    assert "piezo_step" in symbols
-    assert "evil" not in symbols
-
-
 @pytest.mark.parametrize(("standard", "number"), spanning(["c++98", "c++11", "c++17"], ["double", "float"]))
 def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
     need("g++")
@@ -375,19 +326,6 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
     status, said = make(folder, *shlex.split(example))
     assert status == 0, said
     assert "no symbol is needed from outside" in said
-
-
-@pytest.mark.parametrize("kind", ["plain", "all", "moving"])
-def test_the_files_say_where_memory_begins(tmp_path, kind):
-    compensator = KINDS[kind]()
-    export(compensator, tmp_path / "c")
-    outset = ExportedStart.of(compensator._axes[0])
-    held = compensator.actuator.voltage(compensator._clone().state)
-    assert outset.voltage == pytest.approx(np.clip(held, *compensator.limits), rel=1e-12)
-    for file in ("README.md", "piezo.c"):
-        text = (tmp_path / "c" / file).read_text()
-        assert f"{outset.displacement * 1e6:.6g} um, {outset.voltage:.6g} V" in text
-        assert outset.way in text
 
 
 @pytest.mark.parametrize("rising", [True, False])
@@ -431,6 +369,7 @@ def test_a_step_takes_bounded_time(tmp_path, kind):
     assert clamped.max() <= 1.01 * longest
 
 
+@pytest.mark.nightly
 def test_feedback_takes_a_few_instructions(tmp_path):
     need("arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS["plain"]()

@@ -78,7 +78,7 @@ console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).
 
 @pytest.mark.parametrize(
     ("kind", "samples"),
-    [*((kind, 20_000) for kind in KINDS), at_night("plain", 10**6)],
+    [*((kind, 4000) for kind in KINDS), at_night("plain", 10**6)],
 )
 def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
     compensator = KINDS[kind]()
@@ -230,43 +230,6 @@ const seal = (own) => {
     return own;
 };
 """
-HOSTILE = """
-const numbers = new Uint8Array(WebAssembly.Module.customSections(module, "dehyst.model")[0]);
-let seed = 1, opened = 0;
-// By the high bits: the low ones repeat soon.
-const random = (n) => Math.floor(((seed = (Math.imul(seed, 1664525) + 1013904223) >>> 0) / 2 ** 32) * n);
-const sizes = [0, 1, 2, 3, 7, 255, 65536, 2 ** 25, 2 ** 25 + 1, 2 ** 29 - 1, 2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1];
-const values = [0, -0, -1, 1, 1e300, -1e300, 5e-324, NaN, Infinity, 1e-6, 2 ** 53];
-for (let turn = 0; turn < 6000; turn++) {
-    const own = numbers.slice(0, random(4) ? numbers.length : random(numbers.length + 1));
-    const view = new DataView(own.buffer);
-    for (let i = random(3); i >= 0; i--) {
-        const at = 16 + random(9) * 4;
-        if (random(2) && at + 4 <= own.length) view.setUint32(at, sizes[random(sizes.length)], true);
-        const place = 64 + 8 * random(Math.max(1, (numbers.length - 64) / 8));
-        if (place + 8 <= own.length) view.setFloat64(place, values[random(values.length)], true);
-    }
-    const core = new WebAssembly.Instance(module).exports, place = core.reserve(own.length);
-    new Uint8Array(core.memory.buffer, place, own.length).set(seal(own));
-    if (core.open() !== 0 || core.begin() !== 0) continue;
-    opened++;
-    // The numbers and tables lie before the blocks; nothing lies behind what changes.
-    const memory = new Uint8Array(core.memory.buffer), constant = memory.slice(place, core.inputs());
-    const wanted = new Float64Array(core.memory.buffer, core.inputs(), core.block());
-    for (let t = 0; t < 50; t++) wanted[t] = random(2) ? values[random(values.length)] : (random(1000) - 500) * 1e-7;
-    core.run(50, 1);
-    core.simulate(50);
-    core.run(2 ** 32 - 1, 0);
-    if (Buffer.compare(constant, memory.slice(place, core.inputs())) !== 0) throw new Error("numbers were overwritten");
-    if (memory.subarray(core.state_end()).some((byte) => byte !== 0)) throw new Error("written behind the end");
-}
-console.log(opened);
-"""
-
-
-@pytest.mark.parametrize("kind", ["plain", at_night("graded"), "all", at_night("moving")])
-def test_hostile_models_are_refused_or_stay_within_their_memory(tmp_path, kind):
-    assert 30 < int(node(exported(tmp_path / kind, KINDS[kind]()), SEAL + HOSTILE)) < 3000
 
 
 EVERY = """

@@ -62,23 +62,6 @@ def test_extrapolation_that_is_asked_for_gives_the_core_s_numbers(actuator):
     np.testing.assert_array_equal(FREE.simulate(v, extrapolate=True).displacement, expected)
 
 
-@pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
-def test_one_stroke_is_the_border(actuator):
-    low, high = actuator._plausible.low, actuator._plausible.high
-    stroke, (first, last) = high - low, voltages_of(actuator)
-    actuator.compensate([low - 0.999 * stroke, high + 0.999 * stroke])
-    actuator.simulate([first - 0.999 * (last - first), last + 0.999 * (last - first)])
-    for y in (low - 1.001 * stroke, high + 1.001 * stroke):
-        with pytest.raises(ModelError, match="displacement"):
-            actuator.compensate([0.5 * (low + high), y])
-    for v in (first - 1.001 * (last - first), last + 1.001 * (last - first)):
-        with pytest.raises(ModelError, match="voltage"):
-            actuator.simulate([first, v])
-        with pytest.raises(ModelError, match="voltage"):
-            actuator.relaxed(v)
-        actuator.relaxed(v, extrapolate=True)
-
-
 @given(our.actuators(1, 20), our.SEEDS, st.booleans())
 def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited):
     rng = np.random.default_rng(seed)
@@ -99,12 +82,6 @@ def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited
     widest = actuator._plausible.high - actuator._plausible.low
     with pytest.raises(ModelError, match="displacement"):
         actuator.compensate([actuator._plausible.high + 1.01 * widest])
-
-
-def test_the_reach_is_that_of_a_compensator():
-    assert ACTUATOR.reach == Compensator(ACTUATOR).reach
-    assert FREE.reach == (KNOTS[0], KNOTS[-1])
-    assert voltages_of(ACTUATOR) == (0.0, 3.6)
 
 
 def test_limits_too_wide_to_be_computed_with_leave_the_spring():

@@ -15,7 +15,7 @@ from dehyst._errors import FileFormatError, MissingExtraError
 from dehyst._io import read_json
 from dehyst.identification.comparison import compare, errors_of
 from dehyst.identification.preparation import prepare
-from dehyst.paper import experiment, tables
+from dehyst.paper import experiment
 from dehyst.paper import run as paper
 from dehyst.paper.methods import _rows, identify, loops_of
 from dehyst.paper.tables import MODELS
@@ -134,18 +134,6 @@ def test_the_shift_is_that_of_equation_10(result):
         assert found.shift.std() == pytest.approx(np.sqrt(2) * found.truth.noise, rel=0.05)
     predicted = result.symmetric.trials["record"].shift
     assert predicted == pytest.approx(result.symmetric.shift.mean(), rel=0.02)
-
-
-def test_physical_constants_are_the_papers(result):
-    p = tables.physical(result.asymmetric)
-    keq = 8.82e4 * 1.4e6 / (8.82e4 + 1.4e6)
-    assert p.equivalent_stiffness == pytest.approx(keq, rel=1e-12)
-    model = result.asymmetric.trials["breakpoints"].actuator
-    np.testing.assert_allclose(p.stiffness, model.slip.stiffness * 0.042 * keq / 1.4e6, rtol=1e-12)
-    # Eq. 4 at the peak, in newtons: what the carts and the spring hold is T v0, but for the noise of the turning
-    # points: 2 nm where the loop rises by 40 nm/V at least.
-    assert p.friction.sum() + p.parallel[-1] == pytest.approx(0.042 * 200, abs=0.042 * 2 / 40)
-    assert p.nonlinear[-1] < -10
 
 
 def test_errors_start_at_the_first_peak_and_count_every_loop(result):
@@ -298,25 +286,6 @@ def test_the_major_loop_alone_is_met_but_leaves_minor_loops_open():
     assert missed(fit.actuator, minor).largest_percent > 1
 
 
-def test_a_medium_loop_that_was_held_out_is_predicted_as_in_the_paper():
-    training = plain_records.loops(PLANT, (*plain_records.MAJOR, 0.3, 0, 0.3, 0, 0.7, 0, 0.7, 0), samples=400)
-    medium = plain_records.loops(PLANT, (*plain_records.MAJOR, 0.5, 0, 0.5, 0), samples=400, name="medium")
-    # The paper's own figure for its medium loop is 1 % (Sec. 4.2).
-    assert missed(identify(training, elements=N).actuator, medium).largest_percent < 1
-
-
-def test_reading_between_samples_costs_less_and_less_with_more_of_them():
-    # A break point between two samples is read off the chord over the kink. Elements let go by up to a third of
-    # the slope, and a sample is pi/2/n of the stroke: the error in y is below pi/24/n, and falls as 1/n.
-    errors = []
-    for samples in (100, 400, 1600):
-        record = plain_records.loops(PLANT, plain_records.THREE_LOOPS, samples=samples)
-        errors.append(missed(identify(record, elements=N).actuator, record).rms_percent)
-        assert errors[-1] < 100 * np.pi / 24 / samples
-    assert errors[1] < 0.5 * errors[0]
-    assert errors[2] < 0.5 * errors[1]
-
-
 def falling_spring():
     """A record that only a spring that falls in its middle could have made: stops by hand, no package code."""
     y = sampled(plain_records.THREE_LOOPS, 8)
@@ -349,13 +318,3 @@ def test_without_a_closed_loop_there_are_no_break_points():
     spiral = plain_records.loops(PLANT, (1, 0, 0.9, 0.05, 0.8, 0.15, 0.65, 0.2, 0.55))
     with pytest.raises(IdentifyError, match="no closed loop"):
         identify(spiral)
-
-
-def test_noisy_branches_are_averaged_over_cycles():
-    clean = plain_records.loops(PLANT, plain_records.MAJOR * 10, samples=200)
-    noisy = plain_records.loops(PLANT, plain_records.MAJOR * 10, samples=200, noise=5e-9)
-    first, other = loops_of([clean], N)[0], loops_of([noisy], N)[0]
-    # 5 nm is 0.06 V at the mean slope; read through both envelopes and averaged over 15 branches it must shrink.
-    inner = slice(1, -1)
-    assert np.abs(first.descending[inner, 1] - other.descending[inner, 1]).max() < 0.06
-    assert np.abs(first.ascending[inner, 1] - other.ascending[inner, 1]).max() < 0.06

@@ -301,10 +301,6 @@ def test_what_moves_has_no_spikes(voltage, displacement):
     assert not spikes(voltage, displacement).any()
 
 
-def test_a_pulse_without_a_voltage_is_a_spike():
-    assert spikes(triangle(), 1e-7 * PULSE)[1000:1002].all()
-
-
 RATE = 5000.0
 
 

@@ -162,7 +162,7 @@ def driven(rng, shape):
     return [0, *[100, float(rng.choice([0, -20]))] * int(rng.integers(3, 7))]
 
 
-def periodic(seed, kind, truth=None, fault=""):
+def periodic(seed, kind, fault=""):
     """Return time, voltage, displacement in periods, signal, and the times of the fault."""
     rng = np.random.default_rng(seed)
     periods = np.exp(rng.uniform(np.log(3), np.log(60))) if kind == "fringe" else rng.uniform(13.5, 16.5)
@@ -175,7 +175,7 @@ def periodic(seed, kind, truth=None, fault=""):
         parts.append(a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * s) if smooth else s))
     v = np.concatenate(parts)
     t = 0.01 * np.arange(v.size)
-    truth = truth or (
+    truth = (
         PlayActuator(stroke=1.0, highest=100.0, width=rng.uniform(0.2, 0.6), asymmetry=rng.uniform(-0.1, 0.12), noise=0)
         if rng.random() < 0.5
         else BoucWenActuator(
@@ -210,11 +210,11 @@ def misses(kind, t, v, y, signal):
     return np.abs(error - np.median(error))
 
 
-def outcomes(kind, count, fault="", truth=lambda: None):
+def outcomes(kind, count, fault):
     """Return how many counts are right, refused with a time beside the fault, refused elsewhere, and wrong."""
     right = named = elsewhere = wrong = 0
     for seed in range(count):
-        *arrays, (first, last) = periodic(seed, kind, truth(), fault)
+        *arrays, (first, last) = periodic(seed, kind, fault)
         try:
             wrong += (missed := misses(kind, *arrays).max()) >= 0.3
             right += missed < 0.3
@@ -227,27 +227,24 @@ def outcomes(kind, count, fault="", truth=lambda: None):
 
 
 @pytest.mark.parametrize("kind", ["fringe", "grating"])
-@pytest.mark.parametrize("seed", range(8))
-def test_counts_are_right(kind, seed):
-    *arrays, _ = periodic(seed, kind)
-    assert misses(kind, *arrays).max() < 0.2
+@pytest.mark.parametrize("seeds", [range(4), at_night(range(4, 100))])
+def test_counts_are_right(kind, seeds):
+    assert all(misses(kind, *periodic(seed, kind)[:-1]).max() < (0.2 if seed < 8 else 0.3) for seed in seeds)
 
 
+@pytest.mark.parametrize("count", [8, at_night(100)])
 @pytest.mark.parametrize(
-    ("kind", "fault", "right", "wrong"),
+    ("kind", "fault", "wrong"),
     [
-        at_night("fringe", "", 100, 0),
-        at_night("grating", "", 100, 0),
-        at_night("fringe", "slow", 5, 0),
-        at_night("grating", "slow", 5, 0),
-        at_night("fringe", "blocked", 5, 0),
-        ("grating", "blocked", 5, 1),
+        at_night("fringe", "slow", 0),
+        at_night("grating", "slow", 0),
+        ("fringe", "blocked", 0),
+        ("grating", "blocked", 1),
     ],
 )
-def test_a_hundred_counts_are_right_or_refused_where_one_is_lost(kind, fault, right, wrong):
-    found = outcomes(kind, 100, fault)
-    assert found[0] == right if not fault else found[0] <= right
-    assert found[3] <= wrong
+def test_counts_are_right_or_refused_where_one_is_lost(kind, fault, wrong, count):
+    found = outcomes(kind, count, fault)
+    assert found[0] <= max(1, count // 20) and found[3] <= wrong
     # A closed loop is looked at last: its cycle holds the lost count.
     assert found[1] >= 0.9 * (found[1] + found[2])
 

@@ -67,28 +67,6 @@ def test_a_table_is_read_in_every_notation(dialect, name):
             assert table.column(quantity) == pytest.approx(factor * np.array(values), rel=1e-14)
 
 
-TEXTS = {
-    "comments": "# made\n% by\n\ntime_s,voltage_V,displacement_um\n# s\n0,1,2.5\n\n  % x\n0.5,3,4\n# end\n",
-    "blanks before units": "time (s)  voltage (V) displacement [um]\n0 1 2.5\n0.5 3 4\n",
-    "quoted cells": 'time_s,voltage_V,"displacement_um"\n"0","1","2.5"\n"0.5",3,4\n',
-    "quoted delimiter": '"voltage, sent; whole_mV",time_s,voltage_V,y_um\n9,0,1,2.5\n9,0.5,3,4\n',
-    "quoted after a blank": 'time_s, "voltage, sent; whole_mV", voltage_V, y_um\n0, 9, 1, 2.5\n0.5, 9, 3, 4\n',
-    "trailing in rows": "time_s;voltage_V;displacement_um\n0;1;2.5;\n0.5;3;4;\n",
-    "trailing in header": "time_s\tvoltage_V\tdisplacement_um\t\n0\t1\t2.5\n0.5\t3\t4\n",
-    "empty rows": "time_s,voltage_V,displacement_um\n0,1,2.5\n0.5,3,4\n,,\n",
-    "other columns": "state,time_s,voltage_V,displacement_um,temp\nok,0,1,2.5,\nbad,0.5,3,4,hot\n",
-}
-
-
-@pytest.mark.parametrize("name", TEXTS)
-def test_text(tmp_path, name):
-    record = read(text(tmp_path, TEXTS[name]))
-    assert record.time.tolist() == [0, 0.5]
-    assert record.voltage.tolist() == [1, 3]
-    assert record.displacement == pytest.approx([2.5e-6, 4e-6], rel=1e-15)
-    assert (record.name, read(tmp_path / "a.csv", name="b").name) == ("a", "b")
-
-
 HEAD = "time_s,voltage_V,displacement_um\n"
 ROWS = "".join(f"{k},{k % 9},{k % 7}\n" for k in range(10, 60))
 BROKEN = {

@@ -15,7 +15,7 @@ from dehyst._errors import FileFormatError, RecordError
 from dehyst._units import per_metre
 from dehyst.records import Record, read, reversals, write_record
 from dehyst.records.record import columns_of
-from dehyst.records.signals import beyond_noise, gaps, resolution, turning_points, white_noise
+from dehyst.records.signals import beyond_noise, resolution, turning_points, white_noise
 
 DATA = places.DATA
 rng = np.random.default_rng(885)
@@ -30,11 +30,6 @@ def lagging(n=2000, cycles=5, lag=0.2, noise=0.0, points=None):
 
 def with_displacement(record, displacement):
     return Record(record.time, record.voltage, displacement, record.name)
-
-
-def p885(name):
-    t, v, y = np.loadtxt(DATA / name, delimiter=",", skiprows=1, unpack=True)
-    return Record(t, v, y * 1e-6, name)
 
 
 def test_keeps_read_only_copies():
@@ -84,21 +79,6 @@ def test_refuses_at_construction(columns):
 def test_what_a_record_cannot_be_asked(ask):
     with pytest.raises(RecordError):
         ask(lagging())
-
-
-def test_tells_what_it_is():
-    record = lagging()
-    assert len(record) == 2001
-    assert record.sample_time == pytest.approx(1e-3)
-    assert record.voltage_range == pytest.approx((0, 100))
-    assert record.stroke == pytest.approx(1e-5, rel=1e-4)
-
-
-def test_gaps():
-    t = np.arange(100) * 0.01
-    t[40:] += 0.5
-    assert gaps(t) == [(39, pytest.approx(0.51))]
-    assert gaps(lagging().time) == []
 
 
 @pytest.mark.parametrize(("peak", "samples"), [(0.0, 6), (1.0, 300), (3.0, 300), (3.0, 6), (12.0, 6)])
@@ -223,11 +203,6 @@ def test_problems(record, word):
     assert lagging().problems() == ()
 
 
-def test_usable():
-    for record in (lagging(), lagging(noise=1e-7), lagging(cycles=1), lagging(lag=0.0, noise=1e-9)):
-        assert record.check_usable() is None
-
-
 def still(n, noise):
     return with_displacement(lagging(n), 1e-6 + noise * np.random.default_rng(5).normal(size=n + 1))
 
@@ -283,29 +258,6 @@ def test_holds_steps_and_dead_zones_are_not_clipping():
     for i in range(1, len(play)):
         play[i] = min(max(play[i - 1], record.voltage[i] - 10), record.voltage[i] + 10)
     with_displacement(record, 1e-7 * play).check_usable()
-
-
-@pytest.mark.parametrize(("name", "turns", "cycles"), [("major.csv", 80, 39), ("ramps.csv", 61, 30)])
-def test_measured_data(name, turns, cycles):
-    record = p885(name)
-    record.check_usable()
-    assert record.problems() == ()
-    assert record.noise == pytest.approx(0.067e-6, rel=0.2)
-    assert len(reversals(record)) == turns
-    assert len(record.cycles()) == cycles
-    swapped = Record(record.time, record.displacement, record.voltage * 1e-6)
-    with pytest.raises(RecordError, match="swapped"):
-        swapped.check_usable()
-
-
-def test_a_spike_is_told_and_only_a_spike():
-    record = lagging(n=600, cycles=3)
-    y = record.displacement + 3e-6 * (np.arange(601) == 200)
-    assert sum("spike" in words for words in with_displacement(record, y).problems()) == 1
-    # A triangle of 20 samples a cycle turns round sharply.
-    corners = np.abs((np.arange(200) % 20) - 10.0)
-    sharp = Record(np.arange(200.0), corners, 1e-6 * np.roll(corners, 1))
-    assert not any("spike" in words for words in sharp.problems())
 
 
 def test_a_record_is_not_copied_by_its_slices_but_its_maker_may_go_on_writing():

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -138,15 +137,6 @@ def test_a_file_that_is_removed_while_recording_is_noticed(tmp_path):
         for _ in range(2):
             with pytest.raises(FileFormatError, match="removed"):
                 recording.add(block(5, 5))
-
-
-def test_size_and_time_are_bounded(tmp_path):
-    longest = np.full(50_000, -2.2250738585072014e-300)
-    with Recording(tmp_path / "a.csv") as recording:
-        began = time.process_time()
-        recording.add(SimpleNamespace(time=longest, voltage=longest, displacement=longest))
-        assert time.process_time() - began < 1.0
-    assert (tmp_path / "a.csv").stat().st_size < longest.size * 3 * 25 + 1000
 
 
 def test_several_axes_are_columns_of_one_file(tmp_path):

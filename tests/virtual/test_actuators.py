@@ -4,8 +4,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from strategies import SEEDS
 from truths import BoucWenActuator, PreisachActuator
 
 import dehyst
@@ -23,7 +21,6 @@ def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
 
 
 KINDS = [PlayActuator, PreisachActuator, BoucWenActuator]
-TIMELESS = [PlayActuator, PreisachActuator]
 
 
 def slowly(truth, voltage, seconds=1.0):
@@ -63,30 +60,6 @@ def test_a_drive_goes_on_where_the_last_one_ended(kind):
     np.testing.assert_allclose(
         slowly(parts, voltage), slowly(kind(**options), voltage), rtol=0, atol=1e-12 * parts.stroke
     )
-
-
-@settings(max_examples=20)
-@pytest.mark.parametrize("kind", TIMELESS)
-@given(SEEDS)
-def test_rate_independence(kind, seed):
-    turns = np.random.default_rng(seed).uniform(-20, 220, 12)
-    fine = kind().play(branches(turns, 7), measured=False)
-    np.testing.assert_allclose(fine[::7], kind().play(turns, measured=False), rtol=0, atol=1e-12 * 16e-6)
-
-
-@settings(max_examples=20)
-@pytest.mark.parametrize("kind", TIMELESS)
-@given(SEEDS)
-def test_wiping_out(kind, seed):
-    """A loop within the last one, closed again, leaves no trace."""
-    rng = np.random.default_rng(seed)
-    low, high = np.sort(rng.uniform(0, 200, 2))
-    within = rng.uniform(low, high, 9)
-    after = rng.uniform(0, 200, 15)
-    start = [250.0, low, high]
-    reached = kind().play([*start, *within, low, high, *after], measured=False)[-15:]
-    other = kind().play([*start, *after], measured=False)[-15:]
-    np.testing.assert_allclose(reached, other, rtol=0, atol=1e-12 * 16e-6)
 
 
 @pytest.mark.parametrize("creep", [0.01, 0.03])

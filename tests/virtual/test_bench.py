@@ -2,7 +2,6 @@
 
 import math
 import time
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,10 +12,9 @@ from plain_records import plant
 from truths import VIRTUAL, AgeingActuator, AgeingCourse, BoucWenActuator, ModelledActuator, PreisachActuator
 from truths.warm_rig import WarmRig
 
-from dehyst import Actuator, DehystError, ModelError
+from dehyst import DehystError, ModelError
 from dehyst.instruments import DeviceError, open_rig
 from dehyst.instruments.simulated import SimulatedRig
-from dehyst.model import DisplacementCreep, Dynamics
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.waveforms import Excitation, Sampling, standard
 
@@ -210,25 +208,6 @@ def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
     assert not bench.playing
 
 
-def test_a_model_of_time_is_driven_on_from_its_state():
-    actuator = plant()
-    wide = Actuator(
-        actuator.slip,
-        actuator.spring,
-        displacement_creep=DisplacementCreep([0.1, 10.0], [2, 2]),
-        dynamics=Dynamics(318.0, 0.05),
-    )
-    at, voltage = 1e-3 * np.arange(1, 801), cosine(samples=400)[:800]
-    whole = ModelledActuator(wide).play(voltage, time=at)
-    pieces = ModelledActuator(wide)
-    parts = [pieces.play(voltage[a:b], time=at[a:b]) for a, b in pairwise([0, 2, 3, 300, 800])]
-    np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-12 * pieces.stroke)
-    direct = wide.simulate(np.r_[0.0, voltage], time=np.r_[0.0, at], state=wide.relaxed()).displacement[1:]
-    np.testing.assert_allclose(whole, direct, atol=1e-12 * pieces.stroke)
-    with pytest.raises(ModelError, match="needs the time"):
-        pieces.play([1.0])
-
-
 @pytest.mark.parametrize("kind", VIRTUAL)
 def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))
@@ -242,12 +221,6 @@ def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     np.testing.assert_array_equal(record.voltage, protocol.voltage[rig.rows(len(protocol))])
     assert (rig.instrument.axis.log.lowest, rig.instrument.axis.log.highest) == (0, 150)
     assert rig.instrument.axis.log.steepest <= rig.slew_rate * (1 + 1e-6)
-
-
-def test_the_displacement_is_the_truths_own():
-    protocol = standard.raised_cosine(120.0, cycles=2, drive=Sampling(sample_rate=100, frequency=0.5))
-    record = SimulatedRig(PlayActuator(noise=0)).play(protocol)
-    np.testing.assert_array_equal(record.displacement, PlayActuator(noise=0).play(protocol.voltage))
 
 
 def test_the_rate_is_one_of_whole_servo_periods():

@@ -56,11 +56,6 @@ def test_what_does_not_fit_is_refused(change, words):
         VirtualStage(pair(), **change)
 
 
-def test_a_voltage_of_other_axes_is_refused():
-    with pytest.raises(ModelError, match="got 3 columns, need 2"):
-        VirtualStage(pair(), COUPLING).play(np.zeros((5, 3)))
-
-
 def test_equal_stages_have_equal_serial_numbers():
     stage, same = VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING, noise=0, seed=3)
     assert stage.serial == same.serial

@@ -74,15 +74,10 @@ def test_times_that_no_clock_tells_apart():
         Record(time, V, Y)
 
 
-def test_a_stroke_below_a_nucleus_is_constant():
-    with pytest.raises(RecordError, match="is constant"):
-        Record(T, V, Y * 1e-200).check_usable()
-
-
 # By dice
 
 
-@pytest.mark.parametrize("count", [400, pytest.param(10_000, marks=pytest.mark.fuzz)])
+@pytest.mark.parametrize("count", [120, pytest.param(10_000, marks=pytest.mark.fuzz)])
 def test_mutated_files(monkeypatch, count):
     """A small share of `python tests/fuzz/files.py`."""
     monkeypatch.syspath_prepend(places.FUZZ)
@@ -91,4 +86,4 @@ def test_mutated_files(monkeypatch, count):
     found = files.attack(seed=14, count=count)
     assert found["cases"] == count
     assert found["findings"] == []
-    assert found["counts"]["prepared"] > 20
+    assert found["counts"]["prepared"] > count / 20
