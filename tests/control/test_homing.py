@@ -119,11 +119,6 @@ def test_a_homing_and_its_way_take_half_the_time_where_this_is_asked(actuator, s
             plan_path(loop, wanted, time=time, home=bad < 0, home_within=bad)
 
 
-def test_more_time_leaves_less():
-    left = [shortest_homing(CREEPING, within=seconds).spread for seconds in (3.0, 10.0, 30.0)]
-    assert left[0] > left[1] > left[2]
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

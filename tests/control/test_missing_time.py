@@ -67,13 +67,6 @@ def test_the_period_is_the_time_base_of_a_trajectory(kind, preview):
     assert np.array_equal(by_period.voltage, timed.voltage)
 
 
-def test_a_period_is_enough_for_a_slew_rate():
-    actuator, rate = anatomy("plain"), 500.0
-    command = follow(Compensator(actuator, slew_rate=rate, period=PERIOD)._axes[0], PATH)
-    assert np.abs(np.diff(command.voltage)).max() <= rate * PERIOD * (1 + 1e-12)
-    assert command.clamped.any()
-
-
 @pytest.mark.parametrize("kind", ["plain", "inertia"])
 def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
     uneven = TIME.copy()

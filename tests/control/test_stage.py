@@ -88,19 +88,6 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
         assert np.abs(part.expected - wanted[:, j])[alone].max(initial=0) < 1e-15
 
 
-def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_be_played():
-    """A start of the model beyond the limits is replaced by that of loops within them, whatever was before."""
-    model, limits = stage(), (-40.0, 30.0)
-    loop = Compensator(model, limits=[limits] * 3)
-    for actuator, axis in zip(model.actuators, loop._axes, strict=True):
-        for before in ([-100.0], [60.0, -10.0]):
-            played = actuator.simulate([*before, *np.tile(limits, 10)]).state
-            assert axis.state.deformation == pytest.approx(played.deformation, abs=1e-15)
-            assert np.allclose(axis.state.carts, played.carts, rtol=0, atol=1e-15)
-        assert axis.voltage == 30.0
-        assert axis.state.deformation < dehyst.Compensator(actuator, limits).state.deformation - 1e-8
-
-
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 def test_a_stage_in_micrometres_and_its_copies_send_the_voltages_of_the_one_in_metres():
     wanted, options = path(np.random.default_rng(5)), {"limits": (-60.0, 40.0), "slew_rate": 900.0, "period": 1e-3}
@@ -203,20 +190,6 @@ def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
     for wrong in (5.0, "0,100", [0.0, 50.0, 100.0]):
         with pytest.raises(dehyst.ModelError, match="limits"):
             made(limits=wrong)
-
-
-def test_a_path_ahead_has_the_gains_and_offsets_of_the_axes():
-    rng = np.random.default_rng(8)
-    wanted, model = path(rng), stage()
-    loop = Compensator(model)
-    loop.scale((1.05, 0.93, 1.0), (1e-7, 0.0, -2e-7))
-    starts = [PossibleStart("known", (state,)) for state in loop.state]
-    planned = plan_path(loop, wanted, start=starts)
-    stepped = loop.run(wanted)
-    np.testing.assert_allclose(planned.voltage[planned.first :], stepped, atol=1e-9)
-    np.testing.assert_allclose(planned.expected[planned.first :], wanted, atol=1e-15)
-    seen = plan_voltage(loop, stepped, start=starts)
-    np.testing.assert_allclose(seen.expected, wanted, atol=1e-13)
 
 
 THERMALS = dehyst.Thermal(-2.5e-3, 4e-9, 30.0), None, dehyst.Thermal(1.5e-3, 0.0, 20.0)

@@ -163,16 +163,6 @@ def test_the_displacement_before_a_path_is_within_reach():
         assert np.array_equal(before, path.expected[path.phase < 1])
 
 
-def test_a_path_that_begins_fast_keeps_the_slew_rate_from_the_homing_on():
-    """Its first interval is longer than the others: the homing has the steps of most of them."""
-    time = np.append(0.0, 0.1 + 0.01 * np.arange(200))
-    homed = plan_path(
-        Compensator(PLAIN, slew_rate=100.0), STROKE * (0.2 + 0.3 * time), time=time, present=70.0, home=True
-    )
-    steps, intervals = np.diff(homed.voltage), np.diff(homed.time)
-    assert np.all(np.abs(steps) <= 100.0 * intervals * (1 + 1e-9) + 1e-9)
-
-
 def test_the_order_without_proof_is_simulated_too():
     actuator = replace(CREEPING, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6]))
     assert len(PossibleStart.unknown(actuator, 20.0).states) > 10

@@ -9,7 +9,7 @@ import strategies as our
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Compensator, Dynamics, ModelError
+from dehyst import Compensator, Dynamics
 from dehyst.control import following
 from dehyst.control.following import follow
 from dehyst.model import turned
@@ -39,16 +39,6 @@ def test_only_what_had_to_be_clamped_is_clamped(seed):
         assert command.voltage[i] in (LOW, HIGH)
         short = path[i] - command.displacement[i]
         assert short >= 0 if command.voltage[i] == HIGH else short <= 0
-
-
-def test_the_actuators_own_limits_are_the_default():
-    limited = Actuator(PLANT.slip, PLANT.spring, limits=(5, 95))
-    assert Compensator(limited).limits == (5.0, 95.0)
-    assert Compensator(limited, (0, 10)).limits == (0.0, 10.0)
-    command = follow(Compensator(limited)._axes[0], plain_records.path((0, 1, 0)))
-    assert (command.voltage.min(), command.voltage.max()) == (5.0, 95.0)
-    with pytest.raises(ModelError):
-        follow(Compensator(limited)._axes[0], [0.0], present=300.0)
 
 
 WIDE = {

@@ -27,7 +27,7 @@ from examples import NIGHTLY, at_night, spanning
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
-LIMITS = LOW, HIGH = compiled_exports.LIMITS
+LOW, HIGH = compiled_exports.LIMITS
 
 
 def make(folder, *arguments):

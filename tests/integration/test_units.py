@@ -80,8 +80,15 @@ def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited
         actuator.simulate(v).displacement, actuator.simulate(v, extrapolate=True).displacement
     )
     widest = actuator._plausible.high - actuator._plausible.low
-    with pytest.raises(ModelError, match="displacement"):
-        actuator.compensate([actuator._plausible.high + 1.01 * widest])
+    beyond = last + 1.01 * (last - first)
+    for refused in (
+        lambda: actuator.compensate([actuator._plausible.high + 1.01 * widest]),
+        lambda: actuator.simulate([first, beyond]),
+        lambda: actuator.relaxed(beyond),
+    ):
+        with pytest.raises(ModelError, match=r"displacement|voltage"):
+            refused()
+    actuator.relaxed(beyond, extrapolate=True)
 
 
 def test_limits_too_wide_to_be_computed_with_leave_the_spring():

@@ -155,18 +155,6 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(lag, width, pulse):
     assert samples_of(glitches(v, unmoved)) == set(range(650, 650 + width))
 
 
-@pytest.mark.parametrize("lag", [0, 1])
-@pytest.mark.parametrize("width", [1, 3])
-def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):
-    v = 100 - 100 * np.cos(2 * np.pi * np.arange(1200) / 200)
-    plant = plain_records.plant(10)
-    still = plant.simulate(v, state=turned(plant, 0.0)).displacement
-    v[:width] = 60.0
-    y = plant.simulate(v, state=turned(plant, 0.0)).displacement
-    assert not glitches(v, y[np.maximum(np.arange(1200) - lag, 0)]).any()
-    assert samples_of(glitches(v, still)) == set(range(width))
-
-
 @pytest.mark.parametrize("samples", [[0], [200], [600, 700, 1400]], ids=["first", "turn counted", "three apart"])
 def test_a_glitch_widens_no_limits_and_spoils_no_fit(samples, clean_fit):
     fit = fitted(with_voltage(CLEAN, samples, 500.0))
@@ -353,18 +341,6 @@ def test_a_transient_is_no_spike_and_a_spike_no_transient():
     spiked = Record(quiet.time, quiet.voltage, y)
     assert transients(spiked) == []
     assert np.flatnonzero(spikes(spiked.voltage, spiked.displacement)).tolist() == [1000, 9000]
-
-
-def test_the_settled_path_leads_from_one_level_to_the_other():
-    record = stepped(1.0)
-    found = transients(record)
-    path = settled(record, found)
-    inside = slice(found[0][0], found[0][2])
-    assert path[inside].min() > -8.9e-6
-    assert path[inside].max() < 0.1e-6
-    outside = np.ones(len(record), dtype=bool)
-    outside[inside] = False
-    assert np.array_equal(path[outside], record.displacement[outside])
 
 
 def test_a_step_of_several_samples_is_replaced_by_what_its_voltage_does():

@@ -8,7 +8,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import places
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +18,6 @@ from dehyst._errors import FileFormatError, RecordError
 from dehyst._units import FACTORS
 from dehyst.records import Record, read, read_table, write_columns, write_record
 
-DATA = places.DATA
 T = np.arange(30) * 0.01
 V = 50 - 50 * np.cos(T * 20)
 Y = 1e-5 * np.sin(T * 20)

@@ -9,7 +9,7 @@ import pytest
 from laboratory_files import RATE, UM, N, T, V, Y, assert_measured, text
 
 from dehyst._errors import FileFormatError
-from dehyst.records import Columns, read, read_table, write_columns, write_record
+from dehyst.records import Columns, read, read_table, write_record
 from dehyst.records.tables import ColumnsError, joined
 
 
@@ -121,14 +121,3 @@ def test_stated_guesses_that_are_none_are_ignored(line, tmp_path):
     table = f"# dehyst-record: {line}\ntime_s,voltage_V,displacement_um\n{rows}"
     (tmp_path / "a.csv").write_text(table, "latin-1")
     assert "guesses" not in read(tmp_path / "a.csv").meta
-
-
-def test_guesses_of_several_axes_name_the_axis(tmp_path):
-    write_columns(tmp_path / "a.csv", {"time_s": T, "vx_V": V, "vy_V": V[::-1], "x_um": Y * 1e6, "y_um": Y[::-1] * 1e6})
-    record = read(tmp_path / "a.csv", "x=vx_V?:x_um, y=vy_V:y_um?")
-    assert record.meta["guesses"].keys() == {"voltage of x", "displacement of y"}
-    write_record(tmp_path / "b.csv", record)
-    again = read(tmp_path / "b.csv", "x=vx_V:x_um, y=vy_V:y_um")
-    assert again.meta["guesses"] == record.meta["guesses"]
-    assert len([words for words in record.axis(0).problems() if "guessed, verify" in words]) == 2
-    assert "guesses" not in read(tmp_path / "a.csv", "x=vx_V:x_um, y=vy_V:y_um").meta

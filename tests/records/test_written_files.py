@@ -31,11 +31,6 @@ def test_written_records_come_back(tmp_path_factory, values):
     assert np.all(np.abs(back.displacement - values[1]) <= 2 * np.spacing(np.abs(values[1])))
 
 
-def test_written_layout(tmp_path):
-    write_record(tmp_path / "a.csv", Record([0, 0.1], [1, 2], [3e-6, 4e-6]))
-    assert (tmp_path / "a.csv").read_bytes() == b"time_s,voltage_V,displacement_um\n0.0,1.0,3.0\n0.1,2.0,4.0\n"
-
-
 @pytest.mark.parametrize(
     "write",
     [
@@ -54,15 +49,6 @@ def test_what_cannot_be_written_or_read_leaves_nothing(tmp_path, write):
     with pytest.raises(FileFormatError):
         write(tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_write_atomically(tmp_path):
-    path = tmp_path / "a.txt"
-    write_atomically(path, "old µ")
-    assert path.read_text(encoding="utf-8") == "old µ"
-    write_atomically(path, b"new\r\n")
-    assert path.read_bytes() == b"new\r\n"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
 @pytest.mark.parametrize(("owner", "name"), [(Path, "replace"), (os, "fsync")])
