@@ -68,9 +68,9 @@ def test_keeps_read_only_copies():
     ],
 )
 def test_refuses_at_construction(columns):
-    given_ = vars(AXES) | columns if isinstance(columns, dict) else dict(zip(ARRAYS, columns, strict=True))
+    changed_ = columns if isinstance(columns, dict) else dict(zip(ARRAYS, columns, strict=True))
     with pytest.raises(RecordError):
-        Record(**{name: given_[name] for name in (*ARRAYS, "axes", "measured") if name in given_})
+        Record(**{name: getattr(AXES, name) for name in ARRAYS} | changed_)
 
 
 @pytest.mark.parametrize(
