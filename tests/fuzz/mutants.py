@@ -33,7 +33,7 @@ ROOMS = {
 LEFT_OUT = shutil.ignore_patterns(".git", "build", ".venv", "__pycache__", ".*_cache", ".hypothesis")
 PAIRS = ("< <=", "> >=", "== !=", "+ -", "* /", "and or")
 INSTEAD = {old: new for pair in PAIRS for old, new in (pair.split(), pair.split()[::-1])}
-# Of Python and of C: text and comments, which stay, then whole calls, operators between blanks, and numbers.
+# Places in Python and in C: text and comments, which stay, then whole calls, operators between blanks, and numbers.
 PLACES = re.compile(
     r'(?P<kept>""".*?"""|/\*.*?\*/|(?:"(?:\\.|[^"\\\n])*")|(?:\'(?:\\.|[^\'\\\n])*\')|^ *#[^\n]*| # [^\n]*)'
     r"|(?:(?<=\n)(?P<indent> +)(?P<call>(?!return|if|for|while)[a-z][\w.>-]*\([^()\n]*\);?)(?=\n))"
