@@ -145,7 +145,7 @@ def fmus(tmp_path_factory):
     return get
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser():
     with chromium() as opened:
         yield opened

@@ -243,3 +243,16 @@ def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
     assert loop.scale() == before
     with pytest.raises(dehyst.ModelError, match="temperature"):
         Compensator(stage()).scale(temperature=25.0)
+
+
+def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_be_played():
+    """A start of the model beyond the limits is replaced by that of loops within them, whatever was before."""
+    model, limits = stage(), (-40.0, 30.0)
+    loop = Compensator(model, limits=[limits] * 3)
+    for actuator, axis in zip(model.actuators, loop._axes, strict=True):
+        for before in ([-100.0], [60.0, -10.0]):
+            played = actuator.simulate([*before, *np.tile(limits, 10)]).state
+            assert axis.state.deformation == pytest.approx(played.deformation, abs=1e-15)
+            assert np.allclose(axis.state.carts, played.carts, rtol=0, atol=1e-15)
+        assert axis.voltage == 30.0
+        assert axis.state.deformation < dehyst.Compensator(actuator, limits).state.deformation - 1e-8

@@ -92,13 +92,6 @@ def test_a_pause_between_two_repetitions_is_not_mentioned():
     assert ([len(piece) for piece in pieces], said) == ([len(twice)], [])
 
 
-def test_a_shifted_sensor_zero_is_found():
-    three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", datum=0.1 * plain_records.STROKE)
-    fit = dehyst.identify([TOPS, three], structure=TEN)
-    assert fit.errors[1].datum == pytest.approx(0.1 * plain_records.STROKE, abs=1e-3 * plain_records.STROKE)
-    assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-2
-
-
 def test_a_shifted_sensor_zero_that_is_denied_makes_the_stiffnesses_wrong():
     three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", datum=0.1 * plain_records.STROKE)
     fit = dehyst.identify([TOPS, three], structure=TEN, shared_datum=True)
@@ -135,9 +128,3 @@ def test_a_drift_in_the_logarithm_of_time_is_set_aside(part):
     assert error.drift == pytest.approx(part * plain_records.STROKE, rel=0.25)
     assert error.largest_percent < 0.5
     assert error.rms_with_drift > 4 * error.rms
-
-
-def test_a_drift_is_not_set_aside_when_that_is_forbidden():
-    (error,) = dehyst.identify(creeping(0.01), structure=TEN, delay=0.0, drift=False).errors
-    assert error.drift == 0
-    assert error.rms == error.rms_with_drift > 1e-4 * plain_records.STROKE

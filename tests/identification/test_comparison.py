@@ -11,10 +11,8 @@ import tracking_trials
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dehyst
-from dehyst import Actuator, DisplacementCreep, Dynamics, Record, identify
+from dehyst import Actuator, Dynamics, Record, identify
 from dehyst._native import slip_elongations
-from dehyst.identification import Outcome
 from dehyst.identification.comparison import compare, errors_of, initial_state, state_after, without_offset
 from dehyst.identification.preparation import block_of, prepare
 from dehyst.identification.start_state import fit_start
@@ -121,21 +119,6 @@ def test_an_oversampled_record_is_compared_by_means_of_its_samples(delay):
     assert other.rms_percent < first.rms_percent * 1.01
 
 
-@pytest.mark.parametrize("name", ["plain", "graded", "transformer", "smooth", "graded, transformer"])
-def test_a_given_structure_that_an_actuator_has_is_identified(name):
-    structure = wide.STRUCTURES[name]
-    plant = wide.plant(structure)
-    fit = dehyst.identify(plant.record(), structure=structure, delay=0.0, drift=False)
-    assert fit.outcome is Outcome.IDENTIFIED
-    assert fit.errors[0].largest_percent < 1e-5
-    assert fit.actuator.provenance["structure"] == structure.as_dict()
-    # A plain actuator of a plain structure has no use for the time, but takes it.
-    asked, got = (
-        own.compensate(plant.path, time=plant.time, state=plant.state).voltage for own in (plant.actuator, fit.actuator)
-    )
-    assert np.abs(got - asked).max() < 1e-5 * plain_records.VOLTS
-
-
 def left_of(actuator, rest, state, offset):
     """The largest error of the rest of a record as a part of the stroke, from a state."""
     voltage = without_offset(actuator, rest.voltage, offset)
@@ -176,28 +159,6 @@ def test_a_lead_without_a_cycle_tells_what_it_can(name):
     assert state.deformation == short.displacement[-1]
     left = without_offset(plant.actuator, short.voltage[-1:], offset)
     assert plant.actuator.voltage(state) == pytest.approx(left[0], abs=1e-9)
-
-
-def wide_record(actuator, volts):
-    """A noisy record of sines that grow and shrink, begun away from rest."""
-    time = np.arange(2400) / 200.0
-    size = np.interp(time, [0, 3, 6, 9, 12], [0.6, 1.0, 1.0, 0.5, 0.9])
-    voltage = 0.5 * volts * (1 - size * np.cos(2 * np.pi * time))
-    y = actuator.simulate(voltage, time=time).displacement + 1e-9 * np.random.default_rng(0).normal(size=time.size)
-    return prepare(dehyst.Record(time, voltage + 0.3, y, "wide"))
-
-
-def test_an_epoch_without_a_row_has_the_offset_of_the_nearest():
-    plain = plain_records.plant(12)
-    actuator = dehyst.Actuator(
-        plain.slip, plain.spring, displacement_creep=DisplacementCreep([0.03, 2.0], [0.04, 0.06])
-    )
-    record = wide_record(actuator, 0.9 * plain_records.VOLTS)
-    compared = compare(actuator, record, plain_records.STROKE, datum=0.0, drifting=True)
-    assert compared.source.count > 1
-    first = min(compared.found.offsets)
-    few = replace(compared, found=replace(compared.found, offsets={first: compared.found.offsets[first]}))
-    assert few.last_offsets() == [compared.found.offsets[first] - compared.base]
 
 
 STROKE = 10e-6

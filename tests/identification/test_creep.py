@@ -10,7 +10,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import DisplacementCreep, Record
-from dehyst.identification import compare, errors_of, initial_state, prepare, search, state_after
+from dehyst.identification import prepare, search, state_after
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, recommended, staircase
 from examples import at_night
@@ -64,20 +64,6 @@ def test_a_hold_of_five_minutes_keeps_little_of_the_creep():
     reached = truth.play(voltage[1:], time=clock[1:])[39:]
     # A step of 7 um creeps by 2 % a decade, 3.3 decades here.
     assert abs(reached[-200:].mean() - reached[:5].mean()) < 0.15 * 3.3 * 0.02 * 7e-6
-
-
-def test_a_model_file_keeps_it_and_records_are_compared_by_it(tmp_path):
-    _, (tops, stairs), fit = creeping()
-    fit.actuator.save(tmp_path / "model.json")
-    read = dehyst.Actuator.load(tmp_path / "model.json")
-    assert np.array_equal(read.displacement_creep.gains, fit.actuator.displacement_creep.gains)
-    error, trace = errors_of(read, compare(read, prepare(stairs), fit.errors[1].stroke), "validation")
-    assert error.rms_percent < 0.1
-    # The trace is of the displacements that were measured.
-    assert np.ptp(trace.measured) == pytest.approx(np.ptp(stairs.displacement), rel=1e-9)
-    state, _ = initial_state(read, tops)
-    assert state.displacement_creep.size == len(read.displacement_creep)
-    assert dehyst.check(read, stairs).good
 
 
 def test_a_state_after_a_record_continues_it():

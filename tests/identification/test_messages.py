@@ -6,7 +6,7 @@ import numpy as np
 import plain_records
 import pytest
 
-from dehyst import Actuator, IdentifyError, Record, identify
+from dehyst import Actuator, Record, identify
 from dehyst.identification import Readiness, RecordErrors
 from dehyst.identification.preparation import prepare
 from dehyst.model import MaxwellSlip, Spring
@@ -60,12 +60,6 @@ def test_a_coarse_voltage_keeps_a_model_from_being_ready():
     fine, verdict = (identify(record, structure="maxwell_slip").promise for record in (exact, coarse))
     assert verdict.readiness is not Readiness.READY
     assert len(fine.reasons) < len(verdict.reasons)
-
-
-@pytest.mark.parametrize("lag", [-1.0, np.nan, "soon", 1e9])
-def test_what_is_no_lag_is_refused(lag):
-    with pytest.raises(IdentifyError, match="sensor_lag"):
-        identify(records()[0], sensor_lag=lag)
 
 
 @pytest.mark.parametrize(

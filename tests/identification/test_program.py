@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from dehyst.identification import Deadline, Structure, search
 from dehyst.identification.program import _alike, with_folds
 from dehyst.identification.regressors import Rows, epochs
-from dehyst.identification.settings import Settings
 from dehyst.model import turned
 
 STROKE, VOLTS = plain_records.STROKE, plain_records.VOLTS
@@ -249,32 +248,9 @@ def test_held_out_time_of_a_truth_of_the_class_is_predicted(name):
     assert made.held_out < 1e-6 * STROKE
 
 
-def test_folds_are_sixths_of_the_time_of_each_record():
-    made = search.fitted(wide.frame([moved.still(), replace(moved.still(), name="other")]), moved.STRUCTURE, 10**6)
-    fold, rows = made.program.fold, made.program.rows
-    for q in range(2):
-        own = rows.record == q
-        record = made.frame.training[q].record
-        sixth = 6 * (rows.time[own] - record.time[0]) / np.ptp(record.time)
-        for k in range(3):
-            expected = ((sixth >= k) & (sixth < k + 1)) | ((sixth >= k + 3) & (sixth < k + 4 + 1e-9 * (k == 2)))
-            np.testing.assert_array_equal(fold[own] == k, expected)
-
-
 def test_times_are_those_of_the_finest_and_the_longest_record():
     records = [plain_records.loops(plain_records.plant(10), plain_records.MAJOR, rate=rate) for rate in (200.0, 50.0)]
     assert wide.frame(records).times == pytest.approx((1 / 200, float(np.ptp(records[1].time))))
-
-
-def test_a_known_lag_of_the_sensor_makes_any_other_the_actuators():
-    assert (Settings().lags, Settings(sensor_lag=0.0).lags) == (None, "actuator")
-    assert Settings(sensor_lag=0.1, lag_of="sensor").lags == Settings(lag_of="sensor").lags == "sensor"
-    assert Settings(sensor_lag=0.1).as_dict() == {
-        "shared_datum": False,
-        "drift": True,
-        "sensor_lag": 0.1,
-        "lag_of": "actuator",
-    }
 
 
 def test_a_step_does_not_begin_after_the_limit():

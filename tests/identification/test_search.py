@@ -12,8 +12,7 @@ import tracking_trials
 
 from dehyst import Dynamics, Record
 from dehyst.identification import Structure, search
-from dehyst.identification.cleaning import derivatives, remove_dynamics
-from dehyst.identification.motion import creep_times
+from dehyst.identification.cleaning import remove_dynamics
 from examples import at_night, spanning
 
 STROKE, STEP = plain_records.STROKE, moved.STEP
@@ -115,22 +114,6 @@ def test_the_path_before_a_resonance_comes_back():
     assert seen > 0.04
     assert left < 1e-3
     assert remove_dynamics(made, None) is made
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_derivatives_of_a_quartic_are_exact(seed):
-    curve = np.polynomial.Polynomial(1e-5 * np.random.default_rng(seed).normal(size=5))
-    time = np.linspace(-1, 1, 60)
-    for order, values in enumerate(derivatives(Record(time, time, curve(time))), start=1):
-        np.testing.assert_allclose(values, curve.deriv(order)(time), rtol=0, atol=1e-9 * 1e-5 * 60**order)
-
-
-@pytest.mark.parametrize(("fastest", "longest"), [(0.01, 50.0), (1.0, 2.0)])
-def test_creep_lasts_from_the_fastest_branch_to_the_longest_record(fastest, longest):
-    tau = creep_times(fastest, longest)
-    np.testing.assert_allclose(tau[[0, -1]], [fastest, longest])
-    np.testing.assert_allclose(np.diff(np.log(tau), 2), 0, atol=1e-12)
-    assert tau.size == max(2, round(2 * np.log10(longest / fastest)) + 1)
 
 
 def test_structures_that_explain_as_well_but_differ_disagree():

@@ -92,7 +92,8 @@ def test_the_first_lines_run():
     assert space["rig"].safe == 0
 
 
-@pytest.mark.parametrize("readback", ["stuck", at_night("right")])
+@pytest.mark.nightly
+@pytest.mark.parametrize("readback", ["stuck", "right"])
 def test_the_rehearsal_of_the_page_finds_a_planted_fault(readback, my_rig):
     folder = Path(my_rig.partition(":")[0]).parent
     test = next(block for block in blocks("how_to/instruments.md") if "class TestMyRig" in block)
@@ -105,6 +106,7 @@ def test_the_rehearsal_of_the_page_finds_a_planted_fault(readback, my_rig):
     assert done.returncode == (1 if readback == "stuck" else 0), done.stdout[-2000:]
 
 
+@pytest.mark.nightly
 def test_the_calibration_in_python_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     space = {}

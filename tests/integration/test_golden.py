@@ -4,6 +4,7 @@ import contextlib
 import copy
 import json
 from functools import reduce
+from itertools import islice
 
 import numpy as np
 import places
@@ -13,6 +14,7 @@ from command_line import run
 import dehyst
 from dehyst import Actuator, Compensator, FileFormatError, ModelError, Stage
 from dehyst.workbench.folder import Folder
+from examples import NIGHTLY
 
 GOLDEN = places.TESTS / "golden"
 
@@ -130,7 +132,8 @@ def used(model):
 def test_a_damaged_value_anywhere_is_refused_or_can_be_used(kind, name):
     """Whatever takes the place of one value, nothing but `ModelError` is raised: at reading, and in a loop after it."""
     refused = 0
-    for data in damaged(golden(name)):
+    # A push takes every fifth; neighbours differ in what takes the place.
+    for data in islice(damaged(golden(name)), 0, None, 1 if NIGHTLY else 5):
         try:
             model = kind.from_dict(data)
         except ModelError:

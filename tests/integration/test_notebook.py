@@ -30,6 +30,7 @@ def test_the_notebook_runs_and_its_stored_output_is_of_these_cells(executed):
     assert sum("image/png" in kind for cell in stored.cells for shown in kinds(cell) for kind in shown) >= 4
 
 
+@pytest.mark.nightly
 def test_results_print_as_one_line(executed):
     lines = [
         output.data["text/plain"] for cell in executed.cells for output in cell.get("outputs", []) if "data" in output

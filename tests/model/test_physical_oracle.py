@@ -38,14 +38,6 @@ def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(re
         assert_vanishes(kind)
 
 
-def test_the_papers_numbers_come_back():
-    paper = Physical.of(actuator_of(STACK), **CONSTANTS)
-    np.testing.assert_allclose(paper.stiffness, STACK.stiffness, rtol=1e-12)
-    np.testing.assert_allclose(paper.friction, STACK.friction, rtol=1e-12)
-    np.testing.assert_allclose(paper.deformation, STACK.x, rtol=1e-12, atol=1e-18)
-    np.testing.assert_allclose(paper.nonlinear, STACK.g, rtol=1e-12, atol=1e-12)
-
-
 def test_a_slow_load_under_a_voltage_moves_the_charge_too():
     """With ke / T as series spring, and a mass so small that it follows at once."""
     actuator = actuator_of(STACK, dynamics=Dynamics(1.6e6, 1.0, KE / T), load_stiffness=KM + KE)

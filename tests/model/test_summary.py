@@ -5,10 +5,8 @@ import pytest
 import structured_records
 
 from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, Spring
-from dehyst.model import GradedSlip, Transformer
-from dehyst.model.summary import bend, parts_of, resonance, step_response
-
-EVERYTHING = structured_records.STRUCTURES["all"]
+from dehyst.model import GradedSlip
+from dehyst.model.summary import parts_of, resonance, step_response
 
 
 def linear(creep):
@@ -30,11 +28,6 @@ def test_the_slope_after_a_turn_is_that_of_all_elements_and_the_spring():
     actuator = Actuator(GradedSlip([1e-6], [0.0, 5e-6, 10e-6], [[2e6, 4e6]]), Spring([0.0, 10e-6], [0.0, 100.0]))
     sentence = parts_of(actuator)[0].sentence
     assert "12 V/um at 0 um" in sentence and "14 V/um" in sentence
-
-
-def test_a_transformer_bends_between_its_ends():
-    tau = Transformer([0.0, 50.0, 100.0], [0.0, 60.0, 100.0])
-    np.testing.assert_allclose(bend(tau), [0, 10, 0])
 
 
 def test_resonances_of_theory_section_9():

@@ -356,3 +356,10 @@ def test_what_a_long_signal_tells_is_told_from_parts_of_it(monkeypatch):
     assert signals.white_noise(values) == pytest.approx(noise, rel=0.05)
     assert signals.white_noise(values) != noise
     assert len(signals.turning_points(values, 0.1)) == round(40_000 / 300 / np.pi)
+
+
+@pytest.mark.parametrize("samples", [10, 16, 24])
+def test_few_samples_a_cycle_are_no_noise(samples):
+    v = triangles(samples / 4)
+    few = record(v, noisy(MECHANISMS["plays"](v)), samples / 4)
+    assert few.noise == pytest.approx(NOISE, rel=0.4)

@@ -357,3 +357,15 @@ def test_a_step_of_several_samples_is_replaced_by_what_its_voltage_does():
     assert path[6001] == pytest.approx(-8.7e-6, abs=0.02 * 2e-6)
     share = (path[6000] - path[5999]) / (path[6001] - path[5999])
     assert share == pytest.approx(20 / 87, rel=1e-6)
+
+
+@pytest.mark.parametrize("lag", [0, 1])
+@pytest.mark.parametrize("width", [1, 3])
+def test_a_first_step_that_the_displacement_follows_is_no_glitch(lag, width):
+    v = 100 - 100 * np.cos(2 * np.pi * np.arange(1200) / 200)
+    plant = plain_records.plant(10)
+    still = plant.simulate(v, state=turned(plant, 0.0)).displacement
+    v[:width] = 60.0
+    y = plant.simulate(v, state=turned(plant, 0.0)).displacement
+    assert not glitches(v, y[np.maximum(np.arange(1200) - lag, 0)]).any()
+    assert samples_of(glitches(v, still)) == set(range(width))

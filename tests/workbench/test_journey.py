@@ -138,26 +138,6 @@ def test_the_script_makes_the_same_files_again(visited, tmp_path):
             assert first == second, file["path"]
 
 
-def test_everything_is_there_after_a_kill_and_a_new_start(tmp_path, loops):
-    folder = tmp_path / "bench"
-    with served(folder) as running, running.client() as client:
-        record = upload(client, loops)
-        model = identified(client, [record["id"]], options={"structure": "maxwell_slip"})
-        time.sleep(1)
-        running.process.send_signal(signal.SIGKILL)
-        running.process.wait()
-    with served(folder) as running, running.client() as client:
-        state = client.get("/api/state").json()
-        assert state["records"] == [record]
-        assert state["models"][0]["verdict"] == model["verdict"]
-        assert upload(client, loops)["id"] not in (record["id"], model["id"])
-
-
-def test_two_workbenches_do_not_share_a_folder(bench):
-    status, _, err = run_as_process("workbench", bench.folder, "--no-browser", "--port", "0")
-    assert status == 2 and "workbench uses" in err
-
-
 def test_a_folder_with_other_files_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     status, _, err = run_as_process("workbench", tmp_path, "--no-browser")
@@ -182,17 +162,30 @@ def test_an_identification_can_be_finished_early_or_stopped(bench, loops):
         assert entry(state, "models", key)["status"] == "cancelled"
 
 
-def test_a_workbench_that_ends_leaves_no_command_behind(tmp_path, loops):
-    folder = tmp_path / "bench"
-    for number in (signal.SIGTERM, signal.SIGKILL):
+def test_an_end_leaves_no_command_behind_and_loses_nothing(tmp_path, loops):
+    folder, records, model = tmp_path / "bench", [], None
+    for number in (signal.SIGTERM, signal.SIGKILL, None):
         with served(folder) as running, running.client() as client:
-            record = upload(client, loops)
-            key = client.post("/api/models", json={"train": [record["id"]]}).json()["id"]
+            state = client.get("/api/state").json()
+            assert state["records"] == records
+            ends = [own["status"] for own in state["models"]]
+            assert ends == ["ready", "cancelled", "cancelled"][: len(ends)]
+            if number is None:
+                break
+            records.append(upload(client, loops))
+            train = [records[-1]["id"]]
+            model = model or identified(client, train, options={"structure": "maxwell_slip"})
+            assert client.get("/api/state").json()["models"][0]["verdict"] == model["verdict"]
+            key = client.post("/api/models", json={"train": train}).json()["id"]
             with held(folder):
                 assert entry(client.get("/api/state").json(), "models", key)["status"] == "identifying"
+                # Nobody else uses the folder meanwhile, and what is known is written in the background.
+                status, _, err = run_as_process("workbench", folder, "--no-browser", "--port", "0")
+                assert status == 2 and "workbench uses" in err
             running.process.send_signal(number)
             running.process.wait(20)
         deadline = time.monotonic() + 20
         while workers(folder) and time.monotonic() < deadline:
             time.sleep(0.1)
         assert workers(folder) == []
+    assert len({record["id"] for record in records}) == 2

@@ -60,7 +60,7 @@ def colours(canvas):
     )
 
 
-def test_a_dropped_record_is_drawn_and_understood(person, loops):
+def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(person, bench, loops):
     content = loops.read_text()
     person.page.evaluate(
         """([name, text]) => {
@@ -77,10 +77,6 @@ def test_a_dropped_record_is_drawn_and_understood(person, loops):
     person.sees("0 to 100 V|to 100 V", within="#records")
     person.until("() => document.querySelectorAll('#records canvas').length > 0")
     assert colours(person.page.locator("#records .stage")) > 3
-
-
-def test_an_identification_shows_its_progress_and_can_be_cancelled(person, bench, loops):
-    person.drop(loops)
     person.sees("3.000 in", within="#records")
     person.click("button", "Identify a model")
     with held(bench.folder):
