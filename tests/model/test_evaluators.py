@@ -141,7 +141,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
 
 
 @STACKS
-@given(motion=our.motions(max_samples=600), seed=our.SEEDS, cuts=st.lists(st.floats(0, 1), max_size=4))
+@given(motion=our.motions(max_samples=200), seed=our.SEEDS, cuts=st.lists(st.floats(0, 1), max_size=4))
 @example(motion=barely_nested(), seed=0, cuts=[0.0, 0.4])
 def test_a_record_may_be_cut_anywhere(stack, motion, seed, cuts):
     actuator, start, path = motion

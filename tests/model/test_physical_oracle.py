@@ -38,6 +38,7 @@ def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(re
         assert_vanishes(kind)
 
 
+@pytest.mark.nightly
 def test_a_slow_load_under_a_voltage_moves_the_charge_too():
     """With ke / T as series spring, and a mass so small that it follows at once."""
     actuator = actuator_of(STACK, dynamics=Dynamics(1.6e6, 1.0, KE / T), load_stiffness=KM + KE)

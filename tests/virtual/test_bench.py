@@ -17,6 +17,7 @@ from dehyst.instruments import DeviceError, open_rig
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.waveforms import Excitation, Sampling, standard
+from examples import at_night
 
 PERIOD = 5e-5
 TRUTHS = {
@@ -208,7 +209,7 @@ def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
     assert not bench.playing
 
 
-@pytest.mark.parametrize("kind", VIRTUAL)
+@pytest.mark.parametrize("kind", [kind if kind == "play" else at_night(kind) for kind in VIRTUAL])
 def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))
     rig, lots = SimulatedRig(VIRTUAL[kind](), wave_points=5000), []
