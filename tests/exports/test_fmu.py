@@ -294,16 +294,6 @@ def test_instances_do_not_meddle(fmus):
         slave.fmu.freeInstance()
 
 
-def test_clamping_is_said_once_of_each(fmus):
-    for logging in (True, False):
-        with Slave(fmus("plain", "compensator")[1], logging=logging) as slave:
-            slave.run(PATH)
-            assert min(slave.counts()) > 2
-            words = [message for category, message in slave.said if category == "logStatusWarning"]
-            assert len(words) == (2 if logging else 0)
-            assert all(word.startswith("CLAMPED: ") for word in words)
-
-
 def test_what_is_not_allowed_is_refused(fmus):
     _, folder = fmus("plain", "compensator")
     with pytest.raises(Exception, match="instantiate"):
@@ -388,15 +378,6 @@ def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
     names = zipfile.ZipFile(tmp_path / "a.fmu").namelist()
     assert "sources/all.c" in names and not [name for name in names if name.startswith("binaries")]
     assert validate_fmu(str(tmp_path / "a.fmu")) == []
-
-
-@pytest.mark.nightly
-def test_any_name_makes_an_fmu(tmp_path):
-    odd = replace(plain_records.plant(3), name='Möbius "<&> 100 %\n\x00 7')
-    export(Compensator(odd, (0, 100)), tmp_path / "x.fmu")
-    assert validate_fmu(str(tmp_path / "x.fmu")) == []
-    with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
-        assert slave.step(5e-6) == voltages(Compensator(odd, (0, 100)), [5e-6])[0][0]
 
 
 TIMED = ALL["creep"].actuator

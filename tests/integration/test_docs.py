@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -278,33 +277,6 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
 
 
 ROOT = places.ROOT
-
-
-def test_every_benchmark_runs_once():
-    recipe = re.search(r"^bench:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.M)[1]
-    runs = Counter(re.findall(r"benchmarks/(\w+)\.py", recipe))
-    programs = {path.stem for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text()}
-    assert programs >= {"speed", "accuracy", "faults"}
-    assert runs == dict.fromkeys(programs, 1)
-
-
-TARGETS = {
-    target for line in re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.M) for target in line.split()
-}
-WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-
-
-def test_the_targets_that_everybody_knows_are_there():
-    assert {"demo", "test", "check", "bench", "clean", "wheel"} <= TARGETS
-
-
-@pytest.mark.parametrize(
-    "path", [*WORKFLOWS, ROOT / ".ci" / "run", ROOT / "CONTRIBUTING.md"], ids=lambda path: path.name
-)
-def test_only_targets_that_exist_are_run(path):
-    called = set(re.findall(r"^(?:.*run: |    )?make ([a-z]+)", path.read_text(), re.M))
-    assert called
-    assert called <= TARGETS
 
 
 def test_the_conda_recipe_requires_what_the_package_requires():

@@ -1,16 +1,12 @@
 """A share of the seeded attacks of `tests/fuzz`; the rest runs with -m fuzz, or by their command lines."""
 
 import json
-import shutil
 import subprocess
 import sys
 
 import places
 import pytest
 import sanitized
-
-from dehyst.exports.model_header import config_header
-from examples import at_night
 
 FUZZ = places.FUZZ
 
@@ -24,38 +20,6 @@ def attacked(*command, env=None):
     assert not summary["findings"], summary["findings"][:5]
     assert done.returncode == 0
     return summary
-
-
-@pytest.fixture(scope="session")
-def native(tmp_path_factory):
-    """Compile the core and its harness under sanitizers; a function of the number type returns the program."""
-    if missing := sanitized.runtime_missing():
-        pytest.skip(f"{missing} is not installed: the core cannot be compiled under sanitizers")
-    programs = {}
-
-    def program(number):
-        if number not in programs:
-            folder = tmp_path_factory.mktemp(number)
-            for source in places.CORE_FILES:
-                shutil.copy(source, folder)
-            (folder / "dehyst_config.h").write_text(config_header(number))
-            sources = [*sorted(folder.glob("*.c")), FUZZ / "core.c"]
-            strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-I", folder]
-            command = ["gcc", *strict, *sanitized.SANITIZE, *sources, "-lm", "-o", folder / "program"]
-            done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
-            assert done.returncode == 0, done.stderr
-            programs[number] = folder / "program"
-        return programs[number]
-
-    return program
-
-
-@pytest.mark.parametrize("count", [2000, pytest.param(1_000_000, marks=pytest.mark.fuzz)])
-@pytest.mark.parametrize("number", ["double", at_night("float")])
-def test_random_lives_on_the_sanitized_core(native, number, count):
-    done = subprocess.run([native(number), "1", "0", str(count)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{done.stdout}{done.stderr[-3000:]}"
-    assert f"{count} cases" in done.stdout
 
 
 @pytest.mark.fuzz

@@ -13,7 +13,7 @@ import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.instruments import Samples
 from dehyst.instruments.waves import admitted
-from dehyst.model import evaluator_of, voltages_of
+from dehyst.model import voltages_of
 from dehyst.waveforms import standard
 
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.
@@ -27,7 +27,6 @@ ACTUATOR = Actuator(
 )
 LOW, HIGH = ACTUATOR._plausible.low, ACTUATOR._plausible.high
 STROKE = HIGH - LOW
-FREE = Actuator(ACTUATOR.slip, ACTUATOR.spring)
 PATH = np.linspace(-110e-6, -80e-6, 9)
 
 
@@ -48,18 +47,6 @@ class Quantity:
 def test_a_displacement_in_another_unit_or_from_another_zero_is_refused(given_as, hint):
     with pytest.raises(ModelError, match=hint):
         ACTUATOR.compensate(given_as)
-
-
-@pytest.mark.parametrize("actuator", [ACTUATOR, FREE])
-def test_extrapolation_that_is_asked_for_gives_the_core_s_numbers(actuator):
-    y = np.array([2.0, 12.0, -3.0])
-    core, start = evaluator_of(actuator).core, evaluator_of(actuator).core_state(actuator.state)
-    pace = evaluator_of(actuator).step_coefficients(np.array([0, y.size]), np.zeros(1))
-    expected, _ = core.compensate(y, pace, start)
-    np.testing.assert_array_equal(FREE.compensate(y, extrapolate=True).voltage, expected)
-    v = np.array([0.0, 1e4, -1e4])
-    expected, _ = core.simulate(v, pace, start)
-    np.testing.assert_array_equal(FREE.simulate(v, extrapolate=True).displacement, expected)
 
 
 @given(our.actuators(1, 20), our.SEEDS, st.booleans())

@@ -166,13 +166,6 @@ def test_the_same_seed_gives_the_same_numbers(numbers):
     assert found == {key: value(numbers, "asymmetric", key, "breakpoints") for key in found}
 
 
-@pytest.mark.nightly
-def test_the_same_result_is_written_the_same(result, folder, tmp_path):
-    paper.write(result, tmp_path)
-    for path in folder.iterdir():
-        assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
-
-
 def test_a_folder_that_cannot_be_made_is_refused(result, tmp_path):
     (tmp_path / "file").write_text("taken")
     with pytest.raises(FileFormatError, match="is a file"):
