@@ -109,7 +109,7 @@ def compensate(
     wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
     with _named(trajectory):
         if table is None:
-            made = task.follow(wanted + place, clock, warmth, on_time, output)
+            made = task.follow(wanted + place if place else wanted, clock, warmth, on_time, output)
         else:
             period = _period_of(trajectory, wanted[:, 0] + place, clock, warmth)
             made = task.tabulate(period, start_up, output, table)

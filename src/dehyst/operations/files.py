@@ -30,7 +30,8 @@ def clock_of(table: Table, columns: Columns) -> dict[str, Array]:
     """Return the time of a table as a column; nothing if it has none."""
     if columns.time is None and not table.fitting("time"):
         return {}
-    return {"time_s": table.column("time", columns.time)}
+    # A copy, so that the other columns of the file need not stay in memory.
+    return {"time_s": np.array(table.column("time", columns.time))}
 
 
 def warmth_of(table: Table, columns: Columns) -> Array | None:

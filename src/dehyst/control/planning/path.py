@@ -220,7 +220,7 @@ class Task:
     ) -> None:
         self.compensator, self.stage, self.single = compensator, compensator.stage, compensator._single
         self.rows, self.rates = compensator._rows(rows, what), rates or {}
-        if what == "displacement":
+        if what == "displacement" and compensator._per_metre != 1:
             self.rows = self.rows / compensator._per_metre
         size, period = len(self.rows), compensator.period
         if not size:
@@ -252,7 +252,7 @@ class Task:
 
     def _decouple(self) -> None:
         """Find the displacements without coupling, and the first ones of the models."""
-        moved = apply(self.stage.decoupling, self.rows)
+        moved = self.rows if self.single else apply(self.stage.decoupling, self.rows)
         for j, part in enumerate(self.parts):
             part.moved = moved[:, j]
             gain, offset = part.loop.scaling(part.warmth, len(self.rows))
@@ -406,13 +406,13 @@ class Task:
 
         `wanted` (n, axes) [m]: what a given voltage causes; by default the path.
         """
-        size, first, after = len(self.rows), self.parts[0].way.voltage.size, self.ahead
+        errors, size, first, after = self.errors(), len(self.rows), self.parts[0].way.voltage.size, self.ahead
         phase = np.repeat(np.array([WAY, PATH], dtype=np.int8), [after, size - after])
         phase, time = np.concatenate([self.parts[0].way.phase, phase]), self.time_of(size)
         path, miss = (self.rows, self.misses()) if wanted is None else (wanted, np.broadcast_to(0.0, wanted.shape))
         columns = (self.motion(shown=True)[0].T, path.T, miss.T, self.rows.T)
         units, counts, plans = self.compensator.units, self.compensator._per_metre, []
-        for part, error, before, y, off, row in zip(self.parts, self.errors(), *columns, strict=True):
+        for part, error, before, y, off, row in zip(self.parts, errors, *columns, strict=True):
             loop, way, found = part.loop, part.way, part.found
             degrees = None if part.temperature is None else part.temperature[after:]
             volts, clamped, left = (column[after:] for column in (found.voltage, found.clamped, off))
@@ -443,8 +443,8 @@ class Task:
                 time,
                 phase,
                 np.concatenate([way.voltage, found.voltage]),
-                displacement=np.concatenate([before, y]),
-                expected=np.concatenate([before, y + off]),
+                displacement=(moved := np.concatenate([before, y])),
+                expected=np.concatenate([before, y + off]) if off.any() else moved,
                 clamped=np.concatenate([np.zeros(first, dtype=bool), found.clamped]),
                 state=found.state,
                 start=way.start,
@@ -455,7 +455,7 @@ class Task:
                 warnings=(*remarks, *untested(loop.actuator, promise, degrees), *hint),
                 temperature=led(part.temperature, first),
             )
-            plans.append(plan.in_units(units))
+            plans.append(plan if units == "m" else plan.in_units(units))
         return plans[0] if self.single else PathPlan.of_axes(self.stage.axes, plans)
 
 
