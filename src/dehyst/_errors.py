@@ -41,6 +41,9 @@ class DehystError(Exception):
         Names of the arguments that the hint is about.
     """
 
+    # What the error is about, such as "axis x: ", before its message.
+    part = ""
+
     def __init__(
         self,
         message: object = "",
@@ -56,21 +59,14 @@ class DehystError(Exception):
         super().__init__(self.text())
 
     def text(self, named: Callable[[str], str] = str, given: Callable[[str], str] = "{}=".format) -> str:
-        """Return the message.
-
-        Parameters
-        ----------
-        named, given : callable, optional
-            Functions that return the shown name of an argument, such as an option, and how to give it (empty: not
-            possible).
-        """
+        """Return the message; `named` returns the shown name of an argument, `given` how to give it, or nothing."""
         head = ", ".join(map(named, self.argument.split(", "))) + ": " if self.argument else ""
         got = f"got {self.got}" if self.got else ""
         need = f"need {self.need}" if self.need else ""
         parts = ", ".join(part for part in (self.message, got, need) if part)
         wrong = self.argument.split(", ")
         ways = ", ".join(filter(None, (given(name) for name in self.change if name not in wrong)))
-        return f"{head}{parts}{'; ' * bool(parts and self.hint)}{self.hint}{f' ({ways})' if ways else ''}"
+        return f"{self.part}{head}{parts}{'; ' * bool(parts and self.hint)}{self.hint}{f' ({ways})' if ways else ''}"
 
     def as_dict(self) -> dict[str, object]:
         """Return JSON values."""
@@ -84,13 +80,10 @@ class DehystError(Exception):
 
 
 def of_part(error: DehystError, part: str) -> DehystError:
-    """Return the error with a `part`, such as "axis x", before it; a command can still name its own options in it."""
-    if not part:
-        return error
-    if error.argument or type(error).__init__ is not DehystError.__init__:
-        return type(error)(f"{part}: {error}")
-    fields = {name: getattr(error, name) for name in ("got", "need", "hint", "change")}
-    return type(error)(f"{part}: {error.message}", **fields)
+    """Return the error, now with a `part`, such as "axis x", before it."""
+    error.part = f"{part}: {error.part}" if part else error.part
+    error.args = (error.text(),)
+    return error
 
 
 class RecordError(DehystError, ValueError):

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import DehystError, IdentifyError, ModelError
+from dehyst._errors import DehystError, IdentifyError, ModelError, of_part
 from dehyst._types import Array
 
 # Names of the axes of a record or a stage that names none.
@@ -102,7 +102,8 @@ def spanned(values: ArrayLike, what: str, *, error: type[DehystError] = ModelErr
     low, high = float(np.minimum.reduce(array)), float(np.maximum.reduce(array))
     if not (math.isfinite(low) and math.isfinite(high)):
         bad = np.flatnonzero(~np.isfinite(array))
-        raise error(f"{what}: {bad.size} of {array.size} values are not finite, first at index {bad[0]}; fill them in")
+        words = f"{bad.size} of {array.size} values are not finite, first at index {bad[0]}"
+        raise error(words, argument=what, hint="fill them in")
     return array, low, high
 
 
@@ -179,12 +180,13 @@ def choice(value: Any, name: str, among: Collection[str], *, error: type[DehystE
     return value
 
 
-def axis_names(axes: Sequence[str], count: int, what: str, error: type[Exception] = ModelError) -> tuple[str, ...]:
+def axis_names(axes: Sequence[str], count: int, what: str, error: type[DehystError] = ModelError) -> tuple[str, ...]:
     """Return the names of `count` axes; raise `error` unless these are `count` different names without blanks."""
     names = tuple(axes)
     good = all(isinstance(name, str) and name and not set(name) & set(" \t\n,;:\"'") for name in names)
     if isinstance(axes, str) or len(names) != count or not good or len(set(names)) < count or not count:
-        raise error(f"{what}: axes: got {axes!r}, need {count} different names without blanks, such as {('x', 'y')}")
+        need = f"{count} different names without blanks, such as {('x', 'y')}"
+        raise of_part(error(argument="axes", got=repr(axes), need=need), what)
     return names
 
 
@@ -208,8 +210,10 @@ def demand_computable(
     if bad.size:
         needed = f"at most {most:g}" if least < 0 else f"{least:g} to {most:g}"
         raise error(
-            f"{what}: got {magnitudes[bad[0]]:.3g}, which cannot be computed with; need {needed} in magnitude, in SI "
-            "units. Check the units, or whether the file is damaged"
+            argument=what,
+            got=f"{magnitudes[bad[0]]:.3g}, which cannot be computed with",
+            need=f"{needed} in magnitude, in SI units",
+            hint="check the units, or whether the file is damaged",
         )
 
 
@@ -247,7 +251,7 @@ class Numbers:
             bad[1:] |= np.diff(numbers) <= 0
         if bad.any():
             first = tuple(np.argwhere(bad)[0].tolist())
-            place = f" at index {', '.join(map(str, first))}" if self.dimensions else ""
+            place = f" at index {', '.join(map(str, first))}" if numbers.size > 1 else ""
             raise self.error(argument=where, got=f"{numbers[first]:.6g}{place}", need=self.need, hint=self.hint)
         if self.divides:
             steps = np.diff(numbers) if self.rising else numbers[numbers != 0]

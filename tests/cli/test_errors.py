@@ -11,7 +11,7 @@ from virtual_loops import record_loops
 
 from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
 from dehyst.cli import main
-from dehyst.cli.command import error_text
+from dehyst.operations.command import error_text
 from dehyst.operations.registry import find
 from dehyst.records import write_record
 from dehyst.records.columns import entries_of

@@ -129,13 +129,12 @@ def test_show_check_and_insight(folder):
     assert "never moved alone" not in words
 
 
-def test_a_record_of_axes_is_shown_written_and_drawn(folder):
+def test_a_record_of_axes_is_shown_and_written(folder):
     words = ["show", folder / "stage.csv", "--columns", AXES]
-    output = run(*words, "-o", folder / "shown.npz", "--report", folder / "shown.html")
+    output = run(*words, "-o", folder / "shown.npz")
     assert output.count("displacement (um)") == 2
     again = read(folder / "shown.npz", "x=vx_V:x_m, y=vy_V:y_m")
     assert np.array_equal(again.voltage, read(folder / "stage.csv", AXES).voltage)
-    assert (folder / "shown.html").read_text().count("data-chart=") >= 6
 
 
 def test_a_check_of_a_stage_is_a_row_an_axis_of_the_log(folder):

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from dehyst.cli.command import run_command
 from dehyst.instruments import Samples
 from dehyst.operations import registry
-from dehyst.operations.axes import AxisNumber, limits_of, of_axes
+from dehyst.operations.axes import OfAxes
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import (
     HOUSE,
@@ -29,7 +29,6 @@ from dehyst.operations.command import (
     command,
     context_of,
     flag,
-    integer,
     number,
     option,
     output,
@@ -47,7 +46,7 @@ def sample(
     run,
     file=argument(),
     output=output("", required=False),
-    size=integer("How large.", default=2),
+    size=option("How large.", int, default=2),
     pair=pair(""),
     names=option("", multiple=True),
     others=option("", INPUT, multiple=True),
@@ -114,13 +113,13 @@ def test_a_text_that_is_no_start_is_refused_with_what_is_needed():
 
 
 def test_axes_have_values_of_their_own_and_in_common():
-    kind = AxisNumber("V/S", none=True)
-    assert [kind.convert(text, None, None) for text in ("none", "y=5")] == [("", float("inf")), ("y", 5)]
-    assert limits_of("xy", [(("", 0), 100), (("x", -5), 120)]) == [(-5, 120), (0, 100)]
-    assert of_axes("xy", [("", 1), ("y", 5)], "slew_rate") == [1, 5]
+    words = ["--limits", "0", "100", "--limits", "x=-5", "120", "--slew-rate", "none", "--slew-rate", "y=5"]
+    given = context_of(["export", "model.json", "c", *words]).params
+    assert given["limits"].of("xy") == [(-5, 120), (0, 100)]
+    assert given["slew_rate"].of("xy") == [float("inf"), 5]
     for wrong in ([("z", 1)], [("", 1), ("", 2)]):
         with pytest.raises(ValueError, match="need"):
-            of_axes("xy", wrong, "slew_rate")
+            OfAxes("slew_rate", wrong).of("xy")
 
 
 COMMANDS = dict(commands())

@@ -14,14 +14,12 @@ import click
 from dehyst._errors import DecimalSignError, DehystError, DeviceError, LinkError, SensorError
 from dehyst._text import escaped
 from dehyst.cli.terminal import echo, echo_json, note, progress_line
-from dehyst.operations.command import HOUSE, command_of
+from dehyst.operations.command import command_of, error_text
 from dehyst.operations.run import Run, perform, terminable
 from dehyst.records.columns import text_of
 from dehyst.records.tables import ColumnsError, notes_on
 
 _ENDING = b"dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
-# The key of --columns for an argument of the library.
-_KEYS = {"time": "time=NAME", "sample_rate": "rate=HZ", "columns": "KEY=VALUE"}
 # How columns are typed once.
 _KEPT = "dehyst show FILE --columns TEXT --save FILE keeps them for --columns @FILE."
 
@@ -99,24 +97,3 @@ def _refuse(ctx: click.Context, error: DehystError, as_json: bool, known: Mappin
     if as_json:
         fields = {**error.as_dict(), "message": escaped(sentence), "suggestion": suggestion, "commands": commands}
         echo_json({**known, "error": fields})
-
-
-def error_text(ctx: click.Context, error: DehystError) -> str:
-    """Return the message of an error with options in the place of the library's arguments."""
-    parameters = {parameter.name: parameter for parameter in ctx.command.params}
-
-    def named(argument: str) -> str:
-        parameter = parameters.get(argument)
-        if parameter is None:
-            return HOUSE.get(argument, argument)
-        off = parameter.secondary_opts if ctx.params.get(argument) is False else []
-        return argument.upper() if isinstance(parameter, click.Argument) else (off or parameter.opts)[-1]
-
-    def way(argument: str) -> str:
-        parameter = parameters.get(argument)
-        if isinstance(parameter, click.Option):
-            return named(argument) if parameter.is_flag else f"{named(argument)} {parameter.make_metavar(ctx)}"
-        key = _KEYS.get(argument)
-        return f"--columns {key}" if key and "columns" in parameters else named(argument) if parameter else ""
-
-    return error.text(named, way)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from dehyst.operations.command import argument, command, integer, switch
+from dehyst.operations.command import argument, command, option
 from dehyst.operations.run import Result, Run
 from dehyst.workbench import serve
 from dehyst.workbench.serving import Door
@@ -21,8 +21,8 @@ _FOLDER = click.Path(path_type=Path)
 def workbench(
     run: Run,
     folder: Path = argument(_FOLDER, required=False, default="dehyst-workbench"),
-    port: int | None = integer("0: any that is free; default: 8754, or any."),
-    browser: bool = switch("--browser/--no-browser", "Open the page.", default=True),
+    port: int | None = option("0: any that is free; default: 8754, or any.", int),
+    browser: bool = option("Open the page.", words="--browser/--no-browser", default=True),
 ) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 

@@ -258,7 +258,7 @@ def axes_of(
             made.append(Axis(actuator, bounds, seconds, begin, own is None, name=name, **options))
             _ = runs and made[-1].loop
         except ModelError as error:
-            raise of_part(error, name) from error
+            raise of_part(error, name) from error.__cause__
     return tuple(made)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import IdentifyError, RecordError
+from dehyst._errors import IdentifyError, RecordError, of_part
 from dehyst._native import slip_elongations
 from dehyst._text import digits, escaped
 from dehyst._threads import one_thread
@@ -178,7 +178,7 @@ def identify_axes(
         try:
             fits.append(identify(alone, validate, lambda words, axis=axis: report(f"axis {axis}: {words}")))  # type: ignore[misc]
         except (RecordError, IdentifyError) as error:
-            raise type(error)(f"axis {axis}: {error}") from error
+            raise of_part(error, f"axis {axis}") from error.__cause__
     provenance = {
         "dehyst": __version__,
         "records": [{"name": record.name, **record.meta} for record in training],

@@ -238,7 +238,7 @@ class Stage(JsonFile):
             try:
                 motions.append(getattr(actuator, call)(column, **options, extrapolate=extrapolate))
             except ModelError as error:
-                raise of_part(error, f"axis {axis}") from error
+                raise of_part(error, f"axis {axis}") from error.__cause__
         return motions
 
     def temperatures(self, temperature: ArrayLike | None, samples: int) -> list[Array | None]:

@@ -25,59 +25,61 @@ from dehyst.records.files import record_of
 from dehyst.records.tables import ColumnError, chosen
 
 Limits = tuple[float, float] | None
-# Numbers, and limits, of an axis, or of all axes, "".
-AxisNumbers = Sequence[tuple[str, float]]
-AxisLimits = Sequence[tuple[tuple[str, float], float]]
 
 
-class AxisNumber(click.ParamType):  # type: ignore[type-arg]
-    """A number [AXIS=]NUMBER of an axis, or of all axes, "", if none is named; `none`: "none" is infinite."""
+class _AxisNumber(click.ParamType):  # type: ignore[type-arg]
+    """A number [AXIS=]NUMBER of an axis, or of all axes, "", if none is named; "none" is infinite."""
 
-    def __init__(self, name: str, *, none: bool = False) -> None:
-        self.name, self.none = name, none
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        """Return the form of the text."""
-        return self.name
+    name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the axis and its number."""
-        if isinstance(value, tuple):
-            return value
         axis, _, text = value.rpartition("=")
-        return axis, math.inf if self.none and text == "none" else NUMBER.convert(text, param, ctx)
+        return axis, math.inf if text == "none" else NUMBER.convert(text, param, ctx)
 
 
-def limits_option(text: str, *only: Condition) -> Any:
-    """Return the declaration of an option for the limits of all axes or of one."""
-    return option(text, (AxisNumber("[AXIS=]LOW"), NUMBER), *only, multiple=True, metavar="[AXIS=]LOW HIGH")
+@dataclass(frozen=True)
+class OfAxes:
+    """Values of an option, each of an axis, or of all axes, "" ."""
+
+    name: str
+    given: Sequence[tuple[str, Any]] = ()
+
+    def of(self, axes: Sequence[str]) -> list[Any]:
+        """Return the value of each axis: its own, the common one, or None.
+
+        Raise `ModelError` for an axis that is unknown or given twice.
+        """
+        found: dict[str, Any] = {}
+        for axis, value in self.given:
+            if axis in found:
+                raise ModelError(argument=self.name, got=f"{axis or 'one for all axes'} twice", need="one")
+            if axis and axis not in axes:
+                known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
+                raise ModelError(argument=self.name, got=f"the axis {axis}", need=known)
+            found[axis] = value
+        return [found.get(axis, found.get("")) for axis in axes]
+
+
+def axes_option(text: str, metavar: str, *only: Condition) -> Any:
+    """Return the declaration of an option for a number of all axes or of one."""
+    return option(text, _AxisNumber(), *only, multiple=True, metavar=metavar, callback=_of_axes)
 
 
 def slew_option(text: str, *only: Condition) -> Any:
     """Return the declaration of an option for the slew rates of all axes or of one."""
-    return option(text, AxisNumber("[AXIS=]V/S|none", none=True), *only, multiple=True)
+    return axes_option(text, "[AXIS=]V/S|none", *only)
 
 
-def of_axes(axes: Sequence[str], given: Iterable[tuple[str, Any]], name: str) -> list[Any]:
-    """Return the value of each axis: its own, the common one, or None.
-
-    `given`: pairs of an axis, or "" for all, and its value. `name`: the parameter, for errors. Raise `ModelError` for
-    an axis that is unknown or given twice.
-    """
-    found: dict[str, Any] = {}
-    for axis, value in given:
-        if axis in found:
-            raise ModelError(argument=name, got=f"{axis or 'one for all axes'} twice", need="one")
-        if axis and axis not in axes:
-            known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
-            raise ModelError(argument=name, got=f"the axis {axis}", need=known)
-        found[axis] = value
-    return [found.get(axis, found.get("")) for axis in axes]
+def limits_option(text: str, *only: Condition) -> Any:
+    """Return the declaration of an option for the limits of all axes or of one."""
+    kinds = (_AxisNumber(), NUMBER)
+    return option(text, kinds, *only, multiple=True, metavar="[AXIS=]LOW HIGH", callback=_of_axes)
 
 
-def limits_of(axes: Sequence[str], given: AxisLimits) -> list[Limits]:
-    """Return the limits [V] of each axis from pairs of an axis and a number, each with the upper limit."""
-    return of_axes(axes, ((axis, (low, high)) for (axis, low), high in given), "limits")
+def _of_axes(_: click.Context, option: click.Parameter, given: Sequence[Any]) -> OfAxes:
+    pairs = [each if isinstance(each[0], str) else (each[0][0], (each[0][1], each[1])) for each in given]
+    return OfAxes(str(option.name), pairs)
 
 
 def is_stage(path: Path) -> bool:
@@ -120,13 +122,13 @@ class AxesModel:
         stage = Stage.load(path)
         return cls(stage, stage.actuators, stage.axes)
 
-    def slews(self, given: AxisNumbers) -> tuple[list[float | None], list[str]]:
+    def slews(self, given: OfAxes = OfAxes("slew_rate")) -> tuple[list[float | None], list[str]]:
         """Return the largest slew rate [V/s] of each axis, and a line on each that is the model's own.
 
         It is the given one, that which the model keeps, or None: a path at its own speed.
         """
         rates, lines = [], []
-        for actuator, rate in zip(self.actuators, of_axes(self.axes, given, "slew_rate"), strict=True):
+        for actuator, rate in zip(self.actuators, given.of(self.axes), strict=True):
             known = actuator.identification
             kept = None if known is None or rate is not None else known.allowed_slew_rate
             rates.append(kept if rate is None else None if rate == math.inf else rate)
@@ -165,19 +167,23 @@ class AxesModel:
         """Return the displacement (n, axes) [m] of each actuator for a displacement of the axes."""
         return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
 
-    def moved(self, targets: Array) -> Array:
-        """Return the displacement (n, axes) of the axes for a displacement of each actuator."""
-        return targets if self.stage is None else apply(self.stage.coupling, targets)
-
     def name(self, quantity: str, axis: str, what: str = "") -> str:
         """Return the column name of a quantity of an axis; `what`: such as "expected" for the expected displacement."""
         if not axis:
             return f"{what or quantity}_{'V' if quantity == 'voltage' else 'um'}"
         return f"v{axis}_V" if quantity == "voltage" else f"{axis}{what and f'_{what}'}_um"
 
-    def columns(self, quantity: str, values: Array, what: str = "") -> dict[str, Array]:
-        """Return values (n, axes) [V or um] as the columns that an operation writes."""
-        return {self.name(quantity, axis, what): values[:, j] for j, axis in enumerate(self.axes)}
+    def columns(self, quantity: str, each: Iterable[Array], what: str = "") -> dict[str, Array]:
+        """Return values (n,) [V or um] of each axis as the columns that an operation writes."""
+        return {self.name(quantity, axis, what): values for axis, values in zip(self.axes, each, strict=True)}
+
+    def table(self, parts: Sequence[Any], *, wanted: bool = True) -> dict[str, Array]:
+        """Return the columns of wanted displacement, voltage, expected displacement and temperature of planned axes."""
+        columns = self.columns("displacement", (1e6 * part.displacement for part in parts)) if wanted else {}
+        columns |= self.columns("voltage", (part.voltage for part in parts))
+        columns |= self.columns("displacement", (1e6 * part.expected for part in parts), "expected")
+        warmth = getattr(parts[0], "temperature", None)
+        return columns if warmth is None else {**columns, "temperature_C": warmth}
 
     def demand(self, columns: Columns, keys: Sequence[str], words: str) -> None:
         """Raise an error for keys of columns that have no effect, see `Columns.demand`."""
@@ -186,10 +192,7 @@ class AxesModel:
     def record(self, run: Run, path: Path, columns: Columns) -> Record:
         """Read a record: by the given columns, else by those of the model's own records, else by the usual names."""
         if self.stage is not None:
-            if not columns.axes and not self.stage.recorded_columns:
-                words = "the model does not name its columns"
-                raise FileFormatError(words, argument="axes", hint="give those of each axis")
-            return read(path, columns if columns.axes else replace(columns, axes=self._recorded()))
+            return read(path, columns if columns.axes else replace(columns, axes=self.recorded()))
         known = self.actuators[0].identification
         if columns != AS_FOUND or known is None or not known.columns:
             return read(path, columns)
@@ -203,43 +206,34 @@ class AxesModel:
         )
         return record_of(table, kept, path.stem)
 
-    def _recorded(self) -> dict[str, str]:
-        """Return the columns of the records of a stage by axis; none if it does not name them."""
-        known = () if self.stage is None else self.stage.recorded_columns
-        return dict(text.partition("=")[::2] for text in known)
+    def recorded(self) -> dict[str, str]:
+        """Return the columns of the records of a stage by axis, the usual ones if it does not name them."""
+        usual = {axis: f"{self.name('voltage', axis)}:{self.name('displacement', axis)}" for axis in self.axes}
+        named = () if self.stage is None else self.stage.recorded_columns
+        return usual | dict(text.partition("=")[::2] for text in named)
 
-    def named(self, table: Table, quantity: str, columns: Columns, *, record: bool = False) -> dict[str, str]:
-        """Return the column of each of several axes, as in `Columns`: the given ones, or the usual ones.
-
-        `record`: whether the table is a record, of which both columns of an axis are given, or those that the model
-        names.
-        """
+    def named(self, quantity: str, columns: Columns) -> dict[str, str]:
+        """Return the column of each of several axes: the given one, or the usual one."""
         if columns.axes and set(columns.axes) != set(self.axes):
             need = f"a column for each of the axes {', '.join(self.axes)}"
             raise FileFormatError(argument="axes", got=", ".join(columns.axes), need=need)
         at = -1 if quantity == "displacement" else 0
-        given = {axis: columns_of_axis(text) for axis, text in columns.axes.items()}
-        if given and (not record or all(len(names) == 2 for names in given.values())):
-            return {axis: names[at] for axis, names in given.items()}
-        kept = self._recorded() if record else {}
-        names = {axis: columns_of_axis(text)[at] for axis, text in kept.items()}
-        used = names and all(table.fitting(quantity, name) == 1 for name in names.values())
-        return names if used else {axis: self.name(quantity, axis) for axis in self.axes}
-
-    def column(self, table: Table, quantity: str, axis: str, named: str) -> Array:
-        """Return a quantity (n,) of one of several axes from the column of this axis."""
-        try:
-            return table.column(quantity, named)
-        except ColumnError as error:
-            hint = f'{error.hint.rstrip(".")}. Give the column as "{axis}=NAME"'
-            raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
+        given = {axis: columns_of_axis(text)[at] for axis, text in columns.axes.items()}
+        return given or {axis: self.name(quantity, axis) for axis in self.axes}
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, or by the usual names."""
         if self.stage is None:
             return chosen(table, columns, (quantity,))[quantity].values[:, None]
-        names = self.named(table, quantity, columns)
+        names = self.named(quantity, columns)
         if len({*names.values()}) < len(names):
             got = ", ".join(f"{axis}={name}" for axis, name in names.items())
             raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
-        return np.column_stack([self.column(table, quantity, axis, names[axis]) for axis in self.axes])
+        found = []
+        for axis, name in names.items():
+            try:
+                found.append(table.column(quantity, name))
+            except ColumnError as error:
+                hint = f'{error.hint.rstrip(".")}. Give the column as "{axis}=NAME"'
+                raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
+        return np.column_stack(found)

@@ -17,7 +17,7 @@ from dehyst.calibration.plan import steps
 from dehyst.calibration.session import ProgressListener
 from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, Samples, open_rig
-from dehyst.operations.axes import AxisLimits, AxisNumbers, limits_of, limits_option, of_axes, slew_option
+from dehyst.operations.axes import OfAxes, limits_option, slew_option
 from dehyst.operations.command import CONTINUED, argument, command, flag, number, option, output
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
@@ -77,8 +77,8 @@ def calibrate(
     rig: str = argument(None),
     output: Path = output("Folder; that of an earlier calibration goes on.", CONTINUED, default="dehyst-calibration"),
     axes: str | None = option("Calibrate these axes of one body together, as 1,2,3; default: one axis."),
-    limits: AxisLimits = limits_option("Range of the voltage [V]; default: the device's."),
-    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s."),
+    limits: OfAxes = limits_option("Range of the voltage [V]; default: the device's."),
+    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s."),
     frequency: float | None = number("Frequency [Hz] of the slowest loops; default: 0.1, or 1 for several axes."),
     goal: float = number("Largest error [% of the stroke] of a good calibration, on every axis.", default=1.0),
     dry_run: bool = flag("Print what would be sent, and send nothing."),
@@ -92,15 +92,14 @@ def calibrate(
     """
     names = _names(rig, axes)
     every = names or [""]
-    allowed, rates = limits_of(every, limits), of_axes(every, slew_rate, "slew_rate")
+    allowed, rates = limits.of(every), slew_rate.of(every)
     steepest = [None if rate == math.inf else rate for rate in rates]
     plan = Plan(frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():
         demand_own_folder(output, "records", "", force=run.force)
     # A rig of one axis need not know lists.
-    several = len(every) > 1
-    bounds, steep = (allowed, steepest) if several else (allowed[0], steepest[0])
-    with _left(output), open_rig(rig, names, limits=bounds, slew_rate=steep) as instrument:
+    asked: Any = [each if len({*each}) > 1 else each[0] for each in (allowed, steepest)]
+    with _left(output), open_rig(rig, names, limits=asked[0], slew_rate=asked[1]) as instrument:
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
         for part, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):

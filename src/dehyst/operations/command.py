@@ -10,6 +10,7 @@ import inspect
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,8 @@ Values = Mapping[str, Any]
 Condition = Callable[[Values], str]
 # Returns the parameter of this name.
 Declaration = Callable[[str], click.Parameter]
+# The key of --columns for an argument of the library.
+_KEYS = {"time": "time=NAME", "sample_rate": "rate=HZ", "columns": "KEY=VALUE"}
 # Options of the command line, which are not given to the function.
 HOUSE = {"force": "--force", "details": "--verbose", "as_json": "--json"}
 
@@ -135,11 +138,6 @@ def number(text: str, *only: Condition, **settings: Any) -> Any:
     return option(text, NUMBER, *only, **settings)
 
 
-def integer(text: str, *only: Condition, **settings: Any) -> Any:
-    """Return the declaration of an option for a count."""
-    return option(text, int, *only, **settings)
-
-
 def pair(text: str) -> Any:
     """Return the declaration of an option for two numbers, the lower one first."""
     return option(text, (NUMBER, NUMBER), metavar="LOW HIGH")
@@ -148,11 +146,6 @@ def pair(text: str) -> Any:
 def flag(text: str, *only: Condition, **settings: Any) -> Any:
     """Return the declaration of an option without a value."""
     return option(text, None, *only, **{"is_flag": True, "default": False, **settings})
-
-
-def switch(words: str, text: str, *, default: bool | None = None) -> Any:
-    """Return the declaration of an option with two names, as "--home/--no-home"."""
-    return option(text, words=words, default=default)
 
 
 def output(text: str, role: FilePath = OUTPUT, *only: Condition, **settings: Any) -> Any:
@@ -188,8 +181,13 @@ class OperationCommand(click.Command):
         ]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the words, and keep them for `command_of`."""
+        """Read the words, and keep them for `command_of`; refuse an option that is given twice and counts once."""
         ctx.meta["words"] = [*args]
+        order = self.make_parser(ctx).parse_args([*args])[2]
+        for each in {*order}:
+            if order.count(each) > 1 and not getattr(each, "multiple", each.is_eager):
+                names = "/".join((*each.opts, *each.secondary_opts))
+                raise click.BadParameter(f"got {names} twice, need it once", ctx, each)
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -224,6 +222,37 @@ def argument_of(error: click.UsageError) -> str:
     """Return the name of the parameter that words of a command do not give as it must be; empty if it is not known."""
     parameter, name = getattr(error, "param", None), getattr(error, "option_name", "")
     return str(parameter.name) if parameter is not None else name.lstrip("-").replace("-", "_")
+
+
+def error_text(ctx: click.Context, error: DehystError) -> str:
+    """Return the message of an error with options in the place of the library's arguments."""
+    parameters = {parameter.name: parameter for parameter in ctx.command.params}
+
+    def named(argument: str) -> str:
+        parameter = parameters.get(argument)
+        if parameter is None:
+            return HOUSE.get(argument, argument)
+        off = parameter.secondary_opts if ctx.params.get(argument) is False else []
+        return argument.upper() if isinstance(parameter, click.Argument) else (off or parameter.opts)[-1]
+
+    def way(argument: str) -> str:
+        parameter = parameters.get(argument)
+        if isinstance(parameter, click.Option):
+            return named(argument) if parameter.is_flag else f"{named(argument)} {parameter.make_metavar(ctx)}"
+        key = _KEYS.get(argument)
+        return f"--columns {key}" if key and "columns" in parameters else named(argument) if parameter else ""
+
+    return error.text(named, way)
+
+
+@contextmanager
+def naming_options(ctx: click.Context) -> Iterator[None]:
+    """Let an error name the options of a command in the place of the library's arguments."""
+    try:
+        yield
+    except DehystError as error:
+        error.args = (error_text(ctx, error),)
+        raise
 
 
 def given_in(ctx: click.Context) -> dict[str, Any]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,42 +16,13 @@ from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
 from dehyst.calibration.plan import even_rate
-from dehyst.control import PathPlan, PossibleStart, plan_path, wave_table
+from dehyst.control import PathPlan, WaveTable, plan_path, wave_table
 from dehyst.model import USELESS, Actuator, voltages_of
 from dehyst.operations import start as starts
-from dehyst.operations.axes import (
-    AxesModel,
-    AxisLimits,
-    AxisNumber,
-    AxisNumbers,
-    Limits,
-    limits_of,
-    limits_option,
-    of_axes,
-    of_one_axis,
-    slew_option,
-)
-from dehyst.operations.command import (
-    OUTPUT,
-    PAGE,
-    Values,
-    argument,
-    beside,
-    command,
-    integer,
-    number,
-    option,
-    output,
-    switch,
-)
+from dehyst.operations.axes import AxesModel, Limits, OfAxes, axes_option, limits_option, of_one_axis, slew_option
+from dehyst.operations.command import OUTPUT, PAGE, Values, argument, beside, command, number, option, output
 from dehyst.operations.files import COLUMNS, GAIN, Columns, write_table
-from dehyst.operations.paths import (
-    ZERO,
-    reach_remarks,
-    read_path,
-    reason_of,
-    temperature_column,
-)
+from dehyst.operations.paths import ZERO, reach_remarks, read_path, reason_of
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START, Start
 from dehyst.waveforms import ScanPath
@@ -60,11 +31,14 @@ from dehyst.waveforms import ScanPath
 _CLAMPED = "CLAMPED"
 # Part of its range by which a period may end elsewhere than it begins.
 _CLOSED = 1e-9
-_PRESENT = AxisNumber("[AXIS=]V")
 
 
 def _homes(given: Values) -> str:
     return "" if given.get("start") is None and given.get("home") is not False else "without a homing"
+
+
+def _of_path(given: Values) -> str:
+    return "with --table" if "table" in given else ""
 
 
 @command("compensate", details=True)
@@ -73,16 +47,20 @@ def compensate(
     model: Path = argument(),
     trajectory: Path = argument(),
     output: Path = output("Write the voltage here (CSV)."),
-    limits: AxisLimits = limits_option("Allowed voltages [V]; default: of the records."),
-    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
+    limits: OfAxes = limits_option("Allowed voltages [V]; default: of the records."),
+    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
     zero: float | None = ZERO,
     start: Start | None = option("State before the path; default: unknown.", START),
-    home: bool | None = switch("--home/--no-home", "Home before; default: if the start matters."),
+    home: bool | None = option("Home before; default: if the start matters.", words="--home/--no-home", default=None),
     home_within: float | None = number("Longest duration of homing and way [s].", _homes),
-    present: AxisNumbers = option("Present voltage [V]; default: of --start, or 0.", _PRESENT, multiple=True),
-    on_time: bool | None = switch("--on-time/--late", "Lead by the delay; default: if the actuator lags."),
+    present: OfAxes = axes_option("Present voltage [V]; default: of --start, or 0.", "[AXIS=]V"),
+    on_time: bool | None = option(
+        "Lead by the delay; default: if the actuator lags.", None, _of_path, words="--on-time/--late", default=None
+    ),
     table: Path | None = option("Write the steady cycle of a periodic path here (CSV).", OUTPUT, of_one_axis),
-    start_up: int | None = integer("Cycles before the steady one; default: as needed.", beside("table")),
+    cycles: int | None = option(
+        "Cycles before the steady one; default: as needed.", int, beside("table"), words="--start-up"
+    ),
     gain: float | None = GAIN,
     plot: Path | None = option("Draw path, voltage and promise here (HTML).", PAGE),
     columns: Columns = COLUMNS,
@@ -95,28 +73,77 @@ def compensate(
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
-    known, place = AxesModel.read(run, model), 1e-6 * (zero or 0.0)
-    bounds, (slews, kept) = limits_of(known.axes, limits), known.slews(slew_rate)
-    begins, remarks = starts.starts_of(known, start, bounds, columns)
-    if zero is not None:
-        remarks.append(f"the path is counted from {zero:.6g} um of the sensor, and written in um of the sensor")
-    volts = of_axes(known.axes, present, "present")
+    known = AxesModel.read(run, model)
+    allowed, volts, (slews, kept) = limits.of(known.axes), present.of(known.axes), known.slews(slew_rate)
+    begins, remarks = starts.starts_of(known, start, allowed, columns)
     begins = [
         begin and (begin if now is None else begin.standing_at(actuator, now))
         for actuator, begin, now in zip(known.actuators, begins, volts, strict=True)
     ]
-    task = _Task(run, known, bounds, slews, begins, volts, {"home": home, "home_within": home_within}, zero, gain)
-    wanted, warmth, clock = read_path(known, trajectory, columns, remark=remarks.append)
+    wanted, warmth, clock = read_path(known, trajectory, columns, zero, remark=remarks.append)
+    asked: dict[str, Any] = {"home": home, "home_within": home_within}
+    found: WaveTable | None = None
     with _named(trajectory):
-        if table is None:
-            made = task.follow(wanted + place if place else wanted, clock, warmth, on_time, output)
+        period = None if table is None else _period_of(trajectory, wanted[:, 0], clock, warmth)
+        targets = known.targets(wanted if period is None else period.displacement[:, None]).T
+        each = zip(known.actuators, targets, allowed, strict=True)
+        urgent = known.prefixed(reach_remarks(*axis, zero, warmth) for axis in each)
+        if period is None:
+            asked |= {"start": begins, "present": volts, "time": clock.get("time_s"), "temperature": warmth}
+            plans = known.planned(plan_path, wanted, allowed, slews, on_time=on_time, **asked)
+            rows = {**starts.clock_columns(plans[0], clock), **known.table(plans)}
         else:
-            period = _period_of(trajectory, wanted[:, 0] + place, clock, warmth)
-            made = task.tabulate(period, start_up, output, table)
+            run.progress("homing, and the steady cycle")
+            asked |= {"limits": allowed[0], "slew_rate": slews[0], "start": begins[0], "present": volts[0]}
+            found = wave_table(known.actuators[0], period, cycles=cycles, **asked)
+            plans = [replace(found.plan, warnings=found.warnings)]
+            # The cycle follows at once, so that its first sample is not written twice.
+            rows = {"time_s": found.plan.time, "phase": found.plan.phase, **known.table(plans)}
+            rows = {name: values[:-1] for name, values in rows.items()}
+    size = len(next(iter(rows.values())))
+    run.progress(f"writing {size} rows")
+    write_table(output, rows, gain)
+    if found is not None and table is not None:
+        write_table(table, {"time_s": found.cycle.time, **known.table([found.cycle])}, gain)
     if plot is not None:
         run.progress("drawing the path")
-        _draw(plot, known.axes, made.plans, command=run.command)
-    return task.result(made, remarks, output, [*files(Picture=plot), *kept])
+        _draw(plot, known.axes, plans, command=run.command)
+
+    axes = [*zip(known.actuators, plans, allowed, slews, volts, strict=True)]
+    urgent += known.prefixed(starts.before_path(*axis) for axis in axes)
+    said = known.prefixed(plan.warnings for plan in plans)
+    reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
+    urgent += [sentence for sentence in said if _CLAMPED in sentence]
+    others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
+    fields = {
+        "samples": size,
+        **known.merged([_numbers(*axis[:4]) for axis in axes]),
+        "warnings": [*urgent, *reasons, *others],
+        "output": str(output),
+    }
+    spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
+    words = known.prefixed(
+        [f"{span} {starts.begin_words(actuator, plan, limits, now)}"]
+        for span, (actuator, plan, limits, _, now) in zip(spans, axes, strict=True)
+    )
+    lines = [
+        *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
+        *reasons,
+        *known.prefixed(map(starts.open_start, plans)),
+        f"{counted(size, 'sample')}, {', '.join(words)}: {output}",
+        *files(Picture=plot),
+        *kept,
+    ]
+    good = all(map(_is_good, plans))
+    if found is not None:
+        fields |= _cycle_fields(found) | {"table": str(table)}
+        lines.append(
+            f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {found.error * 1e6:.3g} um; "
+            f"{counted(len(found.cycle), 'sample')} a cycle: {table}"
+        )
+        good = good and found.settled and not found.plan.clamped.any()
+    more = [*lines, *others[1:]] if others[1:] else ()
+    return Result(fields, lines, more, [*urgent, *others[:1]], good)
 
 
 @contextmanager
@@ -127,7 +154,7 @@ def _named(path: Path) -> Iterator[None]:
     except ModelError as error:
         if error.change or error.argument not in ("", "displacement"):
             raise
-        raise of_part(error, path.name) from error
+        raise of_part(error, path.name) from error.__cause__
 
 
 def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Array | None) -> ScanPath:
@@ -153,115 +180,6 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
     return ScanPath(wanted[:-1], spline(at[:-1], 1), spline(at[:-1], 2), rate)
 
 
-class _Made(NamedTuple):
-    """The plan of each axis, the rows of the file, what is urgent, and further JSON values and lines."""
-
-    plans: Sequence[PathPlan]
-    rows: int
-    urgent: list[str]
-    fields: Mapping[str, Any] = {}
-    lines: Sequence[str] = ()
-    good: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """What was asked for of each axis of a model: limits, slew rate, start, present voltage; `how` to home.
-
-    `gain`: of the amplifier, whose inputs are written too.
-    """
-
-    run: Run
-    known: AxesModel
-    limits: Sequence[Limits]
-    slews: Sequence[float | None]
-    starts: Sequence[PossibleStart | None]
-    present: Sequence[float | None]
-    how: Mapping[str, Any]
-    zero: float | None
-    gain: float | None
-
-    def follow(
-        self, wanted: Array, time: Mapping[str, Array], warmth: Array | None, on_time: bool | None, output: Path
-    ) -> _Made:
-        """Compute and write the voltages of a path (n, axes) [m]."""
-        known = self.known
-        each = zip(known.actuators, known.targets(wanted).T, self.limits, strict=True)
-        urgent = known.prefixed(reach_remarks(*axis, self.zero, warmth) for axis in each)
-        path = {"time": time.get("time_s"), "temperature": warmth, "start": self.starts, "present": self.present}
-        plans = known.planned(plan_path, wanted, self.limits, self.slews, on_time=on_time, **path, **self.how)
-        self.run.progress(f"writing {plans[0].voltage.size} rows")
-        clock = starts.clock_columns(plans[0], time)
-        write_table(output, {**clock, **_columns(known, plans), **temperature_column(plans[0])}, self.gain)
-        return _Made(plans, len(plans[0].voltage), urgent)
-
-    def tabulate(self, path: ScanPath, cycles: int | None, output: Path, steady: Path) -> _Made:
-        """Write the wave table of a period with its start-up, and its homing unless a start or --no-home is given."""
-        actuator, limits = self.known.actuators[0], self.limits[0]
-        urgent = reach_remarks(actuator, path.displacement, limits, self.zero)
-        self.run.progress("homing, and the steady cycle")
-        given = {"slew_rate": self.slews[0], "start": self.starts[0], "present": self.present[0], **self.how}
-        try:
-            table = wave_table(actuator, path, limits=limits, cycles=cycles, **given)
-        except RecordError as error:
-            if error.argument == "cycles":
-                error.argument = "start_up"
-            raise
-        rate, cycle, plan = table.sample_rate, table.cycle, table.plan
-        # The cycle follows at once, so that its first sample is not written twice.
-        rows = plan.voltage.size - 1
-        self.run.progress(f"writing {rows} rows")
-        columns = {"time_s": plan.time, "phase": plan.phase, **_columns(self.known, [plan])}
-        write_table(output, {name: values[:-1] for name, values in columns.items()}, self.gain)
-        write_table(steady, {"time_s": cycle.time, **_columns(self.known, [cycle])}, self.gain)
-        line = (
-            f"the steady table after {counted(table.cycles, 'cycle')} of start-up, to {table.error * 1e6:.3g} um; "
-            f"{counted(len(cycle), 'sample')} a cycle: {steady}"
-        )
-        fields = {
-            "sample_rate_Hz": rate,
-            "frequency_Hz": rate / len(cycle),
-            "start_up_cycles": table.cycles,
-            "cycle_samples": len(cycle),
-            "error_um": table.error * 1e6,
-            "settled": table.settled,
-            "table": str(steady),
-        }
-        steadies = table.settled and not plan.clamped.any()
-        return _Made([replace(plan, warnings=table.warnings)], rows, urgent, fields, [line], bool(steadies))
-
-    def result(self, made: _Made, remarks: Sequence[str], output: Path, added: Sequence[str]) -> Result:
-        """Return what to expect of the plans of all axes, and to do, with `added` lines."""
-        known, plans = self.known, made.plans
-        each = [*zip(known.actuators, plans, self.limits, self.slews, self.present, strict=True)]
-        urgent = [*made.urgent, *known.prefixed(starts.before_path(*axis) for axis in each)]
-        said = known.prefixed(plan.warnings for plan in plans)
-        reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
-        urgent += [sentence for sentence in said if _CLAMPED in sentence]
-        others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
-        fields = {
-            "samples": made.rows,
-            **known.merged([_numbers(*axis) for axis in each]),
-            "warnings": [*urgent, *reasons, *others],
-            "output": str(output),
-            **made.fields,
-        }
-        spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
-        begins = (starts.begin_words(actuator, plan, limits, now) for actuator, plan, limits, _, now in each)
-        words = known.prefixed([f"{span} {begin}"] for span, begin in zip(spans, begins, strict=True))
-        lines = [
-            *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
-            *reasons,
-            *known.prefixed(map(starts.open_start, plans)),
-            f"{counted(made.rows, 'sample')}, {', '.join(words)}: {output}",
-            *added,
-            *made.lines,
-        ]
-        good = made.good and all(map(_is_good, plans))
-        more = [*lines, *others[1:]] if others[1:] else ()
-        return Result(fields, lines, more, [*urgent, *others[:1]], good)
-
-
 def _is_good(plan: PathPlan) -> bool:
     """Return whether a path is followed, with a promise of at most 5 % of the stroke or, without one, a known start."""
     promise = plan.promise
@@ -269,7 +187,7 @@ def _is_good(plan: PathPlan) -> bool:
     return plan.followed and small
 
 
-def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None, _: float | None) -> dict[str, Any]:
+def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None) -> dict[str, Any]:
     """Return the plan of an axis as JSON values."""
     return {
         "clamped": int(plan.clamped[plan.first :].sum()),
@@ -284,13 +202,16 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
     }
 
 
-def _columns(known: AxesModel, parts: Sequence[Any]) -> dict[str, Array]:
-    """Return the columns of wanted displacement, voltage and expected displacement of each axis."""
-    wanted, volts, expected = (
-        np.column_stack([getattr(part, name) for part in parts]) for name in ("displacement", "voltage", "expected")
-    )
-    columns = known.columns("displacement", 1e6 * wanted) | known.columns("voltage", volts)
-    return columns | known.columns("displacement", 1e6 * expected, "expected")
+def _cycle_fields(found: WaveTable) -> dict[str, Any]:
+    """Return the steady cycle of a period as JSON values."""
+    return {
+        "sample_rate_Hz": found.sample_rate,
+        "frequency_Hz": found.sample_rate / len(found.cycle),
+        "start_up_cycles": found.cycles,
+        "cycle_samples": len(found.cycle),
+        "error_um": found.error * 1e6,
+        "settled": found.settled,
+    }
 
 
 def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:

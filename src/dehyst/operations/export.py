@@ -14,15 +14,7 @@ from dehyst.control import Axis, Compensator
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import target_of, written
-from dehyst.operations.axes import (
-    AxesModel,
-    AxisLimits,
-    AxisNumbers,
-    is_stage,
-    limits_of,
-    limits_option,
-    slew_option,
-)
+from dehyst.operations.axes import AxesModel, OfAxes, is_stage, limits_option, slew_option
 from dehyst.operations.command import FOLDER, Values, argument, command, flag, option
 from dehyst.operations.command import number as number_option
 from dehyst.operations.run import Result, Run, demand_outputs
@@ -50,8 +42,8 @@ def export(
         click.Choice(["double", "float"]),
         default="double",
     ),
-    limits: AxisLimits = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
-    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
+    limits: OfAxes = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
+    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
     period: float | None = number_option("Time between steps [s]; a model that depends on time needs it."),
     preview: bool = flag("Compensate delay and inertia; displacements come in advance then.", _of_loop),
     name: str | None = option("Prefix of files and functions; default: piezo, or stage."),
@@ -73,7 +65,7 @@ def export(
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
-    bounds: Any = limits_of(known.axes, limits) if loop else ANY_VOLTAGE
+    bounds: Any = limits.of(known.axes) if loop else ANY_VOLTAGE
     (slews, kept), source = known.slews(slew_rate), known.stage or known.actuators[0]
     compensator = Compensator(source, bounds, slews, period=period, preview=preview)
     loops = compensator._axes

@@ -17,17 +17,9 @@ from dehyst.calibration.plan import even_rate
 from dehyst.control import VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
 from dehyst.model import stroke_of, voltages_of
-from dehyst.operations.axes import (
-    AxesModel,
-    AxisLimits,
-    AxisNumbers,
-    Limits,
-    limits_of,
-    limits_option,
-    slew_option,
-)
+from dehyst.operations.axes import AxesModel, Limits, OfAxes, limits_option, slew_option
 from dehyst.operations.bench import Steps
-from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, integer, option, output
+from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, option, output
 from dehyst.operations.files import COLUMNS, Columns, write_table
 from dehyst.operations.paths import ZERO, bounds_remarks, reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
@@ -48,11 +40,13 @@ def follow(
     model: Path = option("The model (JSON) of one axis or several.", INPUT, required=True),
     path: Path = option("A file with times and a displacement, or the path of dehyst scan.", INPUT, required=True),
     output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
-    repeat: int | None = integer("How often the path is followed; default: once, with --learn until the error stays."),
+    repeat: int | None = option(
+        "How often the path is followed; default: once, with --learn until the error stays.", int
+    ),
     learn: bool = flag("Correct each repetition by the error of the one before."),
     feedback: bool = flag("Correct each sample by the reading before it: of one axis, at most at 200 Hz."),
-    limits: AxisLimits = limits_option("Range of the voltage [V]; default: that of the model and the device."),
-    slew_rate: AxisNumbers = slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's."),
+    limits: OfAxes = limits_option("Range of the voltage [V]; default: that of the model and the device."),
+    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's."),
     zero: float | None = ZERO,
     columns: Columns = COLUMNS,
 ) -> Result:
@@ -68,14 +62,14 @@ def follow(
     known = AxesModel.read(run, model)
     if feedback and known.stage is not None:
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")
-    wanted, warmth, clock = read_path(known, path, columns, remark=run.note)
+    wanted, warmth, clock = read_path(known, path, columns, zero, remark=run.note)
     if not clock:
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
     rate = even_rate(path, clock["time_s"])
     if feedback and rate > HIGHEST_RATE * (1 + _RATES):
         hint = "give a slower path, or --learn"
         raise RecordError(argument="path", got=f"{rate:.6g} Hz", need="200 Hz at most with feedback", hint=hint)
-    allowed, (slews, _) = limits_of(known.axes, limits), known.slews(slew_rate)
+    allowed, (slews, _) = limits.of(known.axes), known.slews(slew_rate)
     asked: tuple[Any, Any] = allowed, slews
     axes = None if known.stage is None else known.axes
     bound, steepest = asked if axes else (asked[0][0], asked[1][0])
@@ -118,7 +112,6 @@ def _placed(
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
         raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give its model")
-    wanted = wanted + 1e-6 * (zero or 0.0)
     bounds, remarks = [], []
     for part, actuator, target, limit, slew in zip(
         rig.rigs, known.actuators, known.targets(wanted).T, allowed, slews, strict=True
@@ -151,7 +144,7 @@ def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path
     voltages = None
     if followed.learnt is not None:
         voltages, time = folder / "voltages.csv", np.arange(len(followed.wanted)) / followed.rate
-        columns = known.columns("displacement", 1e6 * followed.wanted) | known.columns("voltage", followed.learnt)
+        columns = known.columns("displacement", 1e6 * followed.wanted.T) | known.columns("voltage", followed.learnt.T)
         write_table(voltages, {"time_s": time, **columns})
     fields = {
         "rig": rig.identity,

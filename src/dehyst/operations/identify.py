@@ -15,19 +15,7 @@ from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
 from dehyst.model import Actuator, Stage, with_identification
-from dehyst.operations.command import (
-    INPUT,
-    Values,
-    argument,
-    beside,
-    command,
-    flag,
-    number,
-    option,
-    output,
-    page,
-    switch,
-)
+from dehyst.operations.command import INPUT, Values, argument, beside, command, flag, number, option, output, page
 from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns
 from dehyst.operations.paths import reason_of
 from dehyst.operations.run import Result, Run, files
@@ -54,7 +42,7 @@ _SETTINGS = {
     "sensor_lag": number("Time constant of the sensor's filter [s]."),
     "lag_of": option("Who lags in the records, if that is known.", click.Choice(["actuator", "sensor"])),
     "delay": number("Lag of the displacement [s]; default: estimated."),
-    "drift": switch("--drift/--no-drift", "Remove a drift of each record.", default=True),
+    "drift": option("Remove a drift of each record.", words="--drift/--no-drift", default=True),
     "shared_datum": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
 }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst.control import Compensator, PathPlan, VoltageLimits
+from dehyst.control import Compensator, VoltageLimits
 from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, Promise, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Limits
@@ -66,19 +66,17 @@ def temperature_of(
 
 
 def read_path(
-    known: AxesModel, path: Path, columns: Columns, *, remark: Callable[[str], object]
+    known: AxesModel, path: Path, columns: Columns, zero: float | None = None, *, remark: Callable[[str], object]
 ) -> tuple[Array, Array | None, dict[str, Array]]:
-    """Return the wanted displacement (n, axes) [m] in a file, its temperature [degC], and its time."""
+    """Return the wanted displacement (n, axes) [m] in a file from the sensor's zero, its temperature [degC], its time.
+
+    `zero`: of the path [um of the sensor].
+    """
     known.demand(columns, PATH, "on a path")
     table = table_of(path, columns)
     wanted = known.values(table, "displacement", columns)
     warmth = temperature_of(known, columns, table, remark=remark)
-    return wanted, warmth, clock_of(table, columns)
-
-
-def temperature_column(path: PathPlan) -> dict[str, Array]:
-    """Return the column of temperatures of a planned path, if it has one."""
-    return {} if path.temperature is None else {"temperature_C": path.temperature}
+    return wanted + 1e-6 * zero if zero else wanted, warmth, clock_of(table, columns)
 
 
 def reach_remarks(

@@ -15,7 +15,7 @@ import click
 
 from dehyst._errors import FileFormatError, Terminated
 from dehyst._io import is_draft
-from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, paths_in
+from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, naming_options, paths_in
 
 # Formats of models, of one axis and several.
 MODELS = ("dehyst-actuator", "dehyst-stage")
@@ -139,7 +139,8 @@ def perform(ctx: click.Context, run: Run) -> Result:
     for folder in folders:
         _demand_empty(folder, run.force)
     assert ctx.command.callback is not None
-    result: Result = ctx.command.callback(run, **values)
+    with naming_options(ctx):
+        result: Result = ctx.command.callback(run, **values)
     return result
 
 

@@ -14,14 +14,14 @@ from dehyst._errors import RecordError
 from dehyst._io import format_of
 from dehyst._text import counted, digits
 from dehyst._types import Array
-from dehyst.operations.command import OUTPUT, Values, argument, command, option, output, page
+from dehyst.operations.command import OUTPUT, Values, argument, command, option, output
 from dehyst.operations.files import AS_COLUMNS, AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
 
-# Sizes of the list and the drawing.
-_MOST, _WIDTH, _HEIGHT = 40, 60, 16
+# Size of the drawing.
+_WIDTH, _HEIGHT = 60, 16
 
 
 def _of_record(given: Values) -> str:
@@ -33,7 +33,6 @@ def show(
     run: Run,
     file: Path = argument(),
     output: Path | None = output("Write the record here, in s, V and um (.csv) or m (.npz).", OUTPUT, _of_record),
-    report: Path | None = page(_of_record),
     columns: Columns = option(Columns.about, AS_COLUMNS, _of_record, default=AS_FOUND),
     save: Path | None = option("Write the columns here as text, for --columns @FILE.", OUTPUT, _of_record),
 ) -> Result:
@@ -61,14 +60,9 @@ def show(
         write_record(output, record)
     if save is not None:
         columns.save(save)
-    if report is not None:
-        from dehyst.report import write_record_page
-
-        rows = [row for view in axes.values() for row in view.understood()]
-        write_record_page(report, record, rows, command=run.command)
     fields = {axis: {**view.fields(), "file_columns": file_columns} for axis, view in axes.items()}
     lines = [line for view in axes.values() for line in view.lines()]
-    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Report=report, Columns=save)])
+    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Columns=save)])
 
 
 def _span(values: Array) -> list[float]:
@@ -81,16 +75,13 @@ def _column_lines(table: Table) -> Iterator[str]:
     """Yield the columns of a file with their original names and units."""
     samples = max((column.data.size for column in table.columns), default=0)
     yield f"{table.source}: {counted(samples, 'row')} of {counted(len(table.columns), 'column')}"
-    shown = table.columns[:_MOST]
-    width = max(6, *(min(len(column.name), 60) for column in shown))
+    width = max(6, *(min(len(column.name), 60) for column in table.columns))
     yield f"  {'column':<{width}}  {'unit':<8}range"
-    for column in shown:
+    for column in table.columns:
         span, missing = " to ".join(f"{end:.6g}" for end in _span(column.data)), np.sum(~np.isfinite(column.data))
         lost = f"{counted(missing, 'value')} not finite" if missing else ""
         words = column.fault or ", ".join(filter(None, (span, lost)))
         yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
-    if len(table.columns) > _MOST:
-        yield f"  and {len(table.columns) - _MOST} more"
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from dehyst._text import counted
 from dehyst.control import outside_identified, plan_voltage
 from dehyst.model import voltages_of
@@ -13,7 +11,7 @@ from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.command import argument, command, option, output
 from dehyst.operations.files import COLUMNS, VOLTAGE, Columns, clock_of, write_table
-from dehyst.operations.paths import temperature_column, temperature_of
+from dehyst.operations.paths import temperature_of
 from dehyst.operations.run import Result, Run
 from dehyst.operations.start import START, Start
 from dehyst.records import table_of
@@ -44,9 +42,7 @@ def simulate(
     known_path = {"time": time.get("time_s"), "temperature": warmth, "start": begins}
     paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **known_path)
     clock = starts.clock_columns(paths[0], time)
-    volts, moved = (np.column_stack([getattr(path, name) for path in paths]) for name in ("voltage", "expected"))
-    written = {**clock, **known.columns("voltage", volts), **known.columns("displacement", 1e6 * moved, "expected")}
-    write_table(output, written | temperature_column(paths[0]))
+    write_table(output, clock | known.table(paths, wanted=False))
     outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
     late = "the measured displacement lagged by {:.4g} ms, which is left out here"
     warnings += known.prefixed(
@@ -56,7 +52,7 @@ def simulate(
     far = any(outside.far for outside in outsides)
     costs = [path.promise.parts.get("temperature", 0.0) if path.promise else 0.0 for path in paths]
     fields = {
-        "samples": len(volts),
+        "samples": len(given),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
         **known.merged([starts.path_start_fields(path) for path in paths]),
@@ -67,5 +63,5 @@ def simulate(
     }
     pairs = zip(known.actuators, paths, strict=True)
     words = known.prefixed([starts.start_words(actuator, path.start, path.start.state)] for actuator, path in pairs)
-    lines = [f"{counted(len(volts), 'sample')} {', '.join(words)}: {output}"]
+    lines = [f"{counted(len(given), 'sample')} {', '.join(words)}: {output}"]
     return Result(fields, [*lines, *known.prefixed(map(starts.open_start, paths))], warnings=warnings, good=not far)

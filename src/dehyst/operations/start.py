@@ -17,8 +17,10 @@ from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import Parsed
-from dehyst.operations.files import Columns
-from dehyst.records import Record, read_table
+from dehyst.operations.files import AS_FOUND, Columns
+from dehyst.records import read_table
+from dehyst.records.columns import columns_of_axis
+from dehyst.records.files import record_of
 from dehyst.trust import start_of
 
 _COMPUTED = (
@@ -76,31 +78,27 @@ def _starts_in(
     """Return the start of each axis from a file. Displacements written by dehyst count for nothing: not measured."""
     table, name = read_table(path, columns), path.name
     own = {f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes} <= set(table.names)
-
-    def names(quantity: str) -> dict[str, str | None]:
-        """Return the column of each axis; dehyst's own file is in V and um, whatever the records were in."""
-        if model.stage is not None:
-            named = model.named(table, quantity, columns, record=True)
-            return {axis: model.name(quantity, axis) if own else named[axis] for axis in model.axes}
-        # Given columns are those of the path; this file may have others.
-        given = None if own else getattr(columns, quantity)
-        return {"": given if given is not None and table.fitting(quantity, given) == 1 else None}
-
-    def values(quantity: str) -> Iterator[Array]:
-        for axis, column in names(quantity).items():
-            yield model.column(table, quantity, axis, column or "") if axis else table.column(quantity, column)
-
-    measured = not own and all(table.fitting("displacement", column) == 1 for column in names("displacement").values())
-    time = table.column("time") if measured or any(map(needs_time, model.actuators)) else None
-    moved = model.targets(np.column_stack([*values("displacement")])).T if measured else [None] * len(model.axes)
-    remarks, starts = (f"{name}: {_COMPUTED}",) if own else (), []
-    for actuator, voltage, target, allowed in zip(model.actuators, values("voltage"), moved, limits, strict=True):
-        if time is not None and target is not None:
-            found = start_of(actuator, Record(time, voltage, target, name), limits=allowed)
+    # Given columns are those of the path; this file may have others, and dehyst's own file has the usual ones.
+    if model.stage is not None:
+        both = columns.axes and all(len(columns_of_axis(text)) == 2 for text in columns.axes.values())
+        used = AS_FOUND if own else columns if both else replace(columns, axes=model.recorded())
+    else:
+        given = {} if own else {key: getattr(columns, key) for key in ("time", "voltage", "displacement")}
+        used = Columns(**{key: text for key, text in given.items() if text and table.fitting(key, text) == 1})
+    moved = [used.displacement] if model.stage is None else model.named("displacement", used).values()
+    measured = not own and all(table.fitting("displacement", column) == 1 for column in moved)
+    record = record_of(table, used, name) if measured else None
+    time = table.column("time", used.time) if record is None and any(map(needs_time, model.actuators)) else None
+    volts, starts = model.values(table, "voltage", used), []
+    for j, (actuator, allowed) in enumerate(zip(model.actuators, limits, strict=True)):
+        if record is None:
+            before: dict[str, Any] = {"time": time, "limits": allowed or actuator.limits, "name": name}
+            found = PossibleStart.after(actuator, volts[:, j], **before)
         else:
-            found = PossibleStart.after(actuator, voltage, time=time, limits=allowed or actuator.limits, name=name)
-        found = found.standing_at(actuator, float(voltage[-1])) if rests else found
-        starts.append(replace(found, remarks=(*found.remarks, *remarks)))
+            alone = record if model.stage is None else model.stage.alone(record, j)
+            found = start_of(actuator, alone, limits=allowed)
+        found = found.standing_at(actuator, float(volts[-1, j])) if rests else found
+        starts.append(replace(found, name=name, remarks=(*found.remarks, *[f"{name}: {_COMPUTED}"] * own)))
     return starts
 
 

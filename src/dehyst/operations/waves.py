@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst.control.planning.ways import MOST_ROWS
-from dehyst.model import branches_of, paces_of
 from dehyst.operations.command import (
     NUMBER,
     Declaration,
@@ -19,7 +18,6 @@ from dehyst.operations.command import (
     argument,
     command,
     flag,
-    integer,
     kinds,
     number,
     option,
@@ -53,7 +51,7 @@ _DRIVEN: dict[str, Declaration] = {
     "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle, recommended 1000."),
     "base": number("Voltage [V] at which a protocol starts and ends.", default=0.0),
     "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
-    "limits": pair("Voltages allowed [V]; others are refused."),
+    "limits": pair("Voltages allowed [V]; default: up to the highest one given, of either sign."),
     "slew_rate": number("Largest abs(dv/dt) [V/s]; a low one makes the excitation longer."),
     "gain": GAIN,
 }
@@ -82,7 +80,35 @@ def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], *
         top = float(voltages(np.ravel(given[name]), name).max())
         if sampled["limits"] is None and top > 0:
             sampled["limits"] = -top, top
-        return _written(protocol(given.pop(name), drive=Sampling(frequency, **sampled), **given), output, gain)
+        excitation = protocol(given.pop(name), drive=Sampling(frequency, **sampled), **given)
+        names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
+        rate, (low, high) = excitation.sample_rate, excitation.voltage_range
+        columns = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
+        write_table(output, {"time_s": excitation.time, **columns}, gain)
+        first, last = (excitation.voltage[k].tolist() for k in (0, -1))
+        steepest = rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
+        fields = {
+            "kind": excitation.name,
+            "samples": len(excitation),
+            "seconds": excitation.duration,
+            "sample_rate_Hz": rate,
+            "lowest_V": low,
+            "highest_V": high,
+            "slew_rate_V_per_s": steepest,
+            "first_V": first,
+            "last_V": last,
+            **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
+            "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
+            "warnings": list(excitation.warnings),
+            "output": str(output),
+        }
+        size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {rate:.6g} Hz"
+        if excitation.axes:
+            what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
+        else:
+            what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
+        line = f"{excitation.name}: {size}, {what}: {output}"
+        return Result(fields, [line, *[_BEFORE] * bool(excitation.axes)], warnings=fields["warnings"])
 
     written.__doc__ = text
     command(kind, {**options, **_DRIVEN}, excite)(written)
@@ -100,14 +126,14 @@ _add_excitation(
     "Write cycles from the base to each of the PEAKS [V] and back.",
     standard.raised_cosine,
     peaks=argument(NUMBER, nargs=-1),
-    cycles=integer("Number of cycles to each of the peaks.", default=1),
+    cycles=option("Number of cycles to each of the peaks.", int, default=1),
 )
 _add_excitation(
     "descending-tops",
     "Write cycles to tops that fall from HIGHEST [V] in equal steps; they determine all stiffnesses that loops can.",
     standard.descending_tops,
     **_VOLTAGE,
-    steps=integer("Number of tops; the first top is highest.", default=10),
+    steps=option("Number of tops; the first top is highest.", int, default=10),
 )
 _add_excitation(
     "staircase",
@@ -115,7 +141,7 @@ _add_excitation(
     standard.staircase,
     **_VOLTAGE,
     hold=number("Time at each voltage [s].", default=60.0),
-    steps=integer("Number of steps up, and down.", default=5),
+    steps=option("Number of steps up, and down.", int, default=5),
     back=flag("Step back once after each two steps: inner loops at all levels."),
 )
 
@@ -126,57 +152,44 @@ _add_excitation(
     stage_excitation,
     **_VOLTAGES,
     axes=option("Names of the axes, as x,y."),
-    steps=integer("Number of falling tops of each axis alone.", default=10),
-    cycles=integer("Cycles of the first axis when all move together; 0: none.", default=12),
+    steps=option("Number of falling tops of each axis alone.", int, default=10),
+    cycles=option("Cycles of the first axis when all move together; 0: none.", int, default=12),
 )
-
-
-def _written(excitation: Excitation, output: Path, gain: float | None) -> Result:
-    """Write an excitation of one axis or several."""
-    names = [f"v{axis}_V" for axis in excitation.axes] or ["voltage_V"]
-    rate, (low, high) = excitation.sample_rate, excitation.voltage_range
-    columns = dict(zip(names, excitation.voltage.reshape(len(excitation), -1).T, strict=True))
-    write_table(output, {"time_s": excitation.time, **columns}, gain)
-    first, last = (excitation.voltage[k].tolist() for k in (0, -1))
-    steepest = rate * float(np.abs(np.diff(excitation.voltage, axis=0)).max(initial=0.0))
-    fields = {
-        "kind": excitation.name,
-        "samples": len(excitation),
-        "seconds": excitation.duration,
-        "sample_rate_Hz": rate,
-        "lowest_V": low,
-        "highest_V": high,
-        "slew_rate_V_per_s": steepest,
-        "first_V": first,
-        "last_V": last,
-        **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
-        "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
-        "warnings": list(excitation.warnings),
-        "output": str(output),
-    }
-    size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {rate:.6g} Hz"
-    if excitation.axes:
-        what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
-    else:
-        branches = paces_of(excitation.time, excitation.voltage, branches_of(excitation.voltage, high - low))[:, 0]
-        what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
-        what += f" (its fastest branch takes {branches.max(initial=0.0):.3g} V/s on average)"
-    line = f"{excitation.name}: {size}, {what}: {output}"
-    return Result(fields, [line, *[_BEFORE] * bool(excitation.axes)], warnings=fields["warnings"])
 
 
 def _add_scan(kind: str, text: str) -> None:
     """Add the command of a kind of scan, with the options that it takes."""
 
     def written(run: Run, output: Path, sample_rate: float | None, cycles: int, **options: Any) -> Result:
-        given = {name: value for name, value in options.items() if value is not None}
-        return _scanned(kind, given, output, sample_rate, cycles)
+        made = scan_of(kind, {name: value for name, value in options.items() if value is not None}, sample_rate)
+        if not 1 <= cycles <= MOST_ROWS // made.samples:
+            need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {made.samples} a cycle"
+            hint = "repeat one cycle, or lower the sample rate"
+            raise RecordError(argument="cycles", got=cycles, need=need, hint=hint)
+        names = [f"{axis}_um" for axis in made.axes] if len(made.axes) > 1 else ["displacement_um"]
+        paths = dict(zip(names, (made.path(axis).repeated(cycles) for axis in made.axes), strict=True))
+        time = next(iter(paths.values())).time
+        write_table(output, {"time_s": time, **{name: 1e6 * path.displacement for name, path in paths.items()}})
+        ranges = {name: [1e6 * end for end in path.range] for name, path in paths.items()}
+        fields = {
+            "kind": kind,
+            "samples": time.size,
+            "seconds": time.size / made.rate,
+            "sample_rate_Hz": made.rate,
+            "period_s": made.period,
+            "ranges_um": ranges,
+            "warnings": list(made.warnings),
+            "output": str(output),
+        }
+        words = ", ".join(f"{name} {low:.6g} to {high:.6g}" for name, (low, high) in ranges.items())
+        line = f"{kind}: {time.size} samples, {fields['seconds']:.6g} s at {made.rate:.6g} Hz, {words}: {output}"
+        return Result(fields, [line], warnings=made.warnings)
 
     written.__doc__ = text
     options: dict[str, Declaration] = {
         "output": output("Write time and displacement here (CSV)."),
         "sample_rate": number("Samples per second [Hz]; default: from the scan."),
-        "cycles": integer("Cycles of the scan.", default=1),
+        "cycles": option("Cycles of the scan.", int, default=1),
     }
     values: dict[Any, Any] = {"numbers": Parsed(Numbers), float: NUMBER}
     for name in SCANS[kind].takes:
@@ -191,30 +204,3 @@ def _add_scan(kind: str, text: str) -> None:
 _add_scan("triangle", "A path up and down between two displacements.")
 _add_scan("raster", "Lines along x at places along y.")
 _add_scan("steps", "Levels with holds between edges.")
-
-
-def _scanned(kind: str, options: Mapping[str, Any], output: Path, sample_rate: float | None, cycles: int) -> Result:
-    """Write the path of a scan."""
-    made = scan_of(kind, options, sample_rate)
-    if not 1 <= cycles <= MOST_ROWS // made.samples:
-        need = f"1 or more, with {MOST_ROWS:g} rows at most in all, of {made.samples} a cycle"
-        raise RecordError(argument="cycles", got=cycles, need=need, hint="repeat one cycle, or lower the sample rate")
-    paths = {axis: made.path(axis).repeated(cycles) for axis in made.axes}
-    time = next(iter(paths.values())).time
-    names = {axis: "displacement_um" if len(paths) == 1 else f"{axis}_um" for axis in paths}
-    moved = {names[axis]: 1e6 * path.displacement for axis, path in paths.items()}
-    write_table(output, {"time_s": time, **moved})
-    ranges = {names[axis]: [1e6 * end for end in path.range] for axis, path in paths.items()}
-    fields = {
-        "kind": kind,
-        "samples": time.size,
-        "seconds": time.size / made.rate,
-        "sample_rate_Hz": made.rate,
-        "period_s": made.period,
-        "ranges_um": ranges,
-        "warnings": list(made.warnings),
-        "output": str(output),
-    }
-    words = ", ".join(f"{name} {low:.6g} to {high:.6g}" for name, (low, high) in ranges.items())
-    line = f"{kind}: {time.size} samples, {fields['seconds']:.6g} s at {made.rate:.6g} Hz, {words}: {output}"
-    return Result(fields, [line], warnings=made.warnings)

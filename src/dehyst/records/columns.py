@@ -260,7 +260,7 @@ class Columns:
             raise refusal(f"'{twice[0]}' twice", "columns of its own for each axis")
         if len(found) < 2:
             raise refusal(f"{', '.join(found) or 'none'}", f"two axes at least; no axis is called {', '.join(RECORD)}")
-        axis_names(list(found), len(found), "axes", FileFormatError)
+        axis_names(list(found), len(found), "", FileFormatError)
         return found
 
     def entries(self) -> dict[str, str]:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from dehyst._io import PathLike, write_atomically
 from dehyst.identification import Fit, StageFit
 from dehyst.model import Actuator
-from dehyst.records import Record
-from dehyst.report import pictures, sections
-from dehyst.report.html import Charts, Part, Row, bullets, document, escape, length, number, reproduction, table, words
+from dehyst.report import sections
+from dehyst.report.html import Part, Row, bullets, document, escape, length, number, reproduction, table, words
 from dehyst.trust import OURS, Insight, ModelComparison, StageInsight, turn_plane
 
 if TYPE_CHECKING:
@@ -208,21 +207,3 @@ def _scores(found: ModelComparison) -> str:
         "the largest error, in % of the stroke: largest and, in small print, RMS, with one free constant for each "
         f"record.</p>\n{table(('Model', *_ROLES.values(), 'Fit (s)'), rows, texts=1)}"
     )
-
-
-def write_record_page(path: PathLike, record: Record, columns: Iterable[Row], *, command: str | None = None) -> None:
-    """Write a `record` to a self-contained HTML file.
-
-    `columns`: quantity, column and range, in words. `path`, `command` and errors are as in `write_report`.
-    """
-    every = [record.axis(axis) for axis in record.axes or ("",)]
-    in_time = [chart for record in every for chart in pictures.record_in_time(record)]
-    parts: list[Part] = [
-        f"<h1>{escape(record.name)}</h1>",
-        table(("quantity", "column", "range"), columns, 3),
-        bullets("Notes", (words(problem) for record in every for problem in record.problems())),
-        Charts("Against time", "Check that the voltage is that of the actuator, not of a monitor.", in_time),
-        Charts("Loop", "A piezo actuator's loop runs counterclockwise.", [pictures.record_loop(own) for own in every]),
-        reproduction(command),
-    ]
-    write_atomically(path, document(f"{record.name}: record", parts))

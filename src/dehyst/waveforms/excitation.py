@@ -277,4 +277,4 @@ class Sampling:
         if not low <= worst <= high:
             hint = "ask for less, or widen the limits if actuator and amplifier allow it"
             need = f"{low:g} to {high:g} V, the limits"
-            raise RecordError(argument=what, got=f"{worst:.9g} V", need=need, hint=hint)
+            raise RecordError(argument=what, got=f"{worst:.9g} V", need=need, hint=hint, change=("limits",))

@@ -350,7 +350,7 @@ class Task:
             try:
                 part.found, part.error = follow(part.loop, part.moved, **given, **options), None
             except ModelError as error:
-                raise of_part(error, "" if self.single else f"axis {name}") from error
+                raise of_part(error, "" if self.single else f"axis {name}") from error.__cause__
 
     def time_of(self, size: int) -> Array | None:
         """Return the time [s] of the rows of the ways and of `size` samples after them; None without a time."""
