@@ -85,4 +85,4 @@ def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(main, ["demo", "-o", name])
     assert done.exit_code == 2
-    assert done.stderr.startswith(f"dehyst: {name}: holds files already (x)")
+    assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")

@@ -94,7 +94,6 @@ EACH = {
     "path --home --home-within 100": {"home": True, "home_within": 100.0},
     "path --no-home": {"home": False},
     "path --no-home --present 90": {"home": False, "present": 90.0},
-    "path --late": {"on_time": False},
     "path --start top": named("top"),
     "path --start MODEL-record.csv": recorded,
     "path --start bottom --limits 0 100": lambda model: {**named("bottom")(model), "limits": (0, 100)},
@@ -106,7 +105,7 @@ ALONE = {
         "present": 70.0,
     },
 }
-WARM = {"warm": {"temperature": DEGREES}}
+WARM = {"warm": {"temperature": DEGREES}, "path --late": {"on_time": False}}
 OWN = {
     "path --limits x=0 150 --limits 0 190": {"limits": [(0, 150), (0, 190)]},
     "path --slew-rate x=200 --slew-rate 300": {"slew_rate": [200.0, 300.0]},

@@ -23,6 +23,7 @@ from dehyst.operations.bench import Steps
 from dehyst.operations.command import (
     HOUSE,
     INPUT,
+    REPORT,
     OperationError,
     argument,
     beside,
@@ -32,7 +33,6 @@ from dehyst.operations.command import (
     number,
     option,
     output,
-    page,
     pair,
 )
 from dehyst.operations.run import Result, Run, perform
@@ -53,7 +53,7 @@ def sample(
     fast=flag(""),
     home=option("", words="--home/--no-home", default=None),
     deep=number("", _BESIDE),
-    report=page(),
+    report=REPORT,
 ):
     """Show what an operation is."""
     values = {key: value for key, value in locals().items() if key != "run"}

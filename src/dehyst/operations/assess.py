@@ -13,7 +13,7 @@ from dehyst._errors import FileFormatError
 from dehyst._io import write_atomically
 from dehyst.control import plan_path
 from dehyst.operations.axes import AxesModel, of_one_axis
-from dehyst.operations.command import CONTINUED, INPUT, argument, command, number, option, output, page, pair
+from dehyst.operations.command import CONTINUED, INPUT, REPORT, argument, command, number, option, output, pair
 from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.paths import reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
@@ -32,7 +32,7 @@ def insight(
     records: tuple[Path, ...] = argument(nargs=-1),
     trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
     limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
-    report: Path | None = page(),
+    report: Path | None = REPORT,
     columns: Columns = COLUMNS,
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.

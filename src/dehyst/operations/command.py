@@ -154,9 +154,7 @@ def output(text: str, role: FilePath = OUTPUT, *only: Condition, **settings: Any
     return option(text, role, *only, words="-o --output", **{"required": needed, **settings})
 
 
-def page(*only: Condition) -> Any:
-    """Return the declaration of the option for a page."""
-    return option("Write a self-contained HTML page here.", PAGE, *only)
+REPORT: Any = option("Write a self-contained HTML page here.", PAGE)
 
 
 class OperationCommand(click.Command):

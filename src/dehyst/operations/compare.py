@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import IdentifyError
-from dehyst.operations.command import INPUT, argument, command, option, page
+from dehyst.operations.command import INPUT, REPORT, argument, command, option
 from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import read
@@ -23,7 +23,7 @@ def compare(
     records: tuple[Path, ...] = argument(nargs=-1),
     validate: tuple[Path, ...] = option("Held-out records; default: the last quarter of each.", INPUT, multiple=True),
     only: tuple[str, ...] = option("Compare only this model; may be repeated; default: all.", multiple=True),
-    report: Path | None = page(),
+    report: Path | None = REPORT,
     columns: Columns = COLUMNS,
 ) -> Result:
     """Compare dehyst's model with a table of two branches, a straight line and models of plug-ins, fitted to RECORDS.

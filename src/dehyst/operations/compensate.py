@@ -74,12 +74,10 @@ def compensate(
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
     known = AxesModel.read(run, model)
+    if on_time is not None and not any(actuator.delay for actuator in known.actuators):
+        raise ModelError("has no effect on a model without a delay", argument="on_time", hint="leave it out")
     allowed, volts, (slews, kept) = limits.of(known.axes), present.of(known.axes), known.slews(slew_rate)
-    begins, remarks = starts.starts_of(known, start, allowed, columns)
-    begins = [
-        begin and (begin if now is None else begin.standing_at(actuator, now))
-        for actuator, begin, now in zip(known.actuators, begins, volts, strict=True)
-    ]
+    begins, remarks = starts.starts_of(known, start, allowed, columns, volts)
     wanted, warmth, clock = read_path(known, trajectory, columns, zero, remark=remarks.append)
     asked: dict[str, Any] = {"home": home, "home_within": home_within}
     found: WaveTable | None = None
@@ -120,6 +118,7 @@ def compensate(
         **known.merged([_numbers(*axis[:4]) for axis in axes]),
         "warnings": [*urgent, *reasons, *others],
         "output": str(output),
+        **({} if found is None else _cycle_fields(found) | {"table": str(table)}),
     }
     spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
     words = known.prefixed(
@@ -136,7 +135,6 @@ def compensate(
     ]
     good = all(map(_is_good, plans))
     if found is not None:
-        fields |= _cycle_fields(found) | {"table": str(table)}
         lines.append(
             f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {found.error * 1e6:.3g} um; "
             f"{counted(len(found.cycle), 'sample')} a cycle: {table}"
@@ -217,26 +215,14 @@ def _cycle_fields(found: WaveTable) -> dict[str, Any]:
 def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
     """Write a self-contained HTML page with the plan of each axis."""
     from dehyst.report import pictures
-    from dehyst.report.charts import Axis, Chart, Series
     from dehyst.report.html import Charts, Part, document, reproduction, words
-
-    def voltage(plan: PathPlan) -> Chart:
-        """Return the voltage along the path, without what comes before it, and its clamped samples."""
-        volts, clamped = plan.voltage[plan.first :], plan.clamped[plan.first :]
-        axis, x = Axis("sample"), np.arange(volts.size, dtype=np.float64)
-        if plan.time is not None:
-            axis, x = Axis("time", "s"), plan.time[plan.first :] - plan.time[plan.first]
-        series = [Series("voltage", x, volts, "measured")]
-        if clamped.any():
-            series.append(Series("clamped", x[clamped], volts[clamped], "simulated", "points", width=3))
-        return Chart("Voltage", axis, Axis("voltage", "V"), series)
 
     def parts() -> Iterator[Part]:
         yield "<h1>A planned path</h1>"
         for axis, plan in zip(axes, plans, strict=True):
             yield axis and f"<h2>Axis {escape(axis)}</h2>"
             yield "" if plan.promise is None else f"<p>{words(plan.promise.sentence)}</p>"
-            charts = [pictures.planned_path(plan), voltage(plan)]
+            charts = [pictures.planned_path(plan), pictures.planned_voltage(plan)]
             charts += [] if plan.promise is None else [pictures.error_band(plan)]
             yield Charts("", f"After {plan.seconds or 0.0:.4g} s that lead to the path.", charts, wide=True)
         yield reproduction(command)

@@ -9,14 +9,14 @@ from typing import Any, Literal
 
 import click
 
+from dehyst._errors import ModelError
 from dehyst._views.fields import json_values
 from dehyst.control import Axis, Compensator
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import target_of, written
 from dehyst.operations.axes import AxesModel, OfAxes, is_stage, limits_option, slew_option
-from dehyst.operations.command import FOLDER, Values, argument, command, flag, option
-from dehyst.operations.command import number as number_option
+from dehyst.operations.command import FOLDER, NUMBER, Values, argument, command, flag, option
 from dehyst.operations.run import Result, Run, demand_outputs
 
 # Entries of a start as JSON values.
@@ -44,7 +44,7 @@ def export(
     ),
     limits: OfAxes = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
-    period: float | None = number_option("Time between steps [s]; a model that depends on time needs it."),
+    period: float | None = option("Time between steps [s]; a model that depends on time needs it.", NUMBER),
     preview: bool = flag("Compensate delay and inertia; displacements come in advance then.", _of_loop),
     name: str | None = option("Prefix of files and functions; default: piezo, or stage."),
     kind: str = option(
@@ -69,6 +69,8 @@ def export(
     (slews, kept), source = known.slews(slew_rate), known.stage or known.actuators[0]
     compensator = Compensator(source, bounds, slews, period=period, preview=preview)
     loops = compensator._axes
+    if preview and not compensator.samples_ahead:
+        raise ModelError("has no effect without a delay or inertia", argument="preview", hint="leave it out")
     remarks = known.prefixed(map(_remarks, loops))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SourceOnlyWarning)

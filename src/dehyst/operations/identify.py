@@ -15,7 +15,7 @@ from dehyst._text import escaped
 from dehyst.identification import Deadline, Fit, StageFit
 from dehyst.identification import identify as identify_one
 from dehyst.model import Actuator, Stage, with_identification
-from dehyst.operations.command import INPUT, Values, argument, beside, command, flag, number, option, output, page
+from dehyst.operations.command import INPUT, REPORT, Values, argument, beside, command, flag, number, option, output
 from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns
 from dehyst.operations.paths import reason_of
 from dehyst.operations.run import Result, Run, files
@@ -53,7 +53,7 @@ def identify(
     records: tuple[Path, ...] = argument(nargs=-1),
     output: Path | None = output("Write the model here (JSON).", required=False),
     validate: tuple[Path, ...] = option("Held-out records, which are only simulated.", INPUT, multiple=True),
-    report: Path | None = page(),
+    report: Path | None = REPORT,
     time_limit: float | None = number("Time after which the search ends [s]."),
     slew_rate: float | None = number("Largest slew rate [V/s] of later paths; the model keeps it.", beside("output")),
     columns: Columns = COLUMNS,

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from dehyst._errors import FileFormatError, Terminated
-from dehyst._io import is_draft
+from dehyst._io import demand_own_folder
 from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, naming_options, paths_in
 
 # Formats of models, of one axis and several.
@@ -137,7 +137,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
     demand_outputs(paths_in(ctx, Role.INPUT), outputs, continued, force=run.force)
     for folder in folders:
-        _demand_empty(folder, run.force)
+        demand_own_folder(folder, "", "", force=run.force)
     assert ctx.command.callback is not None
     with naming_options(ctx):
         result: Result = ctx.command.callback(run, **values)
@@ -166,16 +166,6 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequen
         # A device such as /dev/null, and a pipe, are written to.
         if os.path.isfile(output) and not force:  # noqa: PTH113
             raise FileFormatError(f"{output}: is there already; give another name, or --force to replace it")
-
-
-def _demand_empty(folder: Path, force: bool) -> None:
-    """Raise an error for a folder with files without `force`, which replaces only files that are written."""
-    held = sorted(path.name for path in folder.iterdir() if not is_draft(path.name)) if folder.is_dir() else []
-    if held and not force:
-        named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
-        raise FileFormatError(
-            f"{folder}: holds files already ({named}); give another name, or --force to replace those that are written"
-        )
 
 
 def _same(first: Path, second: Path) -> bool:

@@ -57,11 +57,18 @@ START = Parsed(Start)
 
 
 def starts_of(
-    model: AxesModel, start: Start | None, limits: Sequence[Limits], columns: Columns, *, rests: bool = True
+    model: AxesModel,
+    start: Start | None,
+    limits: Sequence[Limits],
+    columns: Columns,
+    present: Sequence[float | None] = (),
+    *,
+    rests: bool = True,
 ) -> tuple[list[PossibleStart | None], list[str]]:
     """Return the start of each axis (None if not given) and remarks.
 
-    `rests`: whether the actuators still rest at the voltages of the start, the last ones of a file.
+    `present`: voltages [V] to which the actuators were led since. `rests`: whether they still rest at the voltages of
+    the start, the last ones of a file.
     """
     if start is None:
         return [None] * len(model.axes), []
@@ -69,6 +76,8 @@ def starts_of(
         found = _starts_in(model, start.path, limits, columns, rests=rests)
     else:
         found = [PossibleStart.named(actuator, start.name) for actuator in model.actuators]  # type: ignore[arg-type]
+    for j, volts in enumerate(present):
+        found[j] = found[j] if volts is None else found[j].standing_at(model.actuators[j], volts)
     return [*found], model.prefixed(begin.remarks for begin in found)
 
 

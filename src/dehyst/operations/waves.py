@@ -129,13 +129,6 @@ _add_excitation(
     cycles=option("Number of cycles to each of the peaks.", int, default=1),
 )
 _add_excitation(
-    "descending-tops",
-    "Write cycles to tops that fall from HIGHEST [V] in equal steps; they determine all stiffnesses that loops can.",
-    standard.descending_tops,
-    **_VOLTAGE,
-    steps=option("Number of tops; the first top is highest.", int, default=10),
-)
-_add_excitation(
     "staircase",
     "Write a staircase up to HIGHEST [V] and down again, whose holds show creep.",
     standard.staircase,

@@ -217,6 +217,15 @@ def planned_path(plan: PathPlan) -> Chart:
     return Chart("Path", axis, Axis("displacement", unit), [Series("", x, wanted * factor, "ink", width=1.8)])
 
 
+def planned_voltage(plan: PathPlan) -> Chart:
+    """Return the voltage along a planned path, and its clamped samples."""
+    (axis, x), volts, clamped = _clock(plan), plan.voltage[plan.first :], plan.clamped[plan.first :]
+    series = [Series("voltage", x, volts, "measured")]
+    if clamped.any():
+        series.append(Series("clamped", x[clamped], volts[clamped], "simulated", "points", width=3))
+    return Chart("Voltage", axis, Axis("voltage", "V"), series)
+
+
 def error_band(plan: PathPlan) -> Chart:
     """Return the error to expect along a planned path [% of the stroke]; none without a promise."""
     axis, x = _clock(plan)
