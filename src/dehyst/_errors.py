@@ -41,7 +41,7 @@ class DehystError(Exception):
         Names of the arguments that the hint is about.
     """
 
-    # What the error is about, such as "axis x: ", before its message.
+    # The part that the error is about, such as "axis x: ", before its message.
     part = ""
 
     def __init__(

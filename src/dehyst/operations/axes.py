@@ -219,7 +219,7 @@ class AxesModel:
             raise FileFormatError(argument="axes", got=", ".join(columns.axes), need=need)
         at = -1 if quantity == "displacement" else 0
         given = {axis: columns_of_axis(text)[at] for axis, text in columns.axes.items()}
-        return given or {axis: self.name(quantity, axis) for axis in self.axes}
+        return {axis: given.get(axis) or self.name(quantity, axis) for axis in self.axes}
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, or by the usual names."""
