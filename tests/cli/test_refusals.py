@@ -66,7 +66,6 @@ REFUSED = {
     "compensate model.json path.csv -o out.csv --start top --home-within 3": "home_within",
     "compensate model.json path.csv -o out.csv --present 900 --no-home": "present",
     "compensate model.json path.csv -o out.csv --present x=3": "present",
-    "compensate model.json path.csv -o out.csv --zero top": "zero",
     "compensate model.json rooms.csv -o out.csv --columns temperature=room_temp_C": ("temperature", "temperature"),
     "compensate thermal.json rooms.csv -o out.csv": ("columns", "temperature=room_temp_C"),
     "compensate thermal.json rooms.csv -o out.csv --columns temperature=third": ("", "third"),
