@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dehyst._errors import FileFormatError
-from dehyst._io import write_atomically
+from dehyst._io import unwritten, write_atomically
 from dehyst.control import plan_path
 from dehyst.operations.axes import AxesModel, of_one_axis
 from dehyst.operations.command import CONTINUED, INPUT, REPORT, argument, command, number, option, output, pair
@@ -86,14 +86,14 @@ def check(
 
     The status is 0 if the model is still true, 1 if not.
     """
+    before = b"" if log is None else _read_log(log, again=run.force)
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on a record")
     measured = known.record(run, record, columns)
     whole: Any = check_one(known.stage or known.actuators[0], measured, goal=goal)
     found: Sequence[Recheck] = [whole] if known.stage is None else whole.rechecks
     if log is not None:
-        now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
-        _append_checks(log, [_row(now, *each) for each in zip(known.axes, found, strict=True)], again=run.force)
+        _append_checks(log, before, dict(zip(known.axes, found, strict=True)))
     warnings = known.prefixed([recheck.mismatch] if recheck.mismatch else [] for recheck in found)
     lines, fields = [*_check_lines(found[0])], whole.as_dict()
     if known.stage is not None:
@@ -112,36 +112,37 @@ def _check_lines(recheck: Recheck) -> Iterator[str]:
         yield from (f"  - {remark}" for remark in recheck.remarks)
 
 
-def _append_checks(path: Path, rows: Sequence[Mapping[str, str]], *, again: bool) -> None:
-    """Append rows to a table of checks, or begin it; raise `FileFormatError` if it is another table."""
+_LOGGED = "date,record,model,axis,standing,error_percent,rms_percent,goal_percent,promised_percent,promised_rms_percent"
+_LOGGED += ",promise_kept,changes"
+
+
+def _read_log(path: Path, *, again: bool) -> bytes:
+    """Return a table of checks, or the header of one that begins; raise `FileFormatError` if it is another table."""
     try:
-        before = (path.read_text() if path.exists() and not again else "") or ",".join(rows[0])
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path}: cannot be read ({error}); give another name with --log") from error
-    if before.split("\n")[0] != ",".join(rows[0]):
-        raise FileFormatError(f"{path}: is no table of checks, {','.join(rows[0])}; give another name with --log")
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows(row.values() for row in rows)
-    write_atomically(path, f"{before.rstrip()}\n{stream.getvalue()}")
+        before = (path.read_bytes() if path.exists() and not again else b"") or _LOGGED.encode()
+    except OSError as error:
+        raise unwritten(path, error) from error
+    if before.split(b"\n")[0].rstrip() != _LOGGED.encode():
+        raise FileFormatError(f"{path}: is no table of checks, {_LOGGED}; give another name with --log")
+    return before
 
 
-def _row(now: str, axis: str, check: Recheck) -> dict[str, str]:
+def _append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> None:
+    """Write a table of checks with another row for the check of each axis."""
+    stream, now = io.StringIO(), f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    csv.writer(stream, lineterminator="\n").writerows(_row(now, axis, check) for axis, check in checks.items())
+    write_atomically(path, before.rstrip(b"\n") + b"\n" + stream.getvalue().encode())
+
+
+def _row(now: str, axis: str, check: Recheck) -> list[str]:
     """Return a check by column; a number that is not known is empty."""
-
-    def in_percent(length: float) -> str:
-        return f"{percent(length, check.stroke):.4g}"
-
-    promise, changes = check.promise, check.changed
-    return {
-        **{"date": now, "record": check.record, "model": check.model, "axis": axis, "standing": check.standing.value},
-        "error_percent": in_percent(check.without_noise),
-        "rms_percent": in_percent(check.rms_without_noise),
-        "goal_percent": f"{check.goal:.4g}",
-        "promised_percent": in_percent(promise.largest) if promise else "",
-        "promised_rms_percent": in_percent(promise.rms) if promise else "",
-        "promise_kept": ("yes" if check.kept else "no") if promise else "",
-        "changes": "; ".join(f"{n.name} {'-' if n.value < 0 else '+'}{n.amount(check.stroke)}" for n in changes),
-    }
+    found, promise = (check.without_noise, check.rms_without_noise), check.promise
+    bounds = () if promise is None else (promise.largest, promise.rms)
+    errors, promised = ([f"{percent(part, check.stroke):.4g}" for part in parts] for parts in (found, bounds))
+    promised = [*promised, "yes" if check.kept else "no"] if promised else [""] * 3
+    changes = (f"{new.name} {'-' if new.value < 0 else '+'}{new.amount(check.stroke)}" for new in check.changed)
+    known = [now, check.record, check.model, axis, check.standing.value]
+    return [*known, *errors, f"{check.goal:.4g}", *promised, "; ".join(changes)]
 
 
 @command("update")

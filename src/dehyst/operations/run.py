@@ -136,7 +136,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
     if run.force and not outputs and not folders and not continued:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
     demand_outputs(paths_in(ctx, Role.INPUT), outputs, continued, force=run.force)
-    for folder in folders:
+    for folder in filter(Path.is_dir, folders):
         demand_own_folder(folder, "", "", force=run.force)
     assert ctx.command.callback is not None
     with naming_options(ctx):
