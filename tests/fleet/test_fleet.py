@@ -160,11 +160,12 @@ def test_another_file_is_no_table(folder, tmp_path):
 
 
 def test_workers_of_a_scheduler_compute_the_rows(folder, tmp_path, in_this_process, monkeypatch):
-    identify_fleet(folder, tmp_path / "here.parquet")
+    files = [folder / "A" / "1.csv", folder / "bad.csv"]
+    identify_fleet(files, tmp_path / "here.parquet")
     monkeypatch.undo()
     given = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(protocol="tcp", **given) as cluster:
-        identify_fleet(folder, tmp_path / "there.parquet", scheduler=cluster.scheduler_address)
+        identify_fleet(files, tmp_path / "there.parquet", scheduler=cluster.scheduler_address)
     assert rows(tmp_path / "there.parquet") == rows(tmp_path / "here.parquet")
 
 
@@ -174,6 +175,7 @@ def test_no_scheduler_answers(folder, tmp_path, monkeypatch):
         identify_fleet(folder, tmp_path / "t.parquet", scheduler="tcp://127.0.0.1:9")
 
 
+@pytest.mark.nightly
 def test_a_killed_run_is_continued(tmp_path):
     output, records = tmp_path / "t.parquet", tmp_path / "records"
     records.mkdir()
