@@ -6,50 +6,18 @@ import numpy as np
 import plain_records
 import pytest
 
-from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, State, plan_path
+from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.control import Compensator, shortest_homing
-from dehyst.model import evaluator_of, with_identification
+from dehyst.model import with_identification
 from dehyst.waveforms import Sampling
 from examples import at_night
 
 PLANT = plain_records.plant(10, seed=4)
 
 
-def equilibrium(actuator, voltage, rng):
-    """Any elongations at all; the spring holds the rest of the voltage."""
-    rho = actuator.slip.breakaway
-    s = rng.uniform(-1, 1, rho.size) * rho * rng.choice([0.1, 1.0])
-    at_ends = rng.random(rho.size) < rng.choice([0.0, 0.0, 0.5, 1.0])
-    s = np.where(at_ends, np.where(rng.random(rho.size) < 0.5, -rho, rho), s)
-    y = evaluator_of(actuator).core.spring_inverse(voltage - float(actuator.slip.stiffness @ s))
-    return State(y, y - s)
-
-
 CREEPING = with_identification(
     replace(PLANT, displacement_creep=DisplacementCreep([20.0], [0.02]), limits=(0.0, 260.0)), slew_rate=200.0
 )
-
-
-def most_spread(actuator, homing, count, seed=0):
-    """Largest difference [m] from the certified state over that many random equilibria."""
-    rng, worst = np.random.default_rng(seed), 0.0
-    for _ in range(count):
-        end = actuator.simulate(homing.turns, state=equilibrium(actuator, homing.turns[0], rng), extrapolate=True).state
-        worst = max(worst, np.abs(end.carts - homing.state.carts).max(initial=0.0))
-        worst = max(worst, abs(end.deformation - homing.state.deformation))
-    return worst
-
-
-@pytest.mark.parametrize(
-    ("limits", "present"), [((0, 260), 0), ((-40, 260), 0), ((-300, 300), 0), ((-50, 250), 100), ((0, 260), 260)]
-)
-@pytest.mark.parametrize("actuator", [PLANT, plain_records.plant(20, seed=1, curved=0.6)])
-def test_every_state_at_rest_ends_in_the_certified_one(actuator, limits, present):
-    homing = shortest_homing(actuator, limits=limits, present=present)
-    assert homing.certified
-    assert (homing.turns[0], homing.turns[-1]) == (present, present)
-    assert homing.played.voltage.min() >= limits[0] and homing.played.voltage.max() <= limits[1]
-    assert most_spread(actuator, homing, 300) < 1e-12 * plain_records.STROKE
 
 
 def test_wider_limits_are_used_only_where_the_range_of_the_records_does_not_suffice():

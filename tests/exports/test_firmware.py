@@ -224,7 +224,7 @@ def test_names_that_mean_something_else_are_refused(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["x", "y", "stage", "Stage_2", "a" * 40])
+@pytest.mark.parametrize("name", ["x", "Stage_2" + "a" * 33])
 def test_other_names_compile(tmp_path, name):
     need("gcc")
     folder = export(compiled_exports.plain(), tmp_path / "c", name=name)
@@ -367,16 +367,3 @@ def test_a_step_takes_bounded_time(tmp_path, kind):
         assert np.ptp(clamped[100 + side :: 2]) <= 0.1 * clamped.max()
     assert 100 < np.median(usual) < usual.max() <= 1.01 * longest < 20_000
     assert clamped.max() <= 1.01 * longest
-
-
-@pytest.mark.nightly
-def test_feedback_takes_a_few_instructions(tmp_path):
-    need("arm-none-eabi-gcc", "qemu-system-arm")
-    compensator = KINDS["plain"]()
-    folder = written(tmp_path / "c", compensator, "float")
-    low, high = compensator.reach
-    path = np.tile(np.concatenate([np.linspace(low, high, 200), np.linspace(high, low, 200)]), 3)
-    alone, _ = compiled_exports.instructions(folder, path)
-    fed, sent = compiled_exports.instructions(folder, path, feeds=True)
-    assert np.median(fed - alone) <= 142
-    assert not np.array_equal(sent[:400], sent[-400:])

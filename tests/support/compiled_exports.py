@@ -197,29 +197,10 @@ def _built_for_board(folder, source, text, *flags):
     return f"{source}.elf"
 
 
-# In place of a step alone: one that feeds back a sensor.
-FED = """sent = dehyst_feedback_step(piezo_exported(), &p.loop, p.memory, &fed, wish, reading);"""
-
-
-def instructions(folder, given, *, feeds=False):
-    """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages.
-
-    With `feeds`, each step feeds back a sensor too.
-    """
+def instructions(folder, given):
+    """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages."""
     values = ",".join(float(x).hex() for x in given)
-    text = STOPWATCH
-    if feeds:
-        text = text.replace("sent = piezo_step(&p, wish);", FED)
-        text = text.replace('#include "piezo.h"', '#include "piezo.h"\n#include "dehyst_model.h"')
-        begun = "dehyst_feedback_begin(piezo_exported(), &p.loop, p.memory, 0.01f, 1e-6f, 0, &fed)"
-        text = text.replace("!= DEHYST_OK) return 1;", f"!= DEHYST_OK || {begun} != DEHYST_OK) return 1;", 1)
-        text = text.replace("static piezo p;", "static piezo p;\n    static dehyst_feedback fed;", 1)
-        text = text.replace(
-            "COUNT = 0;\n        begin",
-            "dehyst_real reading = 0.98f * p.loop.w + 1e-8f * (t % 7);\n        COUNT = 0;\n        begin",
-            1,
-        )
-    text = text.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
+    text = STOPWATCH.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
     program = _built_for_board(folder, "stopwatch", text)
     rows = must_run([*QEMU[:-1], "-icount", "shift=6", "-kernel", program], folder).splitlines()
     counts, volts = zip(*(row.split() for row in rows), strict=True)
