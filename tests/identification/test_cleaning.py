@@ -8,6 +8,7 @@ import dehyst
 from dehyst import Record
 from dehyst.identification import Structure, cleaning
 from dehyst.records import gaps
+from examples import at_night
 
 PLANT = plain_records.plant(10)
 TEN = Structure(elements=10, knots=11, smoothing=0.0)
@@ -35,7 +36,7 @@ def without(record, start, stop):
     return Record(record.time[keep], record.voltage[keep], record.displacement[keep], record.name)
 
 
-@pytest.mark.parametrize("name", CLEAN)
+@pytest.mark.parametrize("name", ["three loops", "few samples", *map(at_night, ["tops", "curves", "major"])])
 def test_nothing_is_repaired_on_clean_data(name):
     assert cleaning.transient(CLEAN[name]) == 0
     fit = dehyst.identify(CLEAN[name], structure=TEN)
@@ -74,7 +75,7 @@ def test_a_transient_or_a_zero_that_jumps_is_told_and_does_no_harm(samples, shar
     assert fit.errors[0].samples + fit.errors[0].left_out == len(record)
 
 
-@pytest.mark.parametrize(("start", "stop"), [(650, 690), (690, 720), (650, 850), (650, 1040)])
+@pytest.mark.parametrize(("start", "stop"), [(650, 690), (650, 1040), at_night(690, 720), at_night(650, 850)])
 def test_a_gap_that_may_hide_a_reversal_cuts_the_record(start, stop):
     fit = dehyst.identify(without(TOPS, start, stop), structure=TEN)
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-6
@@ -122,7 +123,7 @@ def creeping(part):
     return Record(TOPS.time, TOPS.voltage, TOPS.displacement + drift, "creeping")
 
 
-@pytest.mark.parametrize("part", [0.01, -0.02])
+@pytest.mark.parametrize("part", [at_night(0.01), -0.02])
 def test_a_drift_in_the_logarithm_of_time_is_set_aside(part):
     (error,) = dehyst.identify(creeping(part), structure=TEN).errors
     assert error.drift == pytest.approx(part * plain_records.STROKE, rel=0.25)

@@ -91,6 +91,7 @@ def test_above_the_nyquist_frequency_or_overdamped_there_is_no_resonance(dynamic
     assert ("inertia" in names, motion.dynamics) == (False, None)
 
 
+@pytest.mark.nightly
 def test_a_low_pass_as_slow_as_the_cycles_is_a_lag():
     motion, _ = found([driven(Dynamics(300.0, 4.0))])
     assert motion.lag == pytest.approx(2 * 4.0 / (2 * np.pi * 300.0), rel=0.15)

@@ -13,7 +13,7 @@ from dehyst import Actuator, DisplacementCreep, Record
 from dehyst.identification import Structure
 from dehyst.identification.motion import temperatures_of
 from dehyst.model import turned
-from examples import at_night, spanning
+from examples import at_night
 
 STROKE = plain_records.STROKE
 GAIN = -2.5e-3
@@ -52,7 +52,7 @@ def test_the_gain_is_found(warm):
     assert Actuator.from_dict(warm.actuator.as_dict()).thermal == thermal
 
 
-@pytest.mark.parametrize(("seed", "gain"), spanning([1, 11], [GAIN, 0.0]))
+@pytest.mark.parametrize(("seed", "gain"), [(1, GAIN), at_night(1, 0.0), at_night(11, GAIN), at_night(11, 0.0)])
 def test_expansion_is_found_where_the_temperature_changes_within_records(seed, gain):
     turns = (15, 45, seed), (40, 18, seed + 1)
     thermal = dehyst.identify(
@@ -184,6 +184,7 @@ def test_what_the_voltage_does_not_cause_makes_no_part(name):
     assert RATE * fit.actuator.delay < 0.2
 
 
+@pytest.mark.nightly
 def test_creep_that_is_there_stays():
     creeping = replace(PLANT, displacement_creep=DisplacementCreep([0.5, 20.0], [0.05, 0.05]))
     record = recorded(creeping, lambda time: 0 * time)

@@ -1,5 +1,7 @@
 """Records with rest, and with steps that ring: what does not count, and what is expected of the model."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
@@ -11,7 +13,7 @@ from dehyst.fleet import loop_width
 from dehyst.identification.cleaning import cycle_time, rest_at_ends
 from dehyst.identification.preparation import prepare
 from dehyst.virtual import PlayActuator
-from examples import at_night, spanning
+from examples import at_night
 
 RATE, MIDDLE, NOISE = 5000.0, 100.0, 20e-9
 # The frequency [Hz] and the damping of the resonance of each.
@@ -125,7 +127,10 @@ MAKES = {
 }
 
 
-@pytest.mark.parametrize(("name", "noise", "shape"), spanning([*MAKES], [0.01, 0.005], ["sine", "triangle"]))
+@pytest.mark.parametrize(
+    ("name", "noise", "shape"),
+    [("plays", 0.01, "sine"), *(at_night(*each) for each in product([*MAKES], [0.01, 0.005], ["sine", "triangle"]))],
+)
 def test_noise_of_the_sensor_does_not_narrow_the_loop(name, noise, shape):
     part = np.arange(500) / 500
     cycle = 0.5 - 0.5 * np.cos(2 * np.pi * part) if shape == "sine" else 1 - np.abs(2 * part - 1)

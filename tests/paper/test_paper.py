@@ -39,8 +39,8 @@ def folder(result, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def numbers(folder):
-    return read_json(folder / "results.json")
+def numbers(result):
+    return result.as_dict()
 
 
 def value(numbers, which, key, column):
@@ -64,7 +64,9 @@ def test_every_figure_is_there_in_two_formats(folder):
         assert int.from_bytes(png[16:20], "big") == pytest.approx(600 * width, abs=1)
 
 
-def test_the_page_says_the_results(page, numbers):
+@pytest.mark.nightly
+def test_the_page_says_the_results(page, folder, numbers):
+    assert read_json(folder / "results.json") == {"format": "dehyst-paper", "version": 1, **numbers}
     rows = [["".join(cell[:1]) for cell in row] for row in page.rows]
     for which, at in (("asymmetric", 0), ("symmetric", 1)):
         for row in numbers[which]["summary"]:
@@ -79,6 +81,7 @@ def test_the_page_says_the_results(page, numbers):
     assert [cells[2] for cells in rows[heads + 1 : heads + 11]] == k
 
 
+@pytest.mark.nightly
 def test_the_page_stands_alone_and_refers_to_nothing_missing(page, folder):
     text = (folder / "index.html").read_text(encoding="utf-8")
     assert page.tags.count("html") == page.tags.count("main") == page.tags.count("h1") == 1
