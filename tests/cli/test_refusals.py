@@ -57,7 +57,6 @@ REFUSED = {
     "compensate model.json path.csv -o out.csv --slew-rate -1": "slew_rate",
     "compensate model.json path.csv -o out.csv --slew-rate 1 --slew-rate 2": "slew_rate",
     "compensate stage.json axes.csv -o out.csv --slew-rate z=1": "slew_rate",
-    "compensate stage.json axes.csv -o out.csv --limits x=0 9 --limits x=0 8": "limits",
     "compensate stage.json axes.csv -o out.csv --columns x=x_um": ("axes", "axes"),
     "compensate stage.json axes.csv -o out.csv --present x=900": "present",
     "compensate stage.json scan.csv -o out.csv --table t.csv": "table",
@@ -65,7 +64,6 @@ REFUSED = {
     "compensate model.json path.csv -o out.csv --start top --home": "start",
     "compensate model.json path.csv -o out.csv --start top --home-within 3": "home_within",
     "compensate model.json path.csv -o out.csv --present 900 --no-home": "present",
-    "compensate model.json path.csv -o out.csv --present x=3": "present",
     "compensate model.json rooms.csv -o out.csv --columns temperature=room_temp_C": ("temperature", "temperature"),
     "compensate thermal.json rooms.csv -o out.csv": ("columns", "temperature=room_temp_C"),
     "compensate thermal.json rooms.csv -o out.csv --columns temperature=third": ("", "third"),
@@ -75,7 +73,6 @@ REFUSED = {
     f"{TABLE} --late": ("on_time", "--late"),
     "compensate model.json path.csv -o out.csv --home --no-home": ("home", "--home/--no-home"),
     "identify loops.csv --goal 1 --goal 2": "goal",
-    f"{TABLE} --columns displacement=y_um": ("", "y_um"),
     "compensate thermal.json warm.csv -o out.csv --table t.csv": "table",
     "compensate model.json untimed.csv -o out.csv --table t.csv": ("table", "--columns rate"),
     "compensate model.json gap.csv -o out.csv --table t.csv": ("displacement", "gap.csv"),
@@ -83,7 +80,6 @@ REFUSED = {
     "compensate model.json scan.csv -o out.csv --table model.json": ("", "model.json"),
     f"{TRIANGLE} -o out.csv --cycles 0": "cycles",
     f"{TRIANGLE} -o out.csv --lines 3": ("lines", "--lines"),
-    f"{TRIANGLE} -o out.csv --turns 2": "turns",
     f"{TRIANGLE} -o out.csv --acceleration 1000": "acceleration",
     f"{TRIANGLE} -o out.csv --sample-rate 20": "sample_rate",
     f"{TRIANGLE} -o out.csv --sample-rate 1e8": "cycles",
@@ -108,6 +104,7 @@ REFUSED = {
     "compensate model.json path.csv -o out.csv --on-time": "on_time",
     "excite stage 100 50 -o out.csv --axes a,a": "axes",
     "calibrate sim:// --dry-run --slew-rate 1=100": "slew_rate",
+    "calibrate never.py:alone --dry-run --axes 1,2": ("", "has the axes 1, but 1, 2 were requested"),
     f"{FOLLOW} path.csv --learn --feedback": "learn",
     f"{FOLLOW} path.csv --repeat 0": "repeat",
     f"{FOLLOW} fast.csv --feedback": ("path", "200 Hz"),
@@ -153,7 +150,9 @@ def folder(tmp_path_factory):
     write_columns(place / "back.csv", {"time_s": np.roll(time, 1), "displacement_um": path})
     write_columns(place / "fast.csv", {"time_s": 0.1 * time, "displacement_um": path})
     write_columns(place / "point.csv", {"time_s": np.zeros(1), "displacement_um": np.ones(1)})
-    (place / "never.py").write_text("def make(**options):\n    raise SystemError\n")
+    rigs = "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
+    rigs += "def alone(**options):\n    return SimulatedRig(PlayActuator(), **options)\n"
+    (place / "never.py").write_text(f"{rigs}def make(**options):\n    raise SystemError\n")
     assert run(*TRIANGLE.split(), "-o", "scan.csv", cwd=place)[0] == 0
     return place
 

@@ -1,5 +1,6 @@
 """A plan of a path: on time, at its own speed, of one axis and several."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,16 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
     late = plan_path(LATE, WANTED, time=TIME, home=home, start=start, on_time=False)
     assert np.abs(shown(LATE, late) - WANTED).max() > 2e-2 * plain_records.STROKE
     assert any("on time" in said for said in plan.warnings) and any("later" in said for said in late.warnings)
+
+
+def test_a_plan_holds_few_arrays_of_the_size_of_its_path():
+    time = np.arange(200_000) * 1e-3
+    wanted = 8e-6 - 4e-6 * np.cos(0.3 * time)
+    tracemalloc.start()
+    plan_path(replace(PLANT, identification=None), wanted, time=time, home=True)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 14 * wanted.nbytes
 
 
 def test_the_model_says_of_its_lag_what_plans_do():

@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from dehyst.cli.command import run_command
 from dehyst.instruments import Samples
 from dehyst.operations import registry
-from dehyst.operations.axes import OfAxes
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import (
     HOUSE,
@@ -36,7 +35,6 @@ from dehyst.operations.command import (
     pair,
 )
 from dehyst.operations.run import Result, Run, perform
-from dehyst.operations.start import Start
 
 _BESIDE = beside("names")
 
@@ -107,19 +105,11 @@ def test_an_option_without_effect_is_refused(words, argument):
     assert refused.value.argument == argument
 
 
-def test_a_text_that_is_no_start_is_refused_with_what_is_needed():
-    with pytest.raises(ValueError, match="need"):
-        Start.parse("middle")
-
-
 def test_axes_have_values_of_their_own_and_in_common():
     words = ["--limits", "0", "100", "--limits", "x=-5", "120", "--slew-rate", "none", "--slew-rate", "y=5"]
     given = context_of(["export", "model.json", "c", *words]).params
     assert given["limits"].of("xy") == [(-5, 120), (0, 100)]
     assert given["slew_rate"].of("xy") == [float("inf"), 5]
-    for wrong in ([("z", 1)], [("", 1), ("", 2)]):
-        with pytest.raises(ValueError, match="need"):
-            OfAxes("slew_rate", wrong).of("xy")
 
 
 COMMANDS = dict(commands())
