@@ -66,7 +66,7 @@ def sample_texts(parameter):
         return []
     if isinstance(parameter.type, click.Choice):
         return [parameter.type.choices[-1]]
-    if isinstance(parameter.type, click.Path):
+    if isinstance(parameter.type, click.Path) and parameter.type.name not in TEXTS:
         return [f"absent-{parameter.name}{getattr(parameter.type, 'suffix', '')}"]
     return [TEXTS.get(parameter.type.name, "7")] * parameter.nargs if parameter.nargs > 0 else ["7"]
 

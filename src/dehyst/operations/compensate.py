@@ -24,7 +24,7 @@ from dehyst.operations.command import OUTPUT, PAGE, Values, argument, beside, co
 from dehyst.operations.files import COLUMNS, GAIN, Columns, write_table
 from dehyst.operations.paths import ZERO, reach_remarks, read_path, reason_of
 from dehyst.operations.run import Result, Run, files
-from dehyst.operations.start import START, Start
+from dehyst.operations.start import START
 from dehyst.waveforms import ScanPath
 
 # How the library begins a remark on a path that is missed by more than its promise.
@@ -50,7 +50,7 @@ def compensate(
     limits: OfAxes = limits_option("Allowed voltages [V]; default: of the records."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
     zero: float | None = ZERO,
-    start: Start | None = option("State before the path; default: unknown.", START),
+    start: str | Path | None = START,
     home: bool | None = option("Home before; default: if the start matters.", words="--home/--no-home", default=None),
     home_within: float | None = number("Longest duration of homing and way [s].", _homes),
     present: OfAxes = axes_option("Present voltage [V]; default: of --start, or 0.", "[AXIS=]V"),

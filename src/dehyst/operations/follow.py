@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 
 from dehyst._errors import ModelError, RecordError, RigError
@@ -40,9 +41,7 @@ def follow(
     model: Path = option("The model (JSON) of one axis or several.", INPUT, required=True),
     path: Path = option("A file with times and a displacement, or the path of dehyst scan.", INPUT, required=True),
     output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
-    repeat: int | None = option(
-        "How often the path is followed; default: once, with --learn until the error stays.", int
-    ),
+    repeat: int | None = option("How often; default: once, with --learn until the error stays.", click.IntRange(1)),
     learn: bool = flag("Correct each repetition by the error of the one before."),
     feedback: bool = flag("Correct each sample by the reading before it: of one axis, at most at 200 Hz."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: that of the model and the device."),
@@ -57,8 +56,6 @@ def follow(
     """
     if learn and feedback:
         raise ModelError(argument="learn", got="it with feedback", need="one of them")
-    if repeat is not None and repeat < 1:
-        raise RecordError(argument="repeat", got=repeat, need="1 or more")
     known = AxesModel.read(run, model)
     if feedback and known.stage is not None:
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")

@@ -9,11 +9,11 @@ from dehyst.control import outside_identified, plan_voltage
 from dehyst.model import voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.command import argument, command, option, output
+from dehyst.operations.command import argument, command, output
 from dehyst.operations.files import COLUMNS, VOLTAGE, Columns, clock_of, write_table
 from dehyst.operations.paths import temperature_of
 from dehyst.operations.run import Result, Run
-from dehyst.operations.start import START, Start
+from dehyst.operations.start import START
 from dehyst.records import table_of
 
 
@@ -23,7 +23,7 @@ def simulate(
     model: Path = argument(),
     voltage: Path = argument(),
     output: Path = output("Write time, voltage and displacement here (CSV)."),
-    start: Start | None = option("State before the first sample, as in compensate; default: unknown.", START),
+    start: str | Path | None = START,
     columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.

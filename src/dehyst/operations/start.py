@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any
 
+import click
 import numpy as np
 
 from dehyst._io import COMPUTED
@@ -16,7 +17,7 @@ from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
 from dehyst.operations.axes import AxesModel, Limits
-from dehyst.operations.command import Parsed
+from dehyst.operations.command import FilePath, Role, option
 from dehyst.operations.files import AS_FOUND, Columns
 from dehyst.records import read_table
 from dehyst.records.columns import columns_of_axis
@@ -29,36 +30,30 @@ _COMPUTED = (
 )
 
 
-@dataclass(frozen=True)
-class Start:
-    """The state before the first sample: a name of `PossibleStart`, or a file with the voltages played before."""
+class _Start(FilePath):
+    """A name of `PossibleStart`, or a file with the voltages played before."""
 
-    name: str = ""
-    path: Path | None = None
+    def __init__(self) -> None:
+        super().__init__(Role.INPUT)
+        self.name = "start"
 
-    metavar: ClassVar[str] = f"{'|'.join(NAMES)}|FILE"
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the start in a text; raise ValueError that says what is needed."""
-        if text in NAMES:
-            return cls(text)
-        if not Path(text).exists():
-            raise ValueError(f"got {text!r}, need {', '.join(NAMES)}, or a file of what was played before")
-        return cls("", Path(text))
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The files that are read."""
-        return () if self.path is None else (self.path,)
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return a name as it is, or the path of a file."""
+        if value in NAMES:
+            return value
+        if not Path(value).exists():
+            need = f"{', '.join(NAMES)}, or a file of what was played before"
+            self.fail(f"got {value!r}, need {need}", param, ctx)
+        return super().convert(value, param, ctx)
 
 
-START = Parsed(Start)
+_METAVAR = f"{'|'.join(NAMES)}|FILE"
+START: Any = option("State before the first sample; default: unknown.", _Start(), metavar=_METAVAR)
 
 
 def starts_of(
     model: AxesModel,
-    start: Start | None,
+    start: str | Path | None,
     limits: Sequence[Limits],
     columns: Columns,
     present: Sequence[float | None] = (),
@@ -72,10 +67,10 @@ def starts_of(
     """
     if start is None:
         return [None] * len(model.axes), []
-    if start.path is not None:
-        found = _starts_in(model, start.path, limits, columns, rests=rests)
+    if isinstance(start, Path):
+        found = _starts_in(model, start, limits, columns, rests=rests)
     else:
-        found = [PossibleStart.named(actuator, start.name) for actuator in model.actuators]  # type: ignore[arg-type]
+        found = [PossibleStart.named(actuator, start) for actuator in model.actuators]  # type: ignore[arg-type]
     for j, volts in enumerate(present):
         found[j] = found[j] if volts is None else found[j].standing_at(model.actuators[j], volts)
     return [*found], model.prefixed(begin.remarks for begin in found)
