@@ -181,7 +181,7 @@ class OperationCommand(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words, and keep them for `command_of`; refuse an option that is given twice and counts once."""
         ctx.meta["words"] = [*args]
-        order = self.make_parser(ctx).parse_args([*args])[2]
+        order = [] if ctx.resilient_parsing else self.make_parser(ctx).parse_args([*args])[2]
         for each in {*order}:
             if order.count(each) > 1 and not getattr(each, "multiple", each.is_eager):
                 names = "/".join((*each.opts, *each.secondary_opts))
