@@ -138,16 +138,6 @@ def test_what_a_feedback_needs_is_said():
         Feedback(Compensator(PLANT, (0, 100), period=PERIOD), bound=0.0)
 
 
-def test_units_are_those_of_the_compensator():
-    metres, microns = (Compensator(PLANT, (0, 100), period=PERIOD, units=unit) for unit in ("m", "um"))
-    first, second = Feedback(metres), Feedback(microns)
-    assert second.bound == pytest.approx(1e6 * first.bound)
-    for k in range(20):
-        y = metres.displacement + 1e-8 * k
-        assert first.step(y - 1e-7, y) == pytest.approx(second.step(1e6 * (y - 1e-7), 1e6 * y), rel=1e-12)
-    assert second.correction == pytest.approx(1e6 * first.correction)
-
-
 @pytest.mark.parametrize("preview", [False, True])
 @pytest.mark.parametrize(("frequency", "quality"), [(300.0, 5), (800.0, 25), (800.0, 100), (5000.0, 50)])
 def test_the_gain_keeps_a_margin_on_a_resonance(frequency, quality, preview):

@@ -9,7 +9,7 @@ import plain_records
 import pytest
 
 import dehyst
-from dehyst import Actuator, DisplacementCreep, Record
+from dehyst import Actuator, Record
 from dehyst.identification import Structure
 from dehyst.identification.motion import temperatures_of
 from dehyst.model import turned
@@ -182,20 +182,6 @@ def test_what_the_voltage_does_not_cause_makes_no_part(name):
     assert fit.actuator.displacement_creep is None
     # Part of a sample; a vibration of half a percent moves turns by more.
     assert RATE * fit.actuator.delay < 0.2
-
-
-@pytest.mark.nightly
-def test_creep_that_is_there_stays():
-    creeping = replace(PLANT, displacement_creep=DisplacementCreep([0.5, 20.0], [0.05, 0.05]))
-    record = recorded(creeping, lambda time: 0 * time)
-    fit = dehyst.identify(record)
-    assert fit.actuator.displacement_creep is not None
-    # Only what follows a full loop is compared, apart from a constant: the stages begin in states of their own.
-    turns = np.concatenate([[0, 1, 0], np.random.default_rng(3).uniform(size=30)])
-    time = np.arange(80 * 32) / RATE
-    voltage = plain_records.VOLTS * np.interp(RATE * time / 80, np.arange(33), turns)
-    reached, expected = (actuator.simulate(voltage, time=time).displacement for actuator in (creeping, fit.actuator))
-    assert np.ptp((expected - reached)[160:]) / 2 < fit.promise.largest
 
 
 def test_a_vibration_is_reported_with_its_frequency():

@@ -30,15 +30,6 @@ def test_the_notebook_runs_and_its_stored_output_is_of_these_cells(executed):
     assert sum("image/png" in kind for cell in stored.cells for shown in kinds(cell) for kind in shown) >= 4
 
 
-@pytest.mark.nightly
-def test_results_print_as_one_line(executed):
-    lines = [
-        output.data["text/plain"] for cell in executed.cells for output in cell.get("outputs", []) if "data" in output
-    ]
-    assert len(lines) >= 6
-    assert all("\n" not in line for line in lines if line.startswith("<"))
-
-
 def test_no_cell_converts_a_length_by_hand_but_where_the_library_is_in_metres():
     source = "\n".join(cell.source for cell in nbformat.read(NOTEBOOK, as_version=4).cells if cell.cell_type == "code")
     numbers = [node.value for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Constant)]

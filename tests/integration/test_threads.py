@@ -82,13 +82,6 @@ def test_every_blas_library_has_one_thread_inside_of(solver):
     assert set(seen["threads"].values()) == {1}
 
 
-@pytest.mark.nightly
-@pytest.mark.skipif(os.cpu_count() == 1, reason="one processor: BLAS has one thread without a limit, too")
-def test_the_watch_would_notice():
-    seen = answer(WATCH % (SETUP, "import scipy.linalg; scipy.linalg.cholesky(np.eye(9))"))
-    assert max(seen["threads"].values()) > 1
-
-
 COUNTS = """
 import json, threading
 import scipy.linalg, threadpoolctl

@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from plain_records import assert_close
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
-from dehyst.model import GradedSlip, Physical, evaluator_of, turned
+from dehyst.model import GradedSlip, evaluator_of, turned
 from examples import examples
 
 RANGE = 1e-12
 ACTUATOR = Actuator(MaxwellSlip([1e-6, 2e-6], [1e6, 2e6]), Spring([0, 4e-6, 1e-5], [0, 30, 100]))
 CORE = evaluator_of(ACTUATOR).core
-CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
 STACKS = pytest.mark.parametrize("stack", [True, False])
 
 
@@ -257,17 +256,3 @@ def test_branches_that_fall_are_refused_and_no_others(seed, size):
         assert "outermost branch" in str(error)
     else:
         assert slope > 0
-
-
-@given(motion=our.motions(our.actuators(1, 12), max_samples=30))
-def test_charge_balances_power(motion):
-    """The work v dq at the terminals is F dx on the elements and the spring: T v dx."""
-    actuator, state, path = motion
-    assume(path.size > 1)
-    paper, v = Physical.of(actuator, **CONSTANTS), actuator.compensate(path, state=state, extrapolate=True).voltage
-    q = paper.charge(path)
-    x = np.diff(path) * 1.4e6 / paper.equivalent_stiffness
-    mean = 0.5 * (v[1:] + v[:-1])
-    np.testing.assert_allclose(mean * np.diff(q), 0.042 * mean * x, atol=1e-12 * np.abs(v).max() * np.ptp(q))
-    at_knots = paper.charge(actuator.spring.displacement)
-    np.testing.assert_allclose(at_knots, 0.042 * paper.deformation, atol=1e-12 * np.ptp(at_knots))

@@ -144,24 +144,6 @@ def test_a_folder_with_other_files_is_refused(tmp_path):
     assert status == 2 and "files (thesis.tex)" in err
 
 
-@pytest.mark.nightly
-def test_an_identification_can_be_finished_early_or_stopped(bench, loops):
-    with bench.client() as client:
-        record = upload(client, loops)
-        answer = client.post("/api/models", json={"train": [record["id"]], "options": {"structure": "auto"}})
-        key = answer.json()["id"]
-        until(client, lambda state: "trying" in entry(state, "models", key)["progress"])
-        assert client.post(f"/api/models/{key}/end", json={}).status_code == 200
-        state = until(client, lambda state: entry(state, "models", key)["status"] != "identifying")
-        assert entry(state, "models", key)["status"] == "ready"
-        answer = client.post("/api/models", json={"train": [record["id"]], "options": {"structure": "auto"}})
-        key = answer.json()["id"]
-        for _ in range(2):
-            client.post(f"/api/models/{key}/end", json={})
-        state = until(client, lambda state: entry(state, "models", key)["status"] != "identifying")
-        assert entry(state, "models", key)["status"] == "cancelled"
-
-
 def test_an_end_leaves_no_command_behind_and_loses_nothing(tmp_path, loops):
     folder, records, model = tmp_path / "bench", [], None
     for number in (signal.SIGTERM, signal.SIGKILL, None):
