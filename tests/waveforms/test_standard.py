@@ -144,15 +144,6 @@ class TestLaws:
         branches = np.count_nonzero(np.diff(path))
         assert made.duration == pytest.approx(branches * drive.half, abs=branches * 0.5 / drive.rate)
 
-    @given(played())
-    def test_a_branch_mirrored_is_the_branch_back(self, case):
-        """Up and down take the same voltages in turn."""
-        drive, _, _ = case
-        loop = homing(drive.base + 100, drive=Sampling(drive.frequency, drive.sample_rate, drive.base))
-        np.testing.assert_allclose(loop.voltage, loop.voltage[::-1], atol=1e-12)
-        assert len(loop) % 2 == 1
-        assert loop.voltage[len(loop) // 2] == drive.base + 100
-
 
 def check_laws(drive, excitation):
     v = excitation.voltage
