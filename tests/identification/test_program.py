@@ -300,3 +300,15 @@ def test_a_signal_handler_leaves_a_step_that_looks_at_nothing():
         assert deadline.attempt(step, 7, "a step") == 7
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_folds_are_sixths_of_the_time_of_each_record():
+    made = search.fitted(wide.frame([moved.still(), replace(moved.still(), name="other")]), moved.STRUCTURE, 10**6)
+    fold, rows = made.program.fold, made.program.rows
+    for q in range(2):
+        own = rows.record == q
+        record = made.frame.training[q].record
+        sixth = 6 * (rows.time[own] - record.time[0]) / np.ptp(record.time)
+        for k in range(3):
+            expected = ((sixth >= k) & (sixth < k + 1)) | ((sixth >= k + 3) & (sixth < k + 4 + 1e-9 * (k == 2)))
+            np.testing.assert_array_equal(fold[own] == k, expected)

@@ -13,6 +13,7 @@ import tracking_trials
 from dehyst import Dynamics, Record
 from dehyst.identification import Structure, search
 from dehyst.identification.cleaning import remove_dynamics
+from dehyst.identification.motion import creep_times
 from examples import at_night, spanning
 
 STROKE, STEP = plain_records.STROKE, moved.STEP
@@ -148,3 +149,11 @@ def test_repeated_loops_are_not_new():
     random = plain_records.loops(PLANT, (0, 1, 0, *np.random.default_rng(0).uniform(0, 1, 20)))
     assert search.new_in_time(wide.frame([again])) == pytest.approx((0, 0), abs=1e-9)
     assert min(search.new_in_time(wide.frame([random]))) > 0.02
+
+
+@pytest.mark.parametrize(("fastest", "longest"), [(0.01, 50.0), (1.0, 2.0)])
+def test_creep_lasts_from_the_fastest_branch_to_the_longest_record(fastest, longest):
+    tau = creep_times(fastest, longest)
+    np.testing.assert_allclose(tau[[0, -1]], [fastest, longest])
+    np.testing.assert_allclose(np.diff(np.log(tau), 2), 0, atol=1e-12)
+    assert tau.size == max(2, round(2 * np.log10(longest / fastest)) + 1)

@@ -83,3 +83,15 @@ def test_the_grid_goes_with_the_units(structure, scale):
 def test_impossible_numbers_are_refused(options):
     with pytest.raises(IdentifyError, match=next(iter(options))):
         Structure(**options)
+
+
+def test_spacing_makes_the_grid_dense_where_loops_are_small():
+    grid = Structure(elements=10, spacing=2.0).grid((0.0, 2.0), VOLTS)
+    np.testing.assert_allclose(grid.breakaway, (np.arange(1, 11) / 10) ** 2)
+
+
+def test_smooth_elements_have_each_length_with_both_closings():
+    grid = Structure(smooth=True).grid((0.0, 1.0), VOLTS)
+    assert sorted(zip(grid.lengths.tolist(), grid.closings.tolist(), strict=True)) == [
+        (length, closing) for length in (0.02, 0.05, 0.1, 0.2, 0.5) for closing in (0.5, 1.0)
+    ]
