@@ -31,6 +31,7 @@ def known(*turns, **numbers):
 
 
 TOPS = known(0, 100, 0, 80, 0, 60, 0, 40, 0)
+TIME, VOLTAGE = motion(0, 100, 0, 80, 0, 60, 0, 40, 0)
 
 
 def test_branches_are_from_turn_to_turn_and_alike_branches_are_near():
@@ -46,8 +47,7 @@ def test_branches_are_from_turn_to_turn_and_alike_branches_are_near():
 
 def test_a_path_like_the_records_is_promised_more_than_one_that_turns_elsewhere():
     alike, other = (promise(TOPS, motion(*turns)[1]) for turns in ((0, 80, 0, 60, 0), (0, 80, 45, 70, 45, 75, 40)))
-    assert alike.largest < other.largest
-    assert alike.rms < other.rms
+    assert alike.largest < other.largest and alike.rms < other.rms
     assert (alike.untested, len(other.untested)) == ((), 1)
     # Along the path the promise is wider only where it turns elsewhere.
     assert other.half[250] > 1.2 * other.half[0]
@@ -62,12 +62,10 @@ def test_speeds_holds_and_voltages_beyond_the_records_are_named():
     usual = motion(0, 100, 0)
     assert promise(TOPS, usual[1], usual[0]).untested == ()
     fast, held, beyond = motion(0, 100, 0, branch=0.3), motion(0, 100, hold=10), motion(0, 110, 0)
-    for time, voltage in (fast, held, beyond):
-        assert len(promise(TOPS, voltage, time).untested) == 1
+    assert all(len(promise(TOPS, voltage, time).untested) == 1 for time, voltage in (fast, held, beyond))
     assert promise(TOPS, beyond[1], beyond[0]).parts["voltages"] == pytest.approx(0.1 * TOPS.stroke)
     # A slow branch stays long at each voltage as well.
-    time, voltage = motion(0, 40, 0, branch=3)
-    assert len(promise(TOPS, voltage, time).untested) == 2
+    assert len(promise(TOPS, *motion(0, 40, 0, branch=3)[::-1]).untested) == 2
 
 
 def test_a_lag_of_records_of_one_pace_may_be_wrong_on_faster_paths():
@@ -76,8 +74,7 @@ def test_a_lag_of_records_of_one_pace_may_be_wrong_on_faster_paths():
     assert (one_pace.lag_error, known(0, 100, 0, lag=0.01, lag_error=0.0).lag_error) == (pytest.approx(0.01), 0.0)
     late = [promise(one_pace, voltage, time / times).parts.get("lag", 0.0) for times in (1, 5, 20)]
     # It moves the path by the lag's error times the speed, which is 100 V/s at the pace of the records.
-    assert late[0] == 0
-    assert np.all(late[1:] > np.array([4, 19]) * 0.01 * STROKE * 1.5)
+    assert late[0] == 0 and np.all(late[1:] > np.array([4, 19]) * 0.01 * STROKE * 1.5)
     # As a delay that is apart it does not count, and nobody knows its form.
     apart = promise(open_, voltage, time / 5)
     assert (apart.delay, promise(one_pace, voltage, time / 5).delay) == (0.01, 0.0)
@@ -95,21 +92,25 @@ def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
 
 def test_a_path_longer_than_the_records_costs_creep_that_they_cannot_show():
     creep = DisplacementCreep([0.1, 10.0], [0.02, 0.02])
-    time, voltage = motion(0, 100, 0, 80, 0, 60, 0, 40, 0)
-    short, ten, hundred = (promise(TOPS, voltage, factor * time, creep=creep) for factor in (0.5, 10.0, 100.0))
-    assert "creep" not in short.parts
-    assert ten.parts["creep"] > 0.002 * STROKE
+    short, ten, hundred = (promise(TOPS, VOLTAGE, factor * TIME, creep=creep) for factor in (0.5, 10.0, 100.0))
+    assert "creep" not in short.parts and ten.parts["creep"] > 0.002 * STROKE
     assert hundred.parts["creep"] == pytest.approx(2 * ten.parts["creep"])
-    for slow in (ten, hundred):
-        assert slow.rms > short.rms
+    assert min(ten.rms, hundred.rms) > short.rms
+
+
+def test_a_creep_that_the_records_may_hide_costs_what_is_slower_than_their_branches():
+    hiding = replace(TOPS, creep_open=0.02)
+    costs = [promise(hiding, VOLTAGE, factor * TIME / TIME[-1]).parts.get("creep", 0.0) for factor in (1, 10, 100)]
+    assert costs[0] == 0 < costs[1] == pytest.approx(0.5 * costs[2])
+    assert hiding.anywhere.largest > TOPS.anywhere.largest and hiding.anywhere.offset > TOPS.anywhere.offset
+    # A creep in the model is known for as long as the records last.
+    assert "creep" not in promise(hiding, VOLTAGE, TIME, creep=DisplacementCreep([0.1], [0.02])).parts
 
 
 def test_a_removed_drift_is_named_where_it_matters():
     drifting = known(0, 100, 0, 80, 0, 60, 0, 40, 0, drift=1e-7)
-    time, voltage = motion(0, 100, 0, 80, 0, 60, 0, 40, 0)
-    assert [gap.what for gap in promise(drifting, voltage, time).untested] == ["drift"]
-    assert promise(drifting, voltage[:101], time[:101]).untested == ()
-    assert promise(TOPS, voltage, time).untested == ()
+    assert [gap.what for gap in promise(drifting, VOLTAGE, TIME).untested] == ["drift"]
+    assert promise(drifting, VOLTAGE[:101], TIME[:101]).untested == promise(TOPS, VOLTAGE, TIME).untested == ()
 
 
 def test_every_part_of_a_promise_has_words_in_the_report():
@@ -135,8 +136,7 @@ def test_a_promise_never_falls_with_the_errors_and_is_never_nothing(turns, rms, 
     _, voltage = motion(*turns)
     less, greater = (promise(known(0, 100, 0, rms=size), voltage) for size in (rms, rms + more))
     assert 0 < less.rms <= greater.rms < greater.largest
-    assert np.all(less.half <= greater.half)
-    assert less.half.shape == voltage.shape
+    assert less.half.shape == voltage.shape and np.all(less.half <= greater.half)
 
 
 def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount():
@@ -145,8 +145,7 @@ def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount
     assert part.per_kelvin(STROKE) == pytest.approx(kelvin)
     time, voltage = motion(0, 100, 0, 80, 0)
     tested = promise(warm, voltage, time, thermal=part, temperature=40.0)
-    assert "temperature" not in tested.parts
-    assert tested.largest == promise(warm, voltage, time).largest
+    assert "temperature" not in tested.parts and tested.largest == promise(warm, voltage, time).largest
     for temperature, off in ((55.0, 10), (np.linspace(40, 5, time.size), 10), (None, 15)):
         found = promise(warm, voltage, time, thermal=part, temperature=temperature)
         assert found.parts["temperature"] == pytest.approx(off * kelvin)

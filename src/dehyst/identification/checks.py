@@ -86,7 +86,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
     passed = (rises > 0) & (falls > 0)
     if not passed.any():
         unpassed = "No place is passed in both directions."
-        return [_unknown("Width", _OF_STROKE, unpassed), _unknown("Middle line", _OF_STROKE, unpassed)]
+        return [_unknown(name, _OF_STROKE, unpassed) for name in ("Width", "Middle line")]
     # The scatter of few branches is uncertain: Student's quantile, for the worst of all places.
     free = np.maximum(np.minimum(rises, falls), _FEWEST) - 1
     floors = 0.5 * stdtrit(free, 1 - _RISK / (2 * _PLACES)) * np.hypot(up_error, down_error)
@@ -153,13 +153,10 @@ def _averaged(rows: Sequence[Array], usual: float) -> tuple[Array, Array, NDArra
 
 def _tested(name: str, value: float, floor: float, sentence: str, why: str, unit: str = _OF_STROKE) -> Check:
     """Return a check that holds up to its floor, or up to what has no effect; `why` is the cause if it fails."""
-    if value <= _SMALLEST:
-        verdict, rest = Verdict.HOLDS, ", which has no effect"
-    elif value <= floor:
-        verdict, rest = Verdict.HOLDS, ", which scatter explains"
-    else:
-        verdict, rest = Verdict.FAILS, f": {why}"
-    return Check(name, verdict, value, floor, unit, f"{sentence}{rest}.")
+    if value > max(floor, _SMALLEST):
+        return Check(name, Verdict.FAILS, value, floor, unit, f"{sentence}: {why}.")
+    cause = "has no effect" if value <= _SMALLEST else "scatter explains"
+    return Check(name, Verdict.HOLDS, value, floor, unit, f"{sentence}, which {cause}.")
 
 
 def _unknown(name: str, unit: str, sentence: str) -> Check:

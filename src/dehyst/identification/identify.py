@@ -362,6 +362,7 @@ class _Run:
         validated = outcome is not Outcome.INACCURATE and not apart
         given_records = [item.record for item in records]
         lags: dict[str, Any] = {"lag": delay, "lag_open": lag_open, **({"lag_error": 0.0} if given else {})}
+        lags["creep_open"] = made.frame.motion.hidden
         validity = validity_of(given_records, judged, remaining, traces, held_out, noise, validated=validated, **lags)
         expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
         actuator = with_identification(

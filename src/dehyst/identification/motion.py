@@ -24,7 +24,7 @@ from dehyst.model import DisplacementCreep, Dynamics, Thermal
 from dehyst.records import Record
 
 # Time constants of creep in a decade; the slowest in lengths of the longest record.
-_A_DECADE, _LONGEST = 2, 1.0
+A_DECADE, _LONGEST = 2, 1.0
 # Parts of the range of temperatures, of which records must have some.
 _PLACES, _FEWEST = 8, 3
 
@@ -53,6 +53,8 @@ class Motion:
         Temperature [degC] at which neither counts; None without an effect of temperature.
     lowest : float
         Displacement about which the gain acts, that at the lowest voltage [m].
+    hidden : float
+        Creep in a decade, as a part of a step, that the records neither show nor exclude.
     """
 
     delay: float = 0.0
@@ -68,6 +70,7 @@ class Motion:
     expansion: float = 0.0
     reference: float | None = None
     lowest: float = 0.0
+    hidden: float = 0.0
 
     @classmethod
     def none(cls, records: int) -> Motion:
@@ -115,7 +118,7 @@ class Motion:
 def creep_times(fastest: float, longest: float) -> Array:
     """Return time constants [s] of creep branches, evenly spaced in their logarithm."""
     last = _LONGEST * longest
-    return np.geomspace(fastest, last, max(2, round(_A_DECADE * np.log10(max(last / fastest, 1.01))) + 1))
+    return np.geomspace(fastest, last, max(2, round(A_DECADE * np.log10(max(last / fastest, 1.01))) + 1))
 
 
 @dataclass(frozen=True, eq=False)

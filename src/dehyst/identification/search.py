@@ -19,7 +19,7 @@ from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
 from dehyst.identification.expectation import new_branches
 from dehyst.identification.frame import FOLDS, Frame, part_of, tuned, zero_of
-from dehyst.identification.motion import creep_times, moved
+from dehyst.identification.motion import A_DECADE, creep_times, moved
 from dehyst.identification.program import Program, Solution, with_folds
 from dehyst.identification.regressors import RowSource
 from dehyst.identification.rules import RULES
@@ -46,6 +46,8 @@ _TURNS, _TUNINGS = 8, 3
 _SETTLED = 0.3
 # Time constant of the fastest branch of creep, and how exactly a lead of half a sample is known, in samples.
 _FASTEST, _HALF_SAMPLE = 2.0, 0.1
+# Creep in a decade that piezoelectric actuators usually have, as parts of a step.
+_USUAL_CREEP = 0.01, 0.02
 # A structure whose held-out error is larger by this part counts less by a factor of e.
 _WORSE = 0.5
 # A larger disagreement, as a part of the stroke, indicates a failed fit.
@@ -185,12 +187,6 @@ class _Search:
         self.trials.append(Trial(words, made.held_out))
         return made
 
-    def better(
-        self, best: Fitted, frame: Frame, names: tuple[str, ...], more: str = "", near: Solution | None = None
-    ) -> Fitted:
-        """Return the better of the best so far and the same records with parts of these names."""
-        return _best([best, self.tried(frame, names, more, near)])
-
     def own(self, made: Fitted, *without: str) -> tuple[str, ...]:
         """Return the names of the parts that a solution has beside those that always move, and `without` some."""
         return tuple(name for name in made.names if name not in (*self.always, *without))
@@ -230,11 +226,13 @@ def moving(
         # A lag may hide the others, and they may stand for a lag: it must show itself beside the best of them.
         other = min(beside, key=lambda made: made.score)
         names = search.own(other, "delay")
-        both = search.tried(_on_time(other), names if "delay" in other.names else ("delay", *names), near=other.found)
+        on_time = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
+        both = search.tried(on_time, names if "delay" in other.names else ("delay", *names), near=other.found)
         best = _best([best, both])
         if "delay" in both.names and not _lags(both.frame) and both.held_out < best.held_out:
             # That delay does not count, but the other parts found better numbers beside it.
-            best = search.better(best, _on_time(both), names, near=both.found)
+            on_time = replace(both.frame, motion=replace(both.frame.motion, delay=0.0))
+            best = _best([best, search.tried(on_time, names, near=both.found)])
     late = best if "delay" in best.names else late
     at = late.frame.motion
     # Behind a low-pass as slow as the cycles a delay is too long, and still shows about its time constant.
@@ -242,7 +240,13 @@ def moving(
     # Below a sample a low-pass looks as a delay does, and its inverse would overshoot at steps.
     if "delay" in late.names and (late is best or too_long) and at.delay >= frame.times[0]:
         slow = replace(late.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
-        best = search.better(best, slow, ("lag", *search.own(late, "delay")), near=late.found)
+        best = _best([best, search.tried(slow, ("lag", *search.own(late, "delay")), near=late.found)])
+    # Creep shows in rests. Without them a usual one may hide: the largest that does not miss held-out time more.
+    for rate in _USUAL_CREEP if more and "creep" not in best.names and not any(frame.rests) else ():
+        creeping = replace(best.frame, motion=replace(best.frame.motion, gains=np.full_like(tau, rate / A_DECADE)))
+        made = fitted(creeping, _LIGHT, FEW, (*best.names, "begun"), _TURNS, best.found)
+        if RULES.moving_gain * made.held_out <= best.held_out:
+            best = replace(best, frame=replace(best.frame, motion=replace(best.frame.motion, hidden=rate)))
     if more and _may_swing(frame):
         swinging = _tuned(search.tried(best.frame, (*search.own(best), "inertia")))
         search.trials[-1] = replace(search.trials[-1], held_out=swinging.held_out)
@@ -269,11 +273,6 @@ def _tuned(made: Fitted) -> Fitted:
 def _best(some: Sequence[Fitted]) -> Fitted:
     """Return the best of some solutions; those with a delay of another cause do not count."""
     return min((made for made in some if "delay" not in made.names or _lags(made.frame)), key=lambda made: made.score)
-
-
-def _on_time(made: Fitted) -> Frame:
-    """Return the records of a solution without its delay."""
-    return replace(made.frame, motion=replace(made.frame.motion, delay=0.0))
 
 
 def _lags(frame: Frame) -> bool:

@@ -84,7 +84,7 @@ _HIDDEN, _FORM_HIDDEN, _PEAK, _LATE_RMS, _FORM = 0.15, 2.5, 1.9, 0.5, 0.25 * np.
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
-# Part of the creep in a decade by which a path that lasts a decade longer than the records is missed.
+# Part of the creep in a decade by which a path is missed that lasts a decade longer than the records show creep.
 _SLOWER = 0.3
 # Branches up to this quantile of the paces are slow; a lag of less than this part of a sample is not searched for.
 _MOST_OF_THEM, _UNSEEN = 0.25, 0.1
@@ -147,6 +147,8 @@ class Validity(Entries):
         Time [s] by which the displacement lags the voltage, as estimated, and by how much that may be wrong.
     lag_open : bool
         Whether the records leave open who lags, actuator or sensor.
+    creep_open : float
+        Creep in a decade, as a part of a step, that the records neither show nor exclude.
     temperatures : (float, float) or None
         Lowest and highest temperature of the records [degC]; None if one of them has none.
     """
@@ -168,6 +170,7 @@ class Validity(Entries):
     lag: float = entry("lag_s", _SIZE, 0.0)
     lag_error: float = entry("lag_error_s", _SIZE, 0.0)
     lag_open: bool = entry("lag_open", flag, False)
+    creep_open: float = entry("creep_open", _SIZE, 0.0)
     temperatures: tuple[float, float] | None = entry("temperatures_degC", partial(_pair, numbers=_ANY), None)
 
     def _demand_together(self) -> None:
@@ -351,21 +354,23 @@ def promise(
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = np.repeat(each, np.diff([0, *at[1:, 0], v.size]))
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
-    slow = 0.0 if creep is None or clock is None else _crept(validity, creep, v, clock)
+    slow = _crept(validity, creep, v, clock)
     # Half of a range bounds the standard deviation in it.
     rms_, half = rms_ + 0.5 * (cost.largest + slow), half + cost.along + slow
     parts = {"model": largest} | {k: e for k, e in {"temperature": cost.largest, "creep": slow}.items() if e}
     if late:
         parts["lag"], rms_, half = late, float(np.hypot(rms_, _LATE_RMS * late)), half + late
-    errors = {"start": np.asarray(opened), "missed": np.abs(missed), "voltages": _beyond(validity, v)}
+    # Nothing is known of voltages beyond those of the records: the whole way counts.
+    over = np.maximum(v - validity.limits[1], validity.limits[0] - v) / validity.span
+    errors = {"start": np.asarray(opened), "missed": np.abs(missed), "voltages": validity.stroke * over * (over > BAND)}
     for name, error in errors.items():
         if np.any(error):
             rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
     largest = sum(parts.values())
     untested = [*(not_recorded(validity) if voltage is None else untested_by(validity, v, clock, at, waits))]
     untested += [Untested("temperature", cost.sentence)] if cost.sentence else []
-    start = _BEGINS.get(begins, f" from the start {begins}")
-    words = "any path like the records" if voltage is None else f"this path{start}"
+    start = f"this path{_BEGINS.get(begins, f' from the start {begins}')}"
+    words = "any path like the records" if voltage is None else start
     offset, delay = _OFFSET * parts["model"] + slow, validity.lag if validity.lag_open else 0.0
     return Promise(words, rms_, largest, parts, half, validity.stroke, offset, delay, tuple(untested))
 
@@ -391,8 +396,7 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     """
     if found is not None:
         return *filter(None, [found.unusable]), *(condition.sentence for condition in found.untested)
-    sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
-    return (sentence,) if sentence else ()
+    return (*filter(None, [TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence]),)
 
 
 def _anywhere(validity: Validity) -> Array:
@@ -419,12 +423,6 @@ def _closing(branches: Array, span: float) -> float:
     (begin, end), band = branches.T, BAND * span
     back = np.sign(end - begin)[:, None] * (end - begin[:, None]) <= band
     return float(np.mean((back & (np.abs(begin - end[:, None]) <= band)).any(axis=1))) if len(branches) else 0.0
-
-
-def _beyond(validity: Validity, voltage: Array) -> Array:
-    """Return the whole way [m] of voltages (n,) [V] beyond those of the records, where nothing is known."""
-    over = np.maximum(voltage - validity.limits[1], validity.limits[0] - voltage)
-    return np.where(over > BAND * validity.span, over * validity.stroke / validity.span, 0.0)
 
 
 def _grown(new: Array | float) -> Array:
@@ -460,10 +458,12 @@ def _late(validity: Validity, shown: float, speed: float, rate: float) -> float:
     return float(min(np.hypot(_PEAK * wrong * faster, form * oftener), validity.stroke))
 
 
-def _crept(validity: Validity, creep: DisplacementCreep, voltage: Array, time: Array) -> float:
-    """Return the largest error [m] on a path that lasts longer than the records, which do not show so slow a creep."""
-    decades = float(np.log10(max(np.ptp(time) / validity.lasts, 1.0))) if validity.lasts else 0.0
-    return _SLOWER * creep.per_decade * decades * min(np.ptp(voltage) / validity.span, 1.0) * validity.stroke
+def _crept(validity: Validity, creep: DisplacementCreep | None, voltage: Array, time: Array | None) -> float:
+    """Return the largest error [m] from creep that is slower than the records last, or than branches that hide it."""
+    lasts, slowest = validity.lasts if time is None else float(np.ptp(time)), validity.rates[0]
+    rate, known = (creep.per_decade, validity.lasts) if creep else (validity.creep_open, slowest and 1 / slowest)
+    decades = float(np.log10(max(lasts / known, 1.0))) if known else 0.0
+    return _SLOWER * rate * decades * min(float(np.ptp(voltage)) / validity.span, 1.0) * validity.stroke
 
 
 def _paces(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> list[float]:
