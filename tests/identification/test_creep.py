@@ -116,7 +116,7 @@ def test_creep_is_found_wherever_the_voltage_rests_and_a_drift_of_the_sensor_is_
         assert len(frame.rests[0]) == 2
         found, names, _ = search.moving(frame, lambda _: None, lag=True, drift=True, more=True)
         assert kind in names and ("creep" in names) == (kind == "creep") and found.motion.hidden == 0
-    # Where it never rests, creep is found or left open.
+    # Creep is found or left open where it never rests.
     motion = search.moving(wide.frame([with_holds((), creep=0.01)]), print, lag=True, drift=True, more=True)[0].motion
     assert motion.creep is not None or motion.hidden >= 0.01
 
