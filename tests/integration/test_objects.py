@@ -51,7 +51,6 @@ def things(record, fit, insight):
         "insight": replace(insight, actuator=hostile),
         "motion": motion,
         "plan": command,
-        "homing": command.homing,
         "state": motion.state,
         "slip": actuator.slip,
         "spring": actuator.spring,
