@@ -16,14 +16,15 @@ from truths.warm_rig import WarmRig
 import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
 from dehyst.calibration import Plan, TrackedPath, calibrate
-from dehyst.calibration.experiment import _remarks, _slower
+from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.following import _apart
-from dehyst.calibration.plan import Excitations, even_rate, steps
-from dehyst.calibration.session import ProgressListener, Session
+from dehyst.calibration.plan import Excitations, steps
+from dehyst.calibration.session import ProgressListener, Session, slower
 from dehyst.calibration.tracking import PathPlanner, later_temperature
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
+from dehyst.operations.paths import even_rate
 from dehyst.records import about_of
 from dehyst.report import write_report
 from dehyst.trust import Change
@@ -118,12 +119,15 @@ def test_two_calibrations_into_one_folder_are_refused(tmp_path):
         (0, [("gain", 0.004, 0.002, 1e-7), ("zero", 1e-7, 1e-9, 1e-9), ("width", 0.5, 0.01, 1e-7)], 0),
     ],
 )
-def test_a_rig_that_warms_or_drifts_for_sure_is_remarked(degrees, changes, count):
+def test_a_rig_that_warms_drifts_or_reads_wrong_is_remarked(degrees, changes, count):
     time = np.linspace(0, 1, 50)
     changed = [found for found in (Change(*change, 1e-8) for change in changes) if found.counts]
     for scale, wrong in ((1e-7, 0), (1e-10, 1), (1e-4, 1)):
         warm = [Record(time, 100 * time, 100 * scale * time, others={"temperature_C": 20 + degrees * time})]
-        assert len([*_remarks(warm, [SimpleNamespace(changed=changed, stroke=1e-5)])]) == count + wrong
+        checked = [SimpleNamespace(changed=changed, stroke=1e-5)]
+        for factor in (1.0, 1.04):
+            found = [*_remarks(warm, checked, factor * warm[0].voltage)]
+            assert len(found) == count + wrong + (factor != 1)
 
 
 def test_it_goes_on_after_an_interrupt(tmp_path):
@@ -154,9 +158,9 @@ def test_a_delay_that_the_promise_leaves_out_counts_only_as_far(most, left):
 
 def test_a_rig_that_takes_longer_than_planned_is_remarked():
     planned = raised_cosine([100.0])
-    for slower, remarks in ((1.0, 0), (10.0, 1)):
-        record = Record(slower * planned.time, planned.voltage, 1e-7 * planned.voltage)
-        assert len([*_slower(record, planned)]) == remarks
+    for factor, remarks in ((1.0, 0), (10.0, 1)):
+        record = Record(factor * planned.time, planned.voltage, 1e-7 * planned.voltage)
+        assert len([*slower(record, planned)]) == remarks
 
 
 UNCLOSED = """

@@ -717,16 +717,6 @@ def test_no_base_of_a_rig_replaces_what_limits_and_retreat_rely_on(name):
         type("Own", (mixin, FakeRig), {})
 
 
-@pytest.mark.parametrize("name", ["play", "_ramp", "_reading"])
-def test_no_attribute_of_a_rig_hides_what_limits_and_retreat_rely_on(name):
-    class Own(FakeRig):
-        def __init__(self):
-            setattr(self, name, None)
-
-    with pytest.raises(TypeError, match=f"sets {name},"):
-        Own()
-
-
 def test_a_base_of_a_rig_may_have_what_a_driver_writes():
     class Mixin:
         def _wait(self, seconds):

@@ -253,9 +253,9 @@ class Ear:
         (None, "closed the connection|lost"),
         (b"HTTP/1.0 400 Bad Request\r\n", "port is 50000"),
         (b"\x00\x01\n", "printable ASCII"),
-        (b"x" * 70000, "without a line"),
+        (b"x" * 70000, "got b'x+.* in|too long"),
         (b"x", "got b'x' in"),
-        (b"a,b \n" * 500000, "more than|too long|printable|GCS controller"),
+        (b"a,b \n" * 500000, "too long|printable|GCS controller"),
     ],
 )
 def test_who_is_no_controller_is_found_out(answer, why):

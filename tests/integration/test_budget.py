@@ -15,16 +15,16 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1072,
+    "calibration": 1073,
     "cli": 364,
     "control": 3522,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1327,
     "identification": 5808,
-    "instruments": 2433,
+    "instruments": 2434,
     "model": 3474,
-    "operations": 2829,
+    "operations": 2862,
     "paper": 958,
     "records": 4504,
     "report": 1469,
@@ -36,13 +36,13 @@ ROOMS = {
     "workbench": 2200,
 }
 HOUSE = {
-    "lines of Python": 36253,
+    "lines of Python": 36288,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 31174,
+    "lines of tests": 31168,
     "lines of benchmarks": 4946,
-    "words of docs": 27384,
+    "words of docs": 27391,
     "public names": 110,
     "commands": 16,
     "options": 105,

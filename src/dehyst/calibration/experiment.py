@@ -11,10 +11,11 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._io import PathLike
+from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
 from dehyst.calibration.plan import Plan, steps
-from dehyst.calibration.session import ProgressListener, Session
+from dehyst.calibration.session import ProgressListener, Session, slower
 from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification import Fit, StageFit, identify
 from dehyst.instruments import AbstractRig
@@ -27,8 +28,8 @@ from dehyst.waveforms import Excitation
 RESULT, STAGE_RESULT = "model.json", "stage.json"
 # A change of the temperature [K], and changes in the check of the last record, that are remarked.
 _WARMS, _DRIFTS = 0.5, {"gain", "zero", "drift"}
-# A record that takes so many times as long as its excitation is remarked.
-_LONGER = 1.2
+# A readback that differs from what was sent by this share is remarked.
+_READS = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,24 +122,28 @@ def calibrate(
     plan = plan or Plan()
     # All that is known before is checked before anything is sent.
     steps(rig, plan)
-    with Session(folder, rig, listener) as session, rig.safely():
-        calibration = _calibrated(rig, session, plan, listener)
-        if calibration.played:
-            rig.retreat()
-    calibration.model.save(session.folder / (RESULT if len(rig.axes) == 1 else STAGE_RESULT))
+    whole = plan.excitations(rig).recommended()
+    with Session(folder, rig, listener) as session:
+        model = session.folder / (RESULT if len(rig.axes) == 1 else STAGE_RESULT)
+        if model.exists() and session.stored(whole.name, whole) is None:
+            raise FileFormatError(
+                f"{model}: is of another calibration, by other limits or another frequency; give another folder with "
+                "-o, or move this model away; nothing was sent"
+            )
+        with rig.safely():
+            calibration = _calibrated(rig, session, plan, whole, listener)
+            if calibration.played:
+                rig.retreat()
+    calibration.model.save(model)
     return calibration
 
 
-def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: ProgressListener) -> Calibration:
+def _calibrated(
+    rig: AbstractRig, session: Session, plan: Plan, whole: Excitation, listener: ProgressListener
+) -> Calibration:
     """Record and identify, then play a path with a constant ratio and with the model."""
     excitations, several = plan.excitations(rig), len(rig.axes) > 1
-    whole, model = excitations.recommended(), session.folder / (STAGE_RESULT if several else RESULT)
-    if model.exists() and session.stored(whole.name, whole) is None:
-        raise FileFormatError(
-            f"{model}: is of another calibration, by other limits or another frequency; give another folder with -o, "
-            "or move this model away; nothing was sent"
-        )
-    training = session.record(whole, whole.name)
+    training, sent = session.record(whole, whole.name), whole.voltage[rig.rows(len(whole))]
     fit, insight_ = _identified(rig, training, listener)
     planner = PathPlanner(excitations)
 
@@ -164,7 +169,7 @@ def _calibrated(rig: AbstractRig, session: Session, plan: Plan, listener: Progre
         compensated=TrackedPath.of(modelled, after, rig.rows(len(modelled.excitation))),
         checked=checked,
         goal=plan.goal,
-        remarks=(*modelled.warnings, *_slower(training, whole), *_remarks(session.sequence, checked)),
+        remarks=(*modelled.warnings, *slower(training, whole), *_remarks(session.sequence, checked, sent)),
         instrument={
             "rig": rig.identity,
             **({"axes": list(rig.axes)} if several else {"axis": rig.axis}),
@@ -191,16 +196,16 @@ def _identified(
     return fit, insight(fit.actuator, [training], limits=(rig.limits.low, rig.limits.high))
 
 
-def _slower(record: Record, planned: Excitation) -> Iterator[str]:
-    """Remark a rig that took longer than was planned."""
-    factor = float(np.ptp(record.time)) / planned.duration
-    if factor > _LONGER:
-        words = "the model is of that speed. Use a faster link, or a lower --frequency"
-        yield f"The rig took {factor:.3g} times as long as planned for '{planned.name}': {words}."
+def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array) -> Iterator[str]:
+    """Remark a rig that warms, drifts, or measures in a wrong unit, by its records and the check of the last one.
 
-
-def _remarks(records: Sequence[Record], checked: Sequence[Recheck]) -> Iterator[str]:
-    """Remark a rig that warms, drifts, or measures in a wrong unit, by its records and the check of the last one."""
+    `sent` (n,) or (n, axes) [V]: the voltages of the first record.
+    """
+    for j, out in enumerate(sent.reshape(len(sent), -1).T):
+        factor = float(np.polyfit(out, records[0].axis(j).voltage, 1)[0])
+        if abs(factor - 1) > _READS:
+            words = "the model is of what was read. Calibrate the readback, or return what was sent"
+            yield f"Axis {j + 1} reads {factor:.4g} V for each volt that was sent, and {words}."
     warmth = [record.temperature for record in records if record.temperature is not None]
     if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))

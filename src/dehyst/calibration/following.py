@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dehyst._types import Array
-from dehyst.calibration.session import Player, ProgressListener
+from dehyst.calibration.session import Player, ProgressListener, slower
 from dehyst.calibration.tracking import TrackedPath
 from dehyst.control import (
     Compensator,
@@ -28,19 +28,6 @@ from dehyst.waveforms import Excitation
 
 # Learning ends when none of the last repetitions lowered the RMS error by this share.
 _LAST, _LOWER = 3, 0.03
-# A path whose ends differ by more than this multiple of its largest step has a way back.
-_CLOSED = 1.5
-
-
-def closed_path(wanted: Array) -> Array:
-    """Return a path (n, axes) [m] with a way back to its first sample, unless it is closed."""
-    steps, gap = np.abs(np.diff(wanted, axis=0)).max(axis=0), wanted[0] - wanted[-1]
-    if (np.abs(gap) <= _CLOSED * steps).all():
-        return wanted
-    # A cosine as steep as the path is.
-    count = int(np.ceil(0.5 * np.pi * (np.abs(gap) / np.maximum(steps, 1e-15)).max())) + 1
-    way = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, count) / count)
-    return np.vstack([wanted, wanted[-1] + way[:, None] * gap])
 
 
 def _apart(path: TrackedPath, most: float) -> Array:
@@ -60,7 +47,7 @@ class FollowedPath:
     `listener` receives the progress, `say` lines on what is promised and on each repetition. `follow` sets: `tracked`,
     the measured path of each repetition, and `best`, the best that was learnt, else the last; `promises` of each axis,
     None without one; `noise` [m] of each sensor; `clamped`, the number of samples clamped or slewed; `learnt`, the
-    voltages (n, axes) [V] of the best cycle, None without one; `remarks`, sentences.
+    voltages (n, axes) [V] of the best cycle, None without one; `believed`, whether the sensor is; `remarks`, sentences.
     """
 
     rig: AbstractRig
@@ -82,15 +69,21 @@ class FollowedPath:
         self.tracked: list[TrackedPath] = []
         self.noise: list[float] = []
         self.remarks: list[str] = []
-        self.clamped = 0
+        self.clamped, self.believed = 0, True
         self.learnt: Array | None = None
+
+    @property
+    def promised(self) -> list[Array | None]:
+        """The error (n,) [m] of each axis without what its promise leaves out; None without a promise."""
+        pairs = zip(self.promises, self.best.each, strict=True)
+        return [None if promise is None else _apart(path, promise.delay) for promise, path in pairs]
 
     @property
     def kept(self) -> list[bool | None]:
         """Whether the promise of each axis is kept, apart from what it leaves out and the sensor's noise."""
         return [
-            None if promise is None else promise.missed_by(*beyond_noise(_apart(path, promise.delay), noise)) <= 1
-            for promise, path, noise in zip(self.promises, self.best.each, self.noise, strict=True)
+            None if error is None else promise.missed_by(*beyond_noise(error, noise)) <= 1
+            for promise, error, noise in zip(self.promises, self.promised, self.noise, strict=True)
         ]
 
     def follow(self, path: Path, *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
@@ -133,14 +126,11 @@ class FollowedPath:
         rows = wanted if self._several else wanted[:, 0]
         return plan_path(self._compensator(None), rows, home=True, on_time=True, **given)
 
-    def _compensator(self, states: Any, *, preview: bool = False) -> Compensator:
-        """Return a compensator within the bounds that begins in these states, at the temperature of the path.
-
-        `preview`: of a single axis, whether it compensates lag and resonance.
-        """
+    def _compensator(self, states: Any) -> Compensator:
+        """Return a compensator within the bounds, at the temperature of the path; from states, one that looks ahead."""
         limits, slews = [(bound.low, bound.high) for bound in self.bounds], [bound.slew_rate for bound in self.bounds]
         single = None if isinstance(self.model, Stage) else self.model
-        ahead = preview and single is not None and (single.delay > 0 or single.dynamics is not None)
+        ahead = states is not None and single is not None and (single.delay > 0 or single.dynamics is not None)
         given: dict[str, Any] = {"period": 1 / self.rate, "state": states, "preview": ahead, "warns": single is None}
         loop = Compensator(self.model, limits, slews, **given)
         if self.temperature is not None and any(actuator.thermal for actuator in loop.stage.actuators):
@@ -163,32 +153,36 @@ class FollowedPath:
         excitation = Excitation("path", voltage if self._several else voltage[:, 0], self.rate)
         self.listener.step("path", excitation.duration)
         record = player.play(excitation, wanted, step=step)
-        self.noise = [record.axis(j).noise for j in range(len(self.rig.axes))]
+        # A short or coarse record shows more than the noise.
+        noise = [record.axis(j).noise for j in range(len(self.rig.axes))]
+        self.noise = [*map(min, self.noise or noise, noise)]
+        self.remarks += () if self.remarks else slower(record, excitation)
         rows, reached = self.rig.rows(len(voltage)), np.empty(voltage.shape)
         reached[rows] = record.displacement.reshape(rows.size, -1)
         return reached[len(voltage) - size :]
 
     def _feed_back(self, player: Player, plan: PathPlan, wanted: Array, present: list[float]) -> Array:
         """Home, and follow the path with feedback; return what was reached."""
-        lead = self._plan(np.repeat(wanted[:1], 2, axis=0), present)
-        self._play(player, *self._even(lead), 0)
-        loop = self._compensator(lead.state, preview=True)
-        # The loop looks ahead: the stage rests at the first sample meanwhile.
-        early, late = ((loop.samples_ahead, 0), (0, 0)), ((0, loop.samples_ahead), (0, 0))
-        volts = plan.voltage[-len(wanted) :].reshape(wanted.shape)
-        corrected, ahead = Feedback(loop), iter(np.pad(wanted, late, "edge")[:, 0].tolist())
+        homed = self._plan(np.repeat(wanted[:1], 2, axis=0), present)
+        rest, where = self._even(homed)
+        self._play(player, rest, where, 0)
+        loop = self._compensator(homed.state)
+        # The loop looks ahead: the stage rests at the first sample meanwhile, and a sample longer.
+        ahead = loop.samples_ahead
+        volts = np.vstack([np.repeat(rest[-1:], ahead + 1, axis=0), plan.voltage[-len(wanted) :].reshape(wanted.shape)])
+        due = np.vstack([np.repeat(wanted[:1], ahead + 1, axis=0), wanted])
+        corrected, inputs = Feedback(loop), iter([*due[ahead:, 0], *np.repeat(wanted[-1, 0], ahead)])
 
         def step(measured: float | None) -> float:
-            return corrected.step(next(ahead), measured)
+            return corrected.step(next(inputs), measured)
 
-        volts, due = (np.pad(values, early, "edge") for values in (volts, wanted))
         reached = self._play(player, volts, due, len(wanted), step)
         self.clamped = int(np.sum(loop.clamps))
         return reached
 
     def _learn(self, player: Player, states: Any, most: int) -> None:
         """Repeat the path from these states until the error no longer falls; keep the voltages of the best cycle."""
-        loop, size = self._compensator(states, preview=True), len(self.wanted)
+        loop, size = self._compensator(states), len(self.wanted)
         repetition = Repetition(loop, self.wanted if self._several else self.wanted[:, 0])
         errors: list[float] = []
         for number in range(1, most + 1):
@@ -206,9 +200,13 @@ class FollowedPath:
             if not (repetition.believed and falls):
                 break
         self.clamped += int(np.sum(loop.clamps))
-        if not repetition.errors or not repetition.believed:
-            stray = f"read more than {1e6 * repetition.bound:.3g} um from the model"
-            self.remarks.append(f"nothing was learnt: voltages were clamped, or the sensor {stray}; try dehyst update")
+        self.believed = repetition.believed
+        stray = f"the sensor read more than {1e6 * repetition.bound:.3g} um from the model"
+        if not repetition.errors:
+            self.learnt = None
+            self.remarks.append(f"nothing was learnt: voltages were clamped, or {stray}; try dehyst update")
+        elif not self.believed:
+            self.remarks.append(f"{stray} in repetition {number}: what was learnt is of those before; check the sensor")
 
     def _tracked(self, reached: Array) -> TrackedPath:
         """Return the path of a cycle without its way back, with what was reached (n, axes) [m]."""

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
-from dehyst._text import counted
-from dehyst._types import Array
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, played_rate
 from dehyst.waveforms import (
@@ -28,8 +24,6 @@ from dehyst.waveforms import (
 _ALONE, _TOGETHER = (0.1, 1000, 5.0), (1.0, 400, 1.0)
 # Descending tops of each of several axes alone, and cycles of the first axis when all move together.
 _STEPS, _CYCLES = 16, 24
-# Share of the median by which the steps of time may differ.
-_UNEVEN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -166,13 +160,3 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     for step in planned:
         rig.check(step.excitation)
     return tuple(planned)
-
-
-def even_rate(path: Path, time: Array) -> float:
-    """Return the rate [Hz] of the `time` (n,) [s] in a file; raise `FileFormatError` if it does not rise evenly."""
-    if time.size < 2:
-        raise FileFormatError(f"{path}: got {counted(time.size, 'sample')}, need at least two")
-    steps = np.diff(time)
-    if not (steps > 0).all() or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
-        raise FileFormatError(f"{path}: the times do not rise evenly; write it with dehyst excite, or resample it")
-    return 1 / float(np.median(steps))

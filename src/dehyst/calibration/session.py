@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +19,9 @@ from dehyst._version import __version__
 from dehyst.instruments import AbstractRig, Samples, StepFunction
 from dehyst.records import Columns, Record, Recording, about_of, read
 from dehyst.waveforms import Excitation
+
+# A record that takes so many times as long as its excitation is remarked.
+_LONGER = 1.1
 
 
 class ProgressListener:
@@ -206,3 +209,11 @@ class Session:
         """Return a digest that identifies this excitation on this instrument."""
         header = f"{self.rig.identity} {self.rig.axis} {excitation.sample_rate!r}".encode()
         return hashlib.sha256(header + np.ascontiguousarray(excitation.voltage).tobytes()).hexdigest()
+
+
+def slower(record: Record, planned: Excitation) -> Iterator[str]:
+    """Remark a rig that took longer than was planned."""
+    factor = float(np.ptp(record.time)) / planned.duration
+    if factor > _LONGER:
+        words = "what was measured is of that speed. Use a faster link, or go slower"
+        yield f"The rig took {factor:.3g} times as long as planned for '{planned.name}': {words}."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import cycle, islice
 from typing import Any, NamedTuple
@@ -90,6 +90,8 @@ class PathPlanner:
         actuators = model.actuators if isinstance(model, Stage) else (model,)
         zeros = zip(actuators, wanted.T, homed.datum.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
+        # A path that leads is planned as without a delay.
+        still = tuple(replace(axis, delay=0.0) for axis in actuators)
         # The path stays where it is while the temperature drifts.
         warmth = later_temperature(model, before[-1], self.homing.duration + time)
         bounds, rates = [(bound.low, bound.high) for bound in limits], [bound.slew_rate for bound in limits]
@@ -98,8 +100,9 @@ class PathPlanner:
             "limits": bounds if several else bounds[0],
             "slew_rate": rates if several else rates[0],
         }
-        given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False, "on_time": False}
-        plan = plan_path(model, ahead if several else ahead[:, 0], time=time, temperature=warmth, **given)
+        given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False}
+        led: Any = (replace(model, actuators=still), ahead) if isinstance(model, Stage) else (still[0], ahead[:, 0])
+        plan = plan_path(*led, time=time, temperature=warmth, **given)
         voltage = plan.voltage[plan.first :].reshape(wanted.shape)
         return self._run("compensated", homed, voltage, plan.warnings)
 

@@ -44,7 +44,7 @@ def open_rig(
     word, separator, rest = address.partition("://")
     kind = SCHEMES.get(word.lower())
     if separator and kind is None:
-        raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {_forms()}")
+        raise RigError(f"{address}: got an unknown kind of rig, {word!r}; need {_FORMS}")
     if separator and axes is not None and kind != SCHEMES["pi"]:
         raise RigError(f"{address}: cannot choose axes, or play several together; need {SCHEMES['pi'][0]}")
     rig = _custom(address, options) if kind is None else kind[1](rest, axes, options)
@@ -58,10 +58,6 @@ def open_rig(
         rig.close()
         raise
     return rig
-
-
-def _forms() -> str:
-    return f"{', '.join(form for form, _ in SCHEMES.values())} or path/to/my_rig.py:make"
 
 
 def _demand_limits(rig: AbstractRig, limits: AxisLimits, slew_rate: AxisSlewRates) -> None:
@@ -115,13 +111,14 @@ SCHEMES: dict[str, tuple[str, Callable[[str, Sequence[str] | None, _Options], Ab
     "epics": ("epics://PREFIX", _epics),
     "sim": ("sim://", _sim),
 }
+_FORMS = f"{', '.join(form for form, _ in SCHEMES.values())} or path/to/my_rig.py:make"
 
 
 def _custom(address: str, options: _Options) -> AbstractRig:
     """Run a user's file, and call its function."""
     place, separator, name = address.rpartition(":")
     if not (separator and place.endswith(".py") and name.isidentifier()):
-        raise RigError(f"{address!r}: is not the address of a rig; need {_forms()}")
+        raise RigError(f"{address!r}: is not the address of a rig; need {_FORMS}")
     path = Path(place)
     if not path.is_file():
         raise RigError(f"{path}: the file does not exist; need one with a function that makes a rig")

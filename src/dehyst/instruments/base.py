@@ -109,12 +109,6 @@ class AbstractRig(ABC):
             raise RigError(f"{name}: takes waves of {longest} samples, need 2 at least; check its wave table")
         self._closed = False
 
-    def __setattr__(self, name: str, value: object) -> None:
-        """Refuse an attribute that would hide a method on which limits and retreat rely."""
-        if name in _OWN:
-            raise TypeError(f"{type(self).__name__}: sets {name}, a method of AbstractRig; choose another name")
-        super().__setattr__(name, value)
-
     @property
     def rigs(self) -> tuple[AbstractRig, ...]:
         """The rig of each axis."""
@@ -332,7 +326,7 @@ class AbstractRig(ABC):
 
         One sample of the record for each voltage. Times continue from one call to the next. Of several axes, voltages
         are (n, axes) and begin at one instant. By default this computer sends each voltage, at `HIGHEST_RATE` at most,
-        never faster than `rate` and with uneven steps, and reads in the middle of each hold: `Record.hold` "line".
+        never faster than the slew rate, with uneven steps, and reads in the middle of each hold: `Record.hold` "line".
         """
         return host_timed(self, voltage, rate)
 
@@ -461,4 +455,4 @@ _OWN = tuple(
     for name, value in vars(AbstractRig).items()
     if (callable(value) or isinstance(value, property)) and name not in _DRIVERS and not name.startswith("__")
 )
-_SPECIAL = ("__enter__", "__exit__", "__getattribute__", "__setattr__")
+_SPECIAL = ("__enter__", "__exit__", "__getattribute__")

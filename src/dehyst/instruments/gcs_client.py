@@ -13,9 +13,6 @@ from dehyst.instruments import gcs_syntax
 
 _Answer = TypeVar("_Answer")
 IDENTITY = "*IDN?"
-# Most bytes of one line, and lines of one answer.
-_LONGEST = 1 << 16
-_MOST_LINES = 1 << 18
 # Most time [s] to find a lost link again: at first, and half of it after each failure, down to the second.
 _LOST, _LEAST = 1.5, 0.5
 # Seconds between two attempts to reconnect.
@@ -49,8 +46,6 @@ class TcpLink:
         while more:
             text, more = gcs_syntax.line_of(self._line(deadline))
             lines.append(text)
-            if len(lines) > _MOST_LINES:
-                raise LinkError(f"got more than {_MOST_LINES} lines")
         return lines
 
     def settle(self, identity: str) -> None:
@@ -133,8 +128,6 @@ class TcpLink:
         while (end := self._buffer.find(b"\n", searched)) < 0:
             searched = len(self._buffer)
             got = f"got {gcs_syntax.shown(bytes(self._buffer))}" if self._buffer else "got nothing"
-            if searched > _LONGEST:
-                raise LinkError(f"got {searched} bytes without a line feed: {got.removeprefix('got ')}")
             if self._socket is None:
                 raise LinkError("the connection is closed")
             wait = deadline - time.monotonic()

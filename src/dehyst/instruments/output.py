@@ -39,6 +39,8 @@ _GENTLE = 1.0
 # A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but so many.
 # A retreat sends so many steps again that were not taken.
 _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
+# Ticks in which a stage settles after a ramp: no record begins with its lag.
+_SETTLES = 10
 # Readings, a tick apart, in which the readback must come near what was sent; where they take longer, seconds, and the
 # fewest of them.
 _READINGS, _SETTLING, _FEW = 100, 1.5, 3
@@ -148,6 +150,8 @@ class Output:
             present = float(self._sent[-1])
             yield from self._confirmed(present, present, present)
         yield from self._steps(present, end, always=False)
+        for _ in range(_SETTLES * (present != end)):
+            yield TICK
         yield from self._confirmed(end, end, end)
 
     def retreat(self, end: float) -> Generator[float, float, None]:

@@ -33,8 +33,12 @@ _LEAST_WATCHED = 0.25
 _PATIENCE = 5.0
 # Seconds between two batches of samples that the host times.
 _BATCH_SECONDS = 0.2
+# A voltage that is late by less than this share of a period makes the next ones no later.
+_CAUGHT_UP = 0.5
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
+# Farthest that a piezo stage is from the zero of its sensor [m].
+_FARTHEST = 0.1
 # A wave may take this share of the time that was asked, less so many samples: clocks differ, and the first may be late.
 _PACE, _LATE = 0.9, 20
 # A device's clock is wrong if it is ahead by this time [s], of what was asked and so many times what has passed.
@@ -181,6 +185,11 @@ class WaveWatch:
         rig = self._rig
         # A recorder may be a sample or two late.
         slack = np.maximum(READBACK_TOLERANCE * self._spans, 2 * steepest)
+        if np.abs(samples.displacement).max() > _FARTHEST:
+            got = f"a displacement of {np.abs(samples.displacement).max():.4g} m"
+            raise DeviceError(
+                f"{rig.name}: read {got}, need metres of a piezo stage; check the unit in the rig's _read"
+            )
         differences = np.atleast_1d(np.abs(samples.voltage - sent).max(axis=0))
         if (differences > slack).any():
             worst = int(np.argmax(differences - slack))
@@ -264,34 +273,38 @@ def _batches(
 
 
 def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
-    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz] or slower, never faster; read in the middle of each hold.
+    """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz], slower if a call takes longer; read in the middle of holds.
 
     There the displacement is that of straight lines between the voltages, with the actuator's own lag, at every rate.
     Readings have the device's time. `step`: as of `AbstractRig.play`, in their place.
     """
-    period, readings, yielded = 1 / rate, [], rig._now()
-    read, answer = None, 0.0
-    if step is not None:
-        # A ramp has just taken its last step, and the first voltage is another.
-        rig._wait(period)
+    period, readings, read, answer = 1 / rate, list[Reading](), None, 0.0
+    sent = yielded = rig._now()
+    # A ramp has just taken its last step, and the first voltage of a loop is another.
+    due, before = sent + period * (step is not None), float(voltage[0])
     for k in range(len(voltage)):
+        rig._wait(max(0.0, due - rig._now()))
         if step is not None:
-            voltage[k] = rig.limits.towards(step(read), float(voltage[max(k - 1, 0)]), period)
+            voltage[k] = rig.limits.towards(step(read), before, period)
         v = float(voltage[k])
-        rig._put(v)
+        # Since the last voltage was out, the slew rate needs this time.
+        rig._wait(max(0.0, sent + abs(v - before) / rig.slew_rate - rig._now()))
+        began = rig._now()
+        with driver_errors(rig.name, "_put"):
+            rig._put(v)
         # From here a retreat begins if the reading fails: samples come later than voltages.
         rig._output.puts(v)
-        # The period starts when the voltage is out: by the slew rate the next step may come late, but not early.
-        sent = rig._now()
-        rig._wait(max(0.0, 0.5 * (period - answer)))
+        before, sent = v, rig._now()
+        # A wait that took too long does not delay all that follows; a call that did, does.
+        due = due + period if began - due < _CAUGHT_UP * period else began + period
+        rig._wait(max(0.0, 0.5 * (began + sent + period - answer) - rig._now()))
         asked = rig._now()
-        readings.append(rig._read())
-        read, now = readings[-1][2], rig._now()
+        readings.append(rig._reading())
+        read, now = readings[-1].displacement, rig._now()
         answer = now - asked
         if now - yielded >= _BATCH_SECONDS or k == len(voltage) - 1:
             yield Samples(*np.array(readings, dtype=np.float64).T)
             readings, yielded = [], now
-        rig._wait(max(0.0, sent + period - rig._now()))
 
 
 def pieces(values: NDArray[Any], longest: int | None) -> Iterator[NDArray[Any]]:

@@ -15,14 +15,13 @@ from dehyst._errors import ModelError, RecordError, of_part
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
-from dehyst.calibration.plan import even_rate
 from dehyst.control import PathPlan, WaveTable, plan_path, wave_table
 from dehyst.model import USELESS, Actuator, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limits, OfAxes, axes_option, limits_option, of_one_axis, slew_option
 from dehyst.operations.command import OUTPUT, PAGE, Values, argument, beside, command, number, option, output
 from dehyst.operations.files import COLUMNS, GAIN, Columns, write_table
-from dehyst.operations.paths import ZERO, reach_remarks, read_path, reason_of
+from dehyst.operations.paths import ZERO, even_rate, reach_remarks, read_path, reason_of
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START
 from dehyst.waveforms import ScanPath

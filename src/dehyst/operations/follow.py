@@ -13,8 +13,7 @@ from dehyst._errors import ModelError, RecordError, RigError
 from dehyst._io import made_folder, write_atomically
 from dehyst._text import escape
 from dehyst._types import Array
-from dehyst.calibration.following import FollowedPath, closed_path
-from dehyst.calibration.plan import even_rate
+from dehyst.calibration.following import FollowedPath
 from dehyst.control import VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
 from dehyst.model import stroke_of, voltages_of
@@ -22,9 +21,9 @@ from dehyst.operations.axes import AxesModel, Limits, OfAxes, limits_option, sle
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, option, output
 from dehyst.operations.files import COLUMNS, Columns, write_table
-from dehyst.operations.paths import ZERO, bounds_remarks, reach_remarks, read_path
+from dehyst.operations.paths import ZERO, bounds_remarks, closed_path, even_rate, reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import percent
+from dehyst.records import largest, percent, rms
 from dehyst.report.html import document, words
 from dehyst.report.sections import followed as followed_sections
 
@@ -52,7 +51,7 @@ def follow(
     """Follow a path on RIG after a homing, measure the error, and compare it with the promise.
 
     RIG: as of dehyst calibrate. The voltage ends at the safe one; Ctrl-C brings it there too. The status is 1 if a
-    voltage of the path was clamped, or the error exceeds the promise.
+    voltage of the path was clamped, the error exceeds the promise, or the sensor is not believed.
     """
     if learn and feedback:
         raise ModelError(argument="learn", got="it with feedback", need="one of them")
@@ -156,14 +155,23 @@ def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path
         "output": str(folder),
     }
     lines = [head, *files(Record=record, Voltages=voltages, Report=report)]
-    return Result(fields, lines, good=not followed.clamped and False not in followed.kept)
+    good = not followed.clamped and followed.believed and False not in followed.kept
+    return Result(fields, lines, good=good)
 
 
 def _head(known: AxesModel, followed: FollowedPath) -> str:
     """Return the result in words: errors, noise of the sensor, clamped samples, and a promise that is not kept."""
-    strokes = (stroke_of(actuator) for actuator in known.actuators)
+    strokes = [stroke_of(actuator) for actuator in known.actuators]
     noise = ", ".join(f"{percent(value, stroke):.3f}" for value, stroke in zip(followed.noise, strokes, strict=True))
-    head = f"Followed: {followed.best.words} of the stroke; the sensor's noise is {noise} % RMS"
+    head = f"Followed: {followed.best.words} of the stroke"
+    judged = [
+        f"{percent(largest(error), stroke):.3f} and {percent(rms(error), stroke):.3f} %"
+        for error, stroke in zip(followed.promised, strokes, strict=True)
+        if error is not None
+    ]
+    if judged:
+        head += f", without offset and delay, as promised, {', '.join(judged)}"
+    head += f"; the sensor's noise is {noise} % RMS"
     if followed.clamped:
         head += f"; {followed.clamped} samples were clamped at a limit or by the slew rate"
     if False in followed.kept:

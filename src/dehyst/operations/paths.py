@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dehyst._errors import ModelError
+from dehyst._errors import FileFormatError, ModelError
+from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.control import Compensator, VoltageLimits
 from dehyst.control.limits import unit_hint
@@ -21,6 +22,10 @@ from dehyst.records.formats.column import listed
 ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
 # Part of the reachable range by which a path may lie outside without a remark.
 _ROUNDING = 1e-6
+# Share of the median by which the steps of time may differ.
+_UNEVEN = 1e-3
+# A path whose ends differ by more than this multiple of its largest step has a way back.
+_CLOSED = 1.5
 # Part of the stroke above which the reason of a promised error is given.
 _LARGE = 0.01
 
@@ -115,3 +120,24 @@ def reach_remarks(
         return []
     volts = "{:.5g} to {:.5g} V".format(*compensator.limits)
     return [f"the path covers {least:.6g} to {most:.6g} um, with {volts} {reached}; {advice}"]
+
+
+def closed_path(wanted: Array) -> Array:
+    """Return a path (n, axes) [m] with a way back to its first sample, unless it is closed."""
+    steps, gap = np.abs(np.diff(wanted, axis=0)).max(axis=0), wanted[0] - wanted[-1]
+    if (np.abs(gap) <= _CLOSED * steps).all():
+        return wanted
+    # A cosine as steep as the path is.
+    count = int(np.ceil(0.5 * np.pi * (np.abs(gap) / np.maximum(steps, 1e-15)).max())) + 1
+    way = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, count) / count)
+    return np.vstack([wanted, wanted[-1] + way[:, None] * gap])
+
+
+def even_rate(path: Path, time: Array) -> float:
+    """Return the rate [Hz] of the `time` (n,) [s] in a file; raise `FileFormatError` if it does not rise evenly."""
+    if time.size < 2:
+        raise FileFormatError(f"{path}: got {counted(time.size, 'sample')}, need at least two")
+    steps = np.diff(time)
+    if not (steps > 0).all() or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
+        raise FileFormatError(f"{path}: the times do not rise evenly; write it with dehyst excite, or resample it")
+    return 1 / float(np.median(steps))
