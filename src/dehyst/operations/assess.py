@@ -12,8 +12,8 @@ from typing import Any
 from dehyst._errors import FileFormatError
 from dehyst._io import unwritten, write_atomically
 from dehyst.control import plan_path
-from dehyst.operations.axes import AxesModel, of_one_axis
-from dehyst.operations.command import CONTINUED, INPUT, REPORT, argument, command, number, option, output, pair
+from dehyst.operations.axes import AxesModel, OfAxes, of_one_axis, slew_option
+from dehyst.operations.command import CONTINUED, INPUT, REPORT, Values, argument, command, number, option, output, pair
 from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.paths import reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
@@ -25,13 +25,19 @@ from dehyst.trust import insight as insight_one
 from dehyst.trust import update as update_one
 
 
+def _of_path(given: Values) -> str:
+    return of_one_axis(given) or ("" if "trajectory" in given else "without --trajectory")
+
+
 @command("insight", details=True)
 def insight(
     run: Run,
     model: Path = argument(),
     records: tuple[Path, ...] = argument(nargs=-1),
     trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
+    zero: float | None = number("Zero of the trajectory, as in compensate.", _of_path),
     limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
+    slew_rate: OfAxes = slew_option("Largest slew rate of the trajectory [V/s].", _of_path),
     report: Path | None = REPORT,
     columns: Columns = COLUMNS,
 ) -> Result:
@@ -52,11 +58,11 @@ def insight(
         if trajectory is not None:
             # The columns are those of the records.
             own = Columns(temperature=columns.temperature)
-            path, warmth, clock = read_path(known, trajectory, own, remark=run.note)
-            for remark in reach_remarks(known.actuators[0], path[:, 0], limits, None, warmth):
+            path, warmth, clock = read_path(known, trajectory, own, zero, remark=run.note)
+            for remark in reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth):
                 run.note(remark)
             when = {"time": clock.get("time_s"), "temperature": warmth}
-            (plan,) = known.planned(plan_path, path, [limits], known.slews()[0], **when)
+            (plan,) = known.planned(plan_path, path, [limits], known.slews(slew_rate)[0], **when)
         assessed = insight_one(known.actuators[0], training, plan=plan, **asked)
         found, head = (assessed,), []
     if report is not None:
