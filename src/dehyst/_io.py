@@ -170,7 +170,7 @@ def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool |
         raise unwritten(folder, error) from error
     if held and not force and format_of(Path(folder) / marker) != kind:
         named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
-        more = "" if force is None else ", or --force to write beside them"
+        more = "" if force is None else ", or --force to write beside them, over files of the same name"
         raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder{more}")
 
 

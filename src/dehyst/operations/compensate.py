@@ -26,8 +26,8 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START
 from dehyst.waveforms import ScanPath
 
-# How the library begins a remark on a path that is missed by more than its promise.
-_CLAMPED = "CLAMPED"
+# Parts of the remarks of the library on a path that is missed by more than its promise.
+_MISSED = ("CLAMPED", "though nothing was clamped")
 # Part of its range by which a period may end elsewhere than it begins.
 _CLOSED = 1e-9
 
@@ -67,8 +67,8 @@ def compensate(
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
     Jumps and homings keep to the speed of the model's records. Column phase: 0 homing, 1 way, 2 path. The
-    status is 1 if the path is missed by more than the promise, or this exceeds 5 % of the stroke; with --table also if
-    a voltage is clamped or the cycle is not settled.
+    status is 1 if the voltages miss the path by more than the model does, or the promise exceeds 5 % of the stroke;
+    with --table also if a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
         raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
@@ -110,7 +110,7 @@ def compensate(
     urgent += known.prefixed(starts.before_path(*axis) for axis in axes)
     said = known.prefixed(plan.warnings for plan in plans)
     reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
-    urgent += [sentence for sentence in said if _CLAMPED in sentence]
+    urgent += [sentence for sentence in said if any(words in sentence for words in _MISSED)]
     others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
     fields = {
         "samples": size,
