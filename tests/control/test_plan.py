@@ -8,7 +8,7 @@ import plain_records
 import pytest
 
 from dehyst import Actuator, Compensator, ModelError, Stage, plan_path
-from dehyst.model import Identification, parts_of, turned, with_identification
+from dehyst.model import Identification, Validity, parts_of, turned, with_identification
 
 STEP, DELAY = 5e-3, 0.0172
 TIME = STEP * np.arange(600)
@@ -36,6 +36,15 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
     late = plan_path(LATE, WANTED, time=TIME, home=home, start=start, on_time=False)
     assert np.abs(shown(LATE, late) - WANTED).max() > 2e-2 * plain_records.STROKE
     assert any("on time" in said for said in plan.warnings) and any("later" in said for said in late.warnings)
+
+
+def test_the_promise_of_a_late_path_is_apart_from_its_delay():
+    tested = Validity(1e-8, 1e-7, 0.0, plain_records.STROKE, limits=(0.0, 200.0))
+    known = replace(LATE, identification=Identification(lag_of="actuator", validity=tested))
+    delays = [
+        plan_path(known, WANTED, time=TIME, home=True, on_time=on_time).promise.delay for on_time in (True, False)
+    ]
+    assert delays == [0.0, DELAY]
 
 
 def test_a_plan_holds_few_arrays_of_the_size_of_its_path():

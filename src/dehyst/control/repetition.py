@@ -35,8 +35,6 @@ _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
 _WORSE, _NEAR = 1.2, 0.3
 # A change of the RMS error counts above this share of it and these standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
-# Least share of the stroke that a resonance must add to be seen in records.
-_EXACT = 1e-4
 # Share of a cycle in which a new correction comes.
 _BLEND = 0.125
 
@@ -302,7 +300,8 @@ def _tested_to(actuator: Actuator) -> float:
         return 0.0
     paces = tested.rates, np.divide(tested.speeds, tested.span)
     faster = 0.5 * np.sqrt(min(fast**2 - slow**2 for slow, fast in paces))
-    share = max(tested.largest / tested.stroke, _EXACT)
+    # Records show 1e-4 of the stroke.
+    share = max(tested.largest / tested.stroke, 1e-4)
     return float(0.5 * min(faster / np.sqrt(2 * share), 1 / (np.pi * max(tested.lag_error, 1e-9))))
 
 

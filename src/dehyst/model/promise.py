@@ -270,9 +270,8 @@ class Promise:
     @property
     def apart(self) -> str:
         """What the errors leave out, in words."""
-        late = f" and a delay of up to {1e3 * self.delay:.3g} ms: the records leave open who lags" if self.delay else ""
-        kept = "with the offset of what the voltages miss" if "missed" in self.parts else "apart from a constant offset"
-        return f"{kept}{late}"
+        late = f" and a delay of up to {1e3 * self.delay:.3g} ms" if self.delay else ""
+        return f"apart from a constant offset{' of the sensor' if 'missed' in self.parts else ''}{late}"
 
     @property
     def unusable(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -132,8 +132,8 @@ class Part:
 
     `moved` (n,): voltage [V], or displacement [m] without coupling. `first`: the first one, of the model without gain
     and offset. `temperature` (n,) [degC]: of the actuator; `warmth`: if it has an effect. `delay` [s]: by which the
-    voltage leads. `start`, `present` [V]: as given. `way`: before the path. `found`: the voltages of the path. `error`:
-    due to the start.
+    voltage leads; `late` [s]: by which the displacement lags. `start`, `present` [V]: as given. `way`: before the path.
+    `found`: the voltages of the path. `error`: due to the start.
     """
 
     loop: Axis
@@ -142,6 +142,7 @@ class Part:
     temperature: Array | None = None
     warmth: Array | None = None
     delay: float = 0.0
+    late: float = 0.0
     remarks: tuple[str, ...] = ()
     start: PossibleStart | None = None
     present: Any = None
@@ -160,7 +161,7 @@ class Part:
             self.delay = delay
             words = "the voltage leads the path by the delay of the actuator, {:.4g} ms: the path is on time"
         elif lag_of == "actuator" or not timed:
-            words = "the displacement lags by {:.4g} ms: expect the path that much later"
+            self.late, words = delay, "the displacement lags by {:.4g} ms: expect the path that much later"
         else:
             words = "the records lag by {:.4g} ms: expect the path that much later, unless their sensor lagged"
         self.remarks = (words.format(1e3 * delay),)
@@ -429,6 +430,7 @@ class Task:
                 missed=left if clamped.any() or missed > tolerated else (),
             )
             if promise is not None:
+                promise = replace(promise, delay=max(promise.delay, part.late))
                 tolerated = max(tolerated, promise.largest - promise.parts.get("missed", 0.0))
             # A path that lies beyond a limit as a whole is not followed, whatever the promise.
             followed = missed <= tolerated and not (clamped & loop.bounds.reached(volts)).all()
