@@ -39,7 +39,7 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
 
 
 def test_the_promise_of_a_late_path_is_apart_from_its_delay():
-    tested = Validity(1e-8, 1e-7, 0.0, plain_records.STROKE, limits=(0.0, 200.0))
+    tested = Validity(1e-8, 1e-7, 0.0, plain_records.STROKE, limits=(-40.0, 260.0))
     known = replace(LATE, identification=Identification(lag_of="actuator", validity=tested))
     delays = [
         plan_path(known, WANTED, time=TIME, home=True, on_time=on_time).promise.delay for on_time in (True, False)
