@@ -201,11 +201,11 @@ def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array)
 
     `sent` (n,) or (n, axes) [V]: the voltages of the first record.
     """
-    for j, out in enumerate(sent.reshape(len(sent), -1).T):
-        factor = float(np.polyfit(out, records[0].axis(j).voltage, 1)[0])
+    for j, axis in enumerate(records[0].axes or ("",)):
+        out, read = sent.reshape(len(sent), -1)[:, j], records[0].axis(j).voltage
+        factor, where = float(np.polyfit(out, read, 1)[0]), f"Axis {axis}" if axis else "The rig"
         if abs(factor - 1) > _READS:
-            words = "the model is of what was read. Calibrate the readback, or return what was sent"
-            yield f"Axis {j + 1} reads {factor:.4g} V for each volt that was sent, and {words}."
+            yield f"{where} reads {factor:.4g} V for each volt sent: calibrate the readback, or return what was sent."
     warmth = [record.temperature for record in records if record.temperature is not None]
     if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))
