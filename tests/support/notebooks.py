@@ -18,6 +18,8 @@ def run(path):
     import matplotlib
 
     matplotlib.use("agg")
+    # Figures that others left open are none of a cell.
+    _pictures()
     notebook, space = nbformat.read(path, as_version=4), {"__name__": "__main__"}
     count = 0
     for cell in notebook.cells:

@@ -395,7 +395,8 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     """
     if found is not None:
         return *filter(None, [found.unusable]), *(condition.sentence for condition in found.untested)
-    return (*filter(None, [TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence]),)
+    sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
+    return (sentence,) if sentence else ()
 
 
 def _anywhere(validity: Validity) -> Array:

@@ -105,20 +105,33 @@ def compensate(
     if plot is not None:
         run.progress("drawing the path")
         _draw(plot, known.axes, plans, command=run.command)
-
     axes = [*zip(known.actuators, plans, allowed, slews, volts, strict=True)]
+    made: dict[str, Any] = {"samples": size, "output": str(output)}
+    made |= {} if found is None else _cycle_fields(found) | {"table": str(table)}
+    return _answer(known, axes, urgent, remarks, made, [*files(Picture=plot), *kept], found)
+
+
+def _answer(
+    known: AxesModel,
+    axes: Sequence[tuple[Any, ...]],
+    urgent: list[str],
+    remarks: Sequence[str],
+    made: dict[str, Any],
+    added: Sequence[str],
+    found: WaveTable | None,
+) -> Result:
+    """Return what to expect of the plans of all axes, and to do, with `added` lines.
+
+    `axes`: actuator, plan, limits, slew rate and present voltage of each. `made`: JSON values of the files. `found`:
+    the table of a period, if one was asked for.
+    """
+    plans = [plan for _, plan, *_ in axes]
     urgent += known.prefixed(starts.before_path(*axis) for axis in axes)
     said = known.prefixed(plan.warnings for plan in plans)
     reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
     urgent += [sentence for sentence in said if any(words in sentence for words in _MISSED)]
     others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
-    fields = {
-        "samples": size,
-        **known.merged([_numbers(*axis[:4]) for axis in axes]),
-        "warnings": [*urgent, *reasons, *others],
-        "output": str(output),
-        **({} if found is None else _cycle_fields(found) | {"table": str(table)}),
-    }
+    told = {**known.merged([_numbers(*axis[:4]) for axis in axes]), "warnings": [*urgent, *reasons, *others]}
     spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
     words = known.prefixed(
         [f"{span} {starts.begin_words(actuator, plan, limits, now)}"]
@@ -128,19 +141,18 @@ def compensate(
         *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
         *reasons,
         *known.prefixed(map(starts.open_start, plans)),
-        f"{counted(size, 'sample')}, {', '.join(words)}: {output}",
-        *files(Picture=plot),
-        *kept,
+        f"{counted(made['samples'], 'sample')}, {', '.join(words)}: {made['output']}",
+        *added,
     ]
     good = all(map(_is_good, plans))
     if found is not None:
         lines.append(
             f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {found.error * 1e6:.3g} um; "
-            f"{counted(len(found.cycle), 'sample')} a cycle: {table}"
+            f"{counted(len(found.cycle), 'sample')} a cycle: {made['table']}"
         )
         good = good and found.settled and not found.plan.clamped.any()
     more = [*lines, *others[1:]] if others[1:] else ()
-    return Result(fields, lines, more, [*urgent, *others[:1]], good)
+    return Result(told | made, lines, more, [*urgent, *others[:1]], good)
 
 
 @contextmanager
