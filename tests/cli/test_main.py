@@ -69,6 +69,14 @@ def test_the_newcomers_trap_is_caught(folder):
     assert any("excite recommended" in command for command in found["record_next"])
 
 
+def test_insight_and_compensate_state_the_failure_of_one_plan(folder):
+    asked = ("--limits", "40", "50")
+    status, seen = result("insight", "model.json", "loops.csv", "--trajectory", "path.csv", *asked, cwd=folder)
+    failed, planned = result("compensate", "model.json", "path.csv", "-o", "v.csv", *asked, cwd=folder)
+    assert status == failed == 1 and planned["clamped"] > 0
+    assert {*planned["warnings"]} & {*seen["warnings"]}
+
+
 def test_dehyst_alone_is_its_help():
     assert run() == run("--help")
 

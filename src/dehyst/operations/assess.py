@@ -43,7 +43,7 @@ def insight(
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
-    The status is 1 if there is a warning, or the path cannot be followed.
+    The status is 1 if there is a warning, as for a path that cannot be followed.
     """
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on records")
@@ -74,8 +74,7 @@ def insight(
         each = [[*(["", f"Axis {axis}"] if axis else []), *part.summary(full).split("\n")] for axis, part in parts]
         return [*head, *(line for own in each for line in own), *files(Report=report)]
 
-    followed = all(part.plan is None or part.plan.followed for part in found)
-    good = followed and not any(part.warnings() for part in found)
+    good = not any(part.warnings() for part in found)
     return Result(assessed.as_dict(), lines(full=False), lines(full=True), good=good)
 
 

@@ -26,8 +26,6 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START
 from dehyst.waveforms import ScanPath
 
-# Parts of the remarks of the library on a path that is missed by more than its promise.
-_MISSED = ("CLAMPED", "though nothing was clamped")
 # Part of its range by which a period may end elsewhere than it begins.
 _CLOSED = 1e-9
 
@@ -129,7 +127,7 @@ def _answer(
     urgent += known.prefixed(starts.before_path(*axis) for axis in axes)
     said = known.prefixed(plan.warnings for plan in plans)
     reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
-    urgent += [sentence for sentence in said if any(words in sentence for words in _MISSED)]
+    urgent += known.prefixed([plan.failure] if plan.failure else [] for plan in plans)
     others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
     told = {**known.merged([_numbers(*axis[:4]) for axis in axes]), "warnings": [*urgent, *reasons, *others]}
     spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
@@ -193,7 +191,7 @@ def _is_good(plan: PathPlan) -> bool:
     """Return whether a path is followed, with a promise of at most 5 % of the stroke or, without one, a known start."""
     promise = plan.promise
     small = plan.certified if promise is None else promise.largest <= 0.01 * USELESS * promise.stroke
-    return plan.followed and small
+    return not plan.failure and small
 
 
 def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None) -> dict[str, Any]:

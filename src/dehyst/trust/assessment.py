@@ -161,9 +161,9 @@ class Insight(Plotted):
         return tuple(dict.fromkeys(gap.command for gap in self.promise.untested if gap.command))
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings to consider before the model is used."""
-        useless = "" if self.promise is None else self.promise.unusable
-        return tuple(filter(None, [self._of_others(), useless, self._open(), self._beyond()]))
+        """Return warnings to consider before the model is used, and before the path of the `plan` is."""
+        missed, useless = self.plan.failure if self.plan else "", self.promise.unusable if self.promise else ""
+        return tuple(filter(None, [missed, self._of_others(), useless, self._open(), self._beyond()]))
 
     @property
     def origin(self) -> str:

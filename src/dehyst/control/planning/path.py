@@ -436,8 +436,9 @@ class Task:
             followed = missed <= tolerated and not (clamped & loop.bounds.reached(volts)).all()
             remarks = () if way.homing is None else way.remarks
             remarks += part.patience(self.time, after) if self.home_within is None else ()
+            short = shortfall(volts, clamped, loop.bounds, missed, followed=followed)
             if wanted is None:
-                remarks += shortfall(volts, clamped, loop.bounds, missed, followed=followed)
+                remarks += (short,) if short else ()
                 remarks += outside_identified(loop.actuator, found.voltage, refuse=False).warnings
                 remarks += part.remarks
             hint = unit_hint(units, (counts * loop.reach[0], counts * loop.reach[1]), counts * row)
@@ -453,7 +454,7 @@ class Task:
                 homing=way.homing,
                 error=error,
                 promise=promise,
-                followed=followed,
+                failure="" if followed else short,
                 warnings=(*remarks, *untested(loop.actuator, promise, degrees), *hint),
                 temperature=led(part.temperature, first),
             )

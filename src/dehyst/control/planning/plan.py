@@ -54,11 +54,11 @@ class PathPlan:
     promise : Promise or None *
         Promised error of the path [m] from its start, with that of clamped voltages; None if the model does not hold
         what its records tested.
-    followed : bool
-        Whether voltages miss the path by no more than the promise, or where there is none by no more than a thousandth
-        of the range of the spring's knots, and limits clamp not all of them; true for a given voltage.
+    failure : str
+        By how much voltages miss the path and why, if by more than the promise, or where there is none by more than a
+        thousandth of the range of the spring's knots, or if limits clamp all of them; else "", as for a given voltage.
     warnings : tuple of str
-        Remarks on the homing, on clamped voltages, on a delay, and on what the records do not test.
+        Remarks on the homing, on clamped voltages with the failure, on a delay, and on what the records do not test.
     temperature : (n,) array or None
         Temperature [degC] of the actuator; before the path that of the first sample. None if it is not known.
     units : str
@@ -79,7 +79,7 @@ class PathPlan:
     homing: Any
     error: Any
     promise: Any
-    followed: bool
+    failure: str
     warnings: tuple[str, ...]
     temperature: Array | None = None
     units: str = "m"
@@ -96,13 +96,14 @@ class PathPlan:
         joined: dict[str, Any] = {name: all_of(name) for name in entries}
         columns = ("voltage", "displacement", "expected", "clamped")
         joined |= {name: np.column_stack(all_of(name)) for name in columns}
-        warnings = (f"{name}: {words}" for name, plan in zip(names, plans, strict=True) for words in plan.warnings)
+        axes = list(zip(names, plans, strict=True))
+        warnings = (f"{name}: {words}" for name, plan in axes for words in plan.warnings)
         warm = None if plans[0].temperature is None else np.column_stack(all_of("temperature"))
         return cls(
             plans[0].time,
             plans[0].phase,
             **joined,
-            followed=all(all_of("followed")),
+            failure="; ".join(f"{name}: {plan.failure}" for name, plan in axes if plan.failure),
             warnings=tuple(warnings),
             temperature=warm,
             units=plans[0].units,
@@ -160,25 +161,22 @@ class PathPlan:
         return f"<PathPlan: {', '.join(facts)}>"
 
 
-def shortfall(
-    voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float, *, followed: bool
-) -> tuple[str, ...]:
-    """Return a sentence on a path that is `missed` [m] by its voltages (n,) [V], or none.
+def shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float, *, followed: bool) -> str:
+    """Return a sentence on a path that is `missed` [m] by its voltages (n,) [V], or "".
 
     With clamped voltages it is a remark if the path is `followed`, else a failure.
     """
     if not clamped.any():
-        if followed:
-            return ()
         # Then only a mass or an amplifier can be left behind.
-        return (
+        left_behind = (
             f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
-            "actuator's state, or moves or turns too fast for its sample rate",
+            "actuator's state, or moves or turns too fast for its sample rate"
         )
+        return "" if followed else left_behind
     count = int(np.count_nonzero(clamped))
     at_limit = int(np.count_nonzero(clamped & limits.reached(voltage)))
     words = (
         f"{count} of {voltage.size} voltages ({at_limit} at the limits {limits.words}, {count - at_limit} by the slew "
         f"rate), the first at sample {int(np.argmax(clamped))}; the path is missed by up to {missed * 1e6:.4g} um"
     )
-    return (f"clamped: {words}, less than what is promised" if followed else f"CLAMPED: {words}",)
+    return f"clamped: {words}, less than what is promised" if followed else f"CLAMPED: {words}"
