@@ -251,7 +251,7 @@ def rules() -> list[str]:
     # The first rule of each table, and its heading.
     headings = {
         "longest_lag": "Delay and lag",
-        "datum_gain": "Sensor zero and drift",
+        "zero_gain": "Sensor zero and drift",
         "slowest_cycle": "Inertia",
         "creep_gain": "Creep",
         "static_gain": "Static parts",

@@ -40,7 +40,7 @@ def to_know(sentences: Sequence[str]) -> Iterator[str]:
 
 
 def digits(number: float, count: int = 2) -> str:
-    """Write a number with so many digits, without a power of ten from 0.0001 to a million: "110", not "1.1e+02"."""
+    """Write a number with `count` digits, without a power of ten from 0.0001 to a million: "110", not "1.1e+02"."""
     return f"{float(f'{number:.{count}g}'):g}"
 
 

@@ -28,7 +28,7 @@ REFUSED = {
     "identify loops.csv --delay 1e9": "delay",
     "identify loops.csv --goal 1e6": "goal",
     "identify loops.csv --time-limit 0": "time_limit",
-    "identify loops.csv --shared-zero": "shared_datum",
+    "identify loops.csv --shared-zero": "shared_zero",
     "identify loops.csv --slew-rate 3": "slew_rate",
     "identify loops.csv -o out.json --slew-rate 0": "slew_rate",
     "identify loops.csv --report out.png": "report",
@@ -162,7 +162,7 @@ def test_a_wrong_parameter_is_named_and_nothing_is_written(folder, line):
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     error = refused(*line.split(), cwd=folder)
     own = REFUSED[line]
-    argument, said = own if isinstance(own, tuple) else (own, f"--{own}".replace("_", "-").replace("datum", "zero"))
+    argument, said = own if isinstance(own, tuple) else (own, f"--{own}".replace("_", "-"))
     assert error["argument"] == argument, error
     assert said in f"{error['message']} {error.get('hint', '')}"
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before

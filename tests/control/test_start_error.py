@@ -126,14 +126,14 @@ def test_without_a_homing_a_path_begins_at_the_present_voltage_if_one_is_given()
     for home in (False, None):
         # A model whose error is larger than what the start leaves open is not homed by default either.
         coarse = PLAIN if home is False else with_identification(PLAIN, largest_error=STROKE)
-        led = plan_path(Compensator(coarse, slew_rate=100.0), wanted, time=time, home=home, present=20.0)
-        assert led.homing is None and led.voltage[0] == 20.0 and set(led.phase) == {1, 2} and not led.clamped.any()
-        assert np.abs(np.diff(led.voltage) / np.diff(led.time)).max() <= 100.0 * (1 + 1e-9)
+        plan = plan_path(Compensator(coarse, slew_rate=100.0), wanted, time=time, home=home, present=20.0)
+        assert plan.homing is None and plan.voltage[0] == 20.0 and set(plan.phase) == {1, 2} and not plan.clamped.any()
+        assert np.abs(np.diff(plan.voltage) / np.diff(plan.time)).max() <= 100.0 * (1 + 1e-9)
         rng = np.random.default_rng(2)
         for _ in range(10):
-            y = PLAIN.simulate(led.voltage, state=history(PLAIN, rng, 20.0)).displacement[led.first :]
+            y = PLAIN.simulate(plan.voltage, state=history(PLAIN, rng, 20.0)).displacement[plan.first :]
             slack = 1e-9 * STROKE
-            assert np.all((led.error.lowest - slack <= y) & (y <= led.error.highest + slack))
+            assert np.all((plan.error.lowest - slack <= y) & (y <= plan.error.highest + slack))
     assert plan_path(loop, wanted, time=time, home=False).first == 0
     with pytest.raises(RecordError, match="present: got 900 V"):
         plan_path(loop, wanted, time=time, home=False, present=900.0)
@@ -186,9 +186,9 @@ def test_a_path_is_homed_where_its_start_matters():
     # From a known start the way to the first sample is left out if one step leads there.
     for name, slow in (("top", 500.0), ("top", None)):
         start = PossibleStart.named(PLAIN, name)
-        led = plan_path(Compensator(PLAIN, slew_rate=slow), wanted, time=time, start=start)
-        assert led.homing is None and led.error.largest == 0 and (led.first > 0) == (slow is not None)
-        np.testing.assert_allclose(led.expected[led.first :], wanted, atol=1e-9 * STROKE)
+        plan = plan_path(Compensator(PLAIN, slew_rate=slow), wanted, time=time, start=start)
+        assert plan.homing is None and plan.error.largest == 0 and (plan.first > 0) == (slow is not None)
+        np.testing.assert_allclose(plan.expected[plan.first :], wanted, atol=1e-9 * STROKE)
     micro = plan_path(Compensator(PLAIN, slew_rate=500.0, units="um"), 1e6 * wanted, time=time, home=False)
     np.testing.assert_allclose(micro.voltage, unhomed.voltage, atol=1e-9)
     assert micro.error.largest == pytest.approx(1e6 * unhomed.error.largest)

@@ -21,9 +21,9 @@ _SHOWN = 20
 
 def run(play, seed, count, *, first=0, seconds=None):
     """Play cases `first` to `count` - 1, as far as the seconds allow; return what the summary holds."""
-    begun, findings, counts = time.monotonic(), [], Counter()
+    started, findings, counts = time.monotonic(), [], Counter()
     case = first
-    while case < count and (seconds is None or time.monotonic() - begun < seconds):
+    while case < count and (seconds is None or time.monotonic() - started < seconds):
         found, noted = _played(play, seed, case)
         findings += [{"case": case, "what": what, "ended": noted is None} for what in found]
         counts.update(noted or {})
@@ -33,7 +33,7 @@ def run(play, seed, count, *, first=0, seconds=None):
         "cases": case - first,
         "findings": findings,
         "counts": dict(sorted(counts.items())),
-        "seconds": round(time.monotonic() - begun, 1),
+        "seconds": round(time.monotonic() - started, 1),
     }
 
 

@@ -1,4 +1,4 @@
-"""What is put right before a fit, found where it is and only there: transients, gaps, datums, drift."""
+"""What is put right before a fit, found where it is and only there: transients, gaps, zeros, drift."""
 
 import numpy as np
 import plain_records
@@ -42,7 +42,7 @@ def test_nothing_is_repaired_on_clean_data(name):
     fit = dehyst.identify(CLEAN[name], structure=TEN)
     assert [said for said in fit.repairs if "samples a cycle" not in said] == []
     assert fit.actuator.delay == 0
-    assert (fit.errors[0].drift, fit.errors[0].datum) == (0, 0)
+    assert (fit.errors[0].drift, fit.errors[0].zero) == (0, 0)
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.003, 0.01])
@@ -94,9 +94,9 @@ def test_a_pause_between_two_repetitions_is_not_mentioned():
 
 
 def test_a_shifted_sensor_zero_that_is_denied_makes_the_stiffnesses_wrong():
-    three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", datum=0.1 * plain_records.STROKE)
-    fit = dehyst.identify([TOPS, three], structure=TEN, shared_datum=True)
-    assert fit.errors[1].datum == 0
+    three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", zero=0.1 * plain_records.STROKE)
+    fit = dehyst.identify([TOPS, three], structure=TEN, shared_zero=True)
+    assert fit.errors[1].zero == 0
     assert plain_records.stiffness_error(fit.actuator, PLANT) > 0.05
     # Quietly: the residual alone would not alarm anybody (theory, section 7).
     assert 0.05 < fit.errors[1].rms_percent < 1
@@ -109,10 +109,10 @@ def test_several_shifted_sensor_zeros_are_found():
         y = plain_records.path((0.1, top, 0, top, 0, top, 0))
         state = plain_records.any_state(PLANT, float(y[0]), seed)
         records.append(
-            plain_records.record(PLANT, y, state=state, name=f"minor {top}", datum=shift * plain_records.STROKE)
+            plain_records.record(PLANT, y, state=state, name=f"minor {top}", zero=shift * plain_records.STROKE)
         )
     fit = dehyst.identify(records, structure=TEN)
-    found = [error.datum / plain_records.STROKE for error in fit.errors[1:]]
+    found = [error.zero / plain_records.STROKE for error in fit.errors[1:]]
     np.testing.assert_allclose(found, list(shifts.values()), atol=3e-3)
     assert plain_records.stiffness_error(fit.actuator, PLANT) < 1e-2
 

@@ -22,10 +22,10 @@ from dehyst.records.signals import bandwidth
 EXACT = 1e-9
 
 
-def compared(actuator, record, datum=0.0):
+def compared(actuator, record, zero=0.0):
     """Errors and trace of a record that is simulated whole."""
     prepared = record if hasattr(record, "pieces") else prepare(record)
-    return errors_of(actuator, compare(actuator, prepared, plain_records.STROKE, datum=datum), "validation")
+    return errors_of(actuator, compare(actuator, prepared, plain_records.STROKE, zero=zero), "validation")
 
 
 def missed(actuator, record, **changes):
@@ -54,11 +54,11 @@ def test_an_actuator_meets_its_own_record(name):
 def test_smooth_elements_that_are_strained_at_the_start_are_found(closing, part):
     plant = wide.plant(wide.STRUCTURES["smooth"])
     smooth = replace(plant.actuator.smooth, closing=np.full(len(plant.actuator.smooth), closing))
-    actuator, begun = replace(plant.actuator, smooth=smooth), replace(plant.state, smooth=part * smooth.length)
+    actuator, strained = replace(plant.actuator, smooth=smooth), replace(plant.state, smooth=part * smooth.length)
     voltage = plant.record().voltage
     moved, unstrained = (
-        actuator.simulate(voltage, state=replace(begun, smooth=elongation), extrapolate=True).displacement
-        for elongation in (begun.smooth, 0 * smooth.length)
+        actuator.simulate(voltage, state=replace(strained, smooth=elongation), extrapolate=True).displacement
+        for elongation in (strained.smooth, 0 * smooth.length)
     )
     matters = 100 * np.ptp(moved - unstrained) / plain_records.STROKE
     assert missed(actuator, Record(plant.time, voltage, moved, "strained")) < 0.1 * matters
@@ -70,8 +70,8 @@ def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
     record = plant.record()
     prepared = prepare(record[20:])
     assert prepared.lead is None
-    led = replace(prepared, lead=record[:20])
-    (_, with_lead), (_, alone) = (compared(plant.actuator, record) for record in (led, prepared))
+    longer = replace(prepared, lead=record[:20])
+    (_, with_lead), (_, alone) = (compared(plant.actuator, record) for record in (longer, prepared))
     half = with_lead.residual.size // 2
     assert 100 * np.abs(with_lead.residual[half:]).max() / plain_records.STROKE < EXACT
     # Alone, the smooth elements are taken to begin at none.

@@ -98,14 +98,14 @@ def test_the_papers_class_is_twenty_elements_and_a_spring():
 def test_validation_records_get_errors_of_their_own():
     y = plain_records.path((0.3, 0.8, 0.2, 0.65, 0.1, 0.9, 0.3, 0.8, 0.35, 0.75))
     state = plain_records.any_state(PLANT, float(y[0]), 5)
-    held_out = plain_records.record(PLANT, y, state=state, name="check", datum=0.05 * STROKE)
+    held_out = plain_records.record(PLANT, y, state=state, name="check", zero=0.05 * STROKE)
     alone, fit = dehyst.identify(TOPS, structure=TEN), dehyst.identify(TOPS, structure=TEN, validate=held_out)
     assert [(error.record, error.role) for error in fit.errors] == [("tops", "training"), ("check", "validation")]
     assert [(trace.record, trace.role) for trace in fit.traces] == [("tops", "training"), ("check", "validation")]
     assert fit.actuator.slip.stiffness.tobytes() == alone.actuator.slip.stiffness.tobytes()
     check, trace = fit.errors[1], fit.traces[1]
     assert check.largest_percent < 1e-3
-    assert check.datum == pytest.approx(0.05 * STROKE, abs=1e-5 * STROKE)
+    assert check.zero == pytest.approx(0.05 * STROKE, abs=1e-5 * STROKE)
     assert (check.samples, check.samples + check.left_out) == (trace.residual.size, len(held_out))
     assert fit.promise.basis == "validation records" != alone.promise.basis
 

@@ -70,7 +70,7 @@ def test_a_drift_that_cannot_be_creep_is_not_called_so(rate, decades, steady, cr
     """Too large, too short to tell, or straight in time."""
     stroke = plain_records.STROKE
     lengths = dict.fromkeys(
-        ("largest", "rms", "largest_with_drift", "rms_with_drift", "offset", "datum", "settled_largest", "settled_rms"),
+        ("largest", "rms", "largest_with_drift", "rms_with_drift", "offset", "zero", "settled_largest", "settled_rms"),
         0.0,
     )
     errors = RecordErrors(

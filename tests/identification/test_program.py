@@ -86,12 +86,12 @@ MOVING = {
     "damping": (lambda: [moved.swinging()], {}, 3, lambda at: at.dynamics.damping, moved.DYNAMICS.damping),
     "creep": (
         lambda: [moved.creeping()],
-        {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "begun": np.zeros((1, 3))},
+        {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "creep_before": np.zeros((1, 3))},
         30,
         lambda at: at.gains.sum(),
         moved.CREEP.gains.sum(),
     ),
-    "datum": (lambda: moved.shifted(0.1 * STROKE), {"datum": [0, 0.09 * STROKE]}, 30, lambda at: at.datum[1], 1.6e-6),
+    "zero": (lambda: moved.shifted(0.1 * STROKE), {"zero": [0, 0.09 * STROKE]}, 30, lambda at: at.zero[1], 1.6e-6),
     **{
         f"thermal {name}": (
             lambda: [moved.warmed(15, 45), moved.warmed(40, 18)],
@@ -110,7 +110,7 @@ PARTS = {"lead": ("delay",), "damping": ("inertia",), "thermal gain": WARMS, "th
 @pytest.mark.parametrize("name", MOVING)
 def test_numbers_of_what_moves_are_recovered(name):
     records, start, turns, number, true = MOVING[name]
-    start = {key: np.asarray(value) if key == "datum" else value for key, value in start.items()}
+    start = {key: np.asarray(value) if key == "zero" else value for key, value in start.items()}
     made = search.fitted(wide.frame(records(), **start), moved.STRUCTURE, 4000, PARTS.get(name, (name,)), turns)
     assert number(made.frame.motion) == pytest.approx(true, rel=0.03)
     assert made.rms < 2e-4 * STROKE
@@ -119,7 +119,7 @@ def test_numbers_of_what_moves_are_recovered(name):
 def test_gains_of_creep_are_not_negative():
     record = moved.still(hold=20)
     backwards = moved.seen(record, moved.CREEP.removed(record.time, record.displacement))
-    motion = {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "begun": np.zeros((1, 3))}
+    motion = {"time_constants": moved.CREEP.time_constants, "gains": np.zeros(3), "creep_before": np.zeros((1, 3))}
     made = search.fitted(wide.frame([backwards], **motion), moved.STRUCTURE, 4000, ("creep",), 2)
     assert made.frame.motion.gains.min() == 0
 

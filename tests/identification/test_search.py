@@ -26,7 +26,7 @@ def found(records, lag=True, drift=True, more=True):
     """The motion that a search finds, and the names of its parts."""
     frame, names, trials = search.moving(wide.frame(records), lambda _: None, lag=lag, drift=drift, more=more)
     assert all(trial.held_out > 0 for trial in trials)
-    return frame.motion, set(names) - {"begun"}
+    return frame.motion, set(names) - {"creep_before"}
 
 
 def tops(seed=0, noise=NOISE):

@@ -115,7 +115,7 @@ def test_an_effect_that_is_not_there_is_not_found():
 
 def test_expansion_between_records_is_found_where_they_share_a_zero():
     records = [at(*ends, seed, offset=5e-8) for seed, ends in enumerate(((15, 16), (29, 31), (45, 44)))]
-    thermal = dehyst.identify(records, **SETTINGS, shared_datum=True).actuator.thermal
+    thermal = dehyst.identify(records, **SETTINGS, shared_zero=True).actuator.thermal
     assert thermal.offset == pytest.approx(5e-8, rel=0.2)
     assert thermal.gain == pytest.approx(GAIN, rel=0.05)
 

@@ -73,7 +73,7 @@ def followed(name, kind, samples):
 def test_the_motion_is_promised_and_the_transient_named(name, kind):
     fit, rms = followed(name, kind, samples=30_000)
     error, expected = fit.errors[0], fit.promise
-    assert any("set aside" in sentence for sentence in fit.repairs)
+    assert any("left out" in sentence for sentence in fit.repairs)
     assert expected.largest_percent < 1.0
     assert rms < 2 * 100 * expected.rms / error.stroke
     # Rest counts neither as used nor as left out; what rings is left out.

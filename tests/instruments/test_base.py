@@ -254,12 +254,12 @@ def test_a_wave_is_closed_before_the_retreat(stop):
 def paced(change, longest=None):
     """Return a rig whose samples have times that are changed: a function of the times since the first one."""
     rig = FakeRig((0.0, 100.0), longest=longest)
-    wave, begun = rig._wave, []
+    wave, first_times = rig._wave, []
 
     def pacing(voltage, rate):
         for samples in wave(voltage, rate):
-            begun.append(samples.time[0])
-            yield samples._replace(time=begun[0] + change(samples.time - begun[0]))
+            first_times.append(samples.time[0])
+            yield samples._replace(time=first_times[0] + change(samples.time - first_times[0]))
 
     rig._wave = pacing
     return rig

@@ -198,7 +198,7 @@ def sampled(turns, per_segment=4):
 
 def missed(actuator, record):
     """Errors of a record that is simulated whole."""
-    compared = compare(actuator, prepare(record), plain_records.STROKE, datum=0.0)
+    compared = compare(actuator, prepare(record), plain_records.STROKE, zero=0.0)
     return errors_of(actuator, compared, "validation")[0]
 
 

@@ -47,10 +47,10 @@ def drifting(rate, noise=0.0):
     return seen(record, record.displacement + rate * STROKE * prepare(record).drift_curve(record), noise)
 
 
-def creeping(begun=(0.0, 0.0, 0.0), noise=0.0):
-    """The displacement with creep whose strains [m] at the first sample are `begun`."""
+def creeping(strains=(0.0, 0.0, 0.0), noise=0.0):
+    """The displacement with creep whose strains [m] at the first sample are `strains`."""
     record = still(hold=20)
-    return seen(record, CREEP.added(record.time, record.displacement, np.array(begun))[0], noise)
+    return seen(record, CREEP.added(record.time, record.displacement, np.array(strains))[0], noise)
 
 
 def swinging(noise=0.0, dynamics=DYNAMICS):
@@ -70,7 +70,7 @@ def warmed(first, last, noise=0.0, seed=1):
     return seen(record, y, noise, seed, others={"temperature_C": temperature}, name=f"{first:g}")
 
 
-def shifted(datum):
+def shifted(zero):
     """Two records of which the second has another zero."""
     record = still()
-    return [record, Record(record.time, record.voltage, record.displacement - datum, "shifted")[400:]]
+    return [record, Record(record.time, record.voltage, record.displacement - zero, "shifted")[400:]]

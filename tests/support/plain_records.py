@@ -60,11 +60,11 @@ def any_state(actuator, displacement, seed):
     return State(displacement, displacement + np.random.default_rng(seed).uniform(-rho, rho))
 
 
-def record(actuator, displacement, *, state=None, rate=200.0, name="made", noise=0.0, seed=0, datum=0.0):
+def record(actuator, displacement, *, state=None, rate=200.0, name="made", noise=0.0, seed=0, zero=0.0):
     """The record of a displacement path, played from `state` (default: after a long rise to the path's start)."""
     start = turned(actuator, float(displacement[0])) if state is None else state
     motion = actuator.compensate(displacement, state=start)
-    sensor = displacement - datum + noise * np.random.default_rng(seed).normal(size=displacement.size)
+    sensor = displacement - zero + noise * np.random.default_rng(seed).normal(size=displacement.size)
     return Record(np.arange(displacement.size) / rate, motion.voltage, sensor, name)
 
 

@@ -185,7 +185,7 @@ def test_records_of_two_stages_are_named_and_do_not_lower_the_promise(stroke, wi
     # A sensor that was zeroed anew is no other stage, and widens nothing.
     apart = bool(fit.promise.reasons) and any(f"on {record.name} " in fit.promise.reasons[0] for record in records)
     assert apart == (fit.promise.largest_percent > 1) == (not moved)
-    assert any(abs(error.datum) > 0.1 * error.stroke for error in fit.errors)
+    assert any(abs(error.zero) > 0.1 * error.stroke for error in fit.errors)
     assert "zero of its sensor" in fit.remarks[0]
 
 

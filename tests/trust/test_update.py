@@ -140,7 +140,7 @@ def test_the_zero_of_the_sensor_is_told_from_the_stage(old):
     record = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
     made = dehyst.update(old, replace(record, displacement=record.displacement - 5e-6))
     assert made.used
-    assert made.datum == pytest.approx(-5e-6, abs=0.08 * plain_records.STROKE)
+    assert made.zero == pytest.approx(-5e-6, abs=0.08 * plain_records.STROKE)
 
 
 def test_another_actuator_is_refused(old):

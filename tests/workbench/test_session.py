@@ -78,7 +78,7 @@ class Stage:
 
     @property
     def step(self):
-        """The words of the last step that was begun."""
+        """The words of the last step."""
         return self.workers[-1].steps[-1]
 
     @property
@@ -293,9 +293,9 @@ async def test_an_export_has_the_period_that_is_given_and_a_missing_one_is_asked
 
 
 @played
-async def test_what_an_operation_refuses_is_not_begun(stage):
+async def test_a_refused_operation_does_not_begin(stage):
     entry = await stage.model(Finished(FIT))
-    begun = len(stage.session.jobs.entries)
+    before = len(stage.session.jobs.entries)
     for request in (
         {"scan": {"kind": "rm"}},
         {"scan": {"kind": "triangle", "low": "1; rm"}},
@@ -323,7 +323,7 @@ async def test_what_an_operation_refuses_is_not_begun(stage):
     for columns in ("voltage", "output=x", "rate=fast", "join=../secret.csv", "@secret.txt"):
         with pytest.raises(DehystError):
             stage.session.read_record(record.id, columns)
-    assert len(stage.session.jobs.entries) == begun + 1
+    assert len(stage.session.jobs.entries) == before + 1
 
 
 @played

@@ -20,7 +20,7 @@ from dehyst.instruments import AbstractRig, Samples, StepFunction
 from dehyst.records import Columns, Record, Recording, about_of, read
 from dehyst.waveforms import Excitation
 
-# A record that takes so many times as long as its excitation is remarked.
+# A record that takes more than this multiple of its excitation's time is remarked.
 _LONGER = 1.1
 
 

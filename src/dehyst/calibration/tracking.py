@@ -43,14 +43,14 @@ class _Homed(NamedTuple):
     """What is known after the next homing, as sensor readings [m] of each axis (axes,).
 
     `low`: with all axes at their lowest voltage. `stroke`: of the major loop. `wanted`: way to the path, and path
-    (n, axes). `states` of the actuators, and zeros of the sensors, `datum`.
+    (n, axes). `states` of the actuators, and zeros of the sensors, `zero`.
     """
 
     low: Array
     stroke: Array
     wanted: Array
     states: tuple[State, ...]
-    datum: Array
+    zero: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class PathPlanner:
         wanted = homed.wanted
         time = np.arange(len(wanted)) / self.homing.sample_rate
         actuators = model.actuators if isinstance(model, Stage) else (model,)
-        zeros = zip(actuators, wanted.T, homed.datum.tolist(), strict=True)
+        zeros = zip(actuators, wanted.T, homed.zero.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
         # A path that leads is planned as without a delay.
         still = tuple(replace(axis, delay=0.0) for axis in actuators)
@@ -101,8 +101,8 @@ class PathPlanner:
             "slew_rate": rates if several else rates[0],
         }
         given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False}
-        led: Any = (replace(model, actuators=still), ahead) if isinstance(model, Stage) else (still[0], ahead[:, 0])
-        plan = plan_path(*led, time=time, temperature=warmth, **given)
+        early: Any = (replace(model, actuators=still), ahead) if isinstance(model, Stage) else (still[0], ahead[:, 0])
+        plan = plan_path(*early, time=time, temperature=warmth, **given)
         voltage = plan.voltage[plan.first :].reshape(wanted.shape)
         return self._run("compensated", homed, voltage, plan.warnings)
 
@@ -115,21 +115,21 @@ class PathPlanner:
         options: dict[str, Any] = {"temperature": None if later is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
         late = (len(TURNS) - 1) * branch if len(stage.axes) == 1 else len(before[-1]) // 2
-        datum = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
+        zero = np.array([column.mean() for column in (displacement - played.displacement)[-late:].T.copy()])
         homing = self.homing
         rows = homing.voltage.reshape(len(homing), -1)
         homed = stage.simulate(rows, time=homing.time, states=played.state, temperature=later, extrapolate=True)
-        start = homed.displacement[-1] + datum
+        start = homed.displacement[-1] + zero
         # Each actuator alone at the ends of its major loop.
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
         stroke = top - bottom
         # So large that whatever the other axes do no actuator leaves its range.
         share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
-        middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + datum
-        low = apply(stage.coupling, bottom[None])[0] + datum
+        middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + zero
+        low = apply(stage.coupling, bottom[None])[0] + zero
         wanted = self._wanted(middle - 0.5 * share * stroke, share * stroke, start)
-        return _Homed(low, stroke, wanted, homed.state, datum)
+        return _Homed(low, stroke, wanted, homed.state, zero)
 
     def _wanted(self, origin: Array, reach: Array, start: Array) -> Array:
         """Return the way from the `start` [m] after the homing to the path (n, axes) [m], and the path."""

@@ -168,7 +168,7 @@ def outside_identified(
 
 
 class ClampWarning(UserWarning):
-    """A wanted displacement was not followed: its voltage was clamped at a limit or held back by the slew rate.
+    """A wanted displacement was not followed: its voltage was clamped at a limit or slewed.
 
     `before`: voltage [V] from which the slew rate counted: of the state, until one was sent.
     """
@@ -228,7 +228,7 @@ def sensor_bound(width: float, bound: float | None) -> float:
 
 
 class Clamps(NamedTuple):
-    """Number of samples whose voltage was clamped at a limit, and held back by the slew rate."""
+    """Number of samples whose voltage was clamped at a limit, and number of those slewed."""
 
     limited: int
     slewed: int

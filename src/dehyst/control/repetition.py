@@ -27,10 +27,10 @@ _STEP = 0.15
 _WRONG, _SLOWER, _FASTER = 0.1, 0.25, 2.0
 # Longest gap between readings, as a share of the cycle.
 _GAP = 0.05
-# The correction ends at this multiple of the resonance; harmonics of the error count that are more than so many times
-# noise.
+# The correction ends at this multiple of the resonance; harmonics of the error count above this multiple of
+# the noise.
 _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
-# An RMS error that is so many times the least, and this share of the first one, takes the step back; it takes back the
+# An RMS error above this multiple of the least, and this share of the first one, takes the step back; it takes back the
 # whole correction if the best cycle, played again, is no better than the first.
 _WORSE, _NEAR = 1.2, 0.3
 # A change of the RMS error counts above this share of it and these standard errors of the noise.

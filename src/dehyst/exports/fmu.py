@@ -187,7 +187,7 @@ def _interface(axis: Axis, kind: Kind) -> tuple[str, list[Variable]]:
         Variable("voltage", "output", "V", "Voltage to be reached at the end of the step", range=(low, high)),
         *scaling,
         Variable("limited", "output", "", "Samples whose voltage was clamped by a limit"),
-        Variable("slewed", "output", "", "Samples whose voltage was held back by the slew rate"),
+        Variable("slewed", "output", "", "Samples whose voltage was slewed"),
     ]
 
 

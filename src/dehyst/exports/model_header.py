@@ -57,7 +57,7 @@ _SCALARS = ("loop", "inertia", "transition", "output")
 # Bytes before the numbers of a block.
 _HEADER = 64
 # Slider positions [m] of one state, but for rounding.
-_SAME = 1e-13
+_SAME_CARTS = 1e-13
 _LARGEST = float(np.finfo(np.float64).max)
 # Tables that must strictly increase or be positive, and what they hold, for messages.
 _INCREASING = {
@@ -115,7 +115,7 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     low, high = limits
     for limit, rising in ((low, False), (high, True)):
         near = abs(voltage - limit) <= NEAR * (high - low)
-        if near and np.allclose(looped(actuator, limits, rising=rising).carts, state.carts, rtol=0, atol=_SAME):
+        if near and np.allclose(looped(actuator, limits, rising=rising).carts, state.carts, rtol=0, atol=_SAME_CARTS):
             return f"swing the voltage slowly between {low:.6g} and {high:.6g} V, twice, and end at {limit:.6g} V{rest}"
     return f"play the voltages that lead to this state, for instance a homing, down to the last one, {end}"
 
@@ -171,7 +171,7 @@ class ModelText:
 
 /* Seconds between steps; 0: this model does not depend on time. */
 #define PIEZO_PERIOD {self._decimal(axis.period or 0.0)}
-/* A displacement is to be given so many samples before its time. */
+/* Number of samples by which a displacement is given before its time. */
 #define PIEZO_AHEAD {axis.preview[1]}
 #define PIEZO_LOW {self._decimal(low)} /* V */
 #define PIEZO_HIGH {self._decimal(high)} /* V */

@@ -21,7 +21,7 @@ _TURN = 0.02
 _ALIKE = 0.5
 # Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so few median steps.
 _BRIEF, _STEP = 0.02, 1.5
-# A voltage rests within this part of its range; so many of its samples are kept. A shorter rest, in cycles, stays.
+# A voltage rests within this part of its range; this number of its samples is kept. A rest of fewer cycles stays.
 _STILL, _KEPT, _LEAST_REST = 2e-3, 20, 0.5
 # Displacements at rest that move by less than this part of the stroke show no creep.
 _FLAT = 1e-3
@@ -30,7 +30,7 @@ _FLAT = 1e-3
 def clean(record: Record, *, ringing: bool = False) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
     """Return a record without what `dehyst.records.cleaning` leaves out, its holes, and a sentence for each.
 
-    `ringing`: whether the displacement stays in the transients that are set aside. The holes: time [s] of the sample
+    `ringing`: whether the displacement stays in the transients that are left out. The holes: time [s] of the sample
     before each -> whether a reversal may lie in it, by the displacements left out.
     """
     found = cleaned(record, ringing=ringing)
@@ -83,7 +83,7 @@ def without_way_out(record: Record) -> tuple[Record, tuple[str, ...]]:
     begin, end = float(record.time[0]), float(record.time[turn])
     sentence = (
         f"{record.name}: from {begin:.4g} to {end:.4g} s, to the first turn of the voltage, the state depends on the "
-        f"ring before; these {turn} samples are set aside."
+        f"ring before; these {turn} samples are left out."
     )
     return replace(record, set_aside=(*record.set_aside, (begin, end))), (sentence,) if turn else ()
 
@@ -296,7 +296,7 @@ def _stretches(piece: Record) -> list[tuple[int, int]]:
 
 
 def monotone(piece: Record) -> Record:
-    """Return a piece whose displacement rises where the voltage rises and falls where it falls, by least squares.
+    """Return a piece whose displacement moves in the direction of its voltage, by least squares.
 
     Where the voltage is held, the displacement moves in one direction, as creep does. The delay must be removed first.
     """

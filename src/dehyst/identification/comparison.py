@@ -153,15 +153,15 @@ class RecordComparison:
         def fit(force: Array, fades: Array, most: Array) -> StartState:
             return fit_start(actuator.slip, y, force, fades, most, known, counted)
 
-        smooth, none, begun = self.source.states[number][places], np.zeros((y.size, 0)), None
+        smooth, none, at_start = self.source.states[number][places], np.zeros((y.size, 0)), None
         start = fit(held if actuator.smooth is None else held - smooth @ actuator.smooth.stiffness, none, none[0])
         if actuator.smooth is not None:
             # At rest, unless the voltages before the elements forget say otherwise.
             strained, elongations = fit_strained(actuator.smooth, y, held, fit)
             if strained.cost < RULES.carts_alone_gain * start.cost:
-                start, begun = strained, elongations
+                start, at_start = strained, elongations
         state = self.frame.state(self.source, number, Epoch(first, first, first + 1, 0.0), actuator)
-        state = replace(state, carts=start.carts, smooth=state.smooth if begun is None else begun)
+        state = replace(state, carts=start.carts, smooth=state.smooth if at_start is None else at_start)
         return self.with_creep(actuator, state, float(piece.time[first])), start.constant, first
 
     def with_creep(self, actuator: Actuator, state: State, time: float) -> State:
@@ -170,16 +170,16 @@ class RecordComparison:
         if creep is None:
             return state
         clock, m = self.before.with_lead
-        strains = creep.strains(clock, m, self.frame.motion.begun[0] / creep.gains)
+        strains = creep.strains(clock, m, self.frame.motion.creep_before[0] / creep.gains)
         return replace(state, displacement_creep=np.array([np.interp(time, clock, strain) for strain in strains.T]))
 
 
 def compare(
-    actuator: Actuator, record: Prepared, stroke: float, *, datum: float | None = None, drifting: bool = False
+    actuator: Actuator, record: Prepared, stroke: float, *, zero: float | None = None, drifting: bool = False
 ) -> RecordComparison:
-    """Compare a record with a model: fit constants, datum, drift and creep before it, with the model fixed.
+    """Compare a record with a model: fit constants, zero, drift and creep before it, with the model fixed.
 
-    `stroke` [m]: reference of the percentages. `datum` [m]: shift to the model's axis; default: estimated. `drifting`:
+    `stroke` [m]: reference of the percentages. `zero` [m]: shift to the model's axis; default: estimated. `drifting`:
     whether a drift is fitted too. Raise `IdentifyError` if no sample counts.
     """
     creep, dynamics = actuator.displacement_creep, actuator.dynamics
@@ -192,13 +192,13 @@ def compare(
     )
     if creep is not None:
         motion = replace(
-            motion, time_constants=creep.time_constants, gains=creep.gains, begun=np.zeros((1, len(creep)))
+            motion, time_constants=creep.time_constants, gains=creep.gains, creep_before=np.zeros((1, len(creep)))
         )
-    names = (*(["drift"] if drifting else []), *(["begun"] if creep is not None else []))
-    first = datum or 0.0
-    compared = _compared(actuator, record, stroke, replace(motion, datum=np.array([first])), names)
-    found = _datum(compared, actuator) if datum is None else datum
-    motion = replace(motion, datum=np.array([found]))
+    names = (*(["drift"] if drifting else []), *(["creep_before"] if creep is not None else []))
+    first = zero or 0.0
+    compared = _compared(actuator, record, stroke, replace(motion, zero=np.array([first])), names)
+    found = _zero(compared, actuator) if zero is None else zero
+    motion = replace(motion, zero=np.array([found]))
     for left in reversed(range(_TURNS if names else int(found != first))):
         motion = moved(motion, names, compared.found.numbers)
         compared = _compared(actuator, record, stroke, motion, names if left else ())
@@ -254,7 +254,7 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
     left = program.target - program.static(program.unknowns_of(model))
     prior, place = np.zeros(rows.shape[1]), program.numbers.size
     for part in program.parts:
-        if part.name == "begun":
+        if part.name == "creep_before":
             # Errors of a model are alike in many rows; those of one that has changed are large.
             others = rows[:, :place]
             missed = rms(left - others @ np.linalg.lstsq(others, left, rcond=None)[0])
@@ -273,7 +273,7 @@ def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.
     return replace(model, offsets=offsets, numbers=found, unknowns=residual)
 
 
-def _datum(compared: RecordComparison, actuator: Actuator) -> float:
+def _zero(compared: RecordComparison, actuator: Actuator) -> float:
     """Return the shift [m] of a record to the axis of a model, creep at rest; 0 unless it is significant."""
     program, stroke, model = compared.program, compared.frame.stroke, coefficients(actuator)
     few = program.rows.thinned(_FEW)
@@ -290,13 +290,13 @@ def zero_by_voltages(actuator: Actuator, record: Prepared, stroke: float) -> flo
     """Return the shift [m] of a record to the axis of a model for which its voltages need no offset."""
     (low, high), measured = voltages_of(actuator), record.record.displacement
     # The middle of the loop first: a sensor may have its zero far away.
-    datum = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
+    zero = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
     for _ in range(_STEPS):
-        step = compare(actuator, record, stroke, datum=datum).last_offsets()[-1] * stroke / (high - low)
-        datum += step
+        step = compare(actuator, record, stroke, zero=zero).last_offsets()[-1] * stroke / (high - low)
+        zero += step
         if abs(step) < _CLOSE * stroke:
             break
-    return datum
+    return zero
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
@@ -326,10 +326,10 @@ def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple
     known = actuator.identification or Identification()
     spans = (high - low for low, high in (item.span() for item in prepared))
     stroke = max(spans) if known.validity is None else known.validity.stroke
-    datum = 0.0 if known.shared_datum else None
+    zero = 0.0 if known.shared_zero else None
     with one_thread():
         return tuple(
-            compare(actuator, item, stroke, datum=datum, drifting=known.drift and item.can_drift) for item in prepared
+            compare(actuator, item, stroke, zero=zero, drifting=known.drift and item.can_drift) for item in prepared
         )
 
 
@@ -417,7 +417,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         rms_with_drift=rms(drifting),
         stroke=compared.frame.stroke,
         offset=float(np.median(list(compared.found.offsets.values()))) - compared.base,
-        datum=float(compared.frame.motion.datum[0]),
+        zero=float(compared.frame.motion.zero[0]),
         drift=slope,
         decades=float(np.ptp(curve)),
         steady=record.steady,

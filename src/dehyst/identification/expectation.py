@@ -256,7 +256,7 @@ def expectation(
     reasons = [*caveats]
     aside = sum(error.left_out for error in training) / sum(error.left_out + error.samples for error in training)
     if aside > RULES.most_set_aside:
-        reasons.append(f"{100 * aside:.0f} % of the samples were set aside")
+        reasons.append(f"{100 * aside:.0f} % of the samples were left out")
     drifted = max(abs(error.drifted_percent) for error in errors)
     if drifted > goal:
         reasons.append(f"a drift of {percent(drifted, 100)} was removed, which will also occur on a path")

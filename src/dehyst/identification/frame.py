@@ -79,7 +79,7 @@ class Frame:
 
     def shift(self, number: int) -> float:
         """Return the shift of a record to the axis of the model, before creep [m]."""
-        return float(self.motion.datum[number]) / self.motion.at_rest
+        return float(self.motion.zero[number]) / self.motion.at_rest
 
     @cached_property
     def paths(self) -> list[tuple[int, int, Record]]:
@@ -331,7 +331,7 @@ def zero_of(cost: Callable[[float], float], stroke: float, exact: float) -> floa
     ends = float(places[max(k - 1, 0)]), float(places[min(k + 1, _PLACES - 1)])
     best = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": exact * stroke, "maxiter": 60})
     none = cost(0.0)
-    worth = best.fun < RULES.datum_gain * none and none - best.fun > SMALLEST_GAIN * stroke
+    worth = best.fun < RULES.zero_gain * none and none - best.fun > SMALLEST_GAIN * stroke
     return float(best.x) if worth else 0.0
 
 

@@ -33,7 +33,7 @@ from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, promised, with_identification
 from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 
-# Voltages are played without an offset above this part of their range; a record is apart if it is so many times worse.
+# Voltages are played without an offset above this part of their range; a record is apart if its error is this multiple.
 _OFFSET, _TIMES = 0.02, 3.0
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
 
@@ -45,7 +45,7 @@ def identify(
     delay: float | None = None,
     sensor_lag: float | None = None,
     lag_of: Literal["actuator", "sensor"] | None = None,
-    shared_datum: bool = False,
+    shared_zero: bool = False,
     drift: bool = True,
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto",
     goal: float = 1.0,
@@ -61,7 +61,7 @@ def identify(
     records : Record or sequence of Record
         Training records with at least one loop in total; minor loops improve the prediction of other motions.
     validate : Record or sequence of Record, optional
-        Records that are only simulated. Each gets its own constant (and datum and drift), as training records do.
+        Records that are only simulated. Each gets its own constant (and zero and drift), as training records do.
     delay : float, optional
         Time by which the displacement lags the voltage [s]; default: estimated from the training records.
     sensor_lag : float, optional
@@ -70,8 +70,8 @@ def identify(
     lag_of : {"actuator", "sensor"}, optional
         Who causes the lag that the records show; default: not known, and the promise has two
         numbers. A path that an actuator delays is planned earlier; a path that only a sensor sees late is not.
-    shared_datum : bool, optional
-        State that the sensor kept its zero in all records; default: the datum of each record is searched for.
+    shared_zero : bool, optional
+        State that the sensor kept its zero in all records; default: the zero of each record is searched for.
     drift : bool, optional
         Whether a record may have a drift that is logarithmic in the time since its start, which is then removed.
     structure : {"auto", "maxwell_slip"} or Structure, optional
@@ -92,7 +92,7 @@ def identify(
     IdentifyError
         If an option is impossible, or no sample contains information on the elements.
     """
-    settings = Settings(delay, sensor_lag, lag_of, shared_datum, drift, structure)
+    settings = Settings(delay, sensor_lag, lag_of, shared_zero, drift, structure)
     _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
@@ -178,8 +178,8 @@ class _Run:
             # A zero that was moved explains a part of the gain: the gain comes first.
             step = partial(search.warmed, replace(self.frame, motion=motion))
             self.frame = self.deadline.attempt(step, self.frame, "the search for an effect of temperature")
-        if len(self.training) > 1 and not settings.shared_datum:
-            step = partial(search.with_datums, self.frame, self.report)
+        if len(self.training) > 1 and not settings.shared_zero:
+            step = partial(search.with_zeros, self.frame, self.report)
             self.frame = self.deadline.attempt(step, self.frame, "the search for the zeros of the sensor")
         plain = settings.structure == "maxwell_slip"
         names = self._moving(plain=plain)
@@ -249,7 +249,7 @@ class _Run:
         settings = self.settings
         known = Identification(
             lag_of=settings.lags or "",
-            shared_datum=settings.shared_datum,
+            shared_zero=settings.shared_zero,
             drift=settings.drift,
             sensor_lag=settings.sensor_lag or 0.0,
             lead=self.lead,
@@ -285,17 +285,17 @@ class _Run:
         for q, measured in enumerate((*self.training, *self.held_out)):
             item = measured if thermal is None else measured.at_reference(thermal)
             trained = q < len(self.training)
-            datum = float(self.frame.motion.datum[q]) if trained else 0.0 if self.settings.shared_datum else None
+            zero = float(self.frame.motion.zero[q]) if trained else 0.0 if self.settings.shared_zero else None
             drifting = bool(drift[q]) if trained else drifts and item.can_drift
-            compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
+            compared = compare(actuator, item, self.stroke, zero=zero, drifting=drifting)
             role = "training" if trained else "validation"
             error, trace = errors_of(actuator, compared, role)
             errors.append(error)
             traces.append(trace)
             judged.append(error)
             if len([*self.records, *self.others]) > 1 and abs(error.offset) > _OFFSET * np.ptp(self.limits):
-                datum = zero_by_voltages(actuator, item, self.stroke)
-                compared = compare(actuator, item, self.stroke, datum=datum, drifting=drifting)
+                zero = zero_by_voltages(actuator, item, self.stroke)
+                compared = compare(actuator, item, self.stroke, zero=zero, drifting=drifting)
                 alone = errors_of(actuator, compared, role)[0]
                 if alone.settled_largest > max(0.01 * RULES.apart * self.stroke, _TIMES * error.settled_largest):
                     judged[q] = alone

@@ -32,11 +32,11 @@ LEADS = (
 def of_moved_zeros(errors: Sequence[RecordErrors]) -> list[str]:
     """Return a remark for each record whose zero was moved far."""
     return [
-        f"{error.record}: the zero of its sensor was moved by {error.datum * 1e6:.4g} um, "
-        f"{percent(abs(error.datum), error.stroke)} of the stroke. If it was not zeroed anew, the records may be "
+        f"{error.record}: the zero of its sensor was moved by {error.zero * 1e6:.4g} um, "
+        f"{percent(abs(error.zero), error.stroke)} of the stroke. If it was not zeroed anew, the records may be "
         "of two stages: identify each alone."
         for error in errors
-        if abs(error.datum) > _SMALLEST_ZERO * error.stroke
+        if abs(error.zero) > _SMALLEST_ZERO * error.stroke
     ]
 
 

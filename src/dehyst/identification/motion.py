@@ -43,9 +43,9 @@ class Motion:
         2 zeta / omega [s] and 1 / omega^2 [s2]; without a resonance mass is 0.
     time_constants, gains : (K,) array
         Creep in displacement [s], and its gains.
-    begun : (records, K) array
+    creep_before : (records, K) array
         Creep of each record from before its first sample: gain times strain [m].
-    drift, datum : (records,) array
+    drift, zero : (records,) array
         Drift [m a unit of the record's drift curve], and shift to the axis of the model [m].
     warming, expansion : float
         Change by temperature of the gain [1/K], and of the displacement at the lowest voltage [m/K].
@@ -63,9 +63,9 @@ class Motion:
     mass: float = 0.0
     time_constants: Array = field(default_factory=_nothing)
     gains: Array = field(default_factory=_nothing)
-    begun: Array = field(default_factory=_nothing)
+    creep_before: Array = field(default_factory=_nothing)
     drift: Array = field(default_factory=_nothing)
-    datum: Array = field(default_factory=_nothing)
+    zero: Array = field(default_factory=_nothing)
     warming: float = 0.0
     expansion: float = 0.0
     reference: float | None = None
@@ -75,7 +75,7 @@ class Motion:
     @classmethod
     def none(cls, records: int) -> Motion:
         """Return the numbers of records that nothing moves."""
-        return cls(begun=np.zeros((records, 0)), drift=np.zeros(records), datum=np.zeros(records))
+        return cls(creep_before=np.zeros((records, 0)), drift=np.zeros(records), zero=np.zeros(records))
 
     @property
     def dynamics(self) -> Dynamics | None:
@@ -111,7 +111,7 @@ class Motion:
             item = item.at_reference(thermal)
         if (creep := self.creep) is not None:
             kept = self.gains > 0
-            item = item.without_creep(creep, self.begun[number][kept] / self.gains[kept])
+            item = item.without_creep(creep, self.creep_before[number][kept] / self.gains[kept])
         return item
 
 
@@ -201,21 +201,21 @@ class Parts:
         alike = np.diff(np.eye(motion.time_constants.size + 1), axis=0)[:, :-1]
         return Part("creep", -self._at_rows(found), motion.gains, bounded=True, ridge=alike)
 
-    def _begun(self) -> Part:
+    def _creep_before(self) -> Part:
         first, motion = np.array([item.with_lead[0][0] for item in self.training]), self.motion
         since = np.maximum(self.rows.time - first[self.rows.record], 0.0)
         fades = np.exp(-since[:, None] / motion.time_constants)
         size = len(self.training) * motion.time_constants.size
-        return Part("begun", self._for_each_record(fades), motion.begun.ravel(), ridge=np.eye(size))
+        return Part("creep_before", self._for_each_record(fades), motion.creep_before.ravel(), ridge=np.eye(size))
 
     def _drift(self) -> Part:
         curves = [(item.record.time, item.drift_curve(item.record)[:, None]) for item in self.training]
         return Part("drift", -self._for_each_record(self._at_rows(curves)), self.motion.drift)
 
-    def _datum(self) -> Part:
-        moved = np.flatnonzero(self.motion.datum)
+    def _zero(self) -> Part:
+        moved = np.flatnonzero(self.motion.zero)
         columns = (self.rows.record[:, None] == moved) / self.motion.at_rest
-        return Part("datum", columns, self.motion.datum[moved])
+        return Part("zero", columns, self.motion.zero[moved])
 
     def _thermal(self) -> Part:
         columns = (self.rows.displacement[:, None] - self.motion.lowest) * self._kelvins
@@ -250,11 +250,11 @@ def moved(motion: Motion, names: Sequence[str], numbers: dict[str, Array]) -> Mo
             found[_NUMBERS[name]] = max(float(value[0]), 0.0 if name == "lag" else -np.inf)
         elif name == "inertia":
             found["damping"], found["mass"] = value.tolist()
-        elif name == "datum":
-            found["datum"] = motion.datum.copy()
-            found["datum"][np.flatnonzero(motion.datum)] = value
-        elif name == "begun":
-            found["begun"] = value.reshape(motion.begun.shape)
+        elif name == "zero":
+            found["zero"] = motion.zero.copy()
+            found["zero"][np.flatnonzero(motion.zero)] = value
+        elif name == "creep_before":
+            found["creep_before"] = value.reshape(motion.creep_before.shape)
         else:
             found["gains" if name == "creep" else name] = value
     return replace(motion, **found)

@@ -35,7 +35,7 @@ def block_of(record: Record, most: float) -> int:
     fastest = min(cycle.stop - cycle.start for cycle in cycles) / _A_CYCLE
     voltage = record.voltage
     if (counted := counting(record)) is not None:
-        # Changes in what is set aside do not count.
+        # Changes in samples that are left out do not count.
         voltage = np.cumsum(np.where(counted, np.diff(voltage, prepend=voltage[0]), 0.0))
     of_motion = 1 / (_TIMES * bandwidth(voltage, record.sample_time, _SHARE) * record.sample_time)
     return max(int(min(fastest, of_motion, most)), 1)
@@ -52,7 +52,7 @@ def block_means(record: Record, block: int) -> Record:
 
     displacement, aside = means(record.displacement), record.set_aside
     if (counted := counting(record)) is not None:
-        # A mean of which one sample is set aside is set aside; a ring's highest and lowest samples drive the elements.
+        # A mean with a sample that is left out is left out; a ring's highest and lowest samples drive the elements.
         wide = 0.5 * block * record.sample_time
         aside = tuple((first - wide, last + wide) for first, last in record.set_aside)
         blocks = record.displacement[: displacement.size * block].reshape(-1, block)

@@ -26,7 +26,7 @@ class RecordErrors:
 
     `role` is training or validation. `samples` were compared. `left_out` samples were not compared.
     `largest_with_drift` [m] is the largest error with the drift included. `offset` [V] is the constant that was
-    removed. `datum` [m] is the datum of the sensor.
+    removed. `zero` [m] is the zero of the sensor.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class RecordErrors:
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     settled_largest, settled_rms : float
         Errors after the second turning point of the voltage [m], the largest one but for one sample in a thousand: the
-        first rise from an unknown state, and single outliers, are set aside.
+        first rise from an unknown state, and single outliers, are left out.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
@@ -60,7 +60,7 @@ class RecordErrors:
     rms_with_drift: float
     stroke: float
     offset: float
-    datum: float
+    zero: float
     drift: float
     settled_largest: float
     settled_rms: float
@@ -98,7 +98,7 @@ class RecordErrors:
             **json_values(self, "record role samples left_out largest_percent rms_percent largest_m=largest rms_m=rms"),
             "largest_with_drift_percent": 100 * self.largest_with_drift / self.stroke,
             "rms_with_drift_percent": 100 * self.rms_with_drift / self.stroke,
-            **json_values(self, "offset_V=offset datum_m=datum"),
+            **json_values(self, "offset_V=offset zero_m=zero"),
             "drift_percent": 100 * self.drift / self.stroke,
             **json_values(self, "drift_decades=decades drift_steady=steady starts"),
             **json_values(self, "settled_largest_m=settled_largest settled_rms_m=settled_rms"),

@@ -30,7 +30,7 @@ class DecisionRules:
         "Delay, drift, thermal expansion must lower the held-out error to this.",
     )
     lag_gain: float = _rule(0.97, "ratio of errors", "A first-order lag must lower the error of a delay to this part.")
-    datum_gain: float = _rule(
+    zero_gain: float = _rule(
         0.8,
         "ratio of residuals",
         "A new sensor zero lowers the residual at once; a smaller gain comes from the model's shape.",

@@ -177,7 +177,7 @@ class _Search:
 
     def tried(self, frame: Frame, names: tuple[str, ...], more: str = "", near: Solution | None = None) -> Fitted:
         """Solve the small dictionary with parts of these names moving."""
-        moved = [name for name in names if name != "begun"]
+        moved = [name for name in names if name != "creep_before"]
         words = f"moves: {' and '.join(moved) or 'nothing'}{more}"
         self.report(f"trying what {words}")
         whole = (*names, *(name for name in self.always if name not in names))
@@ -199,10 +199,10 @@ def moving(
 
     `lag`, `drift`: whether these may move. `more`: whether creep and a resonance may.
     """
-    search = _Search(report, always=("datum",) if frame.motion.datum.any() else ())
+    search = _Search(report, always=("zero",) if frame.motion.zero.any() else ())
     tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
-    begun = np.zeros((len(frame.training), tau.size))
-    frame = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, begun=begun))
+    creep_before = np.zeros((len(frame.training), tau.size))
+    frame = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, creep_before=creep_before))
     best = search.tried(cold(frame), ())
     if frame.motion.thermal is not None:
         warm = [search.tried(frame, names) for names in (("thermal",), ("thermal", "expansion"))]
@@ -213,7 +213,7 @@ def moving(
             frame = cold(frame)
     # Creep, and drifts by the logarithm of time or in proportion to it.
     items, steady = frame.training, [replace(item, steady=True) for item in frame.training]
-    ways = list[tuple[tuple[str, ...], Any, str]]([(("creep", "begun"), items, "")] if more else [])
+    ways = list[tuple[tuple[str, ...], Any, str]]([(("creep", "creep_before"), items, "")] if more else [])
     ways += [(("drift",), items, ""), (("drift",), steady, ", in proportion to time")] if drift else []
     late = search.tried(frame, ("delay",)) if lag else best
     base = _best([best, late])
@@ -244,7 +244,7 @@ def moving(
     # Creep shows in rests. Without them a usual one may hide: the largest that does not miss held-out time more.
     for rate in _USUAL_CREEP if more and "creep" not in best.names and not any(frame.rests) else ():
         creeping = replace(best.frame, motion=replace(best.frame.motion, gains=np.full_like(tau, rate / A_DECADE)))
-        made = fitted(creeping, _LIGHT, FEW, (*best.names, "begun"), _TURNS, best.found)
+        made = fitted(creeping, _LIGHT, FEW, (*best.names, "creep_before"), _TURNS, best.found)
         if RULES.moving_gain * made.held_out <= best.held_out:
             best = replace(best, frame=replace(best.frame, motion=replace(best.frame.motion, hidden=rate)))
     if more and _may_swing(frame):
@@ -353,25 +353,25 @@ def warmed(frame: Frame) -> Frame:
     return fitted(frame, _LIGHT, FEW, ("thermal",), _TURNS).frame
 
 
-def with_datums(frame: Frame, report: Progress) -> Frame:
+def with_zeros(frame: Frame, report: Progress) -> Frame:
     """Return the records on one axis: the zero of each is searched for, then all are refined together."""
-    datum = np.zeros(len(frame.training))
-    for q in range(datum.size):
+    zero = np.zeros(len(frame.training))
+    for q in range(zero.size):
         report("estimating the zeros of the sensor")
-        datum[q] = 0.0 if q == frame.widest else _datum(frame, q)
-    frame = replace(frame, motion=replace(frame.motion, datum=datum))
-    return fitted(frame, _PLAIN, FEW, ("datum",), _TURNS).frame if datum.any() else frame
+        zero[q] = 0.0 if q == frame.widest else _zero(frame, q)
+    frame = replace(frame, motion=replace(frame.motion, zero=zero))
+    return fitted(frame, _PLAIN, FEW, ("zero",), _TURNS).frame if zero.any() else frame
 
 
-def _datum(frame: Frame, number: int) -> float:
+def _zero(frame: Frame, number: int) -> float:
     """Return the zero of a record, if another one than 0 explains it much better beside the widest record."""
     # Zeros of other records must not hide what this one gains.
     pair, motion = [frame.widest, number], frame.motion
-    both = replace(motion, begun=motion.begun[pair], drift=motion.drift[pair])
+    both = replace(motion, creep_before=motion.creep_before[pair], drift=motion.drift[pair])
     alone = replace(frame, training=[frame.training[q] for q in pair], widest=0)
 
     def cost(shift: float) -> float:
-        moved = replace(alone, motion=replace(both, datum=np.array([0.0, shift])))
+        moved = replace(alone, motion=replace(both, zero=np.array([0.0, shift])))
         program = moved.program(moved.source(_PLAIN), _PLAIN, FEW // 2)
         return rms(program.residual(program.solved()))
 

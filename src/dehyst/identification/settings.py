@@ -40,7 +40,7 @@ class Deadline:
     ended : bool
         Whether `end` was called.
     cut : list of str
-        Names of steps that were not begun or not finished.
+        Names of steps that did not begin or did not finish.
 
     Raises
     ------
@@ -123,7 +123,7 @@ class Settings:
     delay: float | None = None
     sensor_lag: float | None = None
     lag_of: Literal["actuator", "sensor"] | None = None
-    shared_datum: bool = False
+    shared_zero: bool = False
     drift: bool = True
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto"
 
@@ -144,7 +144,7 @@ class Settings:
     def as_dict(self) -> dict[str, Any]:
         """Return the options that affect the result as JSON values."""
         return {
-            "shared_datum": self.shared_datum,
+            "shared_zero": self.shared_zero,
             "drift": self.drift,
             **({} if self.sensor_lag is None else {"sensor_lag": self.sensor_lag}),
             **({} if self.lags is None else {"lag_of": self.lags}),

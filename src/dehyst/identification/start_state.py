@@ -99,18 +99,18 @@ def fit_strained(
     def along(start: Array) -> Array:
         return smooth_elongations(length, smooth.closing, displacement, start)
 
-    begun = np.zeros(len(smooth))
+    first = np.zeros(len(smooth))
     for _ in range(_STEPS):
-        low, high = np.maximum(begun - _NEAR * length, -length), np.minimum(begun + _NEAR * length, length)
+        low, high = np.maximum(first - _NEAR * length, -length), np.minimum(first + _NEAR * length, length)
         slopes = (along(high) - along(low)) / (high - low)
-        line = force - (along(begun) - slopes * begun) @ stiffness
+        line = force - (along(first) - slopes * first) @ stiffness
         found = fit(line, slopes, length * stiffness)
-        before, held = begun, found.held
-        begun = np.clip(np.divide(held, stiffness, out=np.zeros_like(held), where=stiffness > 0), -length, length)
-        if np.all(np.abs(begun - before) <= _NEAR * length):
+        before, held = first, found.held
+        first = np.clip(np.divide(held, stiffness, out=np.zeros_like(held), where=stiffness > 0), -length, length)
+        if np.all(np.abs(first - before) <= _NEAR * length):
             break
     none = np.zeros((force.size, 0))
-    return fit(force - along(begun) @ stiffness, none, none[0]), begun
+    return fit(force - along(first) @ stiffness, none, none[0]), first
 
 
 @dataclass(frozen=True, eq=False)

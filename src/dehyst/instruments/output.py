@@ -30,14 +30,14 @@ _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 _RECENT = 5
 # Seconds by which the place in a wave may be wrong, at least.
 _LEAST_DELAY = 0.05
-# A voltage is reached if the reading is within this share of the range; else a retreat sends its end so many times.
+# A voltage is reached if the reading is within this share of the range; most times that a retreat sends its end.
 _EXACT, _SENT = 1e-5, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
-# A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but so many.
-# A retreat sends so many steps again that were not taken.
+# A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but at least this
+# number. A retreat sends at most this number of steps again that were not taken.
 _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
 # Ticks in which a stage settles after a ramp: no record begins with its lag.
 _SETTLES = 10
@@ -212,7 +212,7 @@ class Output:
                 if not again:
                     raise
                 # A device may complain of something else, and have taken the voltage.
-                taken = None if unread else self._took(voltage, present)
+                taken = None if unread else self._has_arrived(voltage, present)
                 if taken is None and isinstance(error, LinkError):
                     # It may have been taken or not; the next step is within the slew rate from both voltages.
                     unread, again, present = True, again - (voltage == end), voltage
@@ -225,7 +225,7 @@ class Output:
             self.puts(present)
             self._answer = self._rig._now() - sending
 
-    def _took(self, voltage: float, present: float) -> bool | None:
+    def _has_arrived(self, voltage: float, present: float) -> bool | None:
         """Return whether the output is read nearer to a `voltage` [V] than to the `present` one; None if unreadable."""
         try:
             read = self._rig._voltage_read()
@@ -248,7 +248,7 @@ class Output:
     def _confirmed(
         self, sent: float, low: float, high: float, readings: int = _READINGS
     ) -> Generator[float, float, float]:
-        """Return the reading [V] once it is near `low` to `high`, of so many `readings`; yield a wait between them.
+        """Return the reading [V] once it is near `low` to `high`, of at most `readings`; yield a wait between them.
 
         Raise `ReadbackError`, which says what was `sent`, if it does not come there in time.
         """

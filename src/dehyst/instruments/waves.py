@@ -39,9 +39,9 @@ _CAUGHT_UP = 0.5
 READBACK_TOLERANCE = 0.05
 # Farthest that a piezo stage is from the zero of its sensor [m].
 _FARTHEST = 0.1
-# A wave may take this share of the time that was asked, less so many samples: clocks differ, and the first may be late.
+# A wave may take this share of the time that was asked, less these samples: clocks differ, and the first may be late.
 _PACE, _LATE = 0.9, 20
-# A device's clock is wrong if it is ahead by this time [s], of what was asked and so many times what has passed.
+# A device's clock is wrong if it is ahead by this time [s] of what was asked, and of this multiple of what has passed.
 _JUMP, _FAST = 10.0, 1.1
 # A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
 _DEAD = 0.2

@@ -26,7 +26,7 @@ CELLS, _AROUND = 40, 2
 # A voltage rests where it moves at less than this part of the mean speed of its branch.
 _AT_REST = 0.1
 # Paces and holds count as tested up to this ratio, voltages within this part of the range, and a drift of the records
-# matters from so many times the RMS error that they show.
+# matters above this multiple of the RMS error that they show.
 ALIKE, _BEYOND, _DRIFTS = 1.5, 0.02, 2.0
 # The least range of voltages of an excitation that tests a rate, as a part of that of the records.
 _NARROWEST = 0.1

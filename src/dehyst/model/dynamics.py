@@ -69,9 +69,9 @@ class DisplacementCreep(Entries):
         `start` (K,): strains at the first sample [m]; default 0, all has crept. Raise `ModelError` if time and
         displacement do not fit.
         """
-        y, begun = vector(displacement, "displacement"), np.zeros(len(self)) if start is None else start
-        before = (y[0] + float(self.gains @ begun)) / self.at_rest
-        return output_creep(y, self._pace(time, y.size), self.gains, before, begun, inverse=True)[0]
+        y, strains = vector(displacement, "displacement"), np.zeros(len(self)) if start is None else start
+        before = (y[0] + float(self.gains @ strains)) / self.at_rest
+        return output_creep(y, self._pace(time, y.size), self.gains, before, strains, inverse=True)[0]
 
     def added(self, time: ArrayLike, displacement: ArrayLike, start: Array) -> tuple[Array, Array]:
         """Return y (n,) [m] of a `displacement` (n,) [m] before creep, and the strains (K,) [m] at its end.
@@ -234,8 +234,8 @@ class Dynamics(Entries):
 
         ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time.
         The gains refer to q before and after the step. All come from the exponential of the matrix whose states include
-        q and its slope. `share` is theta. Raise `ModelError` if a step has so many periods of the resonance that the
-        exponential loses all digits.
+        q and its slope. `share` is theta. Raise `ModelError` if a step has too many periods of the resonance: the
+        exponential then loses all digits.
         """
         radians = max(1.0, 2 * self.damping) * self.omega * float(durations.max(initial=0.0))
         if radians > _LONGEST:

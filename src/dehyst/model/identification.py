@@ -53,7 +53,7 @@ class Identification(Entries):
     ----------
     lag_of : str
         Whose the lag of the records is, as in `dehyst.identify`; empty if not known.
-    shared_datum : bool
+    shared_zero : bool
         Whether the sensor kept its zero from record to record.
     drift : bool
         Whether records were allowed to drift.
@@ -83,7 +83,7 @@ class Identification(Entries):
 
     _part = "identification"
     lag_of: str = entry("lag_of", partial(choice, among=("", "actuator", "sensor"), error=ModelError), "")
-    shared_datum: bool = entry("shared_datum", flag, False)
+    shared_zero: bool = entry("shared_datum", flag, False)
     drift: bool = entry("drift", flag, True)
     sensor_lag: float = entry("sensor_lag_s", _SIZE, 0.0)
     lead: float = entry("lead_s", _SIZE, 0.0)

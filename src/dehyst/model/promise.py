@@ -75,7 +75,7 @@ _GROWS, _NEWEST = 2.6, 0.3
 # A model with a larger error is not usable [% of the stroke].
 USELESS = 5.0
 # The bound grows by this power of the speed of the path by that of the records, if it is faster. So it does with the
-# rate of turns, from so many times that of the records on. Beside it is this part of the growth of the records' error
+# rate of turns above this multiple of that of the records. Beside it is this part of the growth of the records' error
 # with the pace.
 _FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
 # Records may hide errors from a lag, and from its form, that are such parts of the error that they show. The largest

@@ -43,7 +43,7 @@ _SETTINGS = {
     "lag_of": option("Who lags in the records, if that is known.", click.Choice(["actuator", "sensor"])),
     "delay": number("Lag of the displacement [s]; default: estimated."),
     "drift": option("Remove a drift of each record.", words="--drift/--no-drift", default=True),
-    "shared_datum": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
+    "shared_zero": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
 }
 
 

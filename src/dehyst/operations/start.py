@@ -62,7 +62,7 @@ def starts_of(
 ) -> tuple[list[PossibleStart | None], list[str]]:
     """Return the start of each axis (None if not given) and remarks.
 
-    `present`: voltages [V] to which the actuators were led since. `rests`: whether they still rest at the voltages of
+    `present`: voltages [V] to which the actuators moved since. `rests`: whether they still rest at the voltages of
     the start, the last ones of a file.
     """
     if start is None:

@@ -153,7 +153,7 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
 def _from_records(records: list[Record], progress: Progress) -> Actuator:
     """Identify from whole records of a sensor that neither lags nor creeps, and is not zeroed between loops."""
     structure = Structure(elements=MORE_ELEMENTS, knots=MORE_ELEMENTS + 1, smoothing=0.0)
-    fixed: dict[str, Any] = {"shared_datum": True, "delay": 0.0, "drift": False}
+    fixed: dict[str, Any] = {"shared_zero": True, "delay": 0.0, "drift": False}
     return identification.identify(records, progress=progress, structure=structure, **fixed).actuator
 
 

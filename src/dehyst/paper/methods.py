@@ -25,7 +25,7 @@ from dehyst.records import Record, reversals
 # Displacements (n,) [m] and voltages (n,) [V] of one branch, in the order of motion.
 Branch: TypeAlias = "tuple[Array, Array]"
 # Turning points closer to each other than this part of the stroke are the same.
-_SAME = 0.02
+_SAME_TURN = 0.02
 # Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself, and the
 # one that is imposed where it does not.
 _RISES, _FLOOR = 1e-3, 0.2
@@ -99,7 +99,7 @@ def _closed(record: Record) -> list[tuple[float, float, list[Branch], list[Branc
     """
     turns = [0, *reversals(record).tolist(), len(record) - 1]
     y, v = record.displacement, record.voltage
-    same = _SAME * record.stroke
+    same = _SAME_TURN * record.stroke
     # Turning points of the first branch of each group; descending and ascending branches.
     groups: list[tuple[float, float, list[Branch], list[Branch]]] = []
     for before, start, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True):

@@ -91,7 +91,7 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
         time, (start, jump, stop) = record.time, found[0]
         sentences.append(
             f"step to {record.voltage[jump]:.4g} V at {time[jump]:.4g} s swings for "
-            f"{1e3 * (time[stop - 1] - time[jump]):.3g} ms; these {stop - start} samples are set aside{_more(found)}."
+            f"{1e3 * (time[stop - 1] - time[jump]):.3g} ms; these {stop - start} samples are left out{_more(found)}."
         )
         aside = tuple((float(time[start]), float(time[stop - 1])) for start, _, stop in found)
         path = record.displacement if ringing else settled(record, found)

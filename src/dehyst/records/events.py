@@ -100,7 +100,7 @@ def counted_events(
 ) -> tuple[Array, Array]:
     """Return times [s] and positions (k,) of a `signal` (n,) that repeats when the displacement moves by a `period`.
 
-    The count rises and falls with the voltage. Of a "fringe", a sine of the displacement, crossings of the middle and
+    The count follows the voltage up and down. Of a "fringe", a sine of the displacement, crossings of the middle and
     extremes between them are events; of a "grating", one edge of each line. Middle and contrast may drift. Raise
     `RecordError` if the signal does not repeat, has too few samples or periods, or a count is lost, with the time.
     """

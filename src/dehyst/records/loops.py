@@ -192,7 +192,7 @@ def _rounded(values: Array) -> float:
 
 
 def fringes(record: Record) -> str:
-    """Return that the displacement rises and falls many times in a stroke of the voltage; or empty."""
+    """Return that the displacement turns many times in a stroke of the voltage; or empty."""
     v, y = record.voltage, record.displacement
     turns = turns_of(v)
     if turns.size < 2 or float(np.ptp(y)) < LEAST_STROKE:
@@ -211,7 +211,7 @@ def fringes(record: Record) -> str:
     if many < _FRINGES or noise or abs(float(np.corrcoef(v, y)[0, 1])) > _FOLLOWS:
         return ""
     return (
-        f"the displacement rises and falls about {many:.0f} times in a stroke of the voltage, as the fringes of an "
+        f"the displacement moves up and down about {many:.0f} times in a stroke of the voltage, as the fringes of an "
         "interferometer do, the lines of a grating, or a vibration; count fringes or lines, with "
         "displacement=NAME*fringe PERIOD nm or *grating PERIOD um"
     )

@@ -71,7 +71,7 @@ def _raised(sizes: Array, noise: float) -> float:
     most = float(sizes.max(initial=0.0))
     below = (_FINE * (most - sizes) / noise).astype(np.int64)
     counts, steps = np.bincount(below[below < _LEVELS], minlength=_LEVELS), np.arange(_LEVELS) / _FINE
-    # The probability that a sample stays within a level so many steps above the largest size.
+    # The probability that a sample stays within a level this number of steps above the largest size.
     apart, across = steps[:, None] + steps, 2 * most / noise + steps[:, None] - steps
     all_stay = np.log((_normal(apart) + _normal(across) - 1).clip(1e-300)) @ counts
     return noise * float(np.interp(log(_LIKELY), all_stay, steps))
@@ -269,7 +269,7 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
 
 
 def counting(record: Record) -> Mask | None:
-    """Return whether each sample counts in a fit or an error (n,): measured and not set aside; None if all do."""
+    """Return whether each sample counts in a fit or an error (n,): measured and not left out; None if all do."""
     if not record.set_aside:
         return record.measured
     kept = np.ones(len(record), dtype=bool) if record.measured is None else record.measured.copy()

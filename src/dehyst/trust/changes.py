@@ -23,7 +23,7 @@ from dehyst._views import lines
 from dehyst.identification import Trace
 from dehyst.records import percent, turning_points
 
-# A change counts from so many standard errors on.
+# Least multiple of its standard error from which a change counts.
 SIGMAS, TOGETHER = 3.0, 2.0
 # Knots of the mean line; blocks of samples; steps of the search for a delay, of which the regression knows one order.
 _KNOTS, _BLOCKS, _STEPS = 24, 400, 4
@@ -134,12 +134,12 @@ _REMEDIES = {
 class Known:
     """What is known of a record and its model before the regression.
 
-    `datum`: shift to the model's axis [m]; `doubt`: its uncertainty that the record leaves [m]. `own`, `noise`:
+    `zero`: shift to the model's axis [m]; `doubt`: its uncertainty that the record leaves [m]. `own`, `noise`:
     standard deviations of the model's own error on this path, and of the sensor [m]. `cycle` [s]. `slow`: whether the
     record can show creep or a drift. `stroke` [m].
     """
 
-    datum: float
+    zero: float
     doubt: float
     own: float
     noise: float
@@ -166,7 +166,7 @@ def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]
     for place, name in enumerate(fit.names):
         value, most, error = fit.values[place], fit.most[place], float(np.sqrt(covariance[place, place]))
         if name == "zero":
-            value, error = value - known.datum, float(np.hypot(error, known.doubt))
+            value, error = value - known.zero, float(np.hypot(error, known.doubt))
         found.append(Change(name, float(value), error, float(value * most), least))
         if not found[-1].counts and SIGMAS * error * most > least:
             open_.append(place)
@@ -192,7 +192,7 @@ def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Know
     columns, names = fit.columns[:, places], [fit.names[place] for place in places]
     # Without a change of the zero, an effect that is the same everywhere does not count.
     columns = columns if "zero" in names else columns - columns.mean(axis=0)
-    values = fit.values[places] - np.where([name == "zero" for name in names], known.datum, 0.0)
+    values = fit.values[places] - np.where([name == "zero" for name in names], known.zero, 0.0)
     row = columns[int(np.argmax(np.abs(columns @ values)))]
     error = float(np.hypot(np.sqrt(row @ covariance[np.ix_(places, places)] @ row), known.doubt * ("zero" in names)))
     size = abs(float(row @ values))

@@ -269,7 +269,7 @@ _GOAL = 1.0
 _PART = 0.25
 # Turning points of a record that separates all changes, and how far one goes back, as a part of the range.
 _MANY, _TURN = 20, 0.02
-# A coupling that differs by more than this, and by so many standard errors, has changed.
+# A coupling has changed if it differs by more than this, and by more than this multiple of its standard error.
 _COUPLED, _ERRORS = 0.005, 3.0
 # A record of less than this part of the model's voltages says nothing of the longest elements. A fitted start is that
 # after slow loops if the ways to the first turning point differ by less than this part of the promise.
@@ -318,7 +318,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         prepared = prepare_for(actuator, record)
         prepared.span()
         stroke = stroke_of(actuator)
-        compared = compare(actuator, prepared, stroke, datum=zero_by_voltages(actuator, prepared, stroke))
+        compared = compare(actuator, prepared, stroke, zero=zero_by_voltages(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
         promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
         begin = _judged_from(actuator, trace, errors.starts[0], promise)
@@ -329,7 +329,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     # As many turns as the excitation for an identification: another record of the kind shows no more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
-    known = Known(errors.datum, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
+    known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
     changes = find_changes(trace, known, _PART * goal / 100 * stroke)
     unexplained = beyond_noise(judged, prepared.noise)
     return Recheck(

@@ -68,7 +68,7 @@ class TurnPlane:
         return np.asarray(self.falling + 2 * self.rising, dtype=np.intp)
 
     def path(self, voltage: Array, time: Array | None = None, name: str = "this path") -> tuple[Turn, ...]:
-        """Return the rises and falls of a path by its voltage (n,) [V] and time (n,) [s]."""
+        """Return the branches of a path by its voltage (n,) [V] and time (n,) [s]."""
         clock = np.arange(voltage.size, dtype=np.float64) if time is None else time
         turns = _turns(name, clock, voltage, float(np.ptp(self.edges)))
         return tuple(turns if time is not None else (turn._replace(speed=nan) for turn in turns))

@@ -75,7 +75,7 @@ class Update:
         `held_out`: cross-validation of the update over parts of the record.
     missing : tuple of str
         Sentences on properties that the record could not show; there the old model stays.
-    datum : float
+    zero : float
         Sensor reading minus the updated model's displacement [m], attributed to the sensor's zero.
     unexplained : float
         The largest error on the parts held out that the sensor's noise does not explain [m].
@@ -88,7 +88,7 @@ class Update:
     after: tuple[float, float]
     held_out: tuple[float, float]
     missing: tuple[str, ...]
-    datum: float
+    zero: float
     unexplained: float = 0.0
 
     @property
@@ -124,7 +124,7 @@ class Update:
         """Return JSON values without the model."""
         stroke, pairs = self.recheck.stroke, ("before", "after", "held_out")
         return {
-            **json_values(self, "used good sentence promise missing datum_m=datum stroke_m=recheck.stroke"),
+            **json_values(self, "used good sentence promise missing zero_m=zero stroke_m=recheck.stroke"),
             "sentences": list(self.sentences()),
             "changes": [change.as_dict(stroke) for change in self.recheck.changes],
             **{f"{name}_percent": [percent(length, stroke) for length in getattr(self, name)] for name in pairs},
@@ -220,7 +220,7 @@ class _Refit:
         self.drifts = self.prepared.can_drift
         zero = next(change.value for change in recheck.changes if change.name == "zero")
         # A smaller one may be of the stage: of creep from before the record, or of a gain.
-        self.datum = -zero if abs(zero) > _KEPT * recheck.stroke else 0.0
+        self.zero = -zero if abs(zero) > _KEPT * recheck.stroke else 0.0
         known = actuator.identification
         self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
 
@@ -246,7 +246,7 @@ class _Refit:
             made = with_identification(made, validity=self._validity(after, held_out, used=used), **known)
         old, new, unseen = ((largest(error), rms(error)) for error in (before, after, held_out))
         unexplained = beyond_noise(held_out, self.recheck.noise)[0]
-        return Update(made, self.recheck, used, old, new, unseen, self._missing(made), -self.datum, unexplained)
+        return Update(made, self.recheck, used, old, new, unseen, self._missing(made), -self.zero, unexplained)
 
     def _stretched(self) -> Actuator:
         """Return the old model with the friction, and with or without the gain, that explain the record best.
@@ -284,7 +284,7 @@ class _Refit:
 
     def _program(self, near: Actuator) -> Program:
         """Return the program of the record, near a model."""
-        compared = compare(near, self.prepared, self.recheck.stroke, datum=self.datum)
+        compared = compare(near, self.prepared, self.recheck.stroke, zero=self.zero)
         rho = near.slip.breakaway
         moving = np.any(np.reshape(near.slip.stiffness, (rho.size, -1)) > 0, axis=1)
         moving |= 2 * rho < np.ptp(near.spring.displacement) * (1 - 1e-9)
@@ -349,7 +349,7 @@ class _Refit:
 
     @staticmethod
     def _error(trace: Trace) -> Array:
-        """Return the residual of a trace (n,) [m], an offset set aside."""
+        """Return the residual of a trace (n,) [m] without its offset."""
         return np.asarray(trace.residual - trace.residual.mean())
 
     def _held_out(self, models: list[Actuator]) -> Array:
@@ -428,7 +428,7 @@ def _with_record(old: Validity, record: Record, missed: float, most: float, *, a
 
 
 def _grown(actuator: Actuator, factor: float, fixed: float) -> Actuator:
-    """Return an actuator that moves so many times as far from a `fixed` displacement [m] at the same voltages."""
+    """Return an actuator whose distances from a `fixed` displacement [m] are multiplied by `factor`."""
     slip, spring, smooth = actuator.slip, actuator.spring, actuator.smooth
     grades: Any = {"knots": fixed + factor * (slip.knots - fixed)} if isinstance(slip, GradedSlip) else {}
     return replace(

@@ -53,14 +53,14 @@ class Rehearsals:
     AT_ONCE = 4
 
     def __init__(self, names, pool):
-        self.names, self.pool, self.begun = names, pool, {}
+        self.names, self.pool, self.running = names, pool, {}
 
     def __getitem__(self, name):
         at = self.names.index(name)
         for each in self.names[at : at + self.AT_ONCE]:
-            if each not in self.begun:
-                self.begun[each] = self.pool.submit(faults.rehearse, CASES[each])
-        return self.begun[name].result()
+            if each not in self.running:
+                self.running[each] = self.pool.submit(faults.rehearse, CASES[each])
+        return self.running[name].result()
 
 
 @pytest.fixture(scope="module")

@@ -373,8 +373,10 @@ def possible_states(
     if not keeps_order(actuator):
         random, seconds = np.random.default_rng(0), np.cumsum(np.geomspace(0.01, 10, _TURNS) * half)
         turns = [random.uniform(low, high, _TURNS) for _ in range(_HISTORIES)]
-        begun = list(states)
-        states += [played(played(begun[k % len(begun)], visited, seconds), [v], now) for k, visited in enumerate(turns)]
+        initial = list(states)
+        states += [
+            played(played(initial[k % len(initial)], visited, seconds), [v], now) for k, visited in enumerate(turns)
+        ]
     if actuator.dynamics is None:
         return tuple(states)
     return tuple(replace(state, motion=np.array([state.deformation, 0.0])) for state in states)
