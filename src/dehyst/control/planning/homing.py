@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -373,10 +373,8 @@ def possible_states(
     if not keeps_order(actuator):
         random, seconds = np.random.default_rng(0), np.cumsum(np.geomspace(0.01, 10, _TURNS) * half)
         turns = [random.uniform(low, high, _TURNS) for _ in range(_HISTORIES)]
-        initial = list(states)
-        states += [
-            played(played(initial[k % len(initial)], visited, seconds), [v], now) for k, visited in enumerate(turns)
-        ]
+        begins = zip(cycle(tuple(states)), turns, strict=False)
+        states += [played(played(start, visited, seconds), [v], now) for start, visited in begins]
     if actuator.dynamics is None:
         return tuple(states)
     return tuple(replace(state, motion=np.array([state.deformation, 0.0])) for state in states)

@@ -181,7 +181,7 @@ class Part:
         """Return the displacement (k,) [m] along the way and then `volts` (n,) [V], and the last state."""
         voltage = np.concatenate([self.way.voltage, volts])
         motion = self.loop.actuator.simulate(voltage, time=time, state=origin, extrapolate=True)
-        warmth = with_first_repeated(self.warmth, self.way.voltage.size)
+        warmth = extended(self.warmth, self.way.voltage.size)
         gain, offset = self.loop.scaling(None if warmth is None else warmth[: voltage.size], voltage.size)
         return offset + gain * motion.displacement, motion.state
 
@@ -277,10 +277,7 @@ class Task:
         time = np.concatenate([self.time[0] - step * np.arange(self.ahead, 0, -1), self.time])
         for part in self.parts:
             part.moved = np.interp(time + part.delay, self.time, part.moved)
-            part.temperature, part.warmth = (
-                with_first_repeated(part.temperature, self.ahead),
-                with_first_repeated(part.warmth, self.ahead),
-            )
+            part.temperature, part.warmth = extended(part.temperature, self.ahead), extended(part.warmth, self.ahead)
         # Before it begins and after it ends, the path rests.
         rates, rests = self.rates.items(), {"left": 0.0, "right": 0.0}
         self.rates = {name: np.interp(time + longest, self.time, rate, **rests) for name, rate in rates}
@@ -459,13 +456,13 @@ class Task:
                 promise=promise,
                 failure="" if followed else short,
                 warnings=(*remarks, *untested(loop.actuator, promise, degrees), *hint),
-                temperature=with_first_repeated(part.temperature, first),
+                temperature=extended(part.temperature, first),
             )
             plans.append(plan if units == "m" else plan.in_units(units))
         return plans[0] if self.single else PathPlan.of_axes(self.stage.axes, plans)
 
 
-def with_first_repeated(temperature: Array | None, rows: int) -> Array | None:
+def extended(temperature: Array | None, rows: int) -> Array | None:
     """Return a temperature (n,) [degC] after `rows` of its first value."""
     return None if temperature is None else np.concatenate([np.full(rows, temperature[0]), temperature])
 
