@@ -1,14 +1,13 @@
-"""A piezoelectric stack as an electric circuit with a mass, integrated by SciPy: a second opinion on the actuator.
+"""A piezoelectric stack as an electric circuit, integrated by SciPy: a second opinion on the actuator.
 
 Nothing here is shared with the package, neither code nor coordinates. The equations are those of Goldfarb and
 Celanovic, in charges and volts:
 
     v = sum_i u_i + g(q / T) / T + (q - T y) / C,        u_i = (q - b_i) k_i / T^2
-    m y'' + b y' + km y = T (q - T y) / C + F
+    km y = T (q - T y) / C + F
 
-Coulomb friction keeps the charge b_i of element i where it is while |u_i| < f_i / T. `quasi_static` and
-`charge_driven` regularise it: beyond the break voltage a resistor R lets b_i follow, R b_i' = u_i -+ f_i / T, and the
-friction is dry in the limit of no R. `moving` has dry friction itself, from one event to the next.
+Coulomb friction keeps the charge b_i of element i where it is while |u_i| < f_i / T. It is regularised: beyond the
+break voltage a resistor R lets b_i follow, R b_i' = u_i -+ f_i / T, and the friction is dry in the limit of no R.
 """
 
 from dataclasses import dataclass
@@ -110,87 +109,3 @@ def _integrated(rates, time, start, atol):
     )
     assert found.success, found.message
     return found.y
-
-
-def moving(stack, mass, damping, time, voltage, rate, *, load=lambda t: 0.0):
-    """Charges and displacements (n,) of a relaxed stack with a mass, from rest; dry friction, event by event.
-
-    `damping` is b [N s/m]; `voltage` and its `rate` are functions of time.
-    """
-    circuit = _Moving(stack, mass, damping, voltage, rate, load)
-    t, z, out = time[0], np.zeros(2), [(0.0, 0.0)]
-    circuit.direction = np.sign(circuit.current(t, z) or circuit.current(t + 1e-9 * time[-1], z))
-    while t < time[-1]:
-        found = circuit.until_event(t, z, time)
-        passed = time[len(out) :]
-        passed = passed[passed <= found.t[-1]]
-        out += [(float(circuit.charge(at, found.sol(at))), found.sol(at)[0]) for at in passed]
-        t, z = found.t[-1], found.y[:, -1]
-        circuit.commit(t, z, turned=found.t_events[0].size > 0)
-    return np.array(out).T
-
-
-class _Moving:
-    """A stack with a mass between two events: which elements slide, where the others stand, and the sign of q'.
-
-    Charge flows in the direction of v' + T y' / C, whatever slides: there all elements that slide stop at once.
-    """
-
-    def __init__(self, stack, mass, damping, voltage, rate, load):
-        self.stack, self.mass, self.damping = stack, mass, damping
-        self.voltage, self.rate, self.load = voltage, rate, load
-        self.slides, self.b = np.zeros(stack.friction.size, bool), np.zeros(stack.friction.size)
-        self.reach, self.direction = stack.break_volts / stack.volts_per_charge, 0.0
-        self.curve = stack.circuit_voltage(stack.ratio * stack.x, 0.0)
-
-    def charge(self, t, z):
-        stack, stuck = self.stack, ~self.slides
-        e = stack.volts_per_charge[stuck]
-        held = e @ self.b[stuck] - self.direction * stack.break_volts[self.slides].sum()
-        return stack.charge_of(self.voltage(t) + held + stack.ratio * z[0] / stack.capacitance, e.sum(), self.curve)
-
-    def rates(self, t, z):
-        stack = self.stack
-        pull = stack.ratio * (self.charge(t, z) - stack.ratio * z[0]) / stack.capacitance
-        return [z[1], (pull + self.load(t) - self.damping * z[1] - stack.km * z[0]) / self.mass]
-
-    def current(self, t, z):
-        return self.rate(t) + self.stack.ratio * z[1] / self.stack.capacitance
-
-    def left(self, q):
-        """Charge that each element can still take before it slides onward."""
-        return self.reach - self.direction * (q - self.b)
-
-    def until_event(self, t, z, time):
-        """Integrate until the charge turns or an element that stands begins to slide."""
-
-        def turns(t, z):
-            return self.current(t, z)
-
-        def breaks(t, z):
-            return self.left(self.charge(t, z))[~self.slides].min(initial=1.0)
-
-        turns.terminal = breaks.terminal = True
-        turns.direction, breaks.direction = -self.direction, -1
-        far = self.stack.displacement(self.stack.ratio * self.stack.x[-1])
-        found = solve_ivp(
-            self.rates,
-            (t, time[-1]),
-            z,
-            method="DOP853",
-            events=[turns, breaks],
-            dense_output=True,
-            rtol=1e-10,
-            atol=1e-10 * np.array([far, 1.0]),
-            max_step=(time[-1] - time[0]) / 400,
-        )
-        assert found.success, found.message
-        return found
-
-    def commit(self, t, z, *, turned):
-        q = self.charge(t, z)
-        self.b = np.where(self.slides, q - self.direction * self.reach, self.b)
-        if turned:
-            self.direction, self.slides = -self.direction, np.zeros(self.b.size, bool)
-        else:
-            self.slides = self.slides | (self.left(q) <= 1e-9 * self.reach)

@@ -1,8 +1,8 @@
 """Goldfarb and Celanovic's identification on records of their own electric circuit, integrated by SciPy."""
 
 import numpy as np
-from electromechanical_oracle import branches, moving, quasi_static
-from paper_stacks import CONSTANTS, KE, KEQ, KM, T, assert_proportional, paper_stack
+from electromechanical_oracle import branches, quasi_static
+from paper_stacks import CONSTANTS, KEQ, T, assert_proportional, paper_stack
 
 from dehyst import Record
 from dehyst.model import Physical
@@ -68,22 +68,3 @@ def test_the_loops_after_the_rise_follow():
         errors.append(np.abs(y - record.displacement).max() / np.ptp(record.displacement))
     assert_proportional(errors, RESISTANCES)
     assert errors[-1] < 5e-5
-
-
-def test_the_slower_a_mass_is_moved_the_less_it_matters():
-    """Their full model, at a fiftieth of the resonance and slower."""
-    omega = 2 * np.pi * 1000
-    mass, errors = (KM + KE) / omega**2, []
-    shape = branches(TURNS[:3], 1)[1]
-    for speed in (40.0, 20.0, 10.0):
-        time = instants(1000)
-        time = time[time <= 1.2] / speed
-
-        def rate(t, speed=speed):
-            return 100 * np.pi * speed * np.sin(np.pi * speed * t)
-
-        _, y = moving(STACK, mass, 0.1 * omega * mass, time, lambda t, speed=speed: shape(speed * t), rate)
-        paper = Physical.of(identified(Record(time, shape(speed * time), y)).actuator, **CONSTANTS)
-        errors.append(np.abs(paper.stiffness - STACK.stiffness).max() / STACK.stiffness.max())
-    assert np.all(np.diff(errors) < 0)
-    assert errors[-1] < 0.01

@@ -1,14 +1,10 @@
 """A real EPICS input/output controller around a virtual instrument: process variables that any client can use."""
 
-from __future__ import annotations
-
 import asyncio
 import os
-from contextlib import AbstractContextManager, suppress
-from typing import Any
+from contextlib import suppress
 
 from dehyst._errors import DehystError
-from dehyst.virtual.bench import VirtualBench
 
 # Seconds between two updates from the instrument; a command also updates.
 _TICK = 0.05
@@ -22,7 +18,7 @@ _LOOPBACK = {
     "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO",
 }
 
-_running: list[Ioc] = []
+_running = []
 
 
 class Ioc:
@@ -38,12 +34,12 @@ class Ioc:
     held while it is used.
     """
 
-    def __init__(self, instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> None:
+    def __init__(self, instrument, prefix, lock):
         self.prefix = prefix
         self._instrument, self._lock = instrument, lock
-        self._records: dict[str, Any] = {}
+        self._records = {}
 
-    def build(self, builder: Any) -> None:
+    def build(self, builder):
         """Create the records with softioc's `builder`.
 
         Read-only variables are output records, which are set at once and not at the next scan.
@@ -51,7 +47,7 @@ class Ioc:
         bench, axis = self._instrument, self._instrument.axis
         low, high = axis.limits
 
-        def add(make: Any, name: str, unit: str = "", digits: int = 0, **options: Any) -> None:
+        def add(make, name, unit="", digits=0, **options):
             self._records[name] = make(name, **({"EGU": unit, "PREC": digits} if unit else {}), **options)
 
         builder.SetDeviceName(self.prefix)
@@ -68,13 +64,13 @@ class Ioc:
         add(builder.longStringOut, "IDN", length=_TEXT, initial_value=identity, DISP=1)
         builder.LoadDatabase()
 
-    async def serve(self) -> None:
+    async def serve(self):
         """Update the records from the instrument, without end."""
         while True:
             self._refresh()
             await asyncio.sleep(_TICK)
 
-    def _put(self, voltage: float) -> None:
+    def _put(self, voltage):
         """Put out a voltage, or keep the present one if it is refused; update the records."""
         taken, axis = False, self._instrument.axis
         with self._lock, suppress(DehystError):
@@ -83,7 +79,7 @@ class Ioc:
             self._records["VOLTAGE"].set(axis.voltage, process=False)
         self._refresh()
 
-    def _refresh(self) -> None:
+    def _refresh(self):
         """Read the instrument into the records."""
         with self._lock:
             axis = self._instrument.axis
@@ -92,7 +88,7 @@ class Ioc:
             self._records[name].set(value)
 
 
-def serve_ioc(instrument: VirtualBench, prefix: str, lock: AbstractContextManager[Any]) -> Ioc:
+def serve_ioc(instrument, prefix, lock):
     """Serve an `instrument` by EPICS Channel Access, in threads of its own, until the process ends.
 
     It listens on the loopback interface only, unless EPICS_CAS_INTF_ADDR_LIST is set, and on the port of

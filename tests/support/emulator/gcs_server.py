@@ -1,15 +1,10 @@
 """A TCP server of an emulated controller: one client at a time, as on real controllers, in one thread."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading
-from types import TracebackType
-from typing import Self
 
 from emulator.faults import Rehearsal
-from emulator.gcs_controller import Controller
 
 _HOST = "127.0.0.1"
 # Seconds between updates of the instrument, and until a client that takes no answers is disconnected.
@@ -25,42 +20,32 @@ class Server:
     is held while the controller is used: share it with every other user of its instrument.
     """
 
-    def __init__(
-        self,
-        controller: Controller,
-        *,
-        port: int,
-        lock: threading.Lock | None = None,
-        rehearsal: Rehearsal | None = None,
-    ) -> None:
+    def __init__(self, controller, *, port, lock=None, rehearsal=None):
         self.controller, self.lock = controller, lock or threading.Lock()
         self.rehearsal = rehearsal or Rehearsal()
         self._listening = socket.create_server((_HOST, port), backlog=16)
-        self.port = int(self._listening.getsockname()[1])
-        self._client: asyncio.StreamWriter | None = None
-        self._server: asyncio.Server | None = None
+        self.port = self._listening.getsockname()[1]
+        self._client = self._server = None
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self.serve, name=f"pi://{_HOST}:{self.port}", daemon=True)
 
-    def __enter__(self) -> Self:
+    def __enter__(self):
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_):
         self.stop()
         self._thread.join()
 
-    def stop(self) -> None:
+    def stop(self):
         """Make `serve` return; from any thread, or from a signal."""
         self._stopped.set()
 
-    def serve(self) -> None:
+    def serve(self):
         """Serve until `stop`; close all connections at the end."""
         asyncio.run(self._serve())
 
-    async def _serve(self) -> None:
+    async def _serve(self):
         self._server = await asyncio.start_server(self._attend, sock=self._listening, limit=_LONGEST_LINE)
         try:
             while not self._stopped.is_set():
@@ -70,22 +55,22 @@ class Server:
             self._disconnect()
             self._server.close()
 
-    def _update(self) -> None:
+    def _update(self):
         """Bring the instrument up to now, and trigger faults."""
         with self.lock:
             self.controller.instrument.advance()
             faults = self.rehearsal.trigger(self.controller)
         if faults:
             self._disconnect()
-        if "refuse" in faults and self._server is not None:
+        if "refuse" in faults:
             self._server.close()
 
-    def _disconnect(self) -> None:
+    def _disconnect(self):
         client, self._client = self._client, None
         if client is not None:
             client.transport.abort()
 
-    async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _attend(self, reader, writer):
         """Answer the commands of a client; if there is one already that does not leave, close the new connection."""
         if self._client is not None:
             await asyncio.sleep(_TICK)
@@ -108,13 +93,13 @@ class Server:
             if self._client is writer:
                 self._disconnect()
 
-    def _answer(self, command: bytes) -> bytes:
+    def _answer(self, command):
         with self.lock:
             answer = self.controller.answer(command.decode("latin-1"))
         return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
 
 
-async def _command(reader: asyncio.StreamReader) -> bytes:
+async def _command(reader):
     """Read a line. One that is too long is cut, so that the controller refuses it."""
     overlong = False
     while True:
