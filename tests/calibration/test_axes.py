@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_listener import Heard
-from click.testing import CliRunner
 from emulated_stage import COUPLING, HIGHEST, rig_of, served, virtual_stage
 
 import dehyst
@@ -14,7 +13,6 @@ from dehyst.calibration import Plan, calibrate
 from dehyst.calibration.plan import Excitations
 from dehyst.calibration.plan import steps as planned_steps
 from dehyst.calibration.tracking import PathPlanner, TrackedPath
-from dehyst.cli import main
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.model import MaxwellSlip, Spring, Thermal
@@ -120,23 +118,6 @@ class TestPlan:
         with served() as (server, _), rig_of(server) as rig:
             planned = planned_steps(rig, Plan())[-1].more
         assert len(result.compensated.wanted) == pytest.approx(planned - 200, abs=2)
-
-
-class TestCommand:
-    """`dehyst calibrate --axes`."""
-
-    @staticmethod
-    def run(*words, status=0):
-        done = CliRunner().invoke(main, [str(word) for word in words])
-        assert done.exit_code == status, done.output
-        return done.output
-
-    @pytest.mark.parametrize("options", [("--axes", "1,1"), ("--axes", "1,7")])
-    def test_what_does_not_fit_is_refused(self, options, tmp_path):
-        with served() as (server, bench):
-            base = ("calibrate", f"pi://127.0.0.1:{server.port}", "-o", tmp_path)
-            self.run(*base, *options, status=2)
-            assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
 
 
 def test_the_path_of_several_axes_is_planned_at_the_measured_temperature():

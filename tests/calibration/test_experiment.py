@@ -163,27 +163,6 @@ def test_a_rig_that_takes_longer_than_planned_is_remarked():
         assert len([*slower(record, planned)]) == remarks
 
 
-UNCLOSED = """
-from dehyst.instruments.simulated import SimulatedRig
-from dehyst.virtual import PlayActuator
-
-
-class Unclosed(SimulatedRig):
-    def _close(self):
-        raise OSError("gone")
-
-
-def make(limits, slew_rate):
-    return Unclosed(PlayActuator(highest=100.0), limits=limits, slew_rate=slew_rate)
-"""
-
-
-def test_a_rig_that_cannot_be_closed_hides_no_result(tmp_path):
-    (tmp_path / "own.py").write_text(UNCLOSED)
-    status, told = result("calibrate", f"{tmp_path / 'own.py'}:make", "-o", tmp_path / "out")
-    assert status == 0 and told["compensated"]["largest_percent"] < 1 and (tmp_path / "out" / "model.json").exists()
-
-
 def test_a_model_of_other_limits_is_not_replaced(tmp_path):
     truth = PlayActuator(highest=100.0)
     (tmp_path / "model.json").write_text("{}")

@@ -106,18 +106,3 @@ def test_clamping_is_said_once_of_a_kind_and_counted():
 def test_what_does_not_fit_is_refused(actuators, options, message):
     with pytest.raises(ModelError, match=message):
         Bank(actuators, **options)
-
-
-def test_wrong_displacements_are_told_with_their_place():
-    bank, good = Bank(PLAIN), paths(PLAIN, 4, 4, beyond=0)
-    hole = np.where(np.arange(good.size).reshape(good.shape) == 7, np.nan, good)
-    for values, message in [
-        (good[:, :2], r"got the shape \(4, 2\), need a column for each of 3 actuators"),
-        (good[0], "need two dimensions"),
-        (hole, "first at index 7"),
-        (good * 1e6, "actuator 0: .*micrometres"),
-    ]:
-        with pytest.raises(ModelError, match=message):
-            bank.run(values)
-    with pytest.raises(ModelError, match="actuator 1"):
-        bank.step([1e-6, 1e300, 1e-6])

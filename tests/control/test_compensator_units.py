@@ -1,8 +1,5 @@
 """A compensator in micrometres gives the voltages of one in metres, in every method."""
 
-import copy
-import pickle
-
 import numpy as np
 import plain_records
 import pytest
@@ -42,15 +39,6 @@ def test_a_clamped_path_is_reported_in_the_unit():
     assert repr(command) == repr(expected)
     for own, factor in (("phase", 1), ("clamped", 1), ("voltage", 1), ("displacement", 1e6), ("expected", 1e6)):
         np.testing.assert_allclose(getattr(command, own), factor * getattr(expected, own), rtol=1e-14)
-
-
-def test_a_copy_keeps_the_unit():
-    micro = pair()[1]
-    micro.step(5.0)
-    for other in (copy.copy(micro), copy.deepcopy(micro), pickle.loads(pickle.dumps(micro)), micro._clone()):
-        assert other.units == "um"
-    assert pickle.loads(pickle.dumps(micro)).step(7.0) == micro.step(7.0)
-    assert micro._clone("m").units == "m"
 
 
 def test_what_strays_is_refused_in_words_of_the_unit():

@@ -6,9 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import plain_records
 import pytest
-import strategies as our
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dehyst import DisplacementCreep, Dynamics, RecordError
 from dehyst.control import wave_table
@@ -142,18 +139,6 @@ def test_a_long_homing_has_a_sample_rate_of_its_own_and_loses_nothing():
     made = simulated(slow, rows)
     assert np.abs(made - rows.expected)[rows.phase == 0].max() <= 1e-5 * strokes(TRIANGLE)
     assert np.abs(made - rows.displacement)[-800:].max() <= table.error + unknown(table) + 1e-4 * strokes(TRIANGLE)
-
-
-@given(our.SEEDS, st.floats(0.3, 3.0))
-def test_from_the_plan_to_the_cycle_and_from_cycle_to_cycle_the_slew_rate_is_kept(seed, share):
-    rng = np.random.default_rng(seed)
-    low, high = np.sort(rng.uniform(0, 16 * UM, 2))
-    path = Triangle(low, high + UM, 10, turns=rng.uniform(0.05, 1), sample_rate=10 * int(rng.integers(40, 200))).path()
-    slew = share * 20 * plain_records.VOLTS * (path.range[1] - path.range[0]) / plain_records.STROKE
-    table = wave_table(PLAIN, path, slew_rate=slew, start=turned(PLAIN, rng.uniform(0, 16 * UM)))
-    voltage = played(table, 3).voltage[table.plan.first :]
-    assert np.abs(np.diff(voltage)).max() <= slew / path.sample_rate * (1 + 1e-9)
-    assert table.plan.voltage[-1] == table.cycle.voltage[0]
 
 
 @pytest.mark.parametrize(

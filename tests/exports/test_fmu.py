@@ -33,7 +33,6 @@ from fmu_runner import (
     fmpy,
     validate_fmu,
     voltages,
-    wanted,
 )
 
 import dehyst
@@ -281,17 +280,6 @@ def test_the_actuator_knows_no_limits_of_the_compensator(tmp_path):
     expected = actuator.simulate(np.append(actuator.voltage(state), volts), state=state).displacement[1:]
     with Slave(fmpy.extract(tmp_path / "x.fmu", tmp_path / "x")) as slave:
         np.testing.assert_allclose(slave.run(volts), expected, rtol=0, atol=1e-12 * plain_records.STROKE)
-
-
-def test_instances_do_not_meddle(fmus):
-    """Several of one library and of others, step by step in turn."""
-    models = ("plain", "creep", "creep", "mass")
-    paths = [wanted(seed, 120) for seed in range(4)]
-    slaves = [Slave(fmus(model, "compensator")[1]) for model in models]
-    found = np.array([[own.step(y) for own, y in zip(slaves, row, strict=True)] for row in zip(*paths, strict=True)])
-    for slave, model, path, column in zip(slaves, models, paths, found.T, strict=True):
-        np.testing.assert_array_equal(column, voltages(ALL[model], path)[0])
-        slave.fmu.freeInstance()
 
 
 def test_what_is_not_allowed_is_refused(fmus):

@@ -90,11 +90,6 @@ def test_a_wrong_model_shows_a_pattern_and_the_right_one_none():
     assert Verdict.FAILS in [check.verdict for check in poor.checks if check.name in PATTERNS]
 
 
-def test_a_plain_model_of_a_plain_record_passes_every_check():
-    fit = identify(plain_records.loops(plain_records.plant(), plain_records.DESCENDING_TOPS), structure="maxwell_slip")
-    assert [check.verdict for check in fit.checks] == [Verdict.HOLDS] * 3
-
-
 TIME = np.arange(4000) * 0.01
 VOLTAGE = 50 - 50 * np.cos(2 * np.pi * 0.5 * TIME)
 RNG = np.random.default_rng(0)

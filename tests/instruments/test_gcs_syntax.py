@@ -77,25 +77,10 @@ def test_an_argument_cannot_smuggle_a_command(argument):
         gcs_syntax.command("SVA", argument)
 
 
-@given(st.lists(LINE, min_size=1, max_size=8))
-def test_the_framing_comes_back(lines):
-    lines = [line.strip() for line in lines]
-    answer = " \n".join(lines) + "\n"
-    raw = [line + b"\n" for line in answer.encode().split(b"\n")[:-1]]
-    assert [gcs_syntax.line_of(line) for line in raw] == [(t, i < len(lines) - 1) for i, t in enumerate(lines)]
-
-
 @pytest.mark.parametrize("raw", [b"1=2", b"1=\x002\n", b"1=\xff\n", b"\x7f\n", b""])
 def test_a_line_of_other_bytes_is_refused(raw):
     with pytest.raises(LinkError, match="printable"):
         gcs_syntax.line_of(raw)
-
-
-@given(st.dictionaries(NAMES, FINITE, min_size=1, max_size=6))
-def test_values_come_back_in_the_order_asked(told):
-    lines = [f"{key}={value!r}" for key, value in told.items()]
-    keys = list(reversed(told))
-    assert gcs_syntax.values(lines, keys) == [told[key] for key in keys]
 
 
 @pytest.mark.parametrize(
@@ -127,23 +112,6 @@ REFUSED = {
 def test_what_is_no_answer_is_refused(read, lines):
     with pytest.raises(LinkError, match="got"):
         read(lines)
-
-
-def test_lists_are_read():
-    lines = [
-        "The following commands are valid:",
-        "#5 Request Motion Status",
-        "*IDN? Get Device Identification",
-        "ERR? Get Error Number",
-        "SVA {<AxisID> <Amplitude>} Set",
-        "WAV <WaveTableID> ...",
-        "VOL? [{<ID>}]",
-        "end of help",
-    ]
-    assert {"#5", "*IDN?", "ERR?", "SVA", "WAV", "VOL?"} == gcs_syntax.commands(lines)
-    assert gcs_syntax.names(["X", "Y"]) == ["X", "Y"]
-    for text in ("0x0E000200=0.00005", "234881536=5.0000e-05"):
-        assert gcs_syntax.parameter([f"1 {text}"], "1", 0x0E000200) == 5e-5
 
 
 def test_record_options_are_found_by_their_words():

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
-from summaries import PARTS, anatomy
 
 import dehyst
 from dehyst import Actuator, MaxwellSlip, Spring
@@ -64,14 +63,6 @@ def test_repr_and_print_are_one_printable_line_without_arrays(things):
             assert "array" not in text
         assert repr(thing).startswith(f"<{type(thing).__name__}")
         assert 10 < len(repr(thing)) < 260
-
-
-@pytest.mark.parametrize("kind", PARTS)
-def test_an_actuator_names_its_parts(kind):
-    actuator = anatomy(kind)
-    assert repr(actuator).count("\n") == 0
-    assert ("creep" in repr(actuator)) == (actuator.displacement_creep is not None)
-    assert len(actuator.summary().splitlines()) >= 3
 
 
 def test_an_actuator_whose_loops_cannot_be_computed_still_has_a_line():

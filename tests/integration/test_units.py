@@ -5,16 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import strategies as our
-from fake_rig import FakeRig
 from hypothesis import given
 from hypothesis import strategies as st
 
 import dehyst
 from dehyst import Actuator, ClampWarning, Compensator, MaxwellSlip, ModelError, RecordError, Spring, plan_path
-from dehyst.instruments import Samples
-from dehyst.instruments.waves import admitted
 from dehyst.model import voltages_of
-from dehyst.waveforms import standard
 
 # 3.6 V move it by 45 um, as the measured one, from -119 um on.
 KNOTS = np.linspace(-119e-6, -74e-6, 10)
@@ -134,18 +130,6 @@ def test_what_is_no_plain_number_is_refused(kind):
         ACTUATOR.compensate(NO_NUMBERS[kind])
     with pytest.raises(RecordError, match="displacement"):
         dehyst.Record(np.arange(PATH.size), PATH * 1e5, NO_NUMBERS[kind])
-
-
-def test_a_quantity_is_no_voltage_limit_or_step():
-    volts = Quantity(np.array([0.0, 3.0]), units="volt")
-    with pytest.raises(ModelError, match="limits"):
-        Compensator(ACTUATOR, volts)
-    with pytest.raises(ModelError, match="displacement"):
-        Compensator(ACTUATOR).step(Quantity(-1e-4, unit="m"))
-    with pytest.raises(RecordError, match="peaks"):
-        standard.raised_cosine(volts)
-    with pytest.raises(dehyst.DehystError, match=r"fake.*displacement"):
-        admitted(FakeRig(), Samples([2.0, 3.0], [0.0, 1.0], volts), np.zeros(2), 0, -np.inf)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -133,15 +133,6 @@ def test_models_of_equal_numbers_are_equal(actuator):
     assert actuator != replace(actuator, delay=0.5 * actuator.delay + 0.25) and actuator != "actuator"
 
 
-def test_wider_parts_come_back_exactly(tmp_path):
-    actuator = wide()
-    back = through_a_file(actuator, tmp_path / "a.json")
-    for part in ("slip", "spring", "transformer", "smooth", "displacement_creep", "state"):
-        for name in (field.name for field in fields(getattr(actuator, part))):
-            first, second = (np.asarray(getattr(getattr(a, part), name)) for a in (actuator, back))
-            assert (first.dtype, first.shape, first.tobytes()) == (second.dtype, second.shape, second.tobytes())
-
-
 def objects(data, place=()):
     """The places of all objects of a model file, but for what anybody may write there."""
     yield place
@@ -154,11 +145,6 @@ def within(data, place):
     return reduce(lambda part, key: part[key], place, data)
 
 
-def refused(data):
-    with pytest.raises(ModelError):
-        Actuator.from_dict(data)
-
-
 @pytest.mark.parametrize("make", [made, wide])
 def test_every_key_is_needed_and_no_other_is_taken(make):
     for place in objects(make().as_dict()):
@@ -168,25 +154,8 @@ def test_every_key_is_needed_and_no_other_is_taken(make):
                 within(data, place)[key] = 1
             else:
                 del within(data, place)[key]
-            refused(data)
-
-
-@pytest.mark.parametrize(
-    ("where", "value"),
-    [
-        ("format", "dehyst-fit"),
-        ("version", 2),
-        ("state.smooth_m", [2e-6, 0.0]),
-        ("limits_V", [5.0, 5.0]),
-        ("identification.outcome", "FINE"),
-        ("identification.lag_of", "x"),
-    ],
-)
-def test_impossible_numbers_are_refused(where, value):
-    data = wide().as_dict()
-    *parents, last = where.split(".")
-    within(data, parents)[last] = value
-    refused(data)
+            with pytest.raises(ModelError):
+                Actuator.from_dict(data)
 
 
 @pytest.mark.parametrize("wide", [(0.0, 1000.0), (-50.0, 100.0), (0.0, 102.1), (200.0, 300.0)])

@@ -22,13 +22,6 @@ def waves(samples=400):
     return np.column_stack([50 * (1 - np.cos(turn)), 60 * (1 - np.cos(1.7 * turn))])
 
 
-def test_without_coupling_each_axis_is_its_actuator_bit_for_bit():
-    v = waves()
-    y = VirtualStage(pair(), np.eye(2)).play(v, measured=False)
-    for j, actuator in enumerate(pair()):
-        np.testing.assert_array_equal(y[:, j], actuator.play(v[:, j], measured=False))
-
-
 def test_displacements_are_the_matrix_times_those_of_the_actuators():
     v = waves()
     alone = np.column_stack([actuator.play(v[:, j], measured=False) for j, actuator in enumerate(pair())])

@@ -8,7 +8,6 @@ from dehyst._errors import DehystError
 from dehyst.model import Actuator, MaxwellSlip, Spring
 from dehyst.records import read_table
 from dehyst.workbench.data import scan_columns, scan_words
-from dehyst.workbench.server import json_of
 
 SCANS = (
     {"kind": "triangle", "low": 2, "high": 8, "frequency": 5, "cycles": 3, "rising": 0.3},
@@ -51,9 +50,3 @@ def test_what_is_no_scan_is_refused_with_its_field(scan, rate, argument):
         scan_columns(scan, rate)
     assert refused.value.as_dict()["argument"] == argument
     assert argument != "low, high" or str(refused.value).startswith("--low, --high: ")
-
-
-@pytest.mark.parametrize("text", ["[1]", "{", "[" * 100_000])
-def test_a_query_that_is_no_object_is_refused(text):
-    with pytest.raises(DehystError, match="no JSON"):
-        json_of(text)
