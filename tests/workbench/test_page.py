@@ -1,6 +1,8 @@
-"""Journeys of a person at the page, in Debian's chromium, against a real server."""
+"""The page in Debian's chromium, against a real server: journeys of a person, keys, errors, and accessibility."""
 
 import re
+import time
+from itertools import pairwise
 
 import numpy as np
 import places
@@ -13,35 +15,280 @@ from workbench_tour import PICTURES
 from dehyst.records import read_table, write_record
 from examples import at_night
 
-pytest.importorskip("playwright.sync_api", reason="needs playwright")
+sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
+
+STEPS = ("records", "model", "path", "export")
+TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+LONGEST = 60_000
+
+
+@pytest.fixture(scope="module")
+def workbench(tmp_path_factory):
+    with served(tmp_path_factory.mktemp("page") / "bench") as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def journey(browser, workbench, loops):
+    """A page after the shortest way from a record to a voltage: its clicks, and the file that was downloaded."""
+    with visit(browser, workbench) as visitor:
+        yield shortest_way(visitor.page, loops)
+        assert (visitor.complaints, visitor.elsewhere) == ([], [])
+
+
+def shortest_way(page, loops):
+    began, clicks = time.monotonic(), []
+
+    def click(selector):
+        clicks.append(selector)
+        page.click(selector, timeout=LONGEST)
+
+    page.set_input_files("#file", loops)
+    clicks.append("drop")
+    page.click(".identify summary")
+    page.select_option(".identify select >> nth=0", "maxwell_slip")
+    click("#identify:not([disabled])")
+    click("text=Make a voltage")
+    click("#write")
+    with page.expect_download(timeout=LONGEST) as download:
+        click("text=Download CSV")
+    return page, clicks, download.value.path().read_text(), time.monotonic() - began
+
+
+def test_the_private_file_leads_a_browser_in(browser, tmp_path):
+    opener, seen = tmp_path / "opener", tmp_path / "seen"
+    opener.write_text(f'#!/bin/sh\necho "$1" > {seen}.new\nmv {seen}.new {seen}\n')
+    opener.chmod(0o755)
+    with served(tmp_path / "bench", browser=str(opener)) as running:
+        deadline = time.monotonic() + 60
+        while not seen.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        argument = seen.read_text().strip()
+        assert argument.startswith("file://") and "token=" not in argument
+        context = browser.new_context()
+        page = context.new_page()
+        page.goto(argument)
+        sync_api.expect(page.locator("#connection")).to_have_text("Connected", timeout=LONGEST)
+        assert page.url.startswith(running.base)
+        context.close()
+
+
+def test_a_voltage_takes_five_clicks_and_two_minutes(journey):
+    _, clicks, text, seconds = journey
+    assert len(clicks) <= 5 and seconds < 120
+    rows = np.genfromtxt(text.splitlines(), delimiter=",", names=True)
+    assert rows["voltage_V"].min() >= 0 and rows["voltage_V"].max() <= 100
+    assert rows.size > 1000
+
+
+def test_the_verdict_comes_first(journey):
+    page = journey[0]
+    page.click("#step-model")
+    assert "of the stroke" in page.inner_text("#verdict .outcome b")
+    assert page.locator("#verdict").bounding_box()["y"] < page.locator("#model .figure >> nth=0").bounding_box()["y"]
+
+
+def drawn(page):
+    """Wait until what was typed or moved is drawn: changes are drawn at the next frame."""
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def values(page):
+    """Read the points of the path, as they are written."""
+    drawn(page)
+    rows = page.locator("#points").input_value().split("\n")
+    return [[float(word) for word in row.split()] for row in rows]
+
+
+def test_points_are_moved_by_pointer_and_by_text(journey):
+    page = journey[0]
+    page.click("#step-path")
+    page.check("input[value=points]")
+    page.wait_for_selector("#path .point")
+    handles, text = page.locator("#path .point"), page.locator("#points")
+    before = values(page)
+    box = page.locator("#path .chart").first.bounding_box()
+    x, y = box["x"] + 0.6 * box["width"], box["y"] + 30
+    page.mouse.dblclick(x, y)
+    sync_api.expect(handles).to_have_count(len(before) + 1)
+    drawn(page)
+    written = text.input_value()
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y + 90, steps=5)
+    page.mouse.up()
+    sync_api.expect(text).not_to_have_value(written)
+    page.mouse.dblclick(x, y + 90)
+    sync_api.expect(handles).to_have_count(len(before))
+    assert values(page) == before
+    text.fill("0 3\n0.5\t6x5\n1 3")
+    text.blur()
+    sync_api.expect(page.locator("#plan-words .first")).to_contain_text("has no voltage yet")
+    text.fill("0 3\n0.5\t6,5\n1 3")
+    text.blur()
+    sync_api.expect(handles).to_have_count(3)
+    assert values(page) == [[0, 3], [0.5, 6.5], [1, 3]]
+
+
+def test_what_cannot_be_reached_is_said_at_once(journey):
+    page = journey[0]
+    page.click("#step-path")
+    page.check("input[value=scan]")
+    high = page.locator("#path-high")
+    high.fill("40")
+    page.wait_for_selector("#plan-words.red", timeout=LONGEST)
+    assert "are clamped" in page.inner_text("#plan-words")
+    high.fill("x")
+    page.wait_for_selector("#path .error:not(:empty)")
+    assert "need a number" in page.inner_text("#path .error >> nth=0")
+    sync_api.expect(page.locator("#plan-words .first")).to_contain_text("has no voltage yet")
+    high.fill("100")
+    page.wait_for_selector("#plan-words:not(.red)")
+    frequency = page.locator("#scan-frequency")
+    usual = frequency.input_value()
+    frequency.fill("40")
+    sync_api.expect(page.locator("#plan-words.amber")).to_contain_text("no record is that fast")
+    assert "%" not in page.inner_text("#plan-words .first")
+    frequency.fill(usual)
+    sync_api.expect(page.locator("#plan-words .first")).to_contain_text("of the stroke")
+
+
+def test_a_bad_file_brings_the_form_that_mends_it(journey, loops, tmp_path):
+    page = journey[0]
+    bad = tmp_path / "bad.csv"
+    bad.write_text(loops.read_text().replace("time_s,voltage_V,displacement_um", "when,a,a"))
+    page.click("#step-records")
+    page.set_input_files("#file", bad)
+    card = page.locator(".card.refused")
+    card.wait_for(timeout=LONGEST)
+    assert "when" in card.locator(".error >> nth=0").inner_text()
+    columns = ("", "when", "a", "a")
+    for at, quantity in enumerate(("time", "voltage", "displacement"), 1):
+        choice = card.get_by_label(f"Column of the {quantity}")
+        assert choice.evaluate("one => one.options.length") == len(columns)
+        choice.select_option(index=at)
+    for unit, symbol in zip(card.get_by_label("Unit").all(), ("s", "V", "um"), strict=True):
+        unit.select_option(symbol)
+    card.get_by_role("button", name="Read again").click()
+    sync_api.expect(page.locator("#record-list .card.ready")).to_have_count(2, timeout=LONGEST)
+    facts = page.locator("#record-list .facts").all_inner_texts()
+    assert facts[0] == facts[1]
+    page.click('[aria-label="Remove bad from the list"]')
+    page.wait_for_selector("#record-list .card:nth-child(2)", state="detached")
+
+
+def test_files_that_cannot_be_read_come_first_and_without_a_form(journey, loops, tmp_path):
+    page = journey[0]
+    page.click("#step-records")
+    contents = {
+        "scope.csv": loops.read_bytes().replace(b"time_s", b"when"),
+        "zeros.csv": bytes(4000),
+        "broken.mat": b"nothing of MATLAB" * 40,
+    }
+    page.set_viewport_size({"width": 1400, "height": 500})
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+        page.evaluate("() => window.scrollTo(0, document.body.scrollHeight)")
+        page.set_input_files("#file", tmp_path / name)
+        card = page.locator("#record-list > li").first
+        sync_api.expect(card.locator("h3")).to_have_text(name.split(".")[0])
+        card.locator(".error").first.wait_for(timeout=LONGEST)
+        sync_api.expect(card).to_be_in_viewport()
+        assert card.locator("select").count() == (6 if name == "scope.csv" else 0)
+        words = card.locator(".error").first.inner_text()
+        assert words.startswith(name)
+        assert "uploads" not in words
+    assert "3 need" in page.inner_text("#step-records")
+    for name in contents:
+        page.click(f'[aria-label="Remove {name.split(".")[0]} from the list"]')
+    page.wait_for_selector("#record-list .card:nth-child(2)", state="detached")
+    page.set_viewport_size({"width": 1400, "height": 900})
+
+
+def test_back_leads_to_the_step_before(journey, workbench):
+    page = journey[0]
+    page.click("#step-records")
+    for step in ("model", "export"):
+        page.click(f"#step-{step}")
+    page.go_back()
+    sync_api.expect(page.locator("#model")).to_be_visible()
+    page.go_back()
+    sync_api.expect(page.locator("#records")).to_be_visible()
+    page.go_forward()
+    sync_api.expect(page.locator("#model")).to_be_visible()
+    assert page.url.startswith(workbench.base)
+
+
+@pytest.mark.parametrize("width", [1400, 1000, 400])
+def test_nothing_is_wider_than_the_window(journey, width):
+    page = journey[0]
+    page.set_viewport_size({"width": width, "height": 900})
+    for step in STEPS:
+        if page.is_visible(f"#step-{step}"):
+            page.click(f"#step-{step}")
+            assert page.evaluate("() => document.documentElement.scrollWidth - innerWidth") <= 0, step
+    page.set_viewport_size({"width": 1400, "height": 900})
+
+
+@pytest.mark.parametrize("scheme", ["light", at_night("dark")])
+def test_axe_finds_nothing(journey, scheme):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python").Axe()
+    page = journey[0]
+    page.emulate_media(color_scheme=scheme)
+    for step in STEPS:
+        page.click(f"#step-{step}")
+        found = axe.run(page, options={"runOnly": TAGS}).response["violations"]
+        assert [(finding["id"], [node["html"] for node in finding["nodes"]]) for finding in found] == [], step
+
+
+def test_a_phone_has_room_for_all_steps(journey):
+    page = journey[0]
+    page.set_viewport_size({"width": 400, "height": 900})
+    for step in STEPS:
+        page.click(f"#step-{step}")
+        sync_api.expect(page.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
+    wide = "tabs => tabs.map(tab => [...tab.children].map(one => one.scrollWidth - one.clientWidth)).flat()"
+    assert max(page.locator("#steps button").evaluate_all(wide)) <= 0
+    boxes = [title.bounding_box() for title in page.locator("#steps .title").all()]
+    assert all(box["x"] + box["width"] <= after["x"] for box, after in pairwise(boxes))
+    page.click("#step-records")
+    sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
+    sync_api.expect(page.locator("#identify")).to_be_visible()
+    page.set_viewport_size({"width": 1400, "height": 900})
+
+
+def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(browser, tmp_path):
+    with served(tmp_path / "new") as running, visit(browser, running) as visitor:
+        page = visitor.page
+        sample = page.locator(".drop pre")
+        for width in (1400, 400):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert "displacement_um" in sample.inner_text()
+            assert sample.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
+        said = page.inner_text("#drop")
+        assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5"))
+        page.click("#example")
+        ready = page.locator("#record-list .card.ready")
+        sync_api.expect(ready).to_have_count(1, timeout=LONGEST)
+        assert ready.locator("h3").all_inner_texts() == ["virtual-loops"]
+        assert page.locator("#identify").is_enabled()
 
 
 @pytest.fixture
 def person(browser, bench):
     with visit(browser, bench) as visitor:
         yield visitor
-        assert visitor.complaints == []
-        assert visitor.elsewhere == []
-
-
-@pytest.fixture(scope="module")
-def bench_with_model(tmp_path_factory, browser, loops):
-    """A workbench whose folder has a model already."""
-    with served(tmp_path_factory.mktemp("page") / "bench") as running:
-        with visit(browser, running) as visitor:
-            visitor.drop(loops)
-            visitor.identify(structure="maxwell_slip")
-        yield running
+        assert (visitor.complaints, visitor.elsewhere) == ([], [])
 
 
 @pytest.fixture
-def owner(browser, bench_with_model):
-    with visit(browser, bench_with_model) as visitor:
+def owner(browser, workbench, journey):
+    """A second visitor of the workbench, which has a model by now."""
+    with visit(browser, workbench) as visitor:
         visitor.sees("1 ready")
         yield visitor
-        assert visitor.complaints == []
-        assert visitor.elsewhere == []
+        assert (visitor.complaints, visitor.elsewhere) == ([], [])
 
 
 def colours(canvas):
@@ -86,7 +333,7 @@ def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(perso
     assert person.page.locator("#model-body").is_hidden()
 
 
-def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
+def test_what_the_page_plans_is_what_the_server_writes(owner, workbench):
     """The page computes in WebAssembly, the server by the command: on the path they agree."""
     owner.step("Path")
     owner.page.get_by_label("A scan").check()
@@ -94,7 +341,7 @@ def test_what_the_page_plans_is_what_the_server_writes(owner, bench_with_model):
     planned = owner.page.locator("#plan-words").inner_text()
     low, high = (float(number) for number in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
     owner.write_voltage()
-    file = max((bench_with_model.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
+    file = max((workbench.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
     table = {column.name: column.data for column in read_table(file).columns}
     on_path = table["voltage_V"][table["phase"] == table["phase"].max()] if "phase" in table else table["voltage_V"]
     assert float(on_path.max()) == pytest.approx(high, rel=0.02)
