@@ -21,11 +21,11 @@ _OF_STROKE, _A_DECADE = "% of the stroke", "% a decade"
 _PLACES, _FEWEST = 12, 3
 # Noise alone exceeds the floor of a check this often; smaller patterns are below the resolution of a record [%].
 _RISK, _SMALLEST = 0.05, 0.1
-_OTHER_WIDTH = "the model's loops have another width there, which more loops that turn there may mend"
+_OTHER_WIDTH = "the model's loops have another width there"
 _OTHER_MIDDLE = "the spring or the transformer bends more there than its knots allow"
-# Remedies, by the name of the check that fails.
+# Meaning or remedy of a check that fails, by its name; the promise names the loops that would help.
 REMEDIES = {
-    "Width": "record loops that turn at other voltages",
+    "Width": "the model's loops are wider or narrower than those of the records",
     "Middle line": "record slower loops over the whole range, and see that sensor and load stay the same",
     "No drift": "let the actuator warm up, or record holds of a minute",
 }
@@ -37,7 +37,7 @@ _CAUSES = {
         "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
     ),
     "vibration": ("a vibration", "Isolate the stage, or close the loop: no model of the voltage can follow it."),
-    "model": ("the model", "Loops that turn elsewhere may reduce it."),
+    "model": ("the model", "Other loops may reduce it, if dehyst insight names some."),
 }
 # A line of the residual with this part of its power, so much higher than its neighbours, is a vibration; one that has
 # more power than this, relative to the voltage's strongest line, belongs to the voltage.
