@@ -15,7 +15,7 @@ from truths.warm_rig import WarmRig
 
 import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
-from dehyst.calibration import Plan, TrackedPath, calibrate
+from dehyst.calibration import Plan, TrackedPath, calibrate, experiment
 from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.following import _apart
 from dehyst.calibration.plan import Excitations, steps
@@ -44,6 +44,12 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench") / "play"
     rig, heard = SimulatedRig(PlayActuator()), Heard()
     return calibrate(rig, folder, watcher=heard), folder, rig, heard
+
+
+@pytest.fixture
+def identified(finished, monkeypatch):
+    """The record of that calibration is identified once."""
+    monkeypatch.setattr(experiment, "_identified", lambda *_: (finished[0].fit, finished[0].insight))
 
 
 def test_the_model_takes_the_hysteresis_out(finished):
@@ -89,7 +95,7 @@ def test_the_error_is_what_was_measured(finished):
     assert found.compensated.stroke == pytest.approx(PlayActuator().stroke, rel=1e-3)
 
 
-def test_a_second_call_plays_nothing(finished):
+def test_a_second_call_plays_nothing(finished, identified):
     found, folder, _, _ = finished
     rig, heard = SimulatedRig(PlayActuator()), Heard()
     again = calibrate(rig, folder, watcher=heard)
@@ -130,7 +136,7 @@ def test_a_rig_that_warms_drifts_or_reads_wrong_is_remarked(degrees, changes, co
             assert len(found) == count + wrong + (factor != 1)
 
 
-def test_it_goes_on_after_an_interrupt(tmp_path):
+def test_it_goes_on_after_an_interrupt(identified, tmp_path):
     truth = PlayActuator()
     first, rig = Heard("nominal", after=500), SimulatedRig(truth)
     with pytest.raises(KeyboardInterrupt) as caught:
