@@ -24,7 +24,7 @@ SETTINGS = {"structure": Structure(elements=10, knots=11, smoothing=0.0)}
 def at(first, last, seed, *, name="record", gain=GAIN, offset=0.0, known=True):
     """A record of random turns while the temperature goes from `first` to `last`; 20 degrees Celsius is neutral."""
     random = np.random.default_rng(seed)
-    voltage = plain_records.VOLTS / STROKE * plain_records.path((0, 1, 0, *random.uniform(0, 1, 12), 0))
+    voltage = plain_records.VOLTS / STROKE * plain_records.path((0, 1, 0, *random.uniform(0, 1, 12), 0), 60)
     made = plain_records.driven(
         TRUE, voltage, noise=2e-9, seed=seed, state=turned(TRUE, 0.0, rising=False), name=f"{name} {seed}"
     )

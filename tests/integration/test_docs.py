@@ -276,6 +276,24 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
         assert np.loadtxt("path.csv", delimiter=",", skiprows=1).shape == (400, 2)
 
 
+@pytest.mark.nightly
+def test_the_notebook_runs_and_its_stored_output_is_of_these_cells():
+    pytest.importorskip("matplotlib")
+    nbformat, notebooks = pytest.importorskip("nbformat"), pytest.importorskip("notebooks")
+    notebook = places.EXAMPLES / "first_steps.ipynb"
+
+    def kinds(made):
+        return [
+            [sorted(output.get("data", {output.output_type: None})) for output in cell.get("outputs", [])]
+            for cell in made.cells
+        ]
+
+    stored = nbformat.read(notebook, as_version=4)
+    nbformat.validate(stored)
+    assert kinds(notebooks.run(notebook)) == kinds(stored)
+    assert sum("image/png" in kind for shown in kinds(stored) for kind in shown) >= 4
+
+
 ROOT = places.ROOT
 
 

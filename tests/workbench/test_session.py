@@ -261,19 +261,6 @@ async def test_two_jobs_run_at_a_time_in_kept_workers_and_a_waiting_one_can_be_c
 
 
 @played
-async def test_the_path_of_a_scan_is_written_before_its_voltage(stage):
-    entry = await stage.model(Finished(FIT))
-    scan = {"kind": "raster", "low": 1, "high": 2, "frequency": 1, "lines": 4, "axis": "y", "turns": ""}
-    stage.session.follow(entry.id, {"scan": scan, "rate": 50, "limits": [0, 100], "slew": "none"})
-    await stage.next(Finished({}), Finished(error={"message": "no"}))
-    first, second = [step for worker in stage.workers for step in worker.steps][-2:]
-    assert first[0] == "scan" and second[1:3] == [entry.file, first[first.index("--output") + 1]]
-    assert {"--limits", "--slew-rate", "displacement=y_um"} <= {*second}
-    log = stage.session.state()["log"]
-    assert log[-1].startswith("dehyst scan raster") and stage.session.voltages == {}
-
-
-@played
 async def test_an_export_has_the_period_that_is_given_and_a_missing_one_is_asked_for_by_its_field(stage):
     entry = await stage.model(Finished(FIT))
     stage.session.export(entry.id, {"kind": "c", "period": 0.002})
